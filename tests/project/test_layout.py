@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,17 @@ def test_every_unit_test_is_named_for_its_module(test: Path) -> None:
     """``test_estimate.py``, and beside it ``test_estimate_jointly.py`` where one file would be too long."""
     name = test.stem.removeprefix("test_")
     assert any(name == module or name.startswith(f"{module}_") for module in modules_beside(test))
+
+
+def test_a_class_name_exists_once() -> None:
+    sources = [path for folder in ("tiltcal", "drivers") for path in (ROOT / folder).rglob("*.py")]
+    found = Counter(
+        name
+        for source in {path.resolve() for path in sources}
+        for name in re.findall(r"^class (\w+)", source.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    )
+    assert found
+    assert not [name for name, count in found.items() if count > 1]
 
 
 def test_benchmarks_use_what_tests_use_and_no_test_uses_a_benchmark() -> None:

@@ -81,7 +81,7 @@ def parse_document(text: str, file: str | None = None, language: str = "YAML") -
 
 
 @dataclass
-class _Open:
+class _OpenCollection:
     """A collection whose end was not read yet."""
 
     node: Node
@@ -95,7 +95,7 @@ class _Composer:
     def __init__(self, file: str | None, language: str) -> None:
         self._file = file
         self._language = language
-        self._stack: list[_Open] = []
+        self._stack: list[_OpenCollection] = []
         self._root: Node | None = None
         self._count = 0
 
@@ -152,7 +152,7 @@ class _Composer:
         else:
             self._place(scalar, line)
 
-    def _name_next(self, parent: _Open, entries: dict[str, Node], scalar: Scalar, line: int) -> None:
+    def _name_next(self, parent: _OpenCollection, entries: dict[str, Node], scalar: Scalar, line: int) -> None:
         """Take a scalar as the key of the value that follows."""
         require_printable(scalar.text, self._file, line, parent.node.key)
         key = member_key(parent.node.key, scalar.text)
@@ -170,7 +170,7 @@ class _Composer:
         parent = self._stack[-1] if self._stack else None
         if parent is not None and isinstance(parent.node.content, dict) and parent.key is None:
             raise self._error("a key is a list or a mapping; keys are text", line, parent.node.key)
-        self._stack.append(_Open(self._place(content, line)))
+        self._stack.append(_OpenCollection(self._place(content, line)))
 
     def _place(self, content: Scalar | list[Node] | dict[str, Node], line: int) -> Node:
         """Put a value where the innermost open collection expects it."""

@@ -26,7 +26,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.logs.columns import TEMPERATURE, TIME, SensorColumns, named_columns
-from tiltcal.logs.compensation_kernel import ElementTemperature, Kernel, RoleValues
+from tiltcal.logs.compensation_kernel import Kernel, LagCorrection, RoleValues
 from tiltcal.logs.log import LogReader, Table
 from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
 from tiltcal.logs.step_change import StepChange
@@ -198,12 +198,12 @@ class LibraryKernel:
         self._intervals: dict[int, Interval] = {}
         self._last: float | None = None
         thermal = history.calibrations[-1].record.coefficients.thermal
-        self._element = ElementTemperature(0.0 if thermal is None else thermal.lag)
+        self._correct_lag = LagCorrection(0.0 if thermal is None else thermal.lag)
 
     def __call__(self, values: RoleValues) -> Table:
         time = self._times(values)
         steps = self._steps(time)
-        values, lost = self._element(replace(values, time=time))
+        values, lost = self._correct_lag(replace(values, time=time))
         table = self._compensated(values, time, steps)
         return table if lost is None else mark_columns(table, lost, SUSPECT, NO_TEMPERATURE)
 

@@ -70,7 +70,7 @@ class Kernel(Protocol):
         ...
 
 
-class ElementTemperature:
+class LagCorrection:
     """The temperature of the sensing element in place of the thermometer's; it remembers the rows before.
 
     Parameters
@@ -119,7 +119,7 @@ class TiltKernel:
         averaged: bool = False,
     ) -> None:
         self._compensation, self._uncertain, self._earth = compensation, uncertain, earth
-        self._element = ElementTemperature(lag)
+        self._correct_lag = LagCorrection(lag)
         self._averaged = averaged
         names = [*compensation.columns]
         if uncertain is not None:
@@ -128,7 +128,7 @@ class TiltKernel:
         self.columns = (*names, *(() if earth is None else earth.columns))
 
     def __call__(self, values: RoleValues) -> Table:
-        values, lost = self._element(values)
+        values, lost = self._correct_lag(values)
         out = Compensated.empty(len(values), len(self._compensation.axes))
         table = self._compensation.table(out)
         own = self._own - len(table)

@@ -85,7 +85,7 @@ class Notice:
         return f"row {self.row}: held, {self.why}" if self.why else f"row {self.row}: goes on"
 
 
-class _Open:
+class _OpenSector:
     """A sector that has not ended yet."""
 
     def __init__(self, start: int, size: int, why_not: str | None) -> None:
@@ -119,7 +119,7 @@ class SectorStream:
         self._size = READINGS + channels
         self._stage = AngleTracker()
         self._pilot: Array | None = None
-        self._open: _Open | None = None
+        self._open: _OpenSector | None = None
         self._number: int | None = None
         self._handed: int | None = None
         self._highest = -np.inf
@@ -200,7 +200,8 @@ class SectorStream:
         elif self._open is not None:
             self._close(self._open, row, found)
         # The stream came into the first sector, and into the one behind a gap, in its middle.
-        self._open = _Open(row, self._size, None if self._number is not None and not gap else "begun in its middle")
+        whole = self._number is not None and not gap
+        self._open = _OpenSector(row, self._size, None if whole else "begun in its middle")
         self._number = number
 
     def _add(self, turns: Array, rows: Rows, readings: Array, whole: Mask) -> None:
@@ -220,7 +221,7 @@ class SectorStream:
         sector.products += table @ table.T
         sector.used += table.shape[1]
 
-    def _close(self, sector: _Open, end: int, found: list[Sector | Notice]) -> None:
+    def _close(self, sector: _OpenSector, end: int, found: list[Sector | Notice]) -> None:
         """Hand a sector on, or say why not."""
         length = end - sector.start
         if sector.why_not is None and self._standing(length):
@@ -253,7 +254,7 @@ class SectorStream:
         sector.why_not = STANDS
         self._hold(self._standing_from(sector), STANDS, found)
 
-    def _standing_from(self, sector: _Open) -> int:
+    def _standing_from(self, sector: _OpenSector) -> int:
         """Return the row with which that was clear."""
         return sector.start + floor(_STANDING * median(self._typical)) + 1
 
