@@ -166,8 +166,8 @@ class Model:
     driver : callable
         ``driver(link, clock)`` returns the :class:`Sensor`.
     twin : callable
-        ``twin(truth, fixture, clock)`` returns a :class:`Link` that answers as the part would: ``fixture`` holds it, in
-        the sensor frame, and ``clock`` has the time of the session.
+        ``twin(truth, fixture, clock)`` returns a :class:`tiltcal.drivers.bus.link.Link` that answers as the part would:
+        ``fixture`` holds it, in the sensor frame, and ``clock`` has the time of the session.
     not_modelled : tuple of str
         What the twin does not model, for ``tiltcal devices``.
     default_truth : callable or None

@@ -266,7 +266,7 @@ def plan_session(
     Parameters
     ----------
     bench : BenchFile
-        The sensors; :func:`single` makes one of a single sensor.
+        The sensors; :func:`tiltcal.bench.device_setup.single` makes one of a single sensor.
     outputs : sequence of Path or None
         Calibration files, one per sensor; None where none is made.
     samples, settle

@@ -70,7 +70,7 @@ class PairCalibration:
         columns : mapping of str to str, or str
             The column of each of them, such as ``{"a1": "Q1"}``; without it, the column of its name.
         **options
-            Those of :meth:`Calibration.apply`, all of which are for tilt: one that is given is refused.
+            Those of :meth:`tiltcal.Calibration.apply`, all of which are for tilt: one that is given is refused.
 
         Returns
         -------

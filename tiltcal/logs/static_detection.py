@@ -160,7 +160,7 @@ class StillSpans:
         self._still = [LongRuns(max(self._middle, 2)) for _ in thresholds]
 
     def add(self, scatter: Array) -> None:
-        """Take the scatter in the next windows, shape (n,); see :func:`tiltcal.core.detection.window_scatter`."""
+        """Take the scatter in the next windows, shape (n,); see :func:`tiltcal.core.rows.window_scatter`."""
         low, high = float(np.min(scatter, initial=inf)), float(np.max(scatter, initial=0.0))
         for found, threshold in zip(self._still, self._thresholds, strict=True):
             if low <= threshold < high:
