@@ -235,13 +235,13 @@ class TestWhatIsWrongWithALog:
         assert begin <= 25.0 <= end
         assert "it was not still" in noise(path).stderr
 
-    def test_hanging_is_told(self, tmp_path: Path) -> None:
+    def test_stuck_readings_are_named(self, tmp_path: Path) -> None:
         samples = np.round(counts(4000) * 2) / 2
         samples[1000:1200] = samples[1000]
         path = written(tmp_path / "l.csv", samples)
         begin, end = as_json(path)["hung"]
         assert (begin, end) == pytest.approx((10.0, 12.0), abs=0.05)
-        assert "hung" in noise(path).stderr
+        assert "the readings were stuck" in noise(path).stderr
 
     def test_time_that_goes_back(self, tmp_path: Path) -> None:
         path = written(tmp_path / "l.csv", counts(400))

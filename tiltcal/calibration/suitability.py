@@ -43,5 +43,5 @@ def require_suitable(
                 hint = "; a smaller --tilt brings it in range" if procedure.angle is not None else ""
                 raise UsageError(
                     f"position {position.name} is outside the range of {model.name}: {channel} would read about "
-                    f"{expected:.5g} {model.unit}, between {model.rails[0]:g} and {model.rails[1]:g} it can{hint}"
+                    f"{expected:.5g} {model.unit}, and reads from {model.rails[0]:g} to {model.rails[1]:g}{hint}"
                 )

@@ -77,7 +77,7 @@ class NoiseLog:
             )
         if self.stuck is not None:
             begin, end = self.seconds(self.stuck)
-            said.append(f"the readings hung from {begin:.4g} to {end:.4g} s: no channel changed, as if it were stuck")
+            said.append(f"the readings were stuck from {begin:.4g} to {end:.4g} s: no channel changed")
         if self.pace.gaps:
             said.append(f"{counted(self.pace.gaps, 'gap')} in its times, {counted(self.pace.lost, 'row')} long")
         said += [f"{channel} is missing in {counted(count, 'row')}" for channel, count in self.missing.items()]

@@ -37,7 +37,7 @@ class RowRange:
 
 
 class Disturbances:
-    """Collects what shows motion and hanging readings along the samples of some channels."""
+    """Collects what shows motion and stuck readings along the samples of some channels."""
 
     def __init__(self, channels: int) -> None:
         empty = np.empty((0, channels))
