@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from pkgutil import resolve_name
 
 import numpy as np
 import polars
@@ -40,6 +41,8 @@ SENSORS = ROOT / "docs" / "which-sensor.md"
 BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NAMED_FILE = re.compile(r"`((?:tiltcal|drivers|procedures|tests|docs|fixtures|benchmarks|firmware)/[\w/.-]*)`")
 """A file or folder of ours, in the typewriter face."""
+REFERENCE = re.compile(r":(?:mod|func|class|data|meth|attr):`(tiltcal\.[\w.]+)`")
+"""A module of ours in a docstring, or a name in it."""
 LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 
 
@@ -200,6 +203,15 @@ def test_a_sensor_has_the_range_for_the_procedures_beside_it(model: str, procedu
 def test_files_that_are_named_exist(page: Path) -> None:
     for path in NAMED_FILE.findall(page.read_text(encoding="utf-8")):
         assert (ROOT / path).exists(), path
+
+
+@pytest.mark.parametrize("folder", ["tiltcal", "drivers"])
+def test_names_in_docstrings_exist(folder: str) -> None:
+    sources = (ROOT / folder).rglob("*.py")
+    names = {name for source in sources for name in REFERENCE.findall(source.read_text(encoding="utf-8"))}
+    assert names
+    for name in sorted(names):
+        assert resolve_name(name) is not None
 
 
 def headings_of(page: Path) -> set[str]:
