@@ -6,7 +6,7 @@ Whole commands are run in turn, and the table has their medians: ``fit`` with se
 ``noise``, ``report`` and ``match``, each for CSV and Parquet, beside one pass over the same columns with the project's
 reader and with polars. ``--keep`` puts the table into README.md. Exit code 1 where a command takes more than 0.4 GB or,
 for 10 million rows or more, where its start counts little, more than twice the time of the pass with the project's
-reader; ``fit free`` may take longer, because it goes over its rows once for each threshold.
+reader; ``fit free`` may take longer, because it looks for the still intervals in four windows before it fits.
 """
 
 from __future__ import annotations
