@@ -9,10 +9,11 @@ from pathlib import Path
 
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import TILT, CalibrationRecord
-from tiltcal.files.declaration import Text, entry
+from tiltcal.files.declaration import entry
 from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.provenance_record import FileRecord
+from tiltcal.files.scalars import Text
 from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_path
 

@@ -17,8 +17,9 @@ from __future__ import annotations
 import re
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
-from tiltcal.files.declaration import FROM_ZERO, Context, Converted, ListOf, Section, Text, entry
+from tiltcal.files.declaration import Context, Converted, ListOf, Section, entry
 from tiltcal.files.node import Node
+from tiltcal.files.scalars import FROM_ZERO, Text
 from tiltcal.frozen import frozen
 
 _SERIAL = re.compile(r"[\w.+-][\w.+ -]*")

@@ -20,19 +20,7 @@ from tiltcal.core.named_coefficients import CoefficientChange, changes, differen
 from tiltcal.core.uncertainty_inputs import TURN
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import COEFFICIENTS, in_degrees
-from tiltcal.files.declaration import (
-    ANY,
-    ByChannel,
-    Choice,
-    Context,
-    Converted,
-    Format,
-    ListOf,
-    Range,
-    Section,
-    Text,
-    entry,
-)
+from tiltcal.files.declaration import ANY, ByChannel, Context, Converted, Format, ListOf, Section, entry
 from tiltcal.files.derived_record import DerivedRecord
 from tiltcal.files.document import read_document
 from tiltcal.files.emitter import yaml_text
@@ -40,6 +28,7 @@ from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.node import Node
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
+from tiltcal.files.scalars import Choice, Range, Text
 from tiltcal.files.uncertainty import UNCERTAINTY, Uncertainty, known_coefficients, known_turns
 from tiltcal.frozen import frozen
 

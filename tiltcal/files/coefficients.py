@@ -9,8 +9,9 @@ import numpy as np
 
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, Thermal
 from tiltcal.core.rounding import significant
-from tiltcal.files.declaration import ByChannel, Context, Converted, ListOf, Number, Range, Section, entry
+from tiltcal.files.declaration import ByChannel, Context, Converted, ListOf, Section, entry
 from tiltcal.files.node import Node
+from tiltcal.files.scalars import Number, Range
 from tiltcal.frozen import frozen
 
 ORDER_LIMIT = 6

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from tiltcal.files.coefficients import CHANNELS
-from tiltcal.files.declaration import FROM_ZERO, ByChannel, ByName, Flag, ListOf, Number, Section, Text, entry
+from tiltcal.files.declaration import ByChannel, ByName, ListOf, Section, entry
+from tiltcal.files.scalars import FROM_ZERO, Flag, Number, Text
 from tiltcal.frozen import frozen
 
 

@@ -5,20 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from tiltcal.files.coefficients import CHANNELS
-from tiltcal.files.declaration import (
-    FROM_ZERO,
-    ByChannel,
-    ByCoefficient,
-    ByName,
-    Flag,
-    Integer,
-    ListOf,
-    Number,
-    Range,
-    Section,
-    Text,
-    entry,
-)
+from tiltcal.files.declaration import ByChannel, ByCoefficient, ByName, ListOf, Section, entry
+from tiltcal.files.scalars import FROM_ZERO, Flag, Integer, Number, Range, Text
 from tiltcal.frozen import frozen
 
 NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"

@@ -8,7 +8,8 @@ from shlex import quote
 from typing import Any
 
 from tiltcal.files.base_calibration import BaseFile
-from tiltcal.files.declaration import FROM_ZERO, Anything, ByName, Flag, Integer, ListOf, Number, Section, Text, entry
+from tiltcal.files.declaration import Anything, ByName, ListOf, Section, entry
+from tiltcal.files.scalars import FROM_ZERO, Flag, Integer, Number, Text
 from tiltcal.frozen import frozen
 
 

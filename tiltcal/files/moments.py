@@ -6,8 +6,9 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 from tiltcal.errors import InputError
-from tiltcal.files.declaration import Context, Converted, Text
+from tiltcal.files.declaration import Context, Converted
 from tiltcal.files.node import Node
+from tiltcal.files.scalars import Text
 
 
 def moment(text: str | date, path: str | Path | None = None) -> datetime:

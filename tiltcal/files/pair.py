@@ -7,22 +7,11 @@ from collections.abc import Mapping
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.files.declaration import (
-    FROM_ZERO,
-    ByKey,
-    ByName,
-    Context,
-    Converted,
-    Flag,
-    ListOf,
-    Number,
-    Section,
-    Text,
-    entry,
-)
+from tiltcal.files.declaration import ByKey, ByName, Context, Converted, ListOf, Section, entry
 from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
 from tiltcal.files.provenance_record import PairProvenance
+from tiltcal.files.scalars import FROM_ZERO, Flag, Number, Text
 from tiltcal.frozen import frozen
 
 _DIGITS = 4

@@ -6,22 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from tiltcal.files.coefficients import CHANNELS
-from tiltcal.files.declaration import (
-    ANY,
-    FROM_ZERO,
-    ByChannel,
-    ByName,
-    Context,
-    Format,
-    Integer,
-    ListOf,
-    Number,
-    Section,
-    Text,
-    entry,
-)
+from tiltcal.files.declaration import ANY, ByChannel, ByName, Context, Format, ListOf, Section, entry
 from tiltcal.files.moments import MOMENT
 from tiltcal.files.node import Node
+from tiltcal.files.scalars import FROM_ZERO, Integer, Number, Text
 from tiltcal.frozen import frozen
 
 

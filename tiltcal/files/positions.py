@@ -9,9 +9,10 @@ from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES
 from tiltcal.errors import InputError
 from tiltcal.files.csv_tables import Table, table_rows
-from tiltcal.files.declaration import Integer, Number, Section, Text, entry
+from tiltcal.files.declaration import Section, entry
 from tiltcal.files.node import Node
 from tiltcal.files.procedure import TEMPERATURE
+from tiltcal.files.scalars import Integer, Number, Text
 from tiltcal.files.segments import Direction
 from tiltcal.frozen import frozen
 

@@ -11,23 +11,9 @@ from tiltcal.core.gravity_direction import Vector, gravity_from_tilt, normalised
 from tiltcal.core.model import AXES
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import ORDER_LIMIT
-from tiltcal.files.declaration import (
-    ANY,
-    FROM_ZERO,
-    ByKey,
-    Choice,
-    Context,
-    Converted,
-    Flag,
-    Format,
-    Integer,
-    ListOf,
-    Number,
-    Section,
-    Text,
-    entry,
-)
+from tiltcal.files.declaration import ANY, ByKey, Context, Converted, Format, ListOf, Section, entry
 from tiltcal.files.node import Node
+from tiltcal.files.scalars import FROM_ZERO, Choice, Flag, Integer, Number, Text
 from tiltcal.frozen import frozen
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import is_number, require_whole, shown

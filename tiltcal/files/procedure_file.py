@@ -12,16 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tiltcal.core.gravity_direction import LEVEL
 from tiltcal.errors import UsageError
-from tiltcal.files.declaration import (
-    Context,
-    Converted,
-    Either,
-    Format,
-    Imported,
-    Section,
-    Text,
-    entry,
-)
+from tiltcal.files.declaration import Context, Converted, Either, Format, Imported, Section, entry
 from tiltcal.files.document import read_document
 from tiltcal.files.node import Node, document_of
 from tiltcal.files.procedure import (
@@ -30,6 +21,7 @@ from tiltcal.files.procedure import (
     Procedure,
     chosen_angle,
 )
+from tiltcal.files.scalars import Text
 from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_path
 

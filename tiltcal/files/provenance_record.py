@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from hashlib import sha256
 
-from tiltcal.files.declaration import FROM_ZERO, ByName, Integer, ListOf, Section, Text, entry
+from tiltcal.files.declaration import ByName, ListOf, Section, entry
 from tiltcal.files.moments import MOMENT
+from tiltcal.files.scalars import FROM_ZERO, Integer, Text
 from tiltcal.frozen import frozen
 
 VIRTUAL = "the virtual bench: no real sensor was measured"

@@ -20,8 +20,9 @@ from dataclasses import replace
 from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import UsageError
-from tiltcal.files.declaration import Context, Converted, Integer, ListOf, Number, Section, Text, entry
+from tiltcal.files.declaration import Context, Converted, ListOf, Section, entry
 from tiltcal.files.node import Node
+from tiltcal.files.scalars import Integer, Number, Text
 from tiltcal.frozen import frozen
 
 FEWEST_WHOLE_TURNS = int(FEWEST_TURNS)

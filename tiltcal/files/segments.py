@@ -9,8 +9,9 @@ from pathlib import Path
 from tiltcal.core.gravity_direction import Vector, normalised
 from tiltcal.errors import InputError
 from tiltcal.files.csv_tables import Table, table_rows
-from tiltcal.files.declaration import Context, Converted, Integer, Number, Section, Text, entry
+from tiltcal.files.declaration import Context, Converted, Section, entry
 from tiltcal.files.node import Node
+from tiltcal.files.scalars import Integer, Number, Text
 from tiltcal.frozen import frozen
 
 

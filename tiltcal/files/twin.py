@@ -54,23 +54,10 @@ from tiltcal.core.model import AXES
 from tiltcal.drivers.twin.gradiometer import CHANNELS, FASTEST, Accelerometer, Disk, StageTruth
 from tiltcal.drivers.twin.truth import Fault, Polynomial, Truth
 from tiltcal.files.coefficients import ROWS, MountingSection, polynomials
-from tiltcal.files.declaration import (
-    FROM_ZERO,
-    ByChannel,
-    ByKey,
-    Choice,
-    Context,
-    Converted,
-    Either,
-    Integer,
-    ListOf,
-    Number,
-    Section,
-    Text,
-    entry,
-)
+from tiltcal.files.declaration import ByChannel, ByKey, Context, Converted, Either, ListOf, Section, entry
 from tiltcal.files.document import read_document
 from tiltcal.files.node import Node
+from tiltcal.files.scalars import FROM_ZERO, Choice, Integer, Number, Text
 from tiltcal.frozen import frozen
 
 FAULTS = ("parity", "stuck", "silent", "unplugged")

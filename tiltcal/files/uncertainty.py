@@ -21,20 +21,9 @@ from tiltcal.core.named_coefficients import KnownCoefficient, known, values
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, polynomials
-from tiltcal.files.declaration import (
-    FROM_ZERO,
-    ByChannel,
-    ByKey,
-    ByName,
-    Context,
-    Converted,
-    ListOf,
-    Number,
-    Section,
-    Text,
-    entry,
-)
+from tiltcal.files.declaration import ByChannel, ByKey, ByName, Context, Converted, ListOf, Section, entry
 from tiltcal.files.node import Node
+from tiltcal.files.scalars import FROM_ZERO, Number, Text
 from tiltcal.frozen import frozen
 
 SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
