@@ -1,15 +1,13 @@
 """``python -m tiltcal`` is the ``tiltcal`` command, and so is the installed one.
 
-Ctrl-C ends it with exit code 130 and a message whenever it comes, while modules are imported too.
+Ctrl-C ends it with exit code 130 and a message whenever it comes, while modules are imported too: all of them but this
+one and those of Python are imported within :func:`main`.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-
-from tiltcal.cli.talk import talk
-from tiltcal.errors import INTERRUPTED, UsageError
 
 _AGAIN = 1e-3  # seconds after which a Ctrl-C that was dropped comes again
 
@@ -91,6 +89,9 @@ def _comes_from_ctrl_c(failure: BaseException | None) -> bool:
 
 def _interrupted() -> int:
     _deaf()
+    from tiltcal.cli.talk import talk
+    from tiltcal.errors import INTERRUPTED
+
     talk("tiltcal: interrupted")
     return INTERRUPTED
 
@@ -110,6 +111,9 @@ def _flushed(code: int) -> int:
     except BrokenPipeError:
         return code
     except OSError as failure:
+        from tiltcal.cli.talk import talk
+        from tiltcal.errors import UsageError
+
         talk(f"tiltcal: the output cannot be written: {failure.strerror}")
         return code or UsageError.exit_code
     return code
