@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -51,7 +49,7 @@ from tiltcal.logs.static_intervals import (
     placed,
     require_positions,
 )
-from tiltcal.logs.streams import sha256_of
+from tiltcal.logs.streams import imported_meanwhile, sha256_of
 from tiltcal.stated_arguments import is_number, require_boolean, require_whole, shown
 
 SHORTEST = 4
@@ -404,10 +402,9 @@ class FitSource:
     def _record(self, sensor: SensorIdentity, others: Sequence[str] = ()) -> Iterator[RecordedReadings]:
         named = named_columns(self.columns, sensor.channels)
         with (
-            ThreadPoolExecutor(1) as thread,
             recorded_readings(self.data, sensor.channels, named, sensor.unit, self.progress, others) as record,
+            imported_meanwhile("scipy.special"),
         ):
-            thread.submit(import_module, "scipy.special")  # which the fit needs, and a long log leaves time for
             yield record
 
     def _provenance(

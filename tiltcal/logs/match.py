@@ -19,6 +19,7 @@ from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.pair_matching import Demodulated, demodulate_log
 from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
+from tiltcal.logs.streams import imported_meanwhile
 from tiltcal.stated_arguments import require_boolean, require_text_or_none
 
 
@@ -146,6 +147,7 @@ def match_log(
     with (
         open_log(data, skip_bad_rows=skip_bad_rows, digest=is_file, live=online, progress=progress) as log,
         _explained(log, phase),
+        imported_meanwhile("scipy.special"),
     ):
         observers = [observer for observer in (watch, spectrum) if observer is not None]
         found = demodulate_log(log, channels, phase, observers=observers, say=say, live=online)

@@ -21,6 +21,7 @@ from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import Progress
 from tiltcal.logs.noise_log import characterise_log
 from tiltcal.logs.noise_summary import NoiseTarget, SensorNoise
+from tiltcal.logs.streams import imported_meanwhile
 from tiltcal.logs.uniform_sampling import UniformLog
 from tiltcal.stated_arguments import require_above_zero, require_text_or_none, require_whole
 
@@ -191,7 +192,8 @@ def characterise_readings(
         channels = asked or facts.channels or there or AXES[:1]
         if facts.unit is not None:
             locate_readings(log, channels, named, facts.unit)
-        found = characterise_log(UniformLog(log, channels, named, rate), channels, averages)
+        with imported_meanwhile("scipy.special"):
+            found = characterise_log(UniformLog(log, channels, named, rate), channels, averages)
     return SensorNoise(found, facts.scale(list(found.channels)), target)
 
 

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from hashlib import file_digest, sha256
+from importlib import import_module
 from pathlib import Path
 from select import select
 from types import FrameType
@@ -203,6 +204,14 @@ def read_ahead(items: Iterator[T], count: int = 2) -> Iterator[T]:
         finally:
             for future in expected:
                 future.cancel()
+
+
+@contextmanager
+def imported_meanwhile(module: str) -> Iterator[None]:
+    """Import a module in a thread of its own while a log is read, at whose end it is needed: a third of a second."""
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="import") as thread:
+        thread.submit(import_module, module)
+        yield
 
 
 class HashingReader:
