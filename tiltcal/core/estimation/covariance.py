@@ -169,12 +169,14 @@ def _variances(near: LinearSolution) -> tuple[dict[str, Array], Array]:
         found *= found
         readings = found[..., : equations.readings].reshape(count, -1)
         share = np.clip((block.adc / block.u) ** 2, 0.0, 1.0).ravel()
-        adc += readings @ share
-        noise += readings @ (1.0 - share)
+        if share.any():
+            adc += readings @ share
+            readings = readings * (1.0 - share)
+        noise += readings.sum(axis=1)
         known = found[..., equations.readings :].sum(axis=1)
         prior += known[:, own].sum(axis=1)
         thermometer += known[:, ~own].sum(axis=1)
-        estimated += _estimated(readings * (1.0 - share), block)
+        estimated += _estimated(readings, block)
     variance = {NOISE: noise, ADC: adc}
     if system.assumed.any():
         variance[PRIOR] = prior
@@ -211,5 +213,7 @@ def _estimated(shares: Array, block: EquationBlock) -> Array:
         new[1:] |= np.diff(key[order]) != 0.0
     new[0] = True
     starts = np.flatnonzero(new)
-    parts = np.add.reduceat(shares[:, order], starts, axis=1)
+    if np.any(np.diff(order) != 1):  # a copy of all shares
+        shares = shares[:, order]
+    parts = np.add.reduceat(shares, starts, axis=1)
     return np.asarray(parts**2 @ (1.0 / block.dof.ravel()[order][starts]))
