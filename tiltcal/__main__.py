@@ -22,11 +22,12 @@ def main(args: list[str] | None = None) -> None:
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
     try:
         _keep_ctrl_c()
+        signals = _NotedSignals()
         _one_blas_thread()
         _collect_seldom()
         from tiltcal.cli.child_process import needs_guard, run_guarded
 
-        code = run_guarded(lambda: _run(args), args) if needs_guard(args) else _run(args)
+        code = run_guarded(lambda: _run(args, signals), args) if needs_guard(args) else _run(args, signals)
     except KeyboardInterrupt:
         code = _interrupted()
     # Without waiting for the engine's threads: one that asks for the interpreter while it shuts down aborts.
@@ -64,7 +65,31 @@ def _keep_ctrl_c() -> None:
         sys.unraisablehook = unraisable
 
 
-def _run(args: list[str]) -> int:
+class _NotedSignals:
+    """The signals that came, which the system writes to a pipe.
+
+    A library that Ctrl-C meets in a callback may end in an error of its own, in which nothing is left of it.
+    """
+
+    def __init__(self) -> None:
+        from signal import set_wakeup_fd
+
+        self._noted = None
+        if hasattr(os, "pipe2"):
+            self._noted, written = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+            set_wakeup_fd(written, warn_on_full_buffer=False)
+
+    def ctrl_c(self) -> bool:
+        """Return whether Ctrl-C is among them."""
+        from signal import SIGINT
+
+        try:
+            return self._noted is not None and SIGINT in os.read(self._noted, 1 << 16)
+        except BlockingIOError:
+            return False
+
+
+def _run(args: list[str], signals: _NotedSignals) -> int:
     """Run a command, and return its exit code when all that it printed is out."""
     try:
         from tiltcal.cli.main import run
@@ -72,7 +97,7 @@ def _run(args: list[str]) -> int:
         code = run(args)
         _deaf()
     except BaseException as failure:
-        if not _comes_from_ctrl_c(failure):
+        if not (_comes_from_ctrl_c(failure) or signals.ctrl_c()):
             raise
         return _interrupted()
     return _flushed(code)

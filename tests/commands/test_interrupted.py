@@ -58,6 +58,29 @@ main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])
     assert not (tmp_path / "out.csv").exists()
 
 
+def test_ctrl_c_that_a_library_loses(tmp_path: Path) -> None:
+    """An engine that it met in a callback ended in a TypeError; seen in 1 of 200 interrupted commands."""
+    script = f"""
+import signal
+from tiltcal.__main__ import main
+
+import polars
+
+def interrupted(*_words, **_options):
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:
+        pass
+    raise TypeError("'<unprintable str object>' is not a data type")
+
+polars.read_csv = polars.scan_csv = interrupted
+main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])
+"""
+    (tmp_path / "log.csv").write_text('x,y,note\n1024,1024,"quotes take the engine"\n')
+    done = started([sys.executable, "-c", script], tmp_path)
+    assert (done.returncode, done.stderr.strip()) == (130, "tiltcal: interrupted")
+
+
 def test_ctrl_c_while_a_finaliser_runs(tmp_path: Path) -> None:
     """Python drops an exception of a finaliser; seen in 2 of 200 interrupted commands."""
     script = f"""
