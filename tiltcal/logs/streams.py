@@ -209,9 +209,11 @@ def read_ahead(items: Iterator[T], count: int = 2) -> Iterator[T]:
 @contextmanager
 def imported_meanwhile(module: str) -> Iterator[None]:
     """Import a module in a thread of its own while a log is read, at whose end it is needed: a third of a second."""
-    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="import") as thread:
-        thread.submit(import_module, module)
-        yield
+    thread = threading.Thread(target=import_module, args=(module,), daemon=True)
+    thread.start()
+    yield
+    # An error does not wait for it: an import that Ctrl-C ended may hold a lock for ever, which that thread waits for.
+    thread.join()
 
 
 class HashingReader:
