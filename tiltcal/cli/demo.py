@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from tiltcal.core.model import Array
 
 MODEL, PROCEDURE, SERIAL = "sca100t-d02", "complete", "SIM-1"
-ROWS, REACH, TEMPERATURES = 1500, 50.0, (28.0, 5.0)
-REACH_BESIDE_X = 36.0
-"""Largest tilt of y, degrees: below 40°, because beside a tilt of x by 50° a larger one is no direction."""
+ROWS, REACH, TEMPERATURES = 1500, 40.0, (22.0, 8.0)
+REACH_BESIDE_X = 35.0
+"""Largest tilt of y, degrees: below 50°, because beside a tilt of x by 40° a larger one is no direction."""
 
 
 @click.command(epilog="Example: tiltcal demo demo")
@@ -62,13 +62,14 @@ def command(folder: Path, seed: int) -> None:
         remark=lambda text: click.echo(indent(text, "   ")),
     )
     click.echo("\n2. the calibration file")
-    click.echo(summary(read_calibration(calibration)))
+    click.echo(summary(read_calibration(calibration), notes=False))
     click.echo(
-        f"\n3. apply it to a recorded log: {ROWS} rows, tilts within ±{REACH:g}°, "
+        f"\n3. apply it to a recorded log: {ROWS} rows inside the calibrated range, tilts up to ±{REACH:g}°, "
         f"{TEMPERATURES[0]:g} to {TEMPERATURES[1]:g} °C"
     )
     _record(log, address, model)
     apply.main([str(calibration), str(log), "-o", str(compensated)], standalone_mode=False)
+    click.echo("   flag 1 is good; a row outside the calibrated range gets 3, one without a tilt 4, an empty one 9")
     click.echo(f"   wrote {compensated}")
     click.echo("\n4. tilt error against the log's true tilt")
     rows = _columns(compensated)
