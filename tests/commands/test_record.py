@@ -102,7 +102,7 @@ def test_it_says_what_was_damaged_and_lost_on_the_line(name: str, tmp_path: Path
         given = ("--sensor", "adxl202", "--address", f"serial://{path}?baudrate=115200")
         done = tiltcal("record", *given, "--rows", "150", "-o", name, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    found = re.search(r"150 rows in .*; adxl202: 150 sentences, (\d+) damaged, (\d+) lost, 0 restarts", done.stderr)
+    found = re.search(r"150 rows in .*\nadxl202: 150 sentences, (\d+) damaged, (\d+) lost, 0 restarts", done.stderr)
     assert found, done.stderr
     damaged, lost = map(int, found.groups())
     assert damaged == pytest.approx(150 / 2, abs=15)

@@ -210,10 +210,7 @@ def open_sensor(model: str, address: str) -> Iterator[Sensor]:
 
 
 def _results(
-    session: Session,
-    outcome: SessionResult,
-    remark: Callable[[str], None],
-    result: Callable[[str], None] | None,
+    session: Session, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
 ) -> Calibration | tiltcal.PairCalibration | list[Calibration]:
     """Return what a session found, and remark what limits it."""
     for name, statistics in outcome.ending.link_statistics_by_serial.items():
@@ -221,16 +218,15 @@ def _results(
     records, determines = list(outcome.calibrations.values()), session.plan.procedure.determines
     if session.plan.procedure.rotation is not None:
         pair = tiltcal.PairCalibration(records[0])  # type: ignore[arg-type]
-        if result is not None:
-            result(str(pair))
+        (result or unheard)(str(pair))
         return pair
     calibrations = [Calibration(record) for record in records if isinstance(record, CalibrationRecord)]
     _remark_notes(calibrations, remark, renewed=determines.level)
     for calibration in calibrations:
         if determines.level:
             (result or remark)(level_summary(calibration.record))
-        elif result is not None:
-            result(summary(calibration.record, notes=False))
+        else:
+            (result or unheard)(summary(calibration.record, notes=False))
         if session.plan.procedure.closes:
             remark(changes_in_words(calibration.record))
     return calibrations[0] if len(session.plan.sensors) == 1 else calibrations

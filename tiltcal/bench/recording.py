@@ -53,14 +53,10 @@ class RecordingTally:
     link_statistics: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
     @property
-    def missing_in_words(self) -> str:
-        """The missing readings as the end of a line of text; empty if there are none."""
-        return f", {self.missing} readings missing ({self.why})" if self.missing else ""
-
-    @property
-    def line_in_words(self) -> str:
-        """The link statistics as the end of a line of text; empty if no device counts them."""
-        return "".join(f"; {device}: {in_words(counts)}" for device, counts in self.link_statistics.items())
+    def losses_in_words(self) -> str:
+        """The missing readings as the end of a line, and the link statistics as lines of text."""
+        missing = f", {self.missing} readings missing ({self.why})" if self.missing else ""
+        return missing + "".join(f"\n{device}: {in_words(counts)}" for device, counts in self.link_statistics.items())
 
 
 class CsvRecorder:

@@ -112,12 +112,8 @@ class SensorSet:
 
     def link_statistics(self) -> dict[str, Mapping[str, int]]:
         """Return the link statistics of each device that counts them, by serial number, or model where it has none."""
-        names = {sensor.serial: sensor.serial or sensor.model.name for sensor in self.sensors}
-        return {
-            names.get(serial, serial): device.link_statistics()
-            for serial, device in self._devices
-            if isinstance(device, StreamingSensor)
-        }
+        devices = [(name or self.models[0].name, device) for name, device in self._devices]
+        return {name: device.link_statistics() for name, device in devices if isinstance(device, StreamingSensor)}
 
     def listen(self, listener: Listener) -> None:
         """Pass every sample that :meth:`read` takes from here on to a listener."""

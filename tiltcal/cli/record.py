@@ -52,7 +52,7 @@ def command(
         raise UsageError("record needs either --bench FILE, or --sensor MODEL and --address ADDRESS")
     named = known_bench(read_document(bench)) if bench is not None else single(str(sensor), "", str(address))
     tally = record_log(named, rate, rows, seconds, output)
-    remark(f"{tally.rows} rows in {output}{tally.missing_in_words}{tally.line_in_words}")
+    remark(f"{tally.rows} rows in {output}{tally.losses_in_words}")
     return INTERRUPTED if tally.interrupted else 0
 
 
@@ -93,7 +93,7 @@ def _progress() -> Iterator[Callable[[RecordingTally], None]]:
         now = time.monotonic()
         if now - shown >= SHOWN_EVERY:
             shown = now
-            sys.stderr.write(f"\r\x1b[2K{tally.rows} rows{tally.missing_in_words[:100]}   Ctrl-C stops")
+            sys.stderr.write(f"\r\x1b[2K{tally.rows} rows{tally.losses_in_words[:100]}   Ctrl-C stops")
             sys.stderr.flush()
 
     if not sys.stderr.isatty():
