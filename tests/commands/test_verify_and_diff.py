@@ -226,6 +226,8 @@ def test_an_unchanged_part_in_two_procedures_is_not_called_changed(tmp_path: Pat
     assert re.search(r"^  offset.x +not comparable$", found.stdout, re.MULTILINE)
     assert "unchanged" in found.stdout
     assert "not comparable: offset.x" in tiltcal("history", ".", cwd=tmp_path).stdout
+    assert tiltcal("report", "plane.yaml", "cross-axis.yaml", "-o", "page.html", cwd=tmp_path).returncode == 0
+    assert "not comparable: Offset of x, Offset of y" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 def test_two_sensors_are_not_compared(tmp_path: Path) -> None:
