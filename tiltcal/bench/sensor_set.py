@@ -16,7 +16,7 @@ from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Interruption, Link
-from tiltcal.drivers.device import Model, Reading, Sensor
+from tiltcal.drivers.device import Model, Reading, Sensor, StreamingSensor
 from tiltcal.errors import HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.frozen import frozen
@@ -109,6 +109,11 @@ class SensorSet:
     def has_thermometer(self) -> bool:
         """Whether a thermometer of the bench gives the temperature of every sensor."""
         return self._thermometer is not None
+
+    def link_statistics(self) -> dict[str, Mapping[str, int]]:
+        """Return the link statistics of each device that counts them, by serial number, or model where it has none."""
+        devices = [(name or self.models[0].name, device) for name, device in self._devices]
+        return {name: device.link_statistics() for name, device in devices if isinstance(device, StreamingSensor)}
 
     def listen(self, listener: Listener) -> None:
         """Pass every sample that :meth:`read` takes from here on to a listener."""

@@ -22,7 +22,6 @@ from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.verification import Verification, verify_positions
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
@@ -310,12 +309,7 @@ class Session:
         ended = moment_after(self.plan.started, opened.log.now_ns())
         sha256 = opened.log.finish()
         self._finished = True
-        statistics = {
-            sensor.serial: sensor.sensor.link_statistics()
-            for sensor in opened.sensors.sensors
-            if isinstance(sensor.sensor, StreamingSensor)
-        }
-        return SessionEnd(ended, sha256, opened.sensors.lost, statistics)
+        return SessionEnd(ended, sha256, opened.sensors.lost, opened.sensors.link_statistics())
 
     def _output(self, device: DeviceSetup) -> Path:
         planned = Path(os.path.normpath(self.path.parent / device.output))

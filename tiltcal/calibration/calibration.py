@@ -11,7 +11,7 @@ from typing import Any, Unpack, overload
 
 import tiltcal
 from tiltcal.calibration.apply_arguments import ApplyArguments, Frame
-from tiltcal.calibration.summary import mounting_lines, summary
+from tiltcal.calibration.summary import summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
 from tiltcal.errors import EstimateError, InputError, UsageError
@@ -294,7 +294,7 @@ class Calibration:
         return f"<Calibration of {sensor.model} {sensor.serial}: {', '.join(sensor.channels)} in {sensor.unit}>"
 
     def __str__(self) -> str:
-        return "\n".join([summary(self.record), *mounting_lines(self.record)])
+        return summary(self.record)
 
 
 def read(path: str | Path) -> Calibration | Any:

@@ -20,9 +20,10 @@ SHOWN = 3
 """Positions that are named."""
 
 
-def summary(calibration: CalibrationRecord) -> str:
-    """Return the coefficients with their standard uncertainties, and how well the positions fit."""
-    return "\n".join(_lines(calibration))
+def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:
+    """Return all coefficients with their standard uncertainties, how well the positions fit, and the notes."""
+    lines = [*_lines(calibration), *mounting_lines(calibration)]
+    return "\n".join(lines + [f"  {note}" for note in calibration.fit.notes if notes])
 
 
 def mounting_summary(calibration: CalibrationRecord) -> str:
@@ -88,7 +89,6 @@ def _fit_lines(calibration: CalibrationRecord) -> Iterator[str]:
     yield from (f"  {objection}" for objection in objections(fit))
     if fit.jig_estimated_degrees is not None:
         yield f"  the residuals correspond to a jig of {fit.jig_estimated_degrees:g}°"
-    yield from (f"  {note}" for note in fit.notes)
 
 
 def objections(fit: FitRecord) -> list[str]:

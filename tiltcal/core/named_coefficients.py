@@ -125,7 +125,7 @@ def known(
 
     def numbers(vector: Array) -> Array:
         moved = with_vector(coefficients, names, vector)
-        return np.array(list(values(moved if reference is None else referred(moved, reference)).values()))
+        return np.array(list(values(referred(moved, reference)).values()))
 
     u, wide = propagated(numbers, vector_of(coefficients, names), covariance, np.maximum(factors, NORMAL_FACTOR))
     return {
@@ -135,15 +135,15 @@ def known(
     }
 
 
-def referred(coefficients: Coefficients, reference: float) -> Coefficients:
+def referred(coefficients: Coefficients, reference: float | None) -> Coefficients:
     """Return the same coefficients at another reference temperature.
 
     Parameters
     ----------
     coefficients : Coefficients
         Without temperature terms they are the same at every temperature.
-    reference : float
-        °C.
+    reference : float or None
+        °C; None for their own.
 
     Notes
     -----
@@ -151,7 +151,7 @@ def referred(coefficients: Coefficients, reference: float) -> Coefficients:
     takes p(s) over, and the sensitivity the factor 1 + gain(s), by which the new gain is divided.
     """
     thermal = coefficients.thermal
-    if thermal is None or thermal.reference == reference:
+    if thermal is None or reference is None or thermal.reference == reference:
         return coefficients
     shift = reference - thermal.reference
     drift, gain = (
@@ -183,8 +183,7 @@ def changes(
     known_before, known_after : mapping of str to KnownCoefficient
         By dotted name, at the later one's reference temperature; a name that is missing is not known.
     """
-    if after.thermal is not None:
-        before = referred(before, after.thermal.reference)
+    before = referred(before, None if after.thermal is None else after.thermal.reference)
     old, new = values(before), values(after)
     return [
         CoefficientChange(name, old[name], new[name], *difference_of(known_before.get(name), known_after.get(name)))

@@ -16,7 +16,7 @@ import numpy as np
 from tiltcal.core.model import AXES, Coefficients, Limits
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.mounting_rotation import rotation_vector
-from tiltcal.core.named_coefficients import CoefficientChange, changes, difference_of, values
+from tiltcal.core.named_coefficients import CoefficientChange, changes, difference_of, referred, values
 from tiltcal.core.uncertainty_inputs import TURN
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import COEFFICIENTS, in_degrees
@@ -194,15 +194,13 @@ def _comments(unit: str) -> dict[str, str]:
     }
 
 
-def changes_between(before: CalibrationRecord, after: CalibrationRecord) -> list[CoefficientChange]:
-    """Return the change of every coefficient between two calibrations, at the later one's reference temperature."""
-    thermal = after.coefficients.thermal
-    reference = None if thermal is None else thermal.reference
-    known = (
-        known_coefficients(calibration.uncertainty, calibration.coefficients, reference)
-        for calibration in (before, after)
-    )
-    found = changes(before.coefficients, after.coefficients, *known)
+def changes_between(
+    before: CalibrationRecord, after: CalibrationRecord, reference: float | None
+) -> list[CoefficientChange]:
+    """Return the change of every coefficient between two calibrations at a temperature, °C, where they have drifts."""
+    old, new = (referred(record.coefficients, reference) for record in (before, after))
+    known = (known_coefficients(record.uncertainty, record.coefficients, reference) for record in (before, after))
+    found = changes(old, new, *known)
     return [*found, *_change_of_lag(before, after), *_turns_between(before, after)]
 
 
