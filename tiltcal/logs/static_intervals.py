@@ -14,7 +14,7 @@ from typing import Any
 from tiltcal.calibration.measurement import Measurement, at_rail
 from tiltcal.core.detection import LEFT_OUT, TILTED, identical_by_chance, noise_of_positions
 from tiltcal.core.gravity_direction import Vector
-from tiltcal.core.model import AXES, Array
+from tiltcal.core.model import AXES
 from tiltcal.core.statistics import SampleSummary, summary_of
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
@@ -128,17 +128,11 @@ def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: s
     return measurements
 
 
-def oriented(intervals: Sequence[StaticInterval], attitudes: Array) -> list[Measurement]:
-    """Holds in the directions that a fit has found.
-
-    Parameters
-    ----------
-    attitudes : ndarray, shape (intervals, 3)
-        Unit vectors, up in the sensor frame.
-    """
+def unplaced(intervals: Sequence[StaticInterval]) -> list[Measurement]:
+    """Holds in free positions, whose directions a fit will find."""
     return [
-        Measurement(interval.name, (x, y, z), None, interval.temperature, interval.summaries, interval.where)
-        for interval, (x, y, z) in zip(intervals, attitudes.tolist(), strict=True)
+        Measurement(interval.name, (0.0, 0.0, 1.0), None, interval.temperature, interval.summaries, interval.where)
+        for interval in intervals
     ]
 
 
