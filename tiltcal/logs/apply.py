@@ -7,8 +7,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from datetime import date, timedelta
 from itertools import chain
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 import tiltcal
 from tiltcal.calibration.calibration import read
@@ -349,6 +352,8 @@ class CompensatedLog:
             frames=frames or means is not None,
             needs_time=needs_time,
         )
+        if self.prepared.lagged and time is not None:
+            rows = _in_order(rows, time, self.log.name)
         for block in rows if means is None else means.blocks(rows):
             values = self._values(block)
             table = self.prepared.kernel(values)
@@ -387,6 +392,26 @@ class CompensatedLog:
         sensors = [sensor.of(self.channels) for sensor in self.prepared.sensors] or [SensorColumns("", self.channels)]
         time, heading = self.roles.get(TIME), self.roles.get(HEADING)
         return Means(self.prepared.averaging, self.log.names, sensors, rails, time, heading, self.log.name)
+
+
+def _in_order(blocks: Iterable[LogBlock], time: int, name: str) -> Iterator[LogBlock]:
+    """Yield blocks whose times go on; a temperature that a lag follows has no other."""
+    last, first = nan, 0
+    for block in blocks:
+        known = np.flatnonzero(np.isfinite(block.values[time]))
+        times = block.values[time][known]
+        wrong = np.flatnonzero(np.diff(times, prepend=last) <= 0.0)
+        if len(wrong):
+            how = "stands still" if times[wrong[0]] == (times[wrong[0] - 1] if wrong[0] else last) else "goes back"
+            row = first + int(known[wrong[0]])
+            raise InputError(
+                f"time {how} at row {row}, and the calibration follows a thermal lag: sort the log, or name a column of "
+                "times that go on (--columns time=NAME)",
+                file=name,
+            )
+        last = float(times[-1]) if len(times) else last
+        first += len(block)
+        yield block
 
 
 def _field_length(there: bool) -> FieldLength | None:

@@ -21,7 +21,7 @@ from tiltcal.files.moments import stamp_of
 from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
-from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Line, Piece
+from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, IntervalSamples, Line, Piece
 from tiltcal.logs.recorded_readings import RecordedReadings
 
 FEWEST_ROWS = 2
@@ -178,10 +178,11 @@ def _placed(interval: StaticInterval, known: Mapping[str, Position]) -> Measurem
 
 def _require_steady(interval: StaticInterval, procedure: Procedure, file: str) -> None:
     """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
-    if abs(interval.warming) > procedure.soak.drift:
+    allowed = SOAKS * procedure.soak.drift
+    if abs(interval.warming) > allowed:
         raise InputError(
             f"segment {interval.name}: the temperature drifts by {interval.warming:+.2f} °C up to its end, more than "
-            f"the {procedure.soak.drift:g} °C that {procedure.name} allows: thermometer and sensor are apart while "
+            f"the {allowed:g} °C that {procedure.name} allows in {SOAKS} soaks: thermometer and sensor are apart while "
             "they change; take rows where both stand still, or go slower",
             file=file,
             line=interval.line,
