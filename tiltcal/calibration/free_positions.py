@@ -57,15 +57,8 @@ def require_no_jig(procedure: Procedure, jig: float | None) -> None:
 def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
     """Calibrate a sensor of three channels from unit gravity alone.
 
-    Of 728 simulated recordings with an expanded uncertainty below :data:`UNCERTAIN` none was off by more than twice
-    that; above :data:`WORTHLESS` 57 % were. Where every axis was up and down, the intervals hold beyond that, too: 97 %
-    of 324 between 50 and 1000 mg.
-
-    Raises
-    ------
-    EstimateError
-        The sensor has fewer channels, too many attitudes do not agree, or the coefficients are too uncertain to be of
-        use, or are those of no sensor; the message names the attitudes, or the directions that are missing.
+    An EstimateError where too many attitudes do not agree, or the coefficients are too uncertain to be of use, or are
+    those of no sensor; the message names the attitudes, or the directions that are missing.
     """
     design = design_of(sensor.sensor, procedure, bench)
     summaries = [[measurement.summaries[axis] for axis in AXES] for measurement in sensor.measurements]

@@ -135,11 +135,6 @@ def design_of(
         raise EstimateError(
             f"{procedure.name} determines the axes {', '.join(determines.axes)}; {sensor.model} has none of them"
         )
-    if determines.free and channels != AXES:
-        raise EstimateError(
-            f"free positions need a sensor of three channels x, y, z, and {sensor.model} {sensor.serial} has "
-            f"{', '.join(channels)}: unit gravity does not determine fewer; name a procedure whose positions are set"
-        )
     design = Design(
         channels,
         determines.axes or channels,

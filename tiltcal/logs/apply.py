@@ -395,21 +395,19 @@ class CompensatedLog:
 
 
 def _in_order(blocks: Iterable[LogBlock], time: int, name: str) -> Iterator[LogBlock]:
-    """Yield blocks whose times go on; a temperature that a lag follows has no other."""
+    """Yield blocks whose times go on, s; a temperature follows its thermometer with a lag in no others."""
     last, first = nan, 0
     for block in blocks:
         known = np.flatnonzero(np.isfinite(block.values[time]))
-        times = block.values[time][known]
-        wrong = np.flatnonzero(np.diff(times, prepend=last) <= 0.0)
-        if len(wrong):
-            how = "stands still" if times[wrong[0]] == (times[wrong[0] - 1] if wrong[0] else last) else "goes back"
-            row = first + int(known[wrong[0]])
+        steps = np.diff(block.values[time][known], prepend=last)
+        if np.any(steps <= 0.0):
+            wrong = int(np.argmax(steps <= 0.0))
+            how = "goes back" if steps[wrong] < 0.0 else "stands still"
+            why = f"time {how} at row {first + int(known[wrong])}, and the calibration follows a thermal lag"
             raise InputError(
-                f"time {how} at row {row}, and the calibration follows a thermal lag: sort the log, or name a column of "
-                "times that go on (--columns time=NAME)",
-                file=name,
+                f"{why}: sort the log, or name a column of times that go on (--columns time=NAME)", file=name
             )
-        last = float(times[-1]) if len(times) else last
+        last = float(block.values[time][known[-1]]) if len(known) else last
         first += len(block)
         yield block
 

@@ -479,11 +479,6 @@ def _identity(
     if model is None and not (steps.determines.axes or steps.determines.free):
         raise EstimateError(no_sensitivity(steps))
     channels = tuple(model.channels) if model else steps.determines.axes or ("x", "y", "z")
-    if steps.determines.free and channels != ("x", "y", "z"):
-        raise UsageError(
-            f"unit gravity alone needs three channels x, y and z; {model.name if model else 'it'} has "
-            f"{', '.join(channels)}: name a procedure whose positions were set"
-        )
     unit = str(model and model.unit) if unit is None else unit
     for what, text in (("the serial number", serial), ("the unit", unit)):
         require_name(text, what)

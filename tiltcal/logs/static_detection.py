@@ -44,20 +44,10 @@ _BLOCK = 1 << 14
 
 @dataclass(frozen=True)
 class StaticDetection:
-    """One threshold between still and moving, and the fit that it leads to.
+    """One threshold between still and moving, and the fit that it leads to; None where attitudes determine none.
 
-    Attributes
-    ----------
-    window : int
-        Rows.
-    multiple : float
-        Threshold over noise.
-    noise : float
-        Standard deviation in the stillest part, all channels together (root of the sum of squares), unit.
-    intervals : tuple of tuple of (start, end)
-        The rows of each attitude, ends exclusive; an attitude may have several intervals.
-    fit : FreeFit or None
-        The unit-gravity fit of the attitudes; None where they cannot determine it.
+    ``noise`` is the standard deviation in the stillest part, all channels together (root of the sum of squares), unit,
+    and ``multiple`` is threshold over noise; each attitude has one or several intervals of rows, ends exclusive.
     """
 
     window: int
@@ -83,25 +73,10 @@ class StaticDetection:
 
 
 def find_still(readings: Rows, windows: Sequence[int] = WINDOWS) -> tuple[StaticDetection, tuple[StaticDetection, ...]]:
-    """Find the still intervals of a log by the threshold that calibrates best.
+    """Find the still intervals of readings of x, y, z, unit, NaN where one is missing, by the best threshold.
 
-    Parameters
-    ----------
-    readings : Rows
-        Of the channels x, y, z, in the sensor's unit; NaN where one is missing. They are read several times.
-    windows : sequence of int
-        Rows of the windows to try.
-
-    Returns
-    -------
-    chosen : StaticDetection
-    tried : tuple of StaticDetection
-        All of them, the strictest of each window first.
-
-    Raises
-    ------
-    EstimateError
-        No threshold finds more attitudes than there are unknowns.
+    It returns the choice, and all that were tried, the strictest of each window first. An EstimateError where no
+    threshold finds more attitudes than there are unknowns. The readings are read several times.
     """
     stuck = stuck_spans(readings, STUCK)
     tried = tuple(_choices(readings, stuck, windows))
@@ -144,15 +119,7 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
 
 
 class StillSpans:
-    """Collects the rows in which a log is still, by each of some thresholds.
-
-    Parameters
-    ----------
-    window : int
-        Rows of a window.
-    thresholds : sequence of float
-        Standard deviations, all channels together, unit.
-    """
+    """Collects the rows in which a log is still over a window, by standard deviations of all channels, unit."""
 
     def __init__(self, window: int, thresholds: Sequence[float]) -> None:
         self._middle, self._thresholds = window // 2, thresholds

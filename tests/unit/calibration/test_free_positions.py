@@ -77,13 +77,6 @@ def test_attitudes_that_point_every_way_need_no_warning() -> None:
     assert off_by(found) < 5.0
 
 
-def test_each_sensor_needs_three_channels() -> None:
-    rng, up = np.random.default_rng(1), sphere(18)
-    two, three = measured(up, 1e-4, rng, "xy"), measured(up, 1e-4, rng)
-    with pytest.raises(EstimateError, match="free positions need a sensor of three channels x, y, z, and recorded xy"):
-        calibrate([two, three], FREE, BenchUncertainty())
-
-
 def by_hand(rng: np.random.Generator, sway: float, memory: float) -> tuple[dict[str, Directions], list[dict[str, Any]]]:
     """Eighteen holds of 3 s at 100 Hz in a hand that sways (degrees; seconds of memory), with noise of 1 mg."""
     fade, samples = np.exp(-0.01 / memory), 300

@@ -43,14 +43,8 @@ FAR = 5.0
 MOST_LEFT_OUT, FEWEST_LEFT = 0.2, 12
 """The share of the attitudes that may be left out at most, and how many attitudes must remain."""
 
-LEAST_FREEDOM = 1e-6
-"""The share of an error that a residual shows counts as this at least: an attitude that the fit always meets."""
-
-MEDIAN_TO_SIGMA = 1.4826
-"""Standard deviation of a normal distribution over the median of its absolute values."""
-
-MEDIAN_EFFICIENCY = 0.37
-"""Degrees of freedom of a scatter from the median of absolute values, for each one of the root mean square."""
+MEDIAN_TO_SIGMA, MEDIAN_EFFICIENCY = 1.4826, 0.37
+"""A standard deviation over the median of absolute values, and its degrees of freedom for one of the mean square."""
 
 CHANCE = 0.01
 """Misfits that are smaller than the noise with a probability below this show that the noise is sway of the attitude."""
@@ -60,30 +54,20 @@ UNKNOWNS = 3 + len(_UPPER[0])
 _NAMES = [f"offset.{axis}" for axis in AXES]
 _NAMES += [f"sensitivity.{AXES[i]}.{AXES[j]}" for i, j in zip(*_UPPER, strict=True)]
 _PLACES = np.concatenate([4 * np.arange(3), 4 * _UPPER[0] + 1 + _UPPER[1]])  # among the twelve, channel by channel
+_ADVICE = (
+    "add positions that are spread over the whole sphere, each axis up and down among them; it takes at least nine "
+    "positions, and 12 to 18 show whether the result is right"
+)
 
 
 @frozen
 class FreeFit:
-    """Offset and sensitivity from the length of gravity in free attitudes.
+    """Offset, unit, and upper-triangular sensitivity, unit/g, from the length of gravity in n attitudes.
 
-    Attributes
-    ----------
-    offset : ndarray, shape (3,)
-        Unit.
-    sensitivity : ndarray, shape (3, 3)
-        Upper triangular, unit/g.
-    attitudes : ndarray, shape (n, 3)
-        Unit vectors that point up, one for each reading.
-    misfit : ndarray, shape (n,)
-        By how much each length of gravity differs from 1, g.
-    kept : ndarray of bool, shape (n,)
-        False for the attitudes that were left out of the fit.
-    disagreeing : ndarray of int
-        Attitudes that do not agree with the others, and are too many to be left out together.
-    jacobian : ndarray, shape (kept, 9)
-        Derivatives of the misfits by the offsets and the upper triangle.
-    noise : float
-        Root mean square of the misfits that the uncertainties of the readings explain, g.
+    ``attitudes`` are unit vectors that point up, (n, 3); ``misfit`` is in g, (n,); ``kept`` is False for the attitudes
+    that were left out, (n,); ``disagreeing`` are those that do not agree with the others and are too many to be left
+    out; ``jacobian`` has the derivatives of the kept misfits by the unknowns; ``noise`` is the root mean square of the
+    misfits that the uncertainties of the readings explain, g.
     """
 
     offset: Array
@@ -133,72 +117,54 @@ class FreeFit:
         return student * max(self.noise, self.scatter) * sqrt(float(np.mean(np.sum(inverse**2, axis=1))))
 
     def budget(self, noise_dof: float) -> Budget:
-        """Return the uncertainty of the twelve coefficients, channel by channel, from noise of so many dof."""
+        """Return the uncertainty of the twelve coefficients, channel by channel; the noise has so many dof."""
         if self.dof == 0 or self.below_noise:
             return _budget(self.jacobian, self.noise, noise_dof)
         return _budget(self.jacobian, self.scatter, self.dof)
 
 
 def fit_free(mean: Array, u: Array, sway: Array | float = 0.0) -> FreeFit:
-    """Fit offset and sensitivity to mean readings in free attitudes, and leave out attitudes that do not agree.
+    """Fit mean readings of x, y, z in free attitudes, and leave out attitudes that do not agree.
 
-    Parameters
-    ----------
-    mean, u : ndarray, shape (n, 3)
-        Mean readings of x, y, z, and their standard uncertainties, unit.
-    sway : ndarray, shape (n, 3)
-        Standard deviation of the readings within each attitude that is motion and not noise, unit.
-
-    Raises
-    ------
-    EstimateError
-        The readings do not determine the nine unknowns.
+    ``u`` are their standard uncertainties; ``sway`` is the standard deviation of the readings within each attitude that
+    is motion and not noise. All have the shape (n, 3) and one unit. An EstimateError where the unknowns stay unknown.
     """
-    n, kept = len(mean), np.ones(len(mean), dtype=bool)
+    n, kept, sway = len(mean), np.ones(len(mean), dtype=bool), np.broadcast_to(sway, mean.shape)
     if n < UNKNOWNS:
         raise EstimateError(f"{n} free positions for {UNKNOWNS} unknowns: {_ADVICE}")
-    sway = np.broadcast_to(sway, mean.shape)
-    at = (mean.max(axis=0) + mean.min(axis=0)) / 2.0, np.diag(np.ptp(mean, axis=0) / 2.0)
-    near = _minimum(mean, sway, *at, absolute=True)
-    noise = near.noise(u)
+    middle, half = (mean.max(axis=0) + mean.min(axis=0)) / 2.0, np.ptp(mean, axis=0) / 2.0
+    near = _minimum(mean, sway, middle, np.diag(half), absolute=True)
     dof, limit = MEDIAN_EFFICIENCY * (n - UNKNOWNS), inf
     if dof:
         # As many misfits as there are unknowns vanish where the sum of absolute misfits is least.
         scatter = MEDIAN_TO_SIGMA * float(np.median(np.sort(np.abs(near.misfit))[UNKNOWNS:]))
-        scatter = noise if _below_noise(scatter, dof, noise) else scatter
+        scatter = near.noise(u) if _below_noise(scatter, dof, near.noise(u)) else scatter
         limit = FAR * max(scatter, CLOSE) * float(coverage_factor(np.array([dof]))[0]) / NORMAL_FACTOR
+    fewest = max(FEWEST_LEFT, n - int(MOST_LEFT_OUT * n))
     while True:
         near = _minimum(mean[kept], sway[kept], near.offset, near.sensitivity)
         _require_determined(near.jacobian)
         leverage = np.sum(np.linalg.qr(near.jacobian)[0] ** 2, axis=1)
-        studentised = np.abs(near.misfit) / np.sqrt(np.maximum(1.0 - leverage, LEAST_FREEDOM))
+        studentised = np.abs(near.misfit) / np.sqrt(np.maximum(1.0 - leverage, 1e-6))
         worst = int(np.argmax(studentised))
-        if studentised[worst] <= limit or kept.sum() <= max(FEWEST_LEFT, (1.0 - MOST_LEFT_OUT) * n + 1.0 - 1e-9):
+        if studentised[worst] <= limit or kept.sum() <= fewest:
             break
         kept[np.flatnonzero(kept)[worst]] = False
     beyond = np.flatnonzero(kept)[studentised > limit]
+    disagreeing = np.union1d(np.flatnonzero(~kept), beyond) if len(beyond) else beyond
     every = _linearised(mean, sway, near.offset, near.sensitivity)
+    attitudes = every.gravity / np.linalg.norm(every.gravity, axis=1, keepdims=True)
     return FreeFit(
-        near.offset,
-        near.sensitivity,
-        every.gravity / np.linalg.norm(every.gravity, axis=1, keepdims=True),
-        every.misfit,
-        kept,
-        np.union1d(np.flatnonzero(~kept), beyond) if len(beyond) else beyond,
-        near.jacobian,
-        every.noise(u),
+        near.offset, near.sensitivity, attitudes, every.misfit, kept, disagreeing, near.jacobian, every.noise(u)
     )
 
 
 def planned_budget(attitudes: Array, noise: float, sensitivity: float) -> Budget:
-    """Return the uncertainty of the twelve coefficients that planned attitudes, shape (n, 3), leave.
-
-    ``noise`` is the standard uncertainty of a mean, unit; ``sensitivity`` the nominal one, unit/g.
-    """
+    """Return the uncertainty of the twelve coefficients that planned attitudes, (n, 3), leave; noise of means, unit."""
     if len(attitudes) < UNKNOWNS:
         raise EstimateError(f"{len(attitudes)} free positions for {UNKNOWNS} unknowns: {_ADVICE}")
-    seen = attitudes * sensitivity
-    jacobian = _linearised(seen, np.zeros_like(seen), np.zeros(3), np.eye(3) * sensitivity).jacobian
+    readings = attitudes * sensitivity
+    jacobian = _linearised(readings, np.zeros_like(readings), np.zeros(3), np.eye(3) * sensitivity).jacobian
     _require_determined(jacobian)
     return _budget(jacobian, noise / sensitivity, inf)
 
@@ -211,15 +177,9 @@ def count_distinct(attitudes: Array) -> int:
     return count
 
 
-_ADVICE = (
-    "add positions that are spread over the whole sphere, each axis up and down among them; it takes at least nine "
-    "positions, and 12 to 18 show whether the result is right"
-)
-
-
 @frozen
-class _Near:
-    """Offset and sensitivity with gravity, its misfit, and the derivatives of that by readings and unknowns."""
+class _Linearised:
+    """Gravity, g, its misfit, and the derivatives of that by the readings, shape (n, 3)."""
 
     offset: Array
     sensitivity: Array
@@ -238,7 +198,7 @@ class _Near:
         return sqrt(float(np.mean(np.sum((self.by_reading * u) ** 2, axis=1))))
 
 
-def _minimum(mean: Array, sway: Array, offset: Array, sensitivity: Array, *, absolute: bool = False) -> _Near:
+def _minimum(mean: Array, sway: Array, offset: Array, sensitivity: Array, *, absolute: bool = False) -> _Linearised:
     """Return where the sum of squared misfits, or of ``absolute`` ones, is least, by Gauss-Newton steps."""
     near = _linearised(mean, sway, offset, sensitivity)
     for _ in range(STEPS):
@@ -254,14 +214,14 @@ def _minimum(mean: Array, sway: Array, offset: Array, sensitivity: Array, *, abs
     return near
 
 
-def _linearised(mean: Array, sway: Array, offset: Array, sensitivity: Array) -> _Near:
+def _linearised(mean: Array, sway: Array, offset: Array, sensitivity: Array) -> _Linearised:
     if not np.all(np.diag(sensitivity) > 0.0):
         raise EstimateError(f"the readings lie on no ellipsoid: {_ADVICE}")
     inverse = np.linalg.inv(sensitivity)
     gravity = (mean - offset) @ inverse.T
     # Gravity is 1 g at each instant; its mean over directions that sway is shorter, by their variance.
     length = np.sqrt(np.sum(gravity**2, axis=1) + np.sum((sway / np.diag(sensitivity)) ** 2, axis=1))
-    return _Near(offset, sensitivity, gravity, length - 1.0, gravity / length[:, None] @ inverse)
+    return _Linearised(offset, sensitivity, gravity, length - 1.0, gravity / length[:, None] @ inverse)
 
 
 def _below_noise(scatter: float, dof: float, noise: float) -> bool:

@@ -35,19 +35,7 @@ WORTH = 0.8
 
 @frozen
 class PlannedPosition:
-    """Position of a planned session.
-
-    Attributes
-    ----------
-    gravity : tuple of float
-        Up in the sensor frame, g.
-    temperature : float or None
-        °C.
-    heading : float or None
-        Degrees.
-    held : bool
-        The fixture stands as in the position before.
-    """
+    """Position of a planned session: up in the sensor frame, g; °C; degrees; the fixture stands as before."""
 
     name: str
     gravity: Vector
@@ -58,20 +46,10 @@ class PlannedPosition:
 
 @frozen
 class Prediction:
-    """Uncertainty that a planned session will reach.
+    """Uncertainty that a planned session will reach in named coefficients, and degrees of freedom to check them.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the coefficients.
-    budget : Budget
-        Their covariance and its sources.
-    dof : int
-        Degrees of freedom that are left to check the result.
-    correlations : tuple of (str, str, float)
-        Pairs of coefficients that the plan hardly separates, the strongest first.
-    worth_adding : tuple of (str, str, float)
-        A position, the coefficient that it helps most, and the share of its uncertainty that is left; best first.
+    ``correlations`` are pairs that the plan hardly separates, the strongest first; ``worth_adding`` has a position, the
+    coefficient that it helps most, and the share of its uncertainty that is left, best first.
     """
 
     names: tuple[str, ...]
@@ -96,30 +74,12 @@ def predict_uncertainty(
     sensors: int = 1,
     level: bool = False,
 ) -> Prediction:
-    """Compute the uncertainty that a planned session will reach for each of the sensors, at nominal coefficients.
+    """Compute the uncertainty that a planned session will reach for each of some equal sensors.
 
-    Parameters
-    ----------
-    design : Design
-        With the jig, the thermometer and the table as they are stated; a jig that is not stated counts as perfect, and
-        what is predicted is then what noise alone leaves.
-    noise : float
-        Standard uncertainty of a position's mean reading, in the sensor's unit.
-    sensitivity : float
-        Nominal, unit/g.
-    drift : float
-        Of the offset of a usual part, unit/°C: an error of the thermometer moves a reading by so much.
-    adc : float
-        Standard uncertainty that quantisation leaves in a mean, same unit as the noise.
-    sensors : int
-        How many alike sit on the fixture and are estimated together.
-    level : bool
-        Every position has to be level, so none in another direction is proposed.
-
-    Raises
-    ------
-    EstimateError
-        The plan leaves coefficients undetermined; they are named, and a position that would determine them.
+    A jig that is not stated counts as perfect. ``noise`` and ``adc`` are standard uncertainties of a position's mean,
+    unit; ``sensitivity`` is nominal, unit/g; ``drift`` is that of a usual part, unit/°C, by which an error of the
+    thermometer counts; of a ``level`` procedure no other direction is proposed. An EstimateError names coefficients
+    that the plan leaves undetermined, and a position that would determine them.
     """
     budget = partial(_budget, design, noise=noise, sensitivity=sensitivity, drift=drift, adc=adc, sensors=sensors)
     own, dof = budget(positions)
