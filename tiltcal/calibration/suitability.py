@@ -17,6 +17,11 @@ def require_tilt(procedure: Procedure, model: Model) -> None:
             f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
             "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
         )
+    if procedure.determines.free and tuple(model.channels) != AXES:
+        raise UsageError(
+            f"free positions need a sensor of three channels x, y and z, and {model.name} has "
+            f"{', '.join(model.channels)}: unit gravity does not determine fewer; name a procedure that sets positions"
+        )
 
 
 def require_suitable(

@@ -187,6 +187,12 @@ class FitRecord:
     distinct_attitudes: int | None = entry(
         Integer(minimum=0), "from free positions: how many attitudes differ", default=None
     )
+    left_out_mg: Mapping[str, float] = entry(
+        ByName(Number()),
+        "from free positions: attitudes that do not agree with the others and are not in the fit, and by how much the "
+        "length of gravity is off in each, mg",
+        default={},
+    )
     misfit_rms_mg: float | None = entry(
         FROM_ZERO, "from free positions: how well the length of gravity is met, mg rms", default=None
     )

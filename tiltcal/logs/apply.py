@@ -7,8 +7,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from datetime import date, timedelta
 from itertools import chain
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 import tiltcal
 from tiltcal.calibration.calibration import read
@@ -349,6 +352,8 @@ class CompensatedLog:
             frames=frames or means is not None,
             needs_time=needs_time,
         )
+        if self.prepared.lagged and time is not None:
+            rows = _in_order(rows, time, self.log.name)
         for block in rows if means is None else means.blocks(rows):
             values = self._values(block)
             table = self.prepared.kernel(values)
@@ -387,6 +392,24 @@ class CompensatedLog:
         sensors = [sensor.of(self.channels) for sensor in self.prepared.sensors] or [SensorColumns("", self.channels)]
         time, heading = self.roles.get(TIME), self.roles.get(HEADING)
         return Means(self.prepared.averaging, self.log.names, sensors, rails, time, heading, self.log.name)
+
+
+def _in_order(blocks: Iterable[LogBlock], time: int, name: str) -> Iterator[LogBlock]:
+    """Yield blocks whose times go on, s; a temperature follows its thermometer with a lag in no others."""
+    last, first = nan, 0
+    for block in blocks:
+        known = np.flatnonzero(np.isfinite(block.values[time]))
+        steps = np.diff(block.values[time][known], prepend=last)
+        if np.any(steps <= 0.0):
+            wrong = int(np.argmax(steps <= 0.0))
+            how = "goes back" if steps[wrong] < 0.0 else "stands still"
+            why = f"time {how} at row {first + int(known[wrong])}, and the calibration follows a thermal lag"
+            raise InputError(
+                f"{why}: sort the log, or name a column of times that go on (--columns time=NAME)", file=name
+            )
+        last = float(block.values[time][known[-1]]) if len(known) else last
+        first += len(block)
+        yield block
 
 
 def _field_length(there: bool) -> FieldLength | None:

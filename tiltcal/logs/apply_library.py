@@ -451,6 +451,7 @@ def _bench(
         averaging=parts[0].averaging,
         rails=led_values(lambda part: part.rails),
         sensors=tuple(columns for columns, _ in kernels),
+        lagged=any(part.lagged for part in parts),
     )
 
 

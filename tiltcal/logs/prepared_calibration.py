@@ -119,6 +119,8 @@ class PreparedCalibration:
         The lowest and the highest reading of channels, at which it is no measurement.
     sensors : tuple of SensorColumns
         Where the readings of each sensor stand among the channels; empty for a sensor whose columns have no lead.
+    lagged : bool
+        Whether the kernel follows a thermal lag, so that times have to go on.
     """
 
     kernel: Kernel
@@ -133,6 +135,7 @@ class PreparedCalibration:
     averaging: Averaging | None = None
     rails: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     sensors: tuple[SensorColumns, ...] = ()
+    lagged: bool = False
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -205,6 +208,7 @@ def prepare(
         vectors,
         averaging,
         calibration.limits.reading,
+        lagged=bool(lag),
     )
 
 

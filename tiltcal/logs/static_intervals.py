@@ -14,14 +14,14 @@ from typing import Any
 from tiltcal.calibration.measurement import Measurement, at_rail
 from tiltcal.core.detection import LEFT_OUT, TILTED, identical_by_chance, noise_of_positions
 from tiltcal.core.gravity_direction import Vector
-from tiltcal.core.model import AXES, Array
+from tiltcal.core.model import AXES
 from tiltcal.core.statistics import SampleSummary, summary_of
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
-from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Line, Piece
+from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, IntervalSamples, Line, Piece
 from tiltcal.logs.recorded_readings import RecordedReadings
 
 FEWEST_ROWS = 2
@@ -128,17 +128,11 @@ def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: s
     return measurements
 
 
-def oriented(intervals: Sequence[StaticInterval], attitudes: Array) -> list[Measurement]:
-    """Holds in the directions that a fit has found.
-
-    Parameters
-    ----------
-    attitudes : ndarray, shape (intervals, 3)
-        Unit vectors, up in the sensor frame.
-    """
+def unplaced(intervals: Sequence[StaticInterval]) -> list[Measurement]:
+    """Holds in free positions, whose directions a fit will find."""
     return [
-        Measurement(interval.name, (x, y, z), None, interval.temperature, interval.summaries, interval.where)
-        for interval, (x, y, z) in zip(intervals, attitudes.tolist(), strict=True)
+        Measurement(interval.name, (0.0, 0.0, 1.0), None, interval.temperature, interval.summaries, interval.where)
+        for interval in intervals
     ]
 
 
@@ -184,10 +178,11 @@ def _placed(interval: StaticInterval, known: Mapping[str, Position]) -> Measurem
 
 def _require_steady(interval: StaticInterval, procedure: Procedure, file: str) -> None:
     """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
-    if abs(interval.warming) > procedure.soak.drift:
+    allowed = SOAKS * procedure.soak.drift
+    if abs(interval.warming) > allowed:
         raise InputError(
             f"segment {interval.name}: the temperature drifts by {interval.warming:+.2f} °C up to its end, more than "
-            f"the {procedure.soak.drift:g} °C that {procedure.name} allows: thermometer and sensor are apart while "
+            f"the {allowed:g} °C that {procedure.name} allows in {SOAKS} soaks: thermometer and sensor are apart while "
             "they change; take rows where both stand still, or go slower",
             file=file,
             line=interval.line,

@@ -79,8 +79,7 @@ class Design:
         Reference temperature, °C; used where an order is above 0.
     jig : float or None
         Standard uncertainty of each set angle, degrees, normal and per axis. None: not stated, and estimated from the
-        residuals. Infinite: the directions are only a first guess, and unit
-        gravity alone determines the coefficients.
+        residuals. Infinite: free positions.
     table : float or None
         Standard uncertainty of the table's lean, degrees per axis; all positions share it. None where nothing is known
         of it: positions at several headings then show it, and at one heading it goes into the offsets unseen.

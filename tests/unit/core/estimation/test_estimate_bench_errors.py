@@ -295,6 +295,17 @@ class TestGimbalLock:
         assert (found.u.roll > 1.5) is locked
         assert found.u.pitch < radians(0.2)
 
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_it_is_stated_of_sensors_that_are_mounted_so(self, sign: float) -> None:
+        """Errors in two directions leave 1 % beyond three standard uncertainties; 15 % are beyond 1.96."""
+        rng = np.random.default_rng(10)
+        stated = 0
+        for _ in range(200):
+            matrix = mounting_matrix(Mounting(rng.uniform(-3, 3), sign * np.pi / 2, 0.0))
+            read = Rotation.from_rotvec(radians(0.2) * rng.standard_normal((5, 3))).apply(self.KNOWN) @ matrix
+            stated += solve_mounting(read, self.KNOWN, np.full(5, radians(0.2))).gimbal_lock
+        assert stated >= 193
+
     def test_roll_and_yaw_hold_where_it_is_near(self) -> None:
         rng = np.random.default_rng(9)
         hits = []
