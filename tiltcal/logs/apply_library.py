@@ -81,7 +81,7 @@ def prepare_library(
             say(f"note: {remark}")
         for calibration in history.calibrations[:-1]:
             for objection in objections(calibration.record.fit):
-                say(f"note: {calibration.name} objects to itself: {objection}")
+                say(f"note: {calibration.name}: {objection}")
         stability = library.stability(history.sensor.serial, options.stability) if options.uncertainty else None
         _say_stability(history, stability, say)
         parts.append(_prepare_sensor(history, stability, options, start, log.name, say))

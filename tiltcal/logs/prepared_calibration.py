@@ -193,7 +193,7 @@ def prepare(
     coefficients, sensor = calibration.coefficients, calibration.sensor
     stated["serial"] = sensor.serial
     for objection in objections(calibration.fit):
-        say(f"note: the calibration of {sensor.serial} objects to itself: {objection}")
+        say(f"note: the calibration of {sensor.serial}: {objection}")
     remarks, readings = remarks or RowRemarks(), None
     if averaging is not None:
         readings = prepare(calibration, ApplyOptions(options.first_order))
