@@ -165,8 +165,8 @@ def command(
     (degrees) of each axis (with three axes also pitch, roll and inclination), then flag and reason. flag: 1 pass, 3
     suspect, 4 fail, 9 missing. reason is a sum: 1 arcsine argument beyond ±1, 2 temperature outside the calibrated
     range, 4 reading at the rail, 8 tilt outside the calibrated range, 16 temperature missing, 32 not a number, 64
-    outside the time of --calibrations, 128 no direction of gravity or heading, headings of a mean that differ, or a
-    magnetic field of unusual length. OUT is written whole or not at all.
+    outside the time of --calibrations, 128 no direction or its sign unknown, or a magnetic field of unusual length, 256
+    length of gravity of three axes is not 1 g. OUT is written whole or not at all.
 
     Several logs are processed into the folder -o, --jobs at a time, or with --scheduler on the workers of a cluster. If
     a log fails, it is named, and the others are processed. A log is skipped where its result is in the folder already,

@@ -267,6 +267,8 @@ class CompensatedLog:
         Where the components of ``magnetometer`` and ``velocity`` stand, if they are asked for.
     summary : ApplySummary
         Counts the rows as they pass.
+    say : callable
+        Called with each remark on the rows, when all have passed.
     field_length : FieldLength or None
         Remembers the usual length of the magnetic field.
     """
@@ -277,6 +279,7 @@ class CompensatedLog:
     roles: Mapping[str, int]
     vectors: Mapping[str, tuple[int, ...]]
     summary: ApplySummary
+    say: Callable[[str], None]
     field_length: FieldLength | None = None
 
     @classmethod
@@ -316,8 +319,13 @@ class CompensatedLog:
         present = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
         if TIME in prepared.optional_roles and TIME not in present:
             say(NO_TIME)
+        field_length = None
+        if vectors.get("magnetometer"):
+            from tiltcal.core.heading import FieldLength
+
+            field_length = FieldLength()
         summary = ApplySummary(widths={name: ColumnWidths() for name in prepared.watched})
-        return cls(log, prepared, channels, present, vectors, summary, _field_length("magnetometer" in vectors))
+        return cls(log, prepared, channels, present, vectors, summary, say, field_length)
 
     @property
     def units(self) -> dict[str, str | None]:
@@ -364,6 +372,9 @@ class CompensatedLog:
             if count:
                 self.summary.add(table, len(block.faults) + block.bad_rows)
             yield block, table
+        for lead, remarks in (self.prepared.readings or self.prepared).remarks.items():
+            for remark in remarks:
+                self.say(f"note: {lead.rstrip('_')}{': ' * bool(lead)}{remark}")
 
     def _needs_time(self) -> bool:
         """Return whether the time decides something; means of so many rows merely have one."""
@@ -384,14 +395,13 @@ class CompensatedLog:
             return None
         from tiltcal.logs.averaging import Means
 
-        rails = {
-            index: self.prepared.rails[channel]
-            for channel, index in zip(self.prepared.channels, self.channels, strict=True)
-            if channel in self.prepared.rails
-        }
         sensors = [sensor.of(self.channels) for sensor in self.prepared.sensors] or [SensorColumns("", self.channels)]
         time, heading = self.roles.get(TIME), self.roles.get(HEADING)
-        return Means(self.prepared.averaging, self.log.names, sensors, rails, time, heading, self.log.name)
+        return Means(self.prepared.averaging, self.log.names, sensors, self._judged, time, heading, self.log.name)
+
+    def _judged(self, block: LogBlock) -> Table:
+        """Return what is made of readings one by one, before their means."""
+        return (self.prepared.readings or self.prepared).kernel(self._values(block))
 
 
 def _in_order(blocks: Iterable[LogBlock], time: int, name: str) -> Iterator[LogBlock]:
@@ -410,14 +420,6 @@ def _in_order(blocks: Iterable[LogBlock], time: int, name: str) -> Iterator[LogB
         last = float(block.values[time][known[-1]]) if len(known) else last
         first += len(block)
         yield block
-
-
-def _field_length(there: bool) -> FieldLength | None:
-    if not there:
-        return None
-    from tiltcal.core.heading import FieldLength
-
-    return FieldLength()
 
 
 def _locate_vector(log: LogReader, role: str, names: Sequence[str]) -> tuple[int, ...]:
