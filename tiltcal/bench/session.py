@@ -20,12 +20,14 @@ from tiltcal.bench.sensor_set import SensorSet, connected, probe_devices
 from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.virtual_bench import VirtualBench
+from tiltcal.calibration.calibration import Calibration, calibration_in
 from tiltcal.calibration.verification import Verification, verify_positions
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.device import StreamingSensor
-from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError
+from tiltcal.errors import HardwareError, InputError, Stopped, TiltcalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
+from tiltcal.files.document import read_document
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
 from tiltcal.files.journal_header import HEADER
 from tiltcal.files.moments import moment_after
@@ -116,11 +118,16 @@ class Session:
         ------
         JournalError
             The journal cannot be read or used.
+        UsageError
+            The session has several sensors, and the output is no folder.
         """
         journal = read_journal(path)
         if journal.torn:
             remark(f"{path}: the last line was torn off and is dropped")
-        return cls(SessionPlan.from_journal(journal), path, journal, output)
+        session = cls(SessionPlan.from_journal(journal), path, journal, output)
+        if output is not None and len(session.outputs) > 1 and not os.path.isdir(output):
+            raise UsageError(f"the session has {len(session.outputs)} sensors: name a folder instead of {output}")
+        return session
 
     @contextmanager
     def resumable(self, command: str, remark: Callable[[str], None]) -> Iterator[None]:
@@ -175,7 +182,8 @@ class Session:
         Raises
         ------
         UsageError
-            A path that cannot be written, or that a journal names outside its own folder.
+            A path that cannot be written, or where a journal would replace a file that is no calibration of its
+            sensor, or that it names outside its own folder.
         """
         if self.journal is not None and self._named is None and self._outside:
             # The journal may be somebody else's.
@@ -184,8 +192,28 @@ class Session:
             )
         for path in self.outputs:
             check_writable(path, self.path)
+            if self.journal is not None and os.path.isfile(path) and os.path.getsize(path):
+                self._require_calibration_of_plan(path)
         if not self._ended:
             check_writable(self.path)
+
+    def _require_calibration_of_plan(self, path: Path) -> None:
+        """Refuse a file that is no calibration of a sensor of the plan: the journal may be somebody else's."""
+        identities = [(device.model_name, device.serial) for device in self.plan.sensors]
+        try:
+            there = calibration_in(read_document(path))
+        except InputError:
+            there = None
+        if isinstance(there, Calibration):
+            replaceable = (there.sensor.model, there.sensor.serial) in identities
+        else:
+            bench = None if there is None else there.provenance.bench
+            replaceable = bench is not None and [(one.model, one.serial) for one in bench.sensors] == identities
+        if not replaceable:
+            raise UsageError(
+                f"cannot write {path}: the file there is no calibration of {', '.join(serial for _, serial in identities)}"
+                "; move it away, or name another file with -o"
+            )
 
     def probe(self) -> None:
         """Check before the operator starts that every device answers; a journal that has its end needs none.
