@@ -78,7 +78,8 @@ class SensorSet:
         Why sensors were given up, by serial number.
     """
 
-    THERMOMETER = "thermometer"
+    THERMOMETER = ""
+    """The thermometer of the bench among the names of its devices: no sensor has this serial number."""
 
     def __init__(self, connected: Sequence[ConnectedSensor], thermometer: Sensor | None = None) -> None:
         self._all = tuple(connected)
@@ -242,7 +243,7 @@ class SensorSet:
             raise
         except HardwareError as error:
             alone = len(self._all) == 1 and serial != self.THERMOMETER
-            raise SensorError(serial, str(error) if alone else f"{serial}: {error}") from error
+            raise SensorError(serial, str(error) if alone else f"{serial or 'thermometer'}: {error}") from error
 
 
 def open_device(

@@ -73,8 +73,6 @@ def _resumed(journal: Path, stated: StatedSession, remark: Callable[[str], None]
         raise UsageError(
             f"{journal} is of a verification; continue it with: tiltcal verify CAL --resume {quote(str(journal))}"
         )
-    if len(session.outputs) > 1 and stated.output is not None and not os.path.isdir(stated.output):
-        raise UsageError(f"the session has {len(session.outputs)} sensors: name a folder instead of {stated.output}")
     begun = session.plan
     serials = [device.serial for device in begun.sensors]
     begun.require_as_begun(
@@ -128,9 +126,10 @@ def _begun(stated: StatedSession, remark: Callable[[str], None]) -> Session:
         bases=bases,
         typical=stated.typical_temperature,
     )
-    session = Session(plan, path)
     _predict(plan, remark)
-    return session
+    if steps.rotation is None:
+        _make_folder(beside.parent)
+    return Session(plan, path)
 
 
 def _require_named(stated: StatedSession) -> None:
@@ -219,10 +218,17 @@ def _outputs(procedure: Procedure, sensors: BenchFile, stated: StatedSession) ->
         check_writable(output)
         return [output], output
     folder = output or Path()
-    if not os.path.isdir(folder):
-        raise UsageError(f"with --bench, -o names the folder for the calibration files; {folder} is no folder")
     name = "bench" if isinstance(bench, BenchFile) else Path(str(bench)).name
     return [folder / f"{sensor.serial}.yaml" for sensor in sensors.sensors], folder / name
+
+
+def _make_folder(folder: Path) -> None:
+    """Make the folder of a bench's calibration files, unless it is there."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        why = f"{folder} cannot be made: {error.strerror}"
+        raise UsageError(f"with --bench, -o names the folder for the calibration files; {why}") from None
 
 
 def free_journal(output: Path, remark: Callable[[str], None]) -> Path:
