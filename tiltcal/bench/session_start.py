@@ -13,6 +13,7 @@ from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import SessionPlan, plan_session
 from tiltcal.calibration.free_positions import require_no_jig
 from tiltcal.calibration.prediction import predict
+from tiltcal.calibration.suitability import unchecked
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.atomic import check_writable
 from tiltcal.files.base_calibration import bases_of
@@ -175,6 +176,9 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
         if len(plan.sensors) > 1:
             remark("several devices are read one after the other: the delay of one, times 2 pi f, goes into q")
         return
+    for device in plan.sensors:
+        if why := unchecked(device.model):
+            remark(f"{device.serial}: {why}")
     for device in {(sensor.model_name, sensor.orientation): sensor for sensor in plan.sensors}.values():
         base = plan.bases.get(device.serial)
         expected = predict(

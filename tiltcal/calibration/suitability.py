@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tiltcal.core.model import AXES
 from tiltcal.core.orientation import STRAIGHT, Orientation
+from tiltcal.core.plausibility import UNKNOWN_OFFSET
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.procedure import Procedure
@@ -17,6 +18,21 @@ def require_tilt(procedure: Procedure, model: Model) -> None:
             f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
             "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
         )
+
+
+def unchecked(model: Model) -> str:
+    """Return which check of the positions is off for want of nominal values, and how to turn it on; else nothing."""
+    if not model.scaled:
+        return (
+            "no sensitivity is stated, so that neither a wrong position nor a small movement is detected: state it in "
+            "the address (sensitivity=..., unit per g)"
+        )
+    if model.offset_spread > UNKNOWN_OFFSET:
+        return (
+            "no offset is stated, so that positions are compared with each other alone, and the first with none: state "
+            "it in the address (offset=..., the reading at 0 g)"
+        )
+    return ""
 
 
 def require_suitable(
