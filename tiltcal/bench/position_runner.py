@@ -79,6 +79,7 @@ class PositionRunner:
         """What the readings have shown of the steps that no model states."""
         self._asked_to_tilt = False
         """Whether the operator was asked to see that a reading follows a tilt."""
+        self._answered_ns = 0
         self._soaked: tuple[float, int] | None = None
         """The temperature that the sensors have, and the interruptions before they took it; None on the way."""
 
@@ -152,7 +153,9 @@ class PositionRunner:
         while self._log.plays_live_reading():
             with suppress(HardwareError):
                 self._sensors.read(fresh=True)
-        return self._log.ask("position", self._operator.position, position, number, self._live)
+        answer = self._log.ask("position", self._operator.position, position, number, self._live)
+        self._answered_ns = self._log.now_ns()
+        return answer
 
     def _refuse(self, position: Position, error: Exception) -> None:
         log, sensors = self._log, self._sensors
@@ -174,7 +177,8 @@ class PositionRunner:
         return self._sensors.by_serial(self._sensors.read(fresh=True))
 
     def _look(self, position: Position, sample: Sample, why: str) -> None:
-        self._log.report(self._operator.look, position, self._sensors.by_serial(sample), why)
+        seconds = (self._log.now_ns() - self._answered_ns) / 1e9
+        self._log.report(self._operator.look, position, self._sensors.by_serial(sample), why, seconds)
 
     def _settle(self, position: Position, typed: float | None, look: Callable[[Sample, str], None]) -> None:
         """Wait until the readings hold still, and the temperature too, where the sensors do not have it already."""
