@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import median
 
 import numpy as np
@@ -140,26 +140,28 @@ def require_not_stuck(sensor: ConnectedSensor, result: PositionResult, accepted:
             )
 
 
-def unchanging(sensor: ConnectedSensor, result: PositionResult, accepted: Sequence[PositionResult]) -> str:
-    """Return which channel has read one value in all positions up to the last, and how to see whether it is stuck.
+class ReadingSpans:
+    """The lowest and the highest reading of each channel that a session has seen, moves between positions included."""
 
-    Other temperatures and headings change a reading, but not always by its step: the operator has to move the sensor.
+    def __init__(self, sensors: Sequence[ConnectedSensor]) -> None:
+        self._models = {sensor.serial: sensor.model for sensor in sensors}
+        self._spans: dict[str, list[tuple[float, float, float]]] = {}
 
-    Returns
-    -------
-    str
-        Empty where every channel has changed, or there is one position alone.
-    """
-    now = result.measurements[sensor.serial]
-    before = [result.measurements[sensor.serial] for result in accepted]
-    for channel in now.summaries:
-        same = _alike(channel, now, before)
-        if same and len(same) == len(before):
-            return (
-                f"{channel} of {sensor.serial} may be stuck: {_reads(channel, [*same, now], sensor)}; tilt the sensor, "
-                "see that the reading follows, and put it back: measured again it counts"
-            )
-    return ""
+    def add(self, readings: Mapping[str, Reading]) -> None:
+        """Take one sample, by serial number; a reading at a rail is none."""
+        for serial, reading in readings.items():
+            step = self._models[serial].resolution or reading.step
+            before = self._spans.get(serial) or [(value, value, step) for value in reading.values]
+            if not at_rail(reading, self._models[serial]):
+                spans = zip(before, reading.values, strict=True)
+                self._spans[serial] = [(min(low, one), max(high, one), step) for (low, high, _), one in spans]
+
+    def quiet(self, serial: str) -> list[str]:
+        """Return the channels of a sensor that have shown at most two neighbouring values."""
+        channels, spans = self._models[serial].channels, self._spans.get(serial, [])
+        return [
+            channel for channel, (low, high, step) in zip(channels, spans, strict=False) if high - low <= 1.5 * step
+        ]
 
 
 def _alike(channel: str, now: Measurement, before: Sequence[Measurement]) -> list[Measurement]:

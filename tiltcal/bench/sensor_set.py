@@ -265,8 +265,8 @@ def open_device(
     return virtual.twin(device) if address.simulated else open_link(address, device.model, lines)
 
 
-def probe_devices(devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: Clock) -> None:
-    """Open one device after the other, and check that it answers.
+def probe_devices(devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: Clock) -> list[Reading]:
+    """Open one device after the other, check that it answers, and return a reading of each.
 
     Raises
     ------
@@ -276,9 +276,13 @@ def probe_devices(devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: 
         A device that cannot be opened, or does not answer.
     """
     lines: dict[str, ModbusLine] = {}
+    readings = []
     for device in devices:
         with closing(open_device(device, virtual, lines)) as link:
-            device.model.driver(link, clock).probe()
+            driver = device.model.driver(link, clock)
+            driver.probe()
+            readings.append(driver.read())
+    return readings
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from tiltcal.bench.operators.operator import PositionOperator, RotationOperator
 from tiltcal.bench.operators.sim import SimOperator, SimRotationOperator
 from tiltcal.bench.position_runner import PositionRunner
 from tiltcal.bench.recording import sample_rows
+from tiltcal.bench.sample_checks import ReadingSpans
 from tiltcal.bench.sensor_set import SensorSet, connected, probe_devices
 from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
 from tiltcal.bench.session_plan import SessionPlan
@@ -23,7 +24,7 @@ from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.calibration import Calibration, calibration_in
 from tiltcal.calibration.verification import Verification, verify_positions
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.drivers.device import StreamingSensor
+from tiltcal.drivers.device import Reading, StreamingSensor
 from tiltcal.errors import HardwareError, InputError, Stopped, TiltcalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
@@ -107,6 +108,7 @@ class Session:
         self._finished = False
         self._clock = session_clock(plan.started, virtual=plan.virtual)
         self._virtual = VirtualBench(self._clock, plan.devices)
+        self._probed: dict[str, Reading] = {}
 
     @classmethod
     def of_journal(
@@ -210,9 +212,10 @@ class Session:
             bench = None if there is None else there.provenance.bench
             replaceable = bench is not None and [(one.model, one.serial) for one in bench.sensors] == identities
         if not replaceable:
+            serials = ", ".join(serial for _, serial in identities)
             raise UsageError(
-                f"cannot write {path}: the file there is no calibration of {', '.join(serial for _, serial in identities)}"
-                "; move it away, or name another file with -o"
+                f"cannot write {path}: the file there is no calibration of {serials}; move it away, or name another "
+                "file with -o"
             )
 
     def probe(self) -> None:
@@ -223,7 +226,8 @@ class Session:
         HardwareError
             A device that does not answer.
         """
-        probe_devices(() if self._ended else self.plan.devices, self._virtual, self._clock)
+        probed = probe_devices(() if self._ended else self.plan.devices, self._virtual, self._clock)
+        self._probed = {device.serial: reading for device, reading in zip(self.plan.sensors, probed, strict=False)}
         self._clock.seek(0)
 
     def run(
@@ -254,7 +258,7 @@ class Session:
             accepted = runner.run()
             if not self.outputs:  # a verification
                 return SessionResult({}, self._finish(opened))
-            found = tilt_calibrations(self.plan, opened.sensors.sensors, accepted, runner.records)
+            found = tilt_calibrations(self.plan, opened.sensors.sensors, accepted, runner.records, runner.unseen)
             files = {self._output(device): device for device in self.plan.sensors if device.serial in found}
             opened.log.ask("write", positions.confirm_write, list(files))
             end = self._finish(opened)
@@ -286,12 +290,14 @@ class Session:
 
     def _position_runner(self, opened: _OpenSession, operator: PositionOperator) -> PositionRunner:
         fixture = self._virtual.fixture if self.plan.virtual and opened.live else None
+        spans = ReadingSpans(opened.sensors.sensors)
+        spans.add(self._probed)
         if self.plan.procedure.ramp is not None:
             from tiltcal.bench.ramp_runner import RampRunner
 
             ramp = self.plan.procedure.ramp
-            return RampRunner(ramp, self.plan, opened.sensors, operator, opened.log, opened.clock, fixture)
-        return PositionRunner(self.plan, opened.sensors, operator, opened.log, opened.clock, fixture)
+            return RampRunner(ramp, self.plan, opened.sensors, operator, opened.log, opened.clock, spans, fixture)
+        return PositionRunner(self.plan, opened.sensors, operator, opened.log, opened.clock, spans, fixture)
 
     def _match(self, rotation: Rotation, opened: _OpenSession, operator: RotationOperator) -> SessionResult:
         """Let the stage turn, and match its pairs."""

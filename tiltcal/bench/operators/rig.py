@@ -7,7 +7,7 @@ is due::
               "heading": 0, "temperature": None, "prompt": "Tilt the +Y side up to 30°"})
         -> {"answer": "ready"}            or {"answer": "ready", "tilt": {"y": 30.02}, "temperature": 5.4}
            or {"answer": "redo" | "back" | "quit"}
-    waiting({"event": "waiting", "position": "y-tilt1", "seconds": 60, "why": "...", "temperature": 5.4})  (once a minute)
+    waiting({"event": "waiting", "position": "y-tilt1", "seconds": 60, "why": "...", "temperature": 5.4})
     accepted({"event": "accepted", "position": "y-tilt1", "mean": {...}, "std": {...}, "n": 100})
     refused({"event": "refused", "position": "y-tilt1", "why": "..."})        (followed by the same ask)
     lost({"event": "lost", "sensor": "A-1006", "why": "..."})                 (of several sensors one is given up)
@@ -22,8 +22,9 @@ A rig that turns a stage is asked once, and may stop it at any time::
     held({"event": "held", "why": "..."}), resumed({"event": "resumed"})
     accepted({"event": "accepted", "position": "rotation", "turns": 25.1, "p": {...}, ..., "suppression": {...}})
 
-Only ``position``, or ``rotation``, is needed; an event whose method is missing is left out. ``redo`` asks for the same
-position again; ``back`` gives up the position before it and asks for that one.
+``waiting`` comes once a minute. Only ``position``, or ``rotation``, is needed; an event whose method is missing is left
+out. ``redo`` asks for the same position again; ``back`` gives up the position before it and asks for that one. The
+position ``tip`` asks once to see that a reading follows, where nothing in a session has changed it.
 """
 
 from __future__ import annotations
