@@ -65,9 +65,9 @@ def test_a_stated_sensitivity_compares_positions_with_each_other(wrong: str, ref
     ((position, why),) = table.refusals
     assert position == refused
     assert "or was a position before it wrong (go back)?" in why
-    assert any("C-1: no offset is stated, so that positions are compared with each other" in one for one in remarks)
+    assert any("C-1: no offset= is stated, so that positions are compared with each other" in one for one in remarks)
 
 
 def test_what_is_off_without_a_sensitivity_is_said(tmp_path: Path) -> None:
     remarks = session(Table("", 2.5, 2.0), "unit=V&offset=2.5", tmp_path, stops=False)
-    assert any("C-1: no sensitivity is stated, so that neither a wrong position" in remark for remark in remarks)
+    assert any("C-1: no sensitivity= is stated, so that neither a wrong position" in remark for remark in remarks)

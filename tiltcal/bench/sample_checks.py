@@ -10,7 +10,6 @@ import numpy as np
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.settle import Timed, Unsettled
-from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.detection import (
     LEFT_OUT,
     TEMPERATURE_JUMP,
@@ -132,11 +131,14 @@ def require_not_stuck(sensor: ConnectedSensor, result: PositionResult, accepted:
                 f"{sensor.model.unit}, and those of the positions before scatter by {noise:.3g}; see that the sensor "
                 "converts (if it was shaken in the positions before, go back and repeat them)"
             )
-        same = _alike(channel, now, before)
-        if any(abs(measurement.gravity[_axis(channel)] - now.gravity[_axis(channel)]) > TILTED for measurement in same):
+        alike = [one for one in before if one.summaries[channel].std == summary.std == 0.0]
+        same = [one for one in alike if one.summaries[channel].mean == summary.mean]
+        axis = "xyz".index(channel)
+        if any(abs(one.gravity[axis] - now.gravity[axis]) > TILTED for one in same):
+            count = sum(one.summaries[channel].n for one in (*same, now))
             raise Unsettled(
-                f"{channel} of {sensor.serial} is stuck: {_reads(channel, [*same, now], sensor)}; see that the sensor "
-                "converts, and that its axis is wired"
+                f"{channel} of {sensor.serial} is stuck: all {count} samples of {len(same) + 1} positions read "
+                f"{summary.mean:.6g} {sensor.model.unit}; see that the sensor converts, and that its axis is wired"
             )
 
 
@@ -159,28 +161,7 @@ class ReadingSpans:
     def quiet(self, serial: str) -> list[str]:
         """Return the channels of a sensor that have shown at most two neighbouring values."""
         channels, spans = self._models[serial].channels, self._spans.get(serial, [])
-        return [
-            channel for channel, (low, high, step) in zip(channels, spans, strict=False) if high - low <= 1.5 * step
-        ]
-
-
-def _alike(channel: str, now: Measurement, before: Sequence[Measurement]) -> list[Measurement]:
-    """Return the positions before in which every sample of a channel was the one value that it reads now."""
-    summary = now.summaries[channel]
-    others = [measurement for measurement in before if measurement.summaries[channel].std == summary.std == 0.0]
-    return [measurement for measurement in others if measurement.summaries[channel].mean == summary.mean]
-
-
-def _reads(channel: str, alike: Sequence[Measurement], sensor: ConnectedSensor) -> str:
-    summaries = [measurement.summaries[channel] for measurement in alike]
-    return (
-        f"all {sum(summary.n for summary in summaries)} samples of {len(alike)} positions read "
-        f"{summaries[0].mean:.6g} {sensor.model.unit}"
-    )
-
-
-def _axis(channel: str) -> int:
-    return "xyz".index(channel)
+        return [name for name, (low, high, step) in zip(channels, spans, strict=False) if high - low <= 1.5 * step]
 
 
 def _absurd_temperatures(readings: Sequence[Reading]) -> dict[int, str]:

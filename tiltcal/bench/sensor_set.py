@@ -265,8 +265,10 @@ def open_device(
     return virtual.twin(device) if address.simulated else open_link(address, device.model, lines)
 
 
-def probe_devices(devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: Clock) -> list[Reading]:
-    """Open one device after the other, check that it answers, and return a reading of each.
+def probe_devices(
+    devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: Clock, *, read: bool = False
+) -> list[Reading]:
+    """Open one device after the other, check that it answers, and return a reading of each where it is to be read.
 
     Raises
     ------
@@ -281,7 +283,7 @@ def probe_devices(devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: 
         with closing(open_device(device, virtual, lines)) as link:
             driver = device.model.driver(link, clock)
             driver.probe()
-            readings.append(driver.read())
+            readings += [driver.read()] if read else []
     return readings
 
 

@@ -226,7 +226,7 @@ class Session:
         HardwareError
             A device that does not answer.
         """
-        probed = probe_devices(() if self._ended else self.plan.devices, self._virtual, self._clock)
+        probed = probe_devices(() if self._ended else self.plan.devices, self._virtual, self._clock, read=True)
         self._probed = {device.serial: reading for device, reading in zip(self.plan.sensors, probed, strict=False)}
         self._clock.seek(0)
 

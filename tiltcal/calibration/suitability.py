@@ -21,17 +21,11 @@ def require_tilt(procedure: Procedure, model: Model) -> None:
 
 
 def unchecked(model: Model) -> str:
-    """Return which check of the positions is off for want of nominal values, and how to turn it on; else nothing."""
+    """Return which check of the positions is off, because the address states no nominal value; else nothing."""
     if not model.scaled:
-        return (
-            "no sensitivity is stated, so that neither a wrong position nor a small movement is detected: state it in "
-            "the address (sensitivity=..., unit per g)"
-        )
+        return "no sensitivity= is stated, so that neither a wrong position nor a small movement is detected"
     if model.offset_spread > UNKNOWN_OFFSET:
-        return (
-            "no offset is stated, so that positions are compared with each other alone, and the first with none: state "
-            "it in the address (offset=..., the reading at 0 g)"
-        )
+        return "no offset= is stated, so that positions are compared with each other alone, and the first with none"
     return ""
 
 

@@ -293,9 +293,8 @@ class JournalWriter:
         try:
             _lock(descriptor, journal.path)
             if b"\n" in os.pread(descriptor, LINE_LIMIT, journal.size):
-                raise JournalError(
-                    "another process has written to it since it was read: resume it again", file=journal.path
-                )
+                why = "another process has written to it since it was read: resume it again"
+                raise JournalError(why, file=journal.path)
             os.ftruncate(descriptor, journal.size)
         except BaseException:
             os.close(descriptor)
