@@ -18,7 +18,7 @@ from tiltcal.bench.session_start import StatedSession, start_session
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.level import NO_LEVEL, level_summary
-from tiltcal.calibration.summary import summary
+from tiltcal.calibration.summary import NOT_FOLLOWED, summary
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.device import Sensor, in_words
@@ -173,7 +173,7 @@ def _remark_notes(calibrations: Sequence[Calibration], remark: Callable[[str], N
     having: dict[str, list[str]] = {}
     for calibration in calibrations:
         for note in calibration.fit.notes:
-            if not renewed or note == NO_LEVEL:
+            if not renewed or note == NO_LEVEL or NOT_FOLLOWED in note:
                 having.setdefault(note, []).append(calibration.sensor.serial)
     for note, serials in having.items():
         every = len(serials) == len(calibrations) > 1

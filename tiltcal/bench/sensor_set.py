@@ -78,7 +78,8 @@ class SensorSet:
         Why sensors were given up, by serial number.
     """
 
-    THERMOMETER = "thermometer"
+    THERMOMETER = ""
+    """The thermometer of the bench among the names of its devices: no sensor has this serial number."""
 
     def __init__(self, connected: Sequence[ConnectedSensor], thermometer: Sensor | None = None) -> None:
         self._all = tuple(connected)
@@ -247,7 +248,7 @@ class SensorSet:
             raise
         except HardwareError as error:
             alone = len(self._all) == 1 and serial != self.THERMOMETER
-            raise SensorError(serial, str(error) if alone else f"{serial}: {error}") from error
+            raise SensorError(serial, str(error) if alone else f"{serial or 'thermometer'}: {error}") from error
 
 
 def open_device(
@@ -269,8 +270,10 @@ def open_device(
     return virtual.twin(device) if address.simulated else open_link(address, device.model, lines)
 
 
-def probe_devices(devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: Clock) -> None:
-    """Open one device after the other, and check that it answers.
+def probe_devices(
+    devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: Clock, *, read: bool = False
+) -> list[Reading]:
+    """Open one device after the other, check that it answers, and return a reading of each where it is to be read.
 
     Raises
     ------
@@ -280,9 +283,13 @@ def probe_devices(devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: 
         A device that cannot be opened, or does not answer.
     """
     lines: dict[str, ModbusLine] = {}
+    readings = []
     for device in devices:
         with closing(open_device(device, virtual, lines)) as link:
-            device.model.driver(link, clock).probe()
+            driver = device.model.driver(link, clock)
+            driver.probe()
+            readings += [driver.read()] if read else []
+    return readings
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from tiltcal.calibration.channel_checks import ACCELERATION, require_own_readings
+from tiltcal.calibration.channel_checks import require_own_readings
 from tiltcal.calibration.free_positions import calibrate_free, require_no_jig
 from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.level import level
@@ -26,6 +26,7 @@ from tiltcal.calibration.temperature import (
     with_typical_temperature,
 )
 from tiltcal.core.rounding import round_to
+from tiltcal.drivers.columns import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.position_record import ProcedureRecord

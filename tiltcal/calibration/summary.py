@@ -16,6 +16,11 @@ from tiltcal.files.fit_record import FitRecord, MountingFit
 INCREDIBLE = 1e-3
 """Probability of a chi-square below which it is not credible."""
 
+NOT_FOLLOWED = (
+    "was not seen to follow when the sensor was tipped: a dead converter reads so; look at it with tiltcal probe"
+)
+"""What a note says of a channel that showed at most two neighbouring values in a whole session."""
+
 SHOWN = 3
 """Positions that are named."""
 
@@ -110,6 +115,7 @@ def objections(fit: FitRecord) -> list[str]:
         named = [f"{position} ({suspect.off_degrees:g}°)" for position, suspect in fit.suspect_positions.items()]
         more = f" and {len(named) - SHOWN} more" if len(named) > SHOWN else ""
         found.append(f"further off than the stated jig allows, the worst first: {', '.join(named[:SHOWN])}{more}")
+    found += [note for note in fit.notes if NOT_FOLLOWED in note]
     return found + _objections_to_mounting(fit.mounting)
 
 

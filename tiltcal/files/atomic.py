@@ -107,7 +107,7 @@ def _check_place(path: str | Path) -> None:
         pass
     except OSError as failure:
         raise _cannot_write(path, failure, "choose another name") from failure
-    part = _part_of(target)
+    part = part_of(target)
     try:
         stream, named = _begun(part)
     except OSError as failure:
@@ -125,7 +125,7 @@ def require_apart(path: str | Path, *read: str | Path) -> None:
 
 
 def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
-    part = _part_of(target)
+    part = part_of(target)
     try:
         stream, named = _begun(part)
     except OSError as failure:
@@ -147,7 +147,8 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
     _sync_folder(target.parent)
 
 
-def _part_of(target: Path) -> Path:
+def part_of(target: Path) -> Path:
+    """Return a name that nobody can predict, for what becomes this file when it is whole."""
     return target.with_name(f".tiltcal-{os.urandom(6).hex()}.part")
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.channel_checks import OF_G
 from tiltcal.core.model import AXES
 from tiltcal.core.noise.scale import NoiseScale
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.columns import OF_G
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import read_calibration
