@@ -10,8 +10,8 @@ from tiltcal.files.declaration import Context, Converted
 from tiltcal.files.node import Node
 from tiltcal.files.scalars import Text
 
-_FIRST_YEAR, _LAST_YEAR = 1900, 2999
-"""A session before or after these years is none, and what is added to its beginning stays a date."""
+_LAST_YEAR = 2999
+"""A moment behind it is none, so that what is added to one stays a date."""
 
 
 def moment(text: str | date, path: str | Path | None = None) -> datetime:
@@ -19,8 +19,8 @@ def moment(text: str | date, path: str | Path | None = None) -> datetime:
     try:
         found = datetime.fromisoformat(str(text))
     except ValueError:
-        found = datetime.min
-    if not _FIRST_YEAR <= found.year <= _LAST_YEAR:
+        found = datetime.max
+    if found.year > _LAST_YEAR:
         raise InputError(f"{str(text)!r} is no date: write it as 2026-05-01T12:00:00Z", file=path)
     if found.tzinfo is UTC:
         return found

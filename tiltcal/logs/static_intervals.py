@@ -21,7 +21,7 @@ from tiltcal.files.moments import stamp_of
 from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
-from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Line, Piece
+from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Line
 from tiltcal.logs.recorded_readings import RecordedReadings
 
 FEWEST_ROWS = 2
@@ -65,7 +65,7 @@ class StaticInterval:
 def intervals_of(
     samples: Sequence[IntervalSamples], step: float, record: RecordedReadings, *, file: str
 ) -> list[StaticInterval]:
-    """Return what the sensor read in each interval, without the samples that are far off the others.
+    """Return what the sensor read in each interval, without the samples that are far off the others or missing.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def intervals_of(
     Raises
     ------
     InputError
-        A segment reaches beyond the log, has a missing value, samples at a rail or too many far off, or is stuck.
+        A segment reaches beyond the log, has samples at a rail or too many far off or missing, or is stuck.
     """
     names = _distinct([one.parts[0].name for one in samples])
     intervals = [_interval(one, step, record, name, file) for one, name in zip(samples, names, strict=True)]
@@ -240,7 +240,7 @@ def _require_not_stuck_everywhere(measurements: Sequence[Measurement], file: str
 def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, name: str, file: str) -> StaticInterval:
     parts = [replace(part, end=record.rows) if part.end == TO_THE_END else part for part in samples.parts]
     pieces = [piece.result() for piece in samples.pieces]
-    _require_readings(parts, pieces, record, file)
+    _require_rows(parts, record, file)
     sums = [piece.summed(step) for piece in pieces]
     far = sum(found.far for found in sums)
     _require_few(far, next((found.why for found in sums if found.why), ""), parts, file)
@@ -258,7 +258,10 @@ def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, n
         name,
         parts[0].name,
         parts[0].gravity,
-        {channel: summary_of([found.channels[channel] for found in sums], step) for channel in record.channels},
+        {
+            channel: summary_of([found.channels[channel] for found in sums if found.channels], step)
+            for channel in record.channels
+        },
         summary_of(known).mean if known else None,
         parts[0].line,
         warming if samples.before is None else max(warming, samples.before.rise, key=abs),
@@ -268,25 +271,20 @@ def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, n
 
 
 def _require_few(count: int, why: str, parts: Sequence[Segment], file: str) -> None:
-    """Refuse a segment of which too many samples are far off the others."""
+    """Refuse a segment of which too many samples are far off the others or missing."""
     rows = sum(part.end - part.start for part in parts)
-    if count > max(1, LEFT_OUT * rows):
-        raise _refusal(parts[0], f"{count} of its {rows} samples are far off: {why}; choose other rows", file)
+    if count > max(1, LEFT_OUT * rows) or rows - count < FEWEST_ROWS:
+        raise _refusal(
+            parts[0], f"{count} of its {rows} samples are far off or missing: {why}; choose other rows", file
+        )
 
 
-def _require_readings(parts: Sequence[Segment], pieces: Sequence[Piece], record: RecordedReadings, file: str) -> None:
+def _require_rows(parts: Sequence[Segment], record: RecordedReadings, file: str) -> None:
     for part in parts:
         if part.end > record.rows:
             raise _refusal(part, f"ends at row {part.end}; {record.name} has {record.rows} rows", file)
         if part.end - part.start < FEWEST_ROWS:
             raise _refusal(part, f"has {part.end - part.start} row; at least {FEWEST_ROWS} are needed", file)
-    lost = next((piece.lost for piece in pieces if piece.lost is not None), None)
-    if lost is not None:
-        place, channel = lost
-        for part in sorted(parts, key=lambda part: part.start):
-            if place < part.end - part.start:
-                raise _refusal(part, f"{channel} has no number in row {part.start + place} of {record.name}", file)
-            place -= part.end - part.start
 
 
 def _refusal(segment: Segment, why: str, file: str) -> InputError:
