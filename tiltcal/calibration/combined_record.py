@@ -171,13 +171,7 @@ def _budget(sessions: Sequence[CombinedSession], found: Combination) -> dict[str
 
 
 def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRecord]) -> Limits:
-    """Return the tilts that the sensitivity was measured in, the temperatures of the drift, the rails of all.
-
-    Raises
-    ------
-    InputError
-        The readings between the rails of two sessions do not overlap.
-    """
+    """Return the tilts that the sensitivity was measured in, the temperatures of the drift, the rails of all."""
     tilt: dict[str, tuple[float, float]] = {}
     reading: dict[str, tuple[float, float]] = {}
     for session in scaled:

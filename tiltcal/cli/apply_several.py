@@ -22,29 +22,21 @@ if TYPE_CHECKING:
 Outcome = tuple[Sequence[str], ApplySummary | TiltcalError]
 """The remarks on a log, and its summary or its error."""
 
-_PATIENCE = "10s"
-"""Timeout for the connection to the scheduler."""
+_PATIENCE = "10s"  # for the connection to the scheduler
 
 
 def outputs_in(folder: str, logs: Sequence[str], calibration: Path) -> dict[str, str]:
-    """Return the output of each log: a file of the log's name in a folder.
-
-    Raises
-    ------
-    UsageError
-        There is no such folder, two logs have one name, or an output would replace its log or the calibration.
-    """
+    """Return the output of each log: a file of its name in a folder, which replaces neither log nor calibration."""
     if not os.path.isdir(folder):
         raise UsageError(f"several logs need a folder for their results: make one and name it with -o, not {folder}")
+    if STANDARD in logs:
+        raise UsageError("standard input is one log: leave the others out")
     logs_of: dict[str, str] = {}
     for log in logs:
         output = os.path.join(folder, Path(log).name)
-        if log == STANDARD:
-            raise UsageError("standard input is one log: leave the others out")
-        if output in logs_of:
-            raise UsageError(f"{logs_of[output]} and {log} would both be {output}: apply to them one by one")
         require_apart(output, log, calibration)
-        logs_of[output] = log
+        if (other := logs_of.setdefault(output, log)) != log or logs.count(log) > 1:
+            raise UsageError(f"{other} and {log} would both be {output}: apply to them one by one")
     return {log: output for output, log in logs_of.items()}
 
 
@@ -64,11 +56,6 @@ def applied_on(
     """Apply a calibration on the workers of a dask scheduler, which must see the same files; yield what is done.
 
     The task of a worker that is lost runs again on another; its output appears whole or not at all.
-
-    Raises
-    ------
-    UsageError
-        The library is not there, or no scheduler.
     """
     import logging
 

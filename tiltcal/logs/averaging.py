@@ -44,13 +44,7 @@ class Averaging:
 
 
 def averaging(rows: int | None, every: str | float | timedelta | None) -> Averaging:
-    """Return what ``--average`` and ``--every`` say.
-
-    Raises
-    ------
-    UsageError
-        Both or none are given, or one is no number above 0.
-    """
+    """Return what ``--average`` and ``--every`` say; one of them is given."""
     if (rows is None) == (every is None):
         raise UsageError("--average and --every each say what belongs into a mean: give one of them")
     if rows is not None:

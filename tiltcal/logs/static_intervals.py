@@ -67,17 +67,8 @@ def intervals_of(
 ) -> list[StaticInterval]:
     """Return what the sensor read in each interval, without the samples that are far off the others or missing.
 
-    Parameters
-    ----------
-    samples, step
-        Of the record; see :func:`tiltcal.logs.interval_samples.sampled`.
-    file : str
-        Where the segments stand, for messages.
-
-    Raises
-    ------
-    InputError
-        A segment reaches beyond the log, has samples at a rail or too many far off or missing, or is stuck.
+    A segment that reaches beyond the log, has samples at a rail or too many far off or missing, or is stuck is refused;
+    ``file`` is where the segments stand, and ``step`` that of the readings, unit.
     """
     names = _distinct([one.parts[0].name for one in samples])
     intervals = [_interval(one, step, record, name, file) for one, name in zip(samples, names, strict=True)]
@@ -106,17 +97,8 @@ def intervals_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterv
 def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: str) -> list[Measurement]:
     """Holds in known directions.
 
-    Parameters
-    ----------
-    procedure : Procedure
-        Says the direction of a position that is only named, and its temperature where none was recorded.
-    file : str
-        Where the positions are named, for messages.
-
-    Raises
-    ------
-    InputError
-        The temperature did not stand still where it counts or is missing in some, or a channel is the same in all.
+    The procedure says the direction of a position that is only named, and its temperature where none was recorded.
+    Refused are a temperature that did not stand still where it counts or is missing in some, and a stuck channel.
     """
     known = {position.name: position for position in procedure.positions}
     if procedure.determines.drift or procedure.determines.gain:
@@ -143,13 +125,7 @@ def oriented(intervals: Sequence[StaticInterval], attitudes: Array) -> list[Meas
 
 
 def require_positions(named: Iterable[Segment] | Iterable[TabledPosition], procedure: Procedure, *, file: str) -> None:
-    """Refuse segments or tabled positions without a direction whose names the procedure does not have.
-
-    Raises
-    ------
-    InputError
-        The message names the line, and a similar name.
-    """
+    """Refuse segments or tabled positions without a direction whose names the procedure does not have."""
     known = [position.name for position in procedure.positions]
     for segment in named:
         if segment.gravity is None and segment.name not in known:
