@@ -34,9 +34,9 @@ def outputs_in(folder: str, logs: Sequence[str], calibration: Path) -> dict[str,
     logs_of: dict[str, str] = {}
     for log in logs:
         output = os.path.join(folder, Path(log).name)
-        require_apart(output, log, calibration)
         if (other := logs_of.setdefault(output, log)) != log or logs.count(log) > 1:
             raise UsageError(f"{other} and {log} would both be {output}: apply to them one by one")
+        require_apart(output, log, calibration)
     return {log: output for output, log in logs_of.items()}
 
 
