@@ -18,7 +18,6 @@ T = TypeVar("T")
 DEPTH_LIMIT = 32
 
 _DIGIT_LIMIT = 400
-_LARGEST = 1e30  # of a number: beyond any quantity, and its powers are still finite
 _NULL = re.compile(r"null|Null|NULL|~|")
 _TRUE = re.compile(r"true|True|TRUE")
 _FALSE = re.compile(r"false|False|FALSE")
@@ -106,7 +105,7 @@ class Node:
         """Return a finite number written without quotes, of at least ``minimum`` and more than ``above``."""
         literal = self._plain(_FLOAT)
         value = float(self._based()) if literal is None else float(literal)
-        if not abs(value) <= _LARGEST:
+        if not math.isfinite(value):
             raise self.error(f"{self._shown()} is too large a number")
         self._bounded(value, minimum, above)
         return value
