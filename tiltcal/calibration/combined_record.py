@@ -23,6 +23,7 @@ from tiltcal.core.estimation.estimate import NO_FREEDOM
 from tiltcal.core.model import Limits
 from tiltcal.core.rounding import significant
 from tiltcal.core.uncertainty_inputs import is_turn
+from tiltcal.errors import InputError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
 from tiltcal.files.fit_record import NOISE_ALONE, FitRecord
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
@@ -181,6 +182,11 @@ def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRe
         for channel, (low, high) in record.limits.reading.items():
             before = reading.get(channel, (low, high))
             reading[channel] = max(low, before[0]), min(high, before[1])
+            if not reading[channel][0] < reading[channel][1]:
+                raise InputError(
+                    f"limits.reading.{channel}: [{low:g}, {high:g}] and [{before[0]:g}, {before[1]:g}] do not overlap: "
+                    "the sessions are not of one sensor in one range; correct the limits, or leave a session out"
+                )
     met = [record.limits.temperature for record in records if record.limits.temperature and record.coefficients.thermal]
     return Limits(tilt, (min(low for low, _ in met), max(high for _, high in met)) if met else None, reading)
 

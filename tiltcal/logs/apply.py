@@ -132,8 +132,8 @@ def apply_log(
 
     Notes
     -----
-    A damaged Parquet or NetCDF file can end the process in its library: leave files of doubtful origin to ``tiltcal
-    apply``, which reads them in a child process.
+    A damaged Parquet or NetCDF file can end the process in its library, or keep it there: run ``tiltcal apply`` in a
+    process of its own for files of doubtful origin.
     """
     require_path("the log", log)
     require_path("the output", output)

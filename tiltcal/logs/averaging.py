@@ -26,7 +26,7 @@ from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import SensorColumns
 from tiltcal.logs.log import LogBlock, Table
 from tiltcal.logs.text_to_numbers import no_time_yet, texts_of_times
-from tiltcal.stated_arguments import require_whole
+from tiltcal.stated_arguments import is_number, require_whole
 
 if TYPE_CHECKING:
     import polars as pl
@@ -45,13 +45,7 @@ class Averaging:
 
 
 def averaging(rows: int | None, every: str | float | timedelta | None) -> Averaging:
-    """Return what ``--average`` and ``--every`` say.
-
-    Raises
-    ------
-    UsageError
-        Both or none are given, or one is no number above 0.
-    """
+    """Return what ``--average`` and ``--every`` say; one of them is given."""
     if (rows is None) == (every is None):
         raise UsageError("--average and --every each say what belongs into a mean: give one of them")
     if rows is not None:
@@ -63,7 +57,7 @@ def averaging(rows: int | None, every: str | float | timedelta | None) -> Averag
         seconds = float(found[1]) * _SECONDS[found[2] or "s"] if found else 0.0
     except ValueError:
         seconds = 0.0
-    if not seconds > 0.0:
+    if not (seconds > 0.0 and is_number(seconds)):
         raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every}")
     return Averaging(seconds=seconds)
 

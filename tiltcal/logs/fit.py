@@ -181,7 +181,7 @@ def fit(
         if "left_out" in measurement.when:
             far = measurement.when["left_out"]
             which = "1 sample is" if far == 1 else f"{far} samples are"
-            say(f"{measurement.position}: {which} far off the others, and left out")
+            say(f"{measurement.position}: {which} far off the others or missing, and left out")
     measured = MeasuredSensor(
         identity,
         positions.measurements,

@@ -341,7 +341,7 @@ def test_what_is_no_moment_and_no_stability(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="is no date: write it as"):
             library.at("S-1", time)  # type: ignore[arg-type]
     for stability in (-1.0, np.nan, "1"):
-        with pytest.raises(UsageError, match="--stability takes a number from 0, not"):
+        with pytest.raises(UsageError, match="--stability takes 0 or a number from"):
             library.at("S-1", stamp(0), stability=stability)  # type: ignore[arg-type]
 
 
