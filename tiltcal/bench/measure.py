@@ -18,6 +18,7 @@ from tiltcal.bench.session_start import StatedSession, start_session
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.level import NO_LEVEL, level_summary
+from tiltcal.calibration.summary import verdict
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.device import Sensor, in_words
@@ -164,10 +165,10 @@ def measure(
 
 
 def _remark_notes(calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool) -> None:
-    """Remark each note once, with its sensors; after ``level``, not again those of the calibration before."""
+    """Remark each verdict and note once, with its sensors; after ``level``, not again those of the base."""
     having: dict[str, list[str]] = {}
     for calibration in calibrations:
-        for note in calibration.fit.notes:
+        for note in (*verdict(calibration.record), *calibration.fit.notes):
             if not renewed or note == NO_LEVEL:
                 having.setdefault(note, []).append(calibration.sensor.serial)
     for note, serials in having.items():

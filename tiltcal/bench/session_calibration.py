@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from math import hypot
 from typing import Any
@@ -48,6 +48,7 @@ def tilt_calibrations(
     sensors: Sequence[ConnectedSensor],
     accepted: Sequence[PositionResult],
     records: Mapping[str, RampRecord],
+    reopened: Collection[str],
 ) -> dict[str, CalibrationRecord]:
     """Return the calibration of each sensor by its serial number, without its provenance.
 
@@ -59,6 +60,8 @@ def tilt_calibrations(
         Every position, in the procedure's order.
     records : mapping of str to RampRecord
         Of a ramp, the continuous record of each sensor.
+    reopened : collection of str
+        Sensors whose bus failed and was opened again, by serial number.
 
     Raises
     ------
@@ -77,6 +80,7 @@ def tilt_calibrations(
                 sensor.model.thermometer_rounding if own_thermometers else None,
                 base.calibration if (base := plan.bases.get(sensor.serial)) else None,
                 records.get(sensor.serial),
+                sensor.serial in reopened,
             )
             for sensor in sensors
         ],
