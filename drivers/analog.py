@@ -176,6 +176,8 @@ def _model(part: AnalogPart, address: Address) -> Model:
         sensitivity=part.sensitivity,
         offset_spread=part.digital.offset_spread,
         sensitivity_spread=part.digital.sensitivity_spread,
+        cross_axis_limit=part.digital.cross_axis_limit,
+        nonlinearity=part.digital.nonlinearity,
         rails=(LOWEST_SANE, HIGHEST_SANE),
         resolution=front_end.step * NOMINAL / wired.supply.volts,
         interval=part.interval,

@@ -71,7 +71,7 @@ def twin_with(line: str) -> None:
 def test_plane_finds_the_twin(bench: Path) -> None:
     found = run()[0].coefficients
     assert found.offset == pytest.approx([1026.0, 1021.0], abs=0.3)
-    assert found.sensitivity.ravel() == pytest.approx([817.4, 11.2, -7.9, 821.6], abs=0.6)
+    assert found.sensitivity[:, :2].ravel() == pytest.approx([817.4, 11.2, -7.9, 821.6], abs=0.6)
 
 
 def test_two_temperatures_find_the_drift_and_take_the_nominal_sensitivity(bench: Path) -> None:

@@ -18,7 +18,7 @@ from tiltcal.bench.session_start import StatedSession, start_session
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.level import NO_LEVEL, level_summary
-from tiltcal.calibration.summary import NOT_FOLLOWED, summary
+from tiltcal.calibration.summary import NOT_FOLLOWED, summary, verdict
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.device import Sensor, in_words
@@ -168,11 +168,17 @@ def measure(
     return _results(session, outcome, remark, None if operator == "json" else result)
 
 
-def _remark_notes(calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool) -> None:
-    """Remark each note once, with its sensors; after ``level``, not again those of the calibration before."""
+def _remark_notes(
+    calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool, judged: bool
+) -> None:
+    """Remark each verdict and note once, with its sensors; after ``level``, not again those of the base.
+
+    A verdict that was ``judged`` before is not repeated.
+    """
     having: dict[str, list[str]] = {}
     for calibration in calibrations:
-        for note in calibration.fit.notes:
+        said = () if judged else verdict(calibration.record)
+        for note in (*said, *calibration.fit.notes):
             if not renewed or note == NO_LEVEL or NOT_FOLLOWED in note:
                 having.setdefault(note, []).append(calibration.sensor.serial)
     for note, serials in having.items():
@@ -221,7 +227,7 @@ def _results(
         (result or unheard)(str(pair))
         return pair
     calibrations = [Calibration(record) for record in records if isinstance(record, CalibrationRecord)]
-    _remark_notes(calibrations, remark, renewed=determines.level)
+    _remark_notes(calibrations, remark, renewed=determines.level, judged=result is not None)
     for calibration in calibrations:
         if determines.level:
             (result or remark)(level_summary(calibration.record))

@@ -17,7 +17,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Interruption, Link
 from tiltcal.drivers.device import Model, Reading, Sensor, StreamingSensor
-from tiltcal.errors import HardwareError, SensorError
+from tiltcal.errors import BusError, HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.frozen import frozen
 
@@ -76,6 +76,8 @@ class SensorSet:
     ----------
     lost : dict of str to str
         Why sensors were given up, by serial number.
+    reopened : set of str
+        Sensors whose bus failed and was opened again, by serial number.
     """
 
     THERMOMETER = ""
@@ -89,6 +91,7 @@ class SensorSet:
         self._just_lost: list[str] = []
         """The sensors that were given up since the last success."""
         self.lost: dict[str, str] = {}
+        self.reopened: set[str] = set()
 
     @property
     def sensors(self) -> tuple[ConnectedSensor, ...]:
@@ -220,6 +223,8 @@ class SensorSet:
 
         A sensor that fails :data:`ATTEMPTS` times in a row is given up where others remain, and it is not ``needed``.
         """
+        if isinstance(error.__cause__, BusError):
+            self.reopened.add(error.serial)
         count = self._failures[error.serial] = self._failures.get(error.serial, 0) + 1
         if count < ATTEMPTS:
             return True

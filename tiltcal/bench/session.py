@@ -258,7 +258,9 @@ class Session:
             accepted = runner.run()
             if not self.outputs:  # a verification
                 return SessionResult({}, self._finish(opened))
-            found = tilt_calibrations(self.plan, opened.sensors.sensors, accepted, runner.records, runner.unseen)
+            found = tilt_calibrations(
+                self.plan, opened.sensors.sensors, accepted, runner.records, runner.unseen, opened.sensors.reopened
+            )
             files = {self._output(device): device for device in self.plan.sensors if device.serial in found}
             opened.log.ask("write", positions.confirm_write, list(files))
             end = self._finish(opened)

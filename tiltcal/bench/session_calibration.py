@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from math import hypot
@@ -51,6 +51,7 @@ def tilt_calibrations(
     accepted: Sequence[PositionResult],
     records: Mapping[str, RampRecord],
     unseen: Mapping[str, Sequence[str]],
+    reopened: Collection[str],
 ) -> dict[str, CalibrationRecord]:
     """Return the calibration of each sensor by its serial number, without its provenance.
 
@@ -64,6 +65,8 @@ def tilt_calibrations(
         Of a ramp, the continuous record of each sensor.
     unseen : mapping of str to sequence of str
         By serial number, the channels that were tipped and did not follow.
+    reopened : collection of str
+        Sensors whose bus failed and was opened again, by serial number.
 
     Raises
     ------
@@ -82,6 +85,7 @@ def tilt_calibrations(
                 sensor.model.thermometer_rounding if own_thermometers else None,
                 base.calibration if (base := plan.bases.get(sensor.serial)) else None,
                 records.get(sensor.serial),
+                sensor.serial in reopened,
             )
             for sensor in sensors
         ],

@@ -56,7 +56,12 @@ def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
     """
     _require_reaction(sensor, found)
     _require_apart(found.coefficients)
-    return (*_remarks(found.coefficients), *_remarks_on_unit(found.coefficients, sensor.sensor.unit))
+    return remarks_on_wiring(found.coefficients, sensor.sensor.unit)
+
+
+def remarks_on_wiring(coefficients: Coefficients, unit: str) -> tuple[str, ...]:
+    """Return remarks on channels that are exchanged or turned, and on readings of another unit."""
+    return (*_remarks(coefficients), *_remarks_on_unit(coefficients, unit))
 
 
 _COPIES = "two copies of one channel? Look at the wiring, and at --columns"

@@ -68,6 +68,7 @@ def _fit(
     sources = {fit.uncertainty_from for fit in fits if fit.uncertainty_from}
     left = [note for fit in fits for note in fit.notes if note != NO_FREEDOM or not found.dof]
     judged = all(fit.chi_square is not None or not fit.degrees_of_freedom for fit in fits)
+    assumed = {name for statement in found.statements if statement.label == ASSUMED for name in statement.names}
     chi_square = found.chi_square + sum(fit.chi_square or 0.0 for fit in fits)
     return FitRecord(
         residuals={renamed[n, name]: row for n, fit in enumerate(fits) for name, row in fit.residuals.items()},
@@ -77,6 +78,8 @@ def _fit(
         thermometer_celsius=max((fit.thermometer_celsius or 0.0 for fit in fits), default=0.0) or None,
         budget=_budget(sessions, found),
         notes=tuple(dict.fromkeys([f"combined of {' and '.join(map(_told, sessions))}", *remarks, *left])),
+        priors={name: u for fit in fits for name, u in fit.priors.items() if name in assumed},
+        not_covered=tuple(dict.fromkeys(error for fit in fits for error in fit.not_covered)),
         mounting=next((fit.mounting for fit in fits if fit.mounting), None),
         level=next((fit.level for fit in fits if fit.level), None),
     )

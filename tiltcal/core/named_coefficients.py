@@ -13,6 +13,9 @@ from tiltcal.core.model import Array, Coefficients, polynomial, vector_of, with_
 from tiltcal.core.uncertainty_budget import Budget, propagated
 from tiltcal.frozen import frozen
 
+ROUNDED = 1e-3
+"""The share of an uncertainty that remains of a difference although both errors are one: files round their numbers."""
+
 
 @frozen
 class KnownCoefficient:
@@ -175,6 +178,7 @@ def changes(
     after: Coefficients,
     known_before: Mapping[str, KnownCoefficient],
     known_after: Mapping[str, KnownCoefficient],
+    common: Mapping[str, float] | None = None,
 ) -> list[CoefficientChange]:
     """Return the change of each coefficient that both have, at the later one's reference temperature.
 
@@ -182,21 +186,31 @@ def changes(
     ----------
     known_before, known_after : mapping of str to KnownCoefficient
         By dotted name, at the later one's reference temperature; a name that is missing is not known.
+    common : mapping of str to float
+        Covariance of the errors of both, by dotted name; a name that is missing has none.
     """
     before = referred(before, None if after.thermal is None else after.thermal.reference)
-    old, new = values(before), values(after)
+    old, new, common = values(before), values(after), common or {}
     return [
-        CoefficientChange(name, old[name], new[name], *difference_of(known_before.get(name), known_after.get(name)))
+        CoefficientChange(
+            name,
+            old[name],
+            new[name],
+            *difference_of(known_before.get(name), known_after.get(name), common.get(name, 0.0)),
+        )
         for name in new
         if name in old
     ]
 
 
-def difference_of(before: KnownCoefficient | None, after: KnownCoefficient | None) -> tuple[float | None, float]:
+def difference_of(
+    before: KnownCoefficient | None, after: KnownCoefficient | None, common: float = 0.0
+) -> tuple[float | None, float]:
     """Return the standard uncertainty of a difference and its degrees of freedom (GUM, eq. G.2b)."""
     if before is None or after is None:
         return None, inf
     total = before.u**2 + after.u**2
+    total = max(total - 2.0 * common, ROUNDED**2 * total)
     parts = [(np.array([value.u**2]), value.dof) for value in (before, after)]
     return sqrt(total), float(welch_satterthwaite(np.array([total]), parts)[0])
 

@@ -173,6 +173,17 @@ class FitRecord:
         default={},
     )
     notes: tuple[str, ...] = entry(ListOf(Text()), "what limits the numbers", default=())
+    priors: Mapping[str, float] = entry(
+        ByCoefficient(FROM_ZERO),
+        "per coefficient that the procedure does not determine, its standard uncertainty by the data sheet; its value "
+        "before the session is 0, and its error is common to all calibrations of the sensor",
+        default={},
+    )
+    not_covered: tuple[str, ...] = entry(
+        ListOf(Text()),
+        "errors of the bench that no position shows and that are not in the uncertainty, such as `lean` of the table",
+        default=(),
+    )
     cross_validation: CrossValidation | None = entry(
         Section(CrossValidation), "after a sweep: how the order of the drift was chosen", default=None
     )

@@ -80,7 +80,7 @@ def prepare_library(
         for remark in history.remarks:
             say(f"note: {remark}")
         for calibration in history.calibrations[:-1]:
-            for objection in objections(calibration.record.fit):
+            for objection in objections(calibration.record):
                 say(f"note: {calibration.name}: {objection}")
         stability = library.stability(history.sensor.serial, options.stability) if options.uncertainty else None
         _say_stability(history, stability, say)

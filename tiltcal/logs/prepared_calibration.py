@@ -195,7 +195,7 @@ def prepare(
         calibration = _mounted(calibration, options.mounting, say)
     coefficients, sensor = calibration.coefficients, calibration.sensor
     stated["serial"] = sensor.serial
-    for objection in objections(calibration.fit):
+    for objection in objections(calibration.record):
         say(f"note: the calibration of {sensor.serial}: {objection}")
     remarks, readings = remarks or RowRemarks(), None
     if averaging is not None:

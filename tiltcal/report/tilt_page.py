@@ -69,7 +69,7 @@ def tilt_page(
         shaded=tuple(SOURCES),
         derived=derived_groups(calibration),
         positions=position_table(calibration),
-        verdict=list(verdict(calibration.fit, calibration.sensor.unit)),
+        verdict=list(verdict(calibration)),
         remarks=remarks(calibration),
         correlations=correlations(calibration),
         covered=covered(calibration),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
-from support import FIXTURES
+from support import FIXTURES, WITHOUT_PRIORS
 
 import tiltcal
 from tiltcal.calibration.calibration import Calibration
@@ -21,7 +21,7 @@ from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.logs.apply import apply_frame
 
-LEVEL = read_calibration(FIXTURES / "zero-45.yaml")
+LEVEL = read_calibration(WITHOUT_PRIORS)
 START = datetime(2026, 1, 1, tzinfo=UTC)
 SCALE = 819.0
 

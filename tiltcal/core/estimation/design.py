@@ -92,6 +92,8 @@ class Design:
         0 for a straight line, 1 for a square, 2 for a square and a cube.
     priors : mapping of str to Prior
         By the coefficient's dotted name.
+    nominal : float
+        Sensitivity of the model, unit/g; 0 where it is not known.
     """
 
     channels: tuple[str, ...]
@@ -105,6 +107,12 @@ class Design:
     thermometer: float | None = 0.0
     nonlinearity: int = 0
     priors: Mapping[str, Prior] = field(default_factory=dict)
+    nominal: float = 0.0
+
+    @property
+    def assumes_sensitivity(self) -> bool:
+        """Whether the sensitivities are known before, and not determined."""
+        return any(f"sensitivity.{channel}.{channel}" in self.priors for channel in self.channels)
 
     @property
     def thermal(self) -> bool:

@@ -24,10 +24,15 @@ from tiltcal.core.estimation.covariance import estimated_jig_budgets, stated_bud
 from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.elimination import LinearSolution, linearised
 from tiltcal.core.estimation.equation_assembly import system_of
-from tiltcal.core.estimation.gauss_newton import minimise
-from tiltcal.core.estimation.identifiability import require_determined
 from tiltcal.core.estimation.joint_equations import System
 from tiltcal.core.estimation.second_order import second_order_bias
+from tiltcal.core.estimation.set_positions import (
+    LIKE_THE_REST,
+    errors_as_set,
+    require_positions,
+    start_as_set,
+    wrong_position,
+)
 from tiltcal.core.estimation.unstated_variances import (
     find_jig,
     find_noise,
@@ -50,10 +55,9 @@ SUSPICION = 0.01
 """Probability, over all positions together, of suspecting one of a jig that is as stated."""
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
-LEAN_NOT_SHOWN = (
-    "all positions have one heading, where a lean of the table goes into the offsets unseen: state it (--table-lean), "
-    "or measure a position again with the fixture turned by 180°"
-)
+LEAN = "lean"
+"""In ``not_covered``: all positions have one heading, where a lean of the table goes into the offsets."""
+
 JIG_NOT_SHOWN = (
     "the jig is not stated, and no position shows the angle in which the sensor was held: it is not in the uncertainty"
 )
@@ -108,6 +112,8 @@ class Estimate(DeterminedCoefficients):
         Degrees of freedom of that.
     notes : tuple of str
         What limits the numbers, in words.
+    not_covered : tuple of str
+        Errors of the bench that no position shows and that are not in the uncertainty.
     """
 
     positions: tuple[str, ...]
@@ -122,6 +128,7 @@ class Estimate(DeterminedCoefficients):
     estimated_noise: float | None = None
     noise_dof: float | None = None
     notes: tuple[str, ...] = ()
+    not_covered: tuple[str, ...] = ()
 
     def suspects(self) -> list[AttitudeError]:
         """Return the positions that were further off than the stated jig allows, the worst first."""
@@ -156,15 +163,17 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     require_sound(sensors)
     design = sensors[0].design
     system = system_of(sensors)
-    found = _unstated(sensors, system) if design.jig is None else _stated(sensors, system)
+    found = _unstated(sensors, system) if design.jig is None else _stated(sensors, system, design.jig)
     if design.table is not None or system.lean_rotations is not None:
         return found
-    return tuple(replace(estimate, notes=(*estimate.notes, LEAN_NOT_SHOWN)) for estimate in found)
+    return tuple(replace(estimate, not_covered=(LEAN,)) for estimate in found)
 
 
-def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
-    """Estimate with all errors of the bench as unknowns, whose uncertainty is stated."""
-    z = minimum_from(system, _start(system))
+def _stated(sensors: Sequence[SensorObservations], system: System, jig: float) -> tuple[Estimate, ...]:
+    """Estimate with all errors of the bench as unknowns, whose uncertainty is stated; the jig in degrees."""
+    z = start_as_set(system)
+    require_positions(sensors, system, z, jig)
+    z = minimum_from(system, z)
     near = linearised(system, z)
     dof = system.degrees_of_freedom(near.unobservable_leans)
     chi_square = near.equations.cost if dof else None
@@ -196,7 +205,8 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
 
 def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """Estimate the jig from the residuals, and solve the equations with it as if it were stated."""
-    z = minimum_from(system, _start(system.unweighted()))
+    start = start_as_set(system.unweighted())
+    z = minimum_from(system, start)
     near = with_attitudes(system, z)
     dof = system.degrees_of_freedom(near.unobservable_leans)
     if dof <= 0:
@@ -204,9 +214,11 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
     table = _known_table(near)
     components = variance_components(residuals_near(replace(system, table=table), z, dof))
     if components.angle > LARGEST_JIG:
+        errors = errors_as_set(sensors, system, start)
         raise EstimateError(
-            "the residuals are larger than any error of the set angles explains: are the positions named right, and "
-            "the readings plausible?"
+            f"{wrong_position(sensors, errors, LIKE_THE_REST * max(errors.values()))}: the residuals are larger than "
+            "any error of the set angles explains; see that the positions are named right, and that the readings are "
+            "plausible"
         )
     if system.noise_unknown:
         known, z, noise = find_noise(system, z, dof, table, None)
@@ -277,20 +289,6 @@ class _Found:
     estimated_thermometer: float | None = None
     noise_dof: float | None = None
     notes: tuple[str, ...] = ()
-
-
-def _start(system: System) -> Array:
-    """Return the coefficients with the attitudes as set: the result for a perfect jig, the start for any other."""
-    set_right = system.as_if_perfect()
-    free = set_right.holding(set_right.assumed)
-    z = set_right.start()
-    # Gain and nonlinearity have no effect before a sensitivity is known: they join in the second round.
-    insensitive = free.assumed.copy()
-    for block in free.at(z).blocks:
-        insensitive[block.unknowns] = ~np.any(block.jacobian[:, : block.readings], axis=1)
-    z = minimise(free.holding(insensitive), z)
-    require_determined(set_right, z)
-    return minimise(free, z) if insensitive.any() else z
 
 
 def _attitudes(
