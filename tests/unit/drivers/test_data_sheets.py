@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import reduce
+from math import radians
 from operator import xor
 from pathlib import Path
 from typing import Any
@@ -88,17 +89,18 @@ def test_the_bytes_of_a_data_sheet_are_its_readings(sheet: dict[str, Any], row: 
 def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any], facts: dict[str, Any]) -> None:
     model = at(sheet, facts.get("at", ""))
     for name, expected in facts.items():
-        if name == "at":
-            continue
-        value = getattr(model, name)
-        if isinstance(value, bool | str):
-            assert str(value).lower() == expected.lower(), name
-        elif name == "channels":
-            assert list(value) == expected
-        elif isinstance(value, tuple):
-            assert value == pytest.approx(tuple(map(float, expected)), rel=2e-5), name
-        else:
-            assert value == pytest.approx(float(expected), rel=2e-3 if name.endswith("spread") else 2e-5), name
+        if name in ("gain", "drift"):
+            unit = 0.01 if name == "gain" else model.sensitivity * radians(1.0)
+            assert getattr(model.population, name) == pytest.approx([unit * float(k) for k in expected]), name
+        elif name != "at":
+            value = getattr(model, name)
+            if name == "channels":
+                assert list(value) == expected
+            elif isinstance(value, bool | str):
+                assert expected in (str(value), str(value).lower()), name
+            else:
+                figure = tuple(map(float, expected)) if isinstance(expected, list) else float(expected)
+                assert value == pytest.approx(figure, rel=2e-3 if name.endswith("spread") else 2e-5), name
 
 
 @pytest.mark.parametrize(

@@ -119,34 +119,27 @@ def test_a_file_of_another_writer_with_scopes_and_picoseconds(tmp_path: Path) ->
         opened(path, "out", "y.out")
 
 
-def test_a_capture_that_is_written_anew_is_read_from_its_start(hand_written: Path) -> None:
-    link = opened(hand_written)
-    link.exchange(b"", 4096)
-    link.exchange(b"", 0)
-    with pytest.raises(BusError, match="at its end"):
-        link.exchange(b"", 4096)
-
-    replacement = hand_written.with_suffix(".new")
-    replacement.write_text(HAND_WRITTEN.replace("#100 1!", "#200 1!"))
-    os.replace(replacement, hand_written)
-    link.exchange(b"", 0)
-    *_, last = unpack_edges(link.exchange(b"", 4096))
-    assert last == Edge(2_000_000, 0, True, 5)
-    link.close()
+def recorded(log: EventLog, capture: Path) -> RecordedLink:
+    return RecordedLink(log, lambda: opened(capture), "e", 0)
 
 
-def test_a_capture_at_its_end_does_not_start_again(hand_written: Path) -> None:
-    link = RecordedLink(EventLog(VirtualClock()), lambda: opened(hand_written), "e", 0)
-    with closing(link):
-        assert len(list(unpack_edges(link.exchange(b"", 4096)))) == 5
+def numbers(records: bytes) -> list[int]:
+    return [edge.number for edge in unpack_edges(records)]
+
+
+def test_a_capture_at_its_end_starts_again_once_it_is_written_anew(hand_written: Path) -> None:
+    with closing(recorded(EventLog(VirtualClock()), hand_written)) as link:
+        assert numbers(link.exchange(b"", 4096)) == [1, 2, 3, 4, 5]
         for _ in range(2):
             with pytest.raises(BusError, match="at its end"):
                 link.exchange(b"", 4096)
             link.exchange(b"", 0)
-        hand_written.write_text(HAND_WRITTEN.replace("#100 1!", "#2000 1!"))
+        replacement = hand_written.with_suffix(".new")
+        replacement.write_text(HAND_WRITTEN.replace("#100 1!", "#200 1!"))
+        os.replace(replacement, hand_written)
         link.exchange(b"", 0)
         *_, last = unpack_edges(link.exchange(b"", 4096))
-        assert last == Edge(20_000_000, 0, True, 5)
+        assert last == Edge(2_000_000, 0, True, 5)
 
 
 @pytest.mark.parametrize("again", [HAND_WRITTEN, HAND_WRITTEN + "#150 0!\n"], ids=["the same", "a longer one"])
@@ -155,35 +148,26 @@ def test_a_session_that_is_resumed_goes_on_behind_the_edges_that_it_has(
 ) -> None:
     journal = tmp_path / "j.jsonl"
     writer = JournalWriter.create(journal, {})
-    taken = two_records(EventLog(VirtualClock(), None, writer), hand_written)
-    writer.close()
-    assert [edge.number for edge in unpack_edges(taken)] == [1, 2]
-
+    with closing(recorded(EventLog(VirtualClock(), None, writer), hand_written)) as link, closing(writer):
+        taken = link.exchange(b"", 28)
+    assert numbers(taken) == [1, 2]
     hand_written.write_text(again)
     captured = read_journal(journal)
     writer = JournalWriter.resume(captured)
-    log = EventLog(VirtualClock(), captured, writer)
-    link = RecordedLink(log, lambda: opened(hand_written), "e", 0)
-    with closing(link), closing(writer):
+    with closing(recorded(EventLog(VirtualClock(), captured, writer), hand_written)) as link, closing(writer):
         assert link.exchange(b"", 28) == taken
-        assert [edge.number for edge in unpack_edges(link.exchange(b"", 28))] == [3, 4]
+        assert numbers(link.exchange(b"", 28)) == [3, 4]
         # A link that is opened anew after an error goes on as well.
         link.close()
-        assert next(unpack_edges(link.exchange(b"", 14))).number == 5
+        assert numbers(link.exchange(b"", 14)) == [5]
 
 
 def test_another_capture_under_the_same_name_is_read_from_its_start(hand_written: Path) -> None:
-    link = RecordedLink(EventLog(VirtualClock()), lambda: opened(hand_written), "e", 0)
-    with closing(link):
+    with closing(recorded(EventLog(VirtualClock()), hand_written)) as link:
         for text in (HAND_WRITTEN, HAND_WRITTEN.replace("#50", "#49"), HAND_WRITTEN[: HAND_WRITTEN.index("#50")]):
             hand_written.write_text(text)
-            assert next(unpack_edges(link.exchange(b"", 28))).number == 1
+            assert numbers(link.exchange(b"", 28))[0] == 1
             link.close()
-
-
-def two_records(log: EventLog, capture: Path) -> bytes:
-    with closing(RecordedLink(log, lambda: opened(capture), "e", 0)) as link:
-        return link.exchange(b"", 28)
 
 
 @pytest.mark.parametrize(
@@ -203,33 +187,25 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, why: str) -> No
         opened(path)
 
 
-@pytest.mark.parametrize(("time", "why"), [("&&&", "damaged"), ("#99999999999999999", "is its time scale right")])
-def test_damage_in_the_middle_is_an_error(hand_written: Path, time: str, why: str) -> None:
-    hand_written.write_text(HAND_WRITTEN.replace("#60", time))
-    with closing(opened(hand_written)) as link, pytest.raises(BusError, match=why):
-        link.exchange(b"", 4096)
-
-
-def test_a_pipe_is_no_capture(tmp_path: Path) -> None:
-    path = tmp_path / "capture.vcd"
-    os.mkfifo(path)
-    writer = os.open(path, os.O_RDWR)
+def test_damage_a_pipe_and_wrong_options_are_named(
+    hand_written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for time, why in (("&&&", "damaged"), ("#99999999999999999", "is its time scale right")):
+        hand_written.write_text(HAND_WRITTEN.replace("#60", time))
+        with closing(opened(hand_written)) as link, pytest.raises(BusError, match=why):
+            link.exchange(b"", 4096)
+    os.mkfifo(tmp_path / "pipe.vcd")
+    writer = os.open(tmp_path / "pipe.vcd", os.O_RDWR)
     try:
         os.write(writer, HAND_WRITTEN.encode())
         with pytest.raises(BusError, match="no file that can be read from its start"):
-            opened(path)
+            opened(tmp_path / "pipe.vcd")
     finally:
         os.close(writer)
-
-
-def test_no_such_file_and_wrong_options(tmp_path: Path) -> None:
     with pytest.raises(BusError, match=r"gone\.vcd cannot be read \(No such file"):
         opened(tmp_path / "gone.vcd")
     with pytest.raises(UsageError, match="both signal 'D0'"):
         opened(tmp_path / "gone.vcd", "D0", "D0")
-
-
-def test_without_pyvcd_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, hand_written: Path) -> None:
     monkeypatch.setitem(sys.modules, "vcd.reader", None)
     with pytest.raises(HardwareError, match=r"pip install 'tiltcal\[vcd\]'"):
         opened(hand_written)

@@ -1,0 +1,172 @@
+"""The virtual stage of four accelerometers against its source, and the virtual jig and chamber."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import cos, hypot, radians, sin
+from pathlib import Path
+from statistics import fmean, stdev
+
+import numpy as np
+import pytest
+import scipy
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from support import accelerometer_disk as disk
+
+from tiltcal.bench.virtual_bench import truth_of
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import VirtualClock
+from tiltcal.drivers.twin.fixture import Fixture, _rotated
+from tiltcal.drivers.twin.gradiometer import Accelerometer, Disk, Gradiometer
+from tiltcal.errors import InputError, UsageError
+from tiltcal.files.twin import read_twin
+
+QUIET = Disk(noise=0.0)
+MODEL = find_model("gradiometer")
+
+TWIN = """\
+tiltcal: 1
+kind: twin
+model: gradiometer
+seed: 5
+truth:
+  disk:
+    inclination: 30
+    spin: 0.25
+    rate: 20
+    gradient: {differential: 2e-6, cross: 1e-6}
+    accelerometers:
+      a1: {scale: 3.0, misalignment: 1.5, offset: 0.5}
+      a2: {scale: 3.1}
+      a3: {scale: 3.2, phase_error: 0.2}
+      a4: {scale: 3.3, drift: 1e-5, second_order: 0.1}
+  faults:
+    - {kind: stuck, start: 2, end: 3}
+"""
+
+
+def taken(made: Disk, count: int, seed: int = 0) -> disk.Record:
+    samples = list(Gradiometer(made, seed).samples(count))
+    return disk.Record(*(np.array([getattr(one, name) for one in samples]) for name in ("time", "theta", "readings")))
+
+
+def test_eq_4_by_hand() -> None:
+    part = Accelerometer(3.0, misalignment=0.02, offset=0.5, drift=0.001)
+    made = replace(QUIET, accelerometers=(part,) * 4, inclination=radians(30.0))
+    sample = Gradiometer(made).sample(70)  # 1.4 s at 50 Hz: 63° at 0.125 Hz
+    assert sample.theta == pytest.approx(63.0)
+    along, across = 1.5 * sin(radians(63)), 1.5 * cos(radians(63))
+    radial, tangential = along + 0.02 * across, across - 0.02 * along
+    felt = [radial, -radial, tangential, -tangential]
+    assert sample.readings == pytest.approx([0.5 + 0.0014 + one for one in felt])
+
+
+def test_gradient_and_second_order_turn_up_twice_a_turn_with_the_signs_of_eq_1() -> None:
+    made = taken(replace(QUIET, inclination=0.0, gradient=(2e-6, 5e-7), accelerometers=(Accelerometer(1.0),) * 4), 4000)
+    for index, sign in enumerate((1, 1, -1, -1)):
+        assert disk.judged(made, made.readings[:, index], harmonic=2) == pytest.approx((sign * 1e-6, sign * 5e-7))
+    parts = (Accelerometer(1.0, second_order=0.1),) * 4
+    made = taken(replace(QUIET, inclination=radians(30.0), accelerometers=parts), 4000)
+    # 0.1 (0.5 sin)² = 0.0125 (1 - cos 2θ)
+    assert disk.judged(made, made.readings[:, 0], harmonic=2) == pytest.approx((0.0, -0.0125), abs=1e-12)
+
+
+def test_noise_has_the_density_and_the_corner_that_are_asked_for_wherever_the_stream_begins() -> None:
+    made = Disk(accelerometers=(Accelerometer(1.0),) * 4, inclination=0.0, noise=1.5e-7, corner=0.2, rate=16.0)
+    signal = taken(made, 30_000, seed=5).readings[:, 0]
+    frequency, density = scipy.signal.welch(signal, 16.0, nperseg=4096)
+    for low, high in ((0.02, 0.05), (0.05, 0.2), (0.2, 1.0), (2.0, 7.0)):
+        band = (frequency > low) & (frequency < high)
+        expected = 1.5e-7**2 * (1 + 0.2 / frequency[band])
+        assert float(density[band].mean() / expected.mean()) == pytest.approx(1.0, abs=0.3)
+    noisy = Disk(corner=0.1, wander=0.02, encoder_noise=0.05)
+    whole = list(Gradiometer(noisy, 7).samples(300))
+    assert list(Gradiometer(noisy, 7).samples(50, start=250)) == whole[250:]
+    assert whole != list(Gradiometer(noisy, 8).samples(300))
+
+
+def test_a_line_is_the_next_sample_of_the_disk_in_the_columns_of_the_address(tmp_path: Path) -> None:
+    (tmp_path / "disk.yaml").write_text(TWIN)
+    written = f"sim:twin={tmp_path / 'disk.yaml'}"
+    for options in ("", "&columns=a4,-,theta,time&separator=semicolon"):
+        where, clock = parse_address(written + options), VirtualClock()
+        model = MODEL.at(where)
+        assert model.channels == (("a4", "theta") if options else ("theta", "a1", "a2", "a3", "a4"))
+        sensor = model.driver(model.twin(truth_of(where, model), None, clock), clock)
+        sensor.read()
+        for number in range(2, 6):
+            sample = Gradiometer(truth_of(where, model).disk, 5).sample(number)
+            x = (sample.readings[3], sample.theta) if options else (sample.theta, *sample.readings)
+            assert sensor.read().values == pytest.approx(x, rel=1e-8)
+            assert clock.now_ns() / 1e9 == pytest.approx(number / 20, abs=0.01)
+    first, again, other = (truth_of(parse_address(f"sim:?seed={seed}"), MODEL) for seed in (3, 3, 4))
+    assert first == again != other
+
+
+def test_a_twin_file_says_what_the_disk_is_and_what_is_wrong_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "disk.yaml"
+    path.write_text(TWIN)
+    named, truth = read_twin(path)
+    made = truth.disk
+    assert (named, made.spin, made.rate, made.gradient) == ("gradiometer", 0.25, 20.0, (2e-6, 1e-6))
+    assert [part.scale for part in made.accelerometers] == [3.0, 3.1, 3.2, 3.3]
+    assert (made.inclination, made.accelerometers[0].misalignment) == pytest.approx((0.5235988, 0.02617994))
+    for old, new, line, key, about in (
+        ("rate: 20", "rate: 500", 9, "truth.disk.rate", "do not fit on the virtual line"),
+        ("rate: 20", "rate: 0", 9, "truth.disk.rate", "at least 0.001"),
+        ("spin: 0.25", "spins: 0.25", 8, "truth.disk.spins", "did you mean 'spin'"),
+        ("a2: {scale: 3.1}", "a2: {}", 13, "truth.disk.accelerometers.a2", "'scale' is missing"),
+        ("      a2: {scale: 3.1}\n", "", 11, "truth.disk.accelerometers", "'a2' is missing"),
+    ):
+        path.write_text(TWIN.replace(old, new, 1))
+        with pytest.raises(InputError) as caught:
+            read_twin(path)
+        assert (caught.value.line, caught.value.key) == (line, key)
+        assert about in caught.value.message
+    path.write_text("tiltcal: 1\nkind: twin\ntruth: {offset: {x: 0}, sensitivity: {x: {x: 1}}}\n")
+    with pytest.raises(UsageError, match="has no theta and no a1"):
+        truth_of(parse_address(f"sim:twin={path}"), MODEL)
+    path.write_text(TWIN.replace("model: gradiometer\n", ""))
+    with pytest.raises(UsageError, match="has no x and no y, which a sca100t-d02 reads"):
+        truth_of(parse_address(f"sim:twin={path}"), find_model("sca100t-d02"))
+
+
+@pytest.mark.parametrize(("pace", "constant"), [(2.0, 0.0), (0.0, 200.0), (0.0, 90.0)])
+def test_what_follows_the_chamber_obeys_its_differential_equation(pace: float, constant: float) -> None:
+    clock = VirtualClock()
+    fixture = Fixture(clock, ambient=20.0, time_constant=constant)
+    assert fixture.temperature(60.0) == fixture.temperature() == 20.0
+    seconds, chamber, element = np.arange(0.0, 2000.0, 20.0), [], []
+    for now in seconds:
+        clock.seek(round(now * 1e9))
+        if now in (100.0, 1200.0):
+            fixture.move((0.0, 0.0, 1.0), {100.0: 40.0, 1200.0: 10.0}[now], pace)
+        chamber.append(fixture.temperature())
+        element.append(fixture.temperature(90.0))
+
+    def slope(t: float, e: float) -> float:
+        return (np.interp(t, seconds, chamber) - e) / 90.0
+
+    solved = solve_ivp(slope, (0.0, 1980.0), [20.0], t_eval=seconds, max_step=5.0, rtol=1e-8).y[0]
+    assert element == pytest.approx(solved, abs=0.05)
+    assert chamber[20] == pytest.approx(30.0 if pace else 40.0 - 20.0 * np.exp(-300.0 / constant))
+
+
+def test_a_jig_misses_each_position_by_its_angle_and_keeps_it_while_it_is_held() -> None:
+    fixture = Fixture(VirtualClock(), seed=4, jig=0.5)
+    misses = []
+    for _ in range(2000):
+        fixture.move((0.0, 1.0, 0.0))
+        fixture.move((0.0, 0.0, 1.0))
+        misses.append(fixture.gravity[0])
+    assert stdev(misses) == pytest.approx(sin(radians(0.5)), rel=0.08)
+    assert abs(fmean(misses)) < 5 * sin(radians(0.5)) / 2000**0.5
+    assert hypot(*fixture.gravity) == pytest.approx(1.0, abs=1e-12)
+    before = fixture.gravity
+    fixture.move((0.0, 0.0, 1.0), temperature=5.5)
+    assert fixture.gravity == before
+    # As scipy has it, whose lower-case letters are rotations about axes that stay.
+    angles, up = [0.3, -0.2, 0.7], (0.48, -0.6, 0.64)
+    assert _rotated(up, angles) == pytest.approx(Rotation.from_euler("xyz", angles).apply(up))
