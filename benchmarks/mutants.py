@@ -91,7 +91,11 @@ OTHERS = (
     ("sentences.py", "0.0 < t2x >= t1x", "0.0 < t2x"),
     ("adxl202.py", "if number == before:", "if False:"),
     ("pulses.py", "if centres < rises", "if centres > rises"),
-    ("pulses.py", "                self.lost += gap\n                self._clear()", "                self.lost += gap"),
+    (
+        "pulses.py",
+        "                self.lost += gap\n                self._clear()",
+        "                self.lost += gap",
+    ),
     ("pulses.py", "if abs(next_y.rise - y.rise - about) > MOST_APART * about:", "if False:"),
     ("dfrobot.py", "reduce(xor, payload, 0) ^ 0xFF", "reduce(xor, payload, 0)"),
     ("dfrobot.py", "if word < sca100t.LOWEST_SANE_WORD:", "if False:"),
@@ -103,7 +107,7 @@ OTHERS = (
     ("bus/address.py", "if high is not None and value > high:", "if False:"),
     ("bus/edges.py", 'Struct("<', 'Struct(">'),
     ("bus/spi.py", "mode not in", "False and mode not in"),
-    ("modbus.py", "if answer[:2] != head or len(answer) != len(head) + 2 * number:", "if len(answer) != 2 + 2 * number:"),
+    ("modbus.py", "if answer[:2] != head or len(answer)", "if len(answer)"),
     ("modbus.py", "BUSY_REQUESTS, BUSY_SECONDS = 20", "BUSY_REQUESTS, BUSY_SECONDS = 1"),
     ("modbus.py", "self._clock.sleep(BUSY_SECONDS)", "pass"),
 )
@@ -126,13 +130,13 @@ def is_found(folder: str, tests: tuple[str, ...]) -> bool:
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True).returncode == 1
 
 
-def survivors(root: Path, mutants: tuple[tuple[str, str, str], ...], tests: tuple[str, ...]) -> list[str]:
-    """Return the mutants that no test finds."""
+def survivors(root: Path, mutants: tuple[tuple[str, str, str], ...], tests: tuple[str, ...]) -> int:
+    """Return the number of mutants that no test finds, and print them."""
     with tempfile.TemporaryDirectory() as folder:
         tree(root, folder)
         if is_found(folder, tests):
             raise SystemExit("a test fails on the code as it is")
-        missed = []
+        missed = 0
         for name, old, new in mutants:
             path = Path(folder, "drivers", name)
             text = path.read_text(encoding="utf-8")
@@ -140,7 +144,8 @@ def survivors(root: Path, mutants: tuple[tuple[str, str, str], ...], tests: tupl
                 raise SystemExit(f"{name} has no {old!r}")
             path.write_text(text.replace(old, new, 1), encoding="utf-8")
             if not is_found(folder, tests):
-                missed.append(f"{name}: {old!r} -> {new!r}")
+                print(f"not found: {name}: {old!r} -> {new!r}", flush=True)
+                missed += 1
             path.write_text(text, encoding="utf-8")
     return missed
 
@@ -150,10 +155,8 @@ def main() -> int:
     everything = "--all" in sys.argv
     mutants, tests = (NINE + OTHERS, TESTS) if everything else (NINE, CONTRACT)
     missed = survivors(ROOT, mutants, tests)
-    for mutant in missed:
-        print(f"not found: {mutant}")
-    print(f"{len(mutants) - len(missed)} of {len(mutants)} mutants found")
-    return len(missed)
+    print(f"{len(mutants) - missed} of {len(mutants)} mutants found")
+    return missed
 
 
 if __name__ == "__main__":

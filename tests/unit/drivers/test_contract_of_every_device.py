@@ -7,34 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.util import module_from_spec, spec_from_file_location
 from math import hypot
 from random import Random
 from statistics import stdev
 from typing import Any
 
 import pytest
-from support import ROOT
+from support.example_device.tiltcal_pendulum import PENDULUM
 
 from tiltcal.drivers import models
 from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.bus.link import Recalling
-from tiltcal.drivers.device import Model, Reading, Sensor
+from tiltcal.drivers.device import Reading, Sensor
 from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.drivers.twin.truth import Fault
 from tiltcal.errors import DeviceFault, HardwareError, UsageError
 
-
-def third_party() -> Model:
-    spec = spec_from_file_location("pendulum", ROOT / "tests" / "support" / "example_device" / "tiltcal_pendulum.py")
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.PENDULUM
-
-
-DEVICES = {model.name: model for model in (*models(), third_party())}
+DEVICES = {model.name: model for model in (*models(), PENDULUM)}
 
 OPTIONS = {
     "adxl202": ["wiring=edges"],
@@ -44,12 +35,15 @@ OPTIONS = {
         "columns=x@0:int16*0.001,y@8:int32*0.0001,temperature@0x20:float64&order=cdab&table=input&measured_in=g",
         "columns=x@0:float64,y@9:int32*1e-6,temperature@4:int16*0.1&order=dcba",
     ],
-    "sca100t-d02-analog": ["adc=mcp3208", "vdd=5.0", "x=3&y=0&supply=1&rate=860"],
+    "sca100t-d02-analog": [
+        *("vdd=4.9", "x=3&y=0&supply=1&rate=860", "adc=mcp3208", "adc=mcp3208&vref=5.2&vdd=4.9"),
+        "adc=mcp3208&vref=5.2&supply=7",
+    ],
     "sca3000-i2c": ["counts_per_g=500&thermometer=yes&pointer=command"],
     "sca3300-d01": ["range=6", "range=1.5g-10hz"],
     "scl3300": ["range=low-noise", "range=2.4g"],
     "serial-columns": ["columns=-,x,y,z,temperature&separator=semicolon&unit=V&offset=2.5&sensitivity=2"],
-    "thermistor": ["a=1.129e-3&b=2.341e-4&c=8.775e-8&to=supply", "adc=mcp3208"],
+    "thermistor": ["a=1.129e-3&b=2.341e-4&c=8.775e-8&to=supply", "adc=mcp3208", "vdd=4.9"],
 }
 
 TILTED = (0.2, -0.25, 0.8975**0.5)
@@ -58,6 +52,7 @@ TILTED = (0.2, -0.25, 0.8975**0.5)
 NAMES_THE_REQUEST = ("scl3300", "sca3300-d01", "modbus-columns")
 """Their answers say which request they belong to, or of what length it was."""
 HAS_A_CHECKSUM = ("scl3300", "sca3300-d01", "dfrobot-sca100t", "adxl202", "adxl202e", "adxl210")
+TELLS_A_RESET = ("scl3300", "sca3300-d01", "adxl355", "iis2iclx")
 HAS_A_SHAPE = (*HAS_A_CHECKSUM, "serial-columns", "gradiometer", "modbus-columns", "pendulum")
 
 
@@ -79,7 +74,7 @@ class Line:
 
 
 class Bench:
-    """A virtual part that is held level at 24 °C, one second after the session began, and its driver."""
+    """A virtual part with a supply of 4.9 V, level at 24 °C, one second after the session began, and its driver."""
 
     def __init__(self, device: str, **truth: Any) -> None:
         self.device = device
@@ -88,7 +83,7 @@ class Bench:
         self.channels = self.model.channels if self.model.senses_tilt else ()
         self.clock = VirtualClock()
         self.clock.seek(1_000_000_000)
-        self.truth = replace(self.model.default_truth(3), **truth)
+        self.truth = replace(self.model.default_truth(3), supply=4.9, **truth)
         self.fixture = Fixture(self.clock, ambient=24.0)
         self.line = Line(self.part(), self.clock)
         self.sensor: Sensor = self.model.driver(self.line, self.clock)
@@ -363,6 +358,9 @@ def test_a_part_that_was_reset_is_set_up_again(device: str) -> None:
     for _ in range(3):
         bench.line.link = bench.part()
         bench.clock.sleep(1.0)
+        if named(TELLS_A_RESET)(bench):
+            with pytest.raises(DeviceFault, match="was reset or its supply failed since it was set up"):
+                bench.sensor.read()
         for _ in range(3):
             bench.agrees(bench.after_errors())
 

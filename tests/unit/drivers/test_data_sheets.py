@@ -51,13 +51,13 @@ def filled(lines: list[str], row: dict[str, Any], given: dict[str, str]) -> list
 def test_the_bytes_of_a_data_sheet_are_its_readings(sheet: dict[str, Any], row: Any) -> None:
     model, clock, given = at(sheet), VirtualClock(), sheet.get("given", {})
     readings = row if isinstance(row, list) else [row]
-    lines = [line for one in readings for line in filled(sheet["exchange"], one, given)]
+    lines = [line for one in readings for line in filled(one.get("exchange", sheet["exchange"]), one, given)]
     link: Any
     if "lines" in sheet or "pieces" in sheet:
         link = ArrivingPieces(*(line.encode() if "lines" in sheet else bytes.fromhex(line) for line in lines))
     else:
         bus = sheet["address"].partition(":")[0].rpartition("+")[2]
-        link = Script(LETTERS[bus], clock, *sheet.get("setup", ()), *lines)
+        link = Script(LETTERS[bus], clock, *readings[0].get("setup", sheet.get("setup", ())), *lines)
     sensor = model.driver(link, clock)
     for expected in readings:
         if "error" in expected:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import reduce
-from itertools import pairwise
 from operator import xor
 
 import pytest
@@ -118,18 +117,6 @@ def test_a_device_that_says_something_else_is_named(sensor: Sensor, why: str) ->
 def test_any_bytes_end_in_readings_between_the_rails_or_a_bus_error(pieces: list[bytes]) -> None:
     assert all(0.0 <= duty <= 1.0 for values in read_all(sentences(*pieces)) for duty in values)
     assert all(abs(value) < float("inf") for values in read_all(printing("x,y", *pieces)) for value in values)
-
-
-@given(st.lists(st.integers(min_value=1, max_value=40), min_size=1, max_size=30), st.integers(0, 90_000))
-def test_lines_arrive_whole_however_they_are_cut(cuts: list[int], start: int) -> None:
-    said = b"".join(sentence(start + number, 400 + number) for number in range(5))
-    numbers = b"".join(b"%d.5,-%d\r\n" % (start, number) for number in range(5))
-    places = [0]
-    while places[-1] < len(said):
-        places.append(places[-1] + cuts[len(places) % len(cuts)])
-    pieces, parts = ([text[a:b] for a, b in pairwise(places) if text[a:b]] for text in (said, numbers))
-    assert read_all(sentences(*pieces)) == [pytest.approx((0.400 + n / 1000, 0.5)) for n in range(5)]
-    assert read_all(printing("x,y", *parts)) == [(start + 0.5, -float(n)) for n in range(5)]
 
 
 def test_a_line_that_is_not_the_numbers_is_counted_and_never_a_reading() -> None:

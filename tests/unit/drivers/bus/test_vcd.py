@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 import subprocess
@@ -100,25 +99,6 @@ def test_a_file_of_sigrok_gives_the_duty_cycle_that_was_generated(tmp_path: Path
     assert said["period"] == f"{4000 / rate * 1e3:g} ms"
 
 
-def test_a_file_of_another_writer_with_scopes_and_picoseconds(tmp_path: Path) -> None:
-    from vcd import VCDWriter
-
-    text = io.StringIO()
-    with VCDWriter(text, timescale="100 ps", date="today") as writer:
-        x, y = (writer.register_var(scope, "out", "wire", size=1, init=0) for scope in ("board.x", "board.y"))
-        for period in range(4):
-            # Centred pulses of 1 ms: 0.6 and 0.2.
-            for part, variable, value in ((2, x, 1), (4, y, 1), (6, y, 0), (8, x, 0)):
-                writer.change(variable, period * 10_000_000 + part * 1_000_000, value)
-    path = tmp_path / "two.vcd"
-    path.write_text(text.getvalue())
-
-    with sensor(path, "x.out", "y.out") as driver:
-        assert driver.read().values == pytest.approx((0.6, 0.2))
-    with pytest.raises(BusError, match=r"'out' is in several scopes: name one of board\.x\.out, board\.y\.out"):
-        opened(path, "out", "y.out")
-
-
 def recorded(log: EventLog, capture: Path) -> RecordedLink:
     return RecordedLink(log, lambda: opened(capture), "e", 0)
 
@@ -162,20 +142,18 @@ def test_a_session_that_is_resumed_goes_on_behind_the_edges_that_it_has(
         assert numbers(link.exchange(b"", 14)) == [5]
 
 
-def test_another_capture_under_the_same_name_is_read_from_its_start(hand_written: Path) -> None:
-    with closing(recorded(EventLog(VirtualClock()), hand_written)) as link:
-        for text in (HAND_WRITTEN, HAND_WRITTEN.replace("#50", "#49"), HAND_WRITTEN[: HAND_WRITTEN.index("#50")]):
-            hand_written.write_text(text)
-            assert numbers(link.exchange(b"", 28))[0] == 1
-            link.close()
-
-
 @pytest.mark.parametrize(
     ("text", "why"),
     [
         ("time,x,y\n1,2,3\n", "not a value change dump"),
         ("$timescale 1 ns $end $scope module m $end", "header does not end"),
         (HAND_WRITTEN.replace("D1", "CLK"), r"no signal is called 'D1' \(it has D0, CLK\)"),
+        (
+            HAND_WRITTEN.replace(
+                "module top $end", "module top $end $var wire 1 % D1 $end $upscope $end $scope module a $end"
+            ),
+            r"'D1' is in several scopes: name one of top\.D1, a\.D1",
+        ),
         ("", "not a value change dump"),
         (HAND_WRITTEN.replace("10 us", "0 ms"), "its time scale is 0"),
     ],
