@@ -20,7 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 CONTRACT = ("tests/unit/drivers/test_contract_of_every_device.py", "tests/unit/drivers/test_data_sheets.py")
-TESTS = ("tests/unit/drivers", "tests/unit/test_drivers.py")
+TESTS = (*CONTRACT, "tests/unit/drivers", "tests/unit/test_drivers.py")
 
 NINE = (
     ("sca100t.py", "frame[1] << 3 | frame[2] >> 5", "frame[1] << 2 | frame[2] >> 5"),

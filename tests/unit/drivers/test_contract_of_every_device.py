@@ -221,13 +221,11 @@ def test_a_memory_fault_is_no_reading(device: str) -> None:
 
 @every()
 def test_a_stuck_reading_does_not_follow_the_jig(device: str) -> None:
-    bench = Bench(device, faults=(Fault("stuck", 10.0, 90.0),))
-    bench.clock.seek(20_000_000_000)
-    readings = []
+    bench, came = Bench(device, faults=(Fault("stuck", 0.0, 90.0),)), set()
     for gravity in (TILTED, (0.0, 0.0, -1.0)):
         bench.fixture.move(gravity)
-        readings.append(bench.fresh().values)
-    assert readings[0] == readings[1]
+        came.add(bench.fresh().values)
+    assert len(came) == 1
 
 
 # A pulse ends before the next one begins, and a printed number has no rails.

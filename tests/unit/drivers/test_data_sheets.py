@@ -15,6 +15,7 @@ from support.scripted_link import Script
 
 from tiltcal import errors
 from tiltcal.drivers import find_model
+from tiltcal.drivers.ads1115 import RATES, Ads1115, config_word
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
@@ -110,3 +111,19 @@ def test_an_address_that_cannot_be_is_refused_with_the_reason(sheet: dict[str, A
     with pytest.raises(errors.UsageError) as refusal:
         open_link(parse_address(f"{sheet['address'].partition('?')[0]}?{options}"), at(sheet, options))
     assert sheet["refused"][options] in str(refusal.value)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_it_waits_for_a_converter_that_is_10_percent_slow(rate: int) -> None:
+    word, clock = f"{config_word(0, 6.144, rate):04X}", VirtualClock()
+    script = Script("i", clock, f"01 {word} /", f"01 / {word}", "00 / 00 00")
+    Ads1115(script, clock, 6.144, rate).volts(0)
+    assert script.times[1] - script.times[0] >= 1.1 / rate - 1e-9
+
+
+def test_an_adxl202_draws_the_noise_of_its_data_sheet() -> None:
+    """500 µg/√Hz over 1.57 * 10 Hz are the fact sheet's 1.98 mg, of 0.625 V/g; 2 mg/°C at most."""
+    for seed in range(20):
+        truth = find_model("adxl202-analog").default_truth(seed)
+        assert truth.noise["x"] == pytest.approx(1.98e-3 * 0.625, rel=2e-3)
+        assert abs(truth.drift["x"][0]) <= 1.25e-3

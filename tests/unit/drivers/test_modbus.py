@@ -187,22 +187,3 @@ def test_an_answer_of_another_function_or_length_is_none() -> None:
         unit(place, "unit=1&timeout=0.1&columns=x@0") as sensor,
     ):
         assert sensor.read().values == (333.0,)
-
-
-@pytest.mark.parametrize(
-    ("place", "error", "why"),
-    [
-        ("tcp://host:99999", UsageError, "'99999' is no port number"),
-        ("tcp://host:²", UsageError, "'²' is no port number"),
-        ("tcp://host:" + "9" * 5000, UsageError, "'99999999999999999999' is no port number"),
-        ("tcp://:502", UsageError, "names no host"),
-        ("tcp://a..b:1", BusError, "no Modbus server answers at tcp://"),
-        (f"tcp://{'a' * 64}:1", BusError, "no Modbus server answers at tcp://"),
-        ("/dev/ttyNONE", BusError, "/dev/ttyNONE does not exist"),
-    ],
-)
-def test_a_place_that_is_not_there_is_named(place: str, error: type[Exception], why: str) -> None:
-    with pytest.raises(error, match=why), unit(place, "columns=x@0&timeout=0.1"):
-        pass
-    with pytest.raises(UsageError, match="unknown option 'baudrate'"), unit("tcp://host", "columns=x@0&baudrate=9600"):
-        pass

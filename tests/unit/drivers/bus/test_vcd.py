@@ -81,9 +81,8 @@ def test_changes_are_edges_at_their_times_and_first_values_are_not(hand_written:
 
 
 @pytest.mark.skipif(shutil.which("sigrok-cli") is None, reason="sigrok-cli is not installed")
-@pytest.mark.parametrize("rate", [1_000_000, 8_000_000])
-def test_a_file_of_sigrok_gives_the_duty_cycle_that_was_generated(tmp_path: Path, rate: int) -> None:
-    samples, capture = tmp_path / "pwm.bin", tmp_path / "capture.vcd"
+def test_a_file_of_sigrok_gives_the_duty_cycle_that_was_generated(tmp_path: Path) -> None:
+    rate, samples, capture = 8_000_000, tmp_path / "pwm.bin", tmp_path / "capture.vcd"
     samples.write_bytes(pwm(20, 4000, 2250, 1500))
     source = ["-i", samples, "-I", f"binary:numchannels=2:samplerate={rate}"]
     with capture.open("wb") as output:
