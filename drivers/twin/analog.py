@@ -78,9 +78,7 @@ class SensorWiring(Wiring):
         In V referred to a supply of 5 V.
     """
 
-    def __init__(
-        self, parity_signal: bool, wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock
-    ) -> None:
+    def __init__(self, parity_signal: bool, wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         super().__init__(truth, clock, wired.supply)
         self._parity_signal = parity_signal
         self._fixture = fixture
