@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-CONTRACT = ("tests/unit/drivers/test_contract_of_every_device.py", "tests/unit/drivers/test_data_sheets.py")
+CONTRACT = ("tests/contract",)
 TESTS = (*CONTRACT, "tests/unit/drivers", "tests/unit/test_drivers.py")
 
 NINE = (

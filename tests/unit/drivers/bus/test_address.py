@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from urllib.parse import quote
 
 import pytest
 from hypothesis import given
@@ -96,17 +95,6 @@ def test_a_wrong_integer_is_refused(option: str, why: str) -> None:
 def test_a_wrong_number_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="is not a finite number"):
         parse_address(f"vcd:f.vcd?vref={text}").number("vref")
-
-
-names = st.text(st.characters(codec="ascii", categories=["L", "N"]), min_size=1)
-values = st.text(st.characters(exclude_categories=["C", "Z"]), min_size=1)
-
-
-@given(path=values, options=st.dictionaries(names, values))
-def test_what_is_quoted_comes_back(path: str, options: dict[str, str]) -> None:
-    query = "&".join(f"{name}={quote(value, safe='')}" for name, value in options.items())
-    address = parse_address(f"vcd:{quote(path, safe='')}" + (f"?{query}" if query else ""))
-    assert (address.path, address.options) == (path, options)
 
 
 @given(st.sampled_from(["", "spi:", "sim:", "serial:", "i2c://"]), st.text() | st.text("/?&=%+:ab\x00\t1", max_size=20))

@@ -1,0 +1,121 @@
+"""The SCA100T family: the self-test, what the probe says, and the tolerances of virtual parts."""
+
+from __future__ import annotations
+
+from math import hypot, radians, sin
+from statistics import fmean, stdev
+
+import pytest
+from support.scripted_link import Script
+
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.clock import VirtualClock
+from tiltcal.drivers.device import Model
+from tiltcal.drivers.sca100t import Sca100t
+from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.drivers.twin.truth import Truth
+from tiltcal.errors import BusError, DeviceFault, UsageError
+
+D01, D02, PAIR, SINGLE = map(find_model, ("sca100t-d01", "sca100t-d02", "sca103t-d05", "sca61t-fahh1g"))
+
+
+def driver(*frames: str) -> tuple[Sca100t, Script]:
+    clock = VirtualClock()
+    script = Script("s", clock, *frames)
+    return Sca100t(script, clock), script
+
+
+def self_test_frames(before: int, deflected: int, after: int) -> tuple[str, ...]:
+    words = [f"10 00 00 / 3d {(word << 5).to_bytes(2, 'big').hex()}" for word in (before, deflected, after)]
+    return words[0], "0E / xx", words[1], "00 / xx", words[2]
+
+
+@pytest.mark.parametrize(
+    ("before", "deflected", "after", "passed"),
+    [
+        (1024, 2047, 1024, (True, True)),
+        # 95 % of the supply is word 1944.65; 5 % of 1024 is 51.2.
+        (1024, 1945, 1075, (True, True)),
+        (1024, 1944, 1024, (False, True)),
+        (1024, 2047, 1076, (True, False)),
+        (1024, 2047, 972, (True, False)),
+    ],
+)
+def test_self_test_limits(before: int, deflected: int, after: int, passed: tuple[bool, bool]) -> None:
+    sensor, script = driver(*self_test_frames(before, deflected, after))
+    result = sensor.self_test("x")
+    assert (result.before, result.deflected, result.after) == (before, deflected, after)
+    assert (result.deflection_passed, result.recovery_passed, result.passed) == (*passed, all(passed))
+    script.close()
+    _, start, push, end, settled = script.rests
+    assert start >= 15e-6
+    assert 20e-3 <= push + end <= 100e-3, "length of the pulse"
+    assert push >= 25e-3, "typical saturation time"
+    assert settled >= 55e-3, "typical time until stable"
+
+
+def test_a_self_test_of_one_axis_sends_its_command_alone_and_always_ends_the_push() -> None:
+    sensor, script = driver("11 00 00 / xx 80 00", "0F / xx", "11 00 00 / xx FF E0", "00 / xx", "11 00 00 / xx 80 00")
+    assert sensor.self_test("y").passed
+    script.close()
+    sensor, script = driver("10 00 00 / xx 80 00", "0E / xx", "10 00 00 / unplugged", "00 / xx")
+    with pytest.raises(BusError, match="unplugged"):
+        sensor.self_test("x")
+    script.close()
+    sensor, script = driver("10 00 00 / xx 40 00")
+    with pytest.raises(UsageError, match=r"x reads 512 count.*lay the sensor level"):
+        sensor.self_test("x")
+    with pytest.raises(UsageError, match="channels x and y, not 'z'"):
+        sensor.self_test("z")
+    script.close()
+
+
+def test_probe_tells_what_the_part_said_and_doubts_what_no_part_says() -> None:
+    sensor, script = driver("00 / xx", "10 00 00 / xx 80 40", "11 00 00 / xx 81 20", "08 00 / xx A4")
+    assert sensor.probe() == {"x": "1026 count", "y": "1033 count", "temperature": "30.5 °C (not trimmed)"}
+    script.close()
+    sensor, _ = driver("00 / xx", "10 00 00 / xx 80 00", "11 00 00 / xx 80 00", "08 00 / xx 00")
+    with pytest.raises(DeviceFault, match=r"reports 182 °C.*is another device on this chip select"):
+        sensor.probe()
+    clock = VirtualClock()
+    script = Script("s", clock, "00 / xx", "10 00 00 / xx 87 20", "11 00 00 / xx 78 E0", "08 00 / xx AA")
+    said = PAIR.driver(script, clock).probe()
+    assert (said["x"], said["elements"][:32]) == ("114 count", "1081 and 967 count, together 204")
+
+
+def test_virtual_parts_test_themselves() -> None:
+    """The data sheet: to at least 95 % of the supply, or by 1 g from below; MEAS ends it."""
+    assert not hasattr(SINGLE.driver(None, VirtualClock()), "self_test"), "its limits are not known"
+    for model in (D01, D02, PAIR):
+        for seed in range(5):
+            clock = VirtualClock()
+            sensor = model.driver(model.twin(model.default_truth(seed), Fixture(clock), clock), clock)
+            for channel in model.channels:
+                assert sensor.self_test(channel).passed
+    clock = VirtualClock()
+    truth = Truth(("x", "y"), {"x": 1024.0, "y": 1030.0}, {"x": {"x": 819.0}, "y": {"y": 819.0}})
+    fixture = Fixture(clock)
+    twin = D02.twin(truth, fixture, clock)
+    twin.exchange(b"\x0e")
+    clock.sleep(1.0)
+    assert D02.driver(twin, clock).read().values[0] >= 0.95 * 2047
+    assert D02.driver(twin, clock).probe()["x"] == "1024 count", "a self-test that was left running is ended"
+
+
+@pytest.mark.parametrize(("model", "bend_limit", "range_g"), [(D01, 0.11, 0.5), (D02, 0.57, 1.0)], ids=["±30°", "±90°"])
+def test_drawn_parts_bend_and_drift_as_the_population_does(model: Model, bend_limit: float, range_g: float) -> None:
+    parts = [model.default_truth(seed) for seed in range(300)]
+    for part in parts[:100]:
+        row = part.sensitivity["x"]
+        assert hypot(row["y"], row["z"]) <= 0.04 * row["x"]
+        quadratic, cubic = part.nonlinearity["x"]
+        assert abs(quadratic) * range_g**2 + abs(cubic) * range_g**3 <= sin(radians(bend_limit))
+    for t in (-25.0, 85.0):
+        # Mean offset of the population, degrees: the data sheet's curve.
+        hot, cold = (-0.0000006 * c**3 + 0.0001 * c**2 - 0.0039 * c + 0.0522 for c in (t, 25.0))
+        drifts = [(part.reading("x", (0, 0, 0), t) - part.offset["x"]) / model.sensitivity for part in parts]
+        # The slopes are even within ±0.008 °/°C, so the mean of 300 is known to 0.0046 / 17 °/°C.
+        assert fmean(drifts) == pytest.approx(radians(hot - cold), abs=radians(0.0014 * abs(t - 25.0)))
+        assert max(abs(one - radians(hot - cold)) for one in drifts) <= radians(0.86)
+    spread = stdev(part.offset["x"] for part in parts) / model.sensitivity
+    assert spread == pytest.approx(model.offset_spread, rel=0.1)
