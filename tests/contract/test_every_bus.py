@@ -195,7 +195,6 @@ def test_every_byte_of_a_serial_line_passes_and_what_queued_up_can_be_dropped(pt
         assert link.exchange(b"", 0) == b""
         with pytest.raises(BusError, match=r"silent for 0\.1 s.*powered.*baud rate"):
             link.exchange(b"", 1)
-        # An error of the line is no error of the link: the device may begin to talk.
         os.write(master, b"new")
         assert received(link, 3) == b"new"
         assert link.letter == "r" == link_letter(parse_address(COM), find_model("adxl202"))
@@ -214,7 +213,6 @@ def test_an_unplugged_serial_adapter_is_told() -> None:
     for count in (1, 0):
         with pytest.raises(BusError, match=r"is gone: plug it in again, then resume"):
             link.exchange(b"", count)
-    link.close()
     link.close()
 
 

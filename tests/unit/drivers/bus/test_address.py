@@ -51,7 +51,6 @@ def test_an_address_of_the_specification_is_understood(
         ("spi://dev/spidev0.0", "'dev' after '//' names a host (did you mean 'spi:///dev/spidev0.0'?)"),
         ("spi:///dev/spidev0.0?mode", "option 'mode' is not of the form name=value"),
         ("spi:///dev/spidev0.0?mode=0&mode=0", "option 'mode' is given twice"),
-        ("sim:truth.yaml", "option 'truth.yaml' is not of the form name=value"),
         ("sim:///dev/spidev0.0?seed=1", "a simulated sensor has no place"),
         ("spi:///dev/spi\ndev0.0", "it contains a control character"),
         ("serial:///dev/ttyUSB0?columns=x%0A", "it contains a control character"),
@@ -76,7 +75,6 @@ def test_numbers_and_text() -> None:
     [
         ("speed=fast", "option speed=fast is not a whole number"),
         ("speed=5e5", "option speed=5e5 is not a whole number"),
-        ("speed=1_000", "option speed=1_000 is not a whole number"),
         ("speed=٣", "option speed=٣ is not a whole number"),
         ("speed=" + "9" * 5000, "is not a whole number"),
         ("speed=", "option 'speed' is empty"),

@@ -103,6 +103,5 @@ def test_a_jig_misses_each_position_by_its_angle_and_keeps_it_while_it_is_held()
     before = fixture.gravity
     fixture.move((0.0, 0.0, 1.0), temperature=5.5)
     assert fixture.gravity == before
-    # As scipy has it, whose lower-case letters are rotations about axes that stay.
     angles, up = [0.3, -0.2, 0.7], (0.48, -0.6, 0.64)
     assert _rotated(up, angles) == pytest.approx(Rotation.from_euler("xyz", angles).apply(up))
