@@ -183,7 +183,7 @@ def _model(part: AnalogPart, address: Address) -> Model:
         interval=part.interval,
         thermometer=False,
         driver=partial(AnalogSensor, part, wired),
-        twin=from_twin("analog", "analog_twin", wired),
+        twin=from_twin("analog", "analog_twin", part.parity_signal, wired),
         not_modelled=(
             *part.not_modelled,
             "response time: a new position and a new temperature take effect at once, without ringing",
@@ -227,6 +227,7 @@ def _adxl202(digital: Model) -> Model:
             "the pulses: their ripple after the RC filter, and the load of the filter",
             "offsets, cross-axis sensitivity and drift of a part are our estimates: no source states them",
             "nonlinearity",
+            "the memory fault (parity) of other parts: this part has no such memory",
         ),
     )
     return _model(part, parse_address("sim:"))
