@@ -147,7 +147,7 @@ def plain_numpy(log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         "tilt_x": np.degrees(np.arcsin(g_x.clip(-1.0, 1.0))),
         "tilt_y": np.degrees(np.arcsin(g_y.clip(-1.0, 1.0))),
         "flag": np.where(clipped | outside, 3, 1).astype(np.uint8),
-        "reason": (clipped + 2 * outside).astype(np.uint8),
+        "reason": (clipped + 2 * outside).astype(np.uint16),
     }
 
 

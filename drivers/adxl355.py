@@ -30,7 +30,7 @@ from functools import partial
 from math import log2
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.device import Model, Reading, SpiPort, deviation_within, from_twin
+from tiltcal.drivers.device import Model, Reading, SpiPort, deviation_within, from_twin, typical_nonlinearity
 from tiltcal.drivers.polled import PolledSensor, Settings
 from tiltcal.drivers.registers import RegisterPort, check_data_line, choose_range, slowest_clock
 from tiltcal.errors import DeviceFault
@@ -67,6 +67,8 @@ COUNTS_PER_G = {1: 256_000.0, 2: 128_000.0, 3: 64_000.0}
 
 OFFSET_LIMIT, SENSITIVITY_LIMIT = 0.075, 0.08
 """Largest error of either sign as delivered, g and relative."""
+NONLINEARITY = 0.001
+"""Typical, relative to the range."""
 DENSITY = 25e-6
 """Noise, g/√Hz."""
 
@@ -93,6 +95,11 @@ class Adxl355Settings:
     def counts_per_g(self) -> float:
         """Nominal sensitivity, count/g."""
         return COUNTS_PER_G[self.range]
+
+    @property
+    def extent(self) -> float:
+        """Largest acceleration, g."""
+        return float(2**self.range)
 
     @property
     def rate(self) -> float:
@@ -190,6 +197,7 @@ def _model(settings: Adxl355Settings) -> Model:
         sensitivity=settings.counts_per_g,
         offset_spread=deviation_within(OFFSET_LIMIT),
         sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
+        nonlinearity=typical_nonlinearity(NONLINEARITY * settings.extent, settings.extent),
         rails=(-524288.0, 524287.0),
         resolution=1.0,
         # A read waits for the next sample.

@@ -176,12 +176,14 @@ def _model(part: AnalogPart, address: Address) -> Model:
         sensitivity=part.sensitivity,
         offset_spread=part.digital.offset_spread,
         sensitivity_spread=part.digital.sensitivity_spread,
+        cross_axis_limit=part.digital.cross_axis_limit,
+        nonlinearity=part.digital.nonlinearity,
         rails=(LOWEST_SANE, HIGHEST_SANE),
         resolution=front_end.step * NOMINAL / wired.supply.volts,
         interval=part.interval,
         thermometer=False,
         driver=partial(AnalogSensor, part, wired),
-        twin=from_twin("analog", "analog_twin", wired),
+        twin=from_twin("analog", "analog_twin", part.parity_signal, wired),
         not_modelled=(
             *part.not_modelled,
             "response time: a new position and a new temperature take effect at once, without ringing",
@@ -225,6 +227,7 @@ def _adxl202(digital: Model) -> Model:
             "the pulses: their ripple after the RC filter, and the load of the filter",
             "offsets, cross-axis sensitivity and drift of a part are our estimates: no source states them",
             "nonlinearity",
+            "the memory fault (parity) of other parts: this part has no such memory",
         ),
     )
     return _model(part, parse_address("sim:"))

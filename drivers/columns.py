@@ -9,7 +9,8 @@ The address names the numbers::
 that is skipped; ``time``, the clock of the device, is skipped too. Any other name of letters and digits is a reading
 that is not a tilt, such as the accelerometers a1 to a4 of a rotary stage and its angle ``theta``. ``sensitivity``
 (unit/g) and ``offset`` (unit at 0 g) are the nominal values; with them, tiltcal detects a wrong position and a
-movement. The units g and m/s2 imply them. Without them the device is calibrated without these checks.
+movement. The units g, mg and m/s2 imply them. With a sensitivity alone, positions are compared with each other; without
+one the device is calibrated without these checks, and the session says so.
 """
 
 from __future__ import annotations
@@ -47,8 +48,10 @@ SEPARATORS = {
 }
 """By name, because some of the characters have a meaning in an address."""
 
-ONE_G = {"g": 1.0, "m/s2": 9.80665}
-"""Nominal sensitivity of the units that imply it, unit/g."""
+ACCELERATION = ("m/s2", "m/s^2", "m/s²")
+
+OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
+"""What 1 g is in the units that imply a nominal sensitivity."""
 
 UNSTATED = "unit"
 """Unit if the address states none."""
@@ -241,7 +244,7 @@ def with_numbers(
             "model gradiometer"
         )
     unit = address.text(unit_option, "g" if address.simulated else UNSTATED)
-    default = ONE_G.get(unit)
+    default = OF_G.get(unit)
     scaled = default is not None or "sensitivity" in address.options
     sensitivity = address.number("sensitivity", default or UNKNOWN)
     if sensitivity == 0.0:

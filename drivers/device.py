@@ -151,6 +151,10 @@ class Model:
         Standard deviation of the offset between parts, in g.
     sensitivity_spread : float
         Standard deviation of the sensitivity between parts, relative.
+    cross_axis_limit : float
+        Largest root sum square of the two cross-axis sensitivities, relative; 0 where no source states it.
+    nonlinearity : tuple of float
+        Typical square and cube of the response to a g, pure numbers; empty where no source states them.
     rails : tuple of float
         Rails: a reading at or beyond one of these is not a measurement, in unit.
     resolution : float
@@ -208,6 +212,8 @@ class Model:
     population: Population | None = None
     scaled: bool = True
     configure: Callable[[Address], Model] | None = None
+    cross_axis_limit: float = 0.0
+    nonlinearity: tuple[float, ...] = ()
 
     @property
     def thermometer_rounding(self) -> float:
@@ -233,6 +239,11 @@ class Model:
 def deviation_within(limit: float) -> float:
     """Return the standard deviation of errors of either sign within a limit: a rectangular distribution (GUM 4.3.7)."""
     return limit / sqrt(3.0)
+
+
+def typical_nonlinearity(error: float, extent: float) -> tuple[float, float]:
+    """Return the square and the cube that each err by so much, g, at the ends of a range of ±extent, g."""
+    return error / extent**2, error / extent**3
 
 
 class SelfTestResult(Protocol):

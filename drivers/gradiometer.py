@@ -64,7 +64,7 @@ GRADIOMETER = replace(
         "the stage's bearing, vibration and angular acceleration",
         "output and pendulous axes: only the misalignment in the plane of the disk couples",
         "bandwidth and delay of the accelerometers, and of the encoder behind them",
-        "temperature",
+        "temperature, and the memory fault (parity) of other parts",
         "loss and damage on the line",
     ),
     default_truth=from_twin("gradiometer", "draw_truth"),

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.device import Model, Reading, SpiPort, deviation_within, from_twin
+from tiltcal.drivers.device import Model, Reading, SpiPort, deviation_within, from_twin, typical_nonlinearity
 from tiltcal.drivers.polled import PolledSensor, Settings
 from tiltcal.drivers.registers import RegisterPort, check_data_line, choose_range, slowest_clock
 from tiltcal.errors import DeviceFault
@@ -56,6 +56,8 @@ RANGES = {"0.5g": 0, "1g": 2, "2g": 3, "3g": 1}
 MILLI_G = {0: 0.015, 2: 0.031, 3: 0.061, 1: 0.122}
 """One count, mg."""
 
+NONLINEARITY = 0.001
+"""Typical, relative to the range."""
 OFFSET_LIMIT, SENSITIVITY_LIMIT = 0.008, 0.02
 DENSITY = 15e-6
 """Noise, g/√Hz."""
@@ -81,6 +83,11 @@ class Iis2iclxSettings:
         """Nominal sensitivity, count/g."""
         return 1000.0 / MILLI_G[self.range]
 
+    @property
+    def extent(self) -> float:
+        """Largest acceleration, g."""
+        return next(float(word.removesuffix("g")) for word, code in RANGES.items() if code == self.range)
+
 
 class Iis2iclx(PolledSensor):
     """The driver of an IIS2ICLX, on either bus."""
@@ -94,10 +101,9 @@ class Iis2iclx(PolledSensor):
 
     def _identity(self) -> Mapping[str, str]:
         chosen = self._chosen
-        extent = next(word for word, code in RANGES.items() if code == chosen.range)
         return {
             "identity": f"0x{IDENTITY:02X} (of other ST parts as well: is it an IIS2ICLX?)",
-            "range": f"±{extent.removesuffix('g')} g, {chosen.counts_per_g:.1f} count/g, {chosen.rate:g} samples/s",
+            "range": f"±{chosen.extent:g} g, {chosen.counts_per_g:.1f} count/g, {chosen.rate:g} samples/s",
         }
 
     def _set_up(self) -> None:
@@ -151,6 +157,7 @@ def _model(settings: Iis2iclxSettings) -> Model:
         sensitivity=settings.counts_per_g,
         offset_spread=deviation_within(OFFSET_LIMIT),
         sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
+        nonlinearity=typical_nonlinearity(NONLINEARITY * settings.extent, settings.extent),
         rails=(-32768.0, 32767.0),
         resolution=1.0,
         # A read waits for the next sample.

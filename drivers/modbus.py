@@ -59,6 +59,11 @@ LONGEST = 125
 RATE = 10.0
 """Samples per second if the address states no rate."""
 
+BUSY = (5, 6)
+"""Exception codes of a unit that carries out something else first: the request is to be sent again."""
+BUSY_REQUESTS, BUSY_SECONDS = 20, 0.25
+"""How often a busy unit is asked, and the time from its answer to the next request, s."""
+
 EXCEPTIONS = {
     1: "it does not have this function: try table=input, or table=holding",
     2: "it has no such register: check the register numbers, which count from 0",
@@ -165,6 +170,7 @@ class ModbusColumns:
     def __init__(self, layout: RegisterLayout, link: Link, clock: Clock) -> None:
         self._layout = layout
         self._link = link
+        self._clock = clock
 
     def probe(self) -> Mapping[str, str]:
         """Read every number once, and return them by their names; the errors are those of :meth:`read`."""
@@ -176,7 +182,7 @@ class ModbusColumns:
         Raises
         ------
         BusError
-            No answer, or one of another length.
+            No answer, or one of another function or length.
         DeviceFault
             The device refuses, or a number is none (a float that is not finite).
         """
@@ -196,13 +202,22 @@ class ModbusColumns:
         """Do nothing: registers hold the latest numbers."""
 
     def _registers(self, request: bytes) -> dict[int, bytes]:
-        _, first, number = struct.unpack(">BHH", request)
+        function, first, number = struct.unpack(">BHH", request)
+        refused, head = bytes([function | FAILED]), bytes([function, 2 * number])
         answer = self._link.exchange(request)
-        if len(answer) == 2 and answer[0] & FAILED:
+        for _ in range(BUSY_REQUESTS - 1):
+            if answer not in [refused + bytes([code]) for code in BUSY]:
+                break
+            self._clock.sleep(BUSY_SECONDS)
+            answer = self._link.exchange(request)
+        if len(answer) == 2 and answer[:1] == refused:
             why = EXCEPTIONS.get(answer[1], f"exception {answer[1]}")
             raise DeviceFault(f"the device refuses to read {number} registers from {first}: {why}")
-        if len(answer) != 2 + 2 * number:
-            raise BusError(f"{number} registers were answered with {len(answer) - 2} bytes: the gateway is at fault")
+        if answer[:2] != head or len(answer) != len(head) + 2 * number:
+            raise BusError(
+                f"{number} registers from {first} were answered with {answer[:2].hex(' ')} and {len(answer[2:])} bytes "
+                f"of data, not with {head.hex(' ')} and {2 * number}: the gateway is at fault"
+            )
         return {first + place: answer[2 + 2 * place : 4 + 2 * place] for place in range(number)}
 
 

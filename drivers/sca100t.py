@@ -18,7 +18,15 @@ from math import radians, sin
 from typing import TYPE_CHECKING, ClassVar
 
 from tiltcal.drivers.bus.link import require_length
-from tiltcal.drivers.device import Model, Population, Reading, SpiPort, deviation_within, from_twin
+from tiltcal.drivers.device import (
+    Model,
+    Population,
+    Reading,
+    SpiPort,
+    deviation_within,
+    from_twin,
+    typical_nonlinearity,
+)
 from tiltcal.drivers.registers import check_data_line
 from tiltcal.errors import DeviceFault, UsageError
 
@@ -261,6 +269,8 @@ class InclinometerPart:
     ----------
     offset_limit : float
         Largest offset of either sign, degrees.
+    nonlinearity : tuple of float
+        Typical square and cube of the response, pure numbers; the data sheet states cross-axis sensitivity with them.
     zero : float
         Nominal reading at 0 g, count.
     rails : tuple of float
@@ -272,24 +282,9 @@ class InclinometerPart:
     counts_per_g: float
     offset_limit: float
     population: Population
+    nonlinearity: tuple[float, ...] = ()
     zero: float = float(ZERO)
     rails: tuple[float, float] = (float(LOWEST_SANE_WORD - 1), float(FULL_SCALE))
-
-
-@dataclass(frozen=True, slots=True)
-class Sca100tPart(InclinometerPart):
-    """The constants of one SCA100T.
-
-    Attributes
-    ----------
-    range : float
-        Largest acceleration that is specified, g.
-    nonlinearity : float
-        Typical, over the range, degrees.
-    """
-
-    range: float = 1.0
-    nonlinearity: float = 0.0
 
 
 def population(
@@ -349,6 +344,8 @@ def inclinometer_model(
         thermometer=True,
         thermometer_step=1.0 / 1.083,
         population=part.population,
+        cross_axis_limit=CROSS_AXIS_LIMIT if part.nonlinearity else 0.0,
+        nonlinearity=part.nonlinearity,
         driver=driver,
         twin=from_twin(twin_module, twin),
         not_modelled=NOT_MODELLED,
@@ -360,7 +357,7 @@ def inclinometer_model(
 def _sca100t(
     variant: str, extent: str, counts_per_g: float, offset_limit: float, range_g: float, nonlinearity: float
 ) -> Model:
-    part = Sca100tPart(
+    part = InclinometerPart(
         title=f"Murata SCA100T-{variant} inclinometer, {extent}, SPI",
         channels=("x", "y"),
         counts_per_g=counts_per_g,
@@ -372,8 +369,7 @@ def _sca100t(
             (DRIFT_SPREAD, GAIN_SPREAD),
             "SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
         ),
-        range=range_g,
-        nonlinearity=nonlinearity,
+        nonlinearity=typical_nonlinearity(sin(radians(nonlinearity)), range_g),
     )
     return inclinometer_model(f"sca100t-{variant.lower()}", part, Sca100t, "sca100t", "Sca100tTwin")
 

@@ -12,8 +12,10 @@ element.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import radians, sin
 from typing import TYPE_CHECKING, ClassVar
 
+from tiltcal.drivers.device import typical_nonlinearity
 from tiltcal.drivers.sca100t import (
     DRIFT_SPREAD,
     GAIN_SPREAD,
@@ -86,13 +88,15 @@ class Sca103t(Sca100t):
         return word
 
 
-def _sca103t(variant: str, extent: str, counts: float, offset_limit: float) -> Model:
+def _sca103t(variant: str, extent: float, counts: float, limit: float) -> Model:
+    """Return the model of a part for ±extent, whose offset and nonlinearity have one limit, degrees."""
     reach = float(HIGHEST_SANE_WORD - LOWEST_SANE_WORD + 1)
     part = InclinometerPart(
-        title=f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, {extent}, SPI",
+        title=f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, ±{extent:g}°, SPI",
         channels=("x",),
         counts_per_g=counts,
-        offset_limit=offset_limit,
+        offset_limit=limit,
+        nonlinearity=typical_nonlinearity(sin(radians(limit)), sin(radians(extent))),
         # Its offset has no tendency; the slope differs over parts.
         population=population(
             counts,
@@ -125,7 +129,7 @@ def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> Mo
     return inclinometer_model(f"sca61t-{variant.lower()}", part, Sca61t, "sca103t", "Sca61tTwin")
 
 
-SCA103T_D04 = _sca103t("D04", "±15°", 6554.0, 0.057)
-SCA103T_D05 = _sca103t("D05", "±30°", 3277.0, 0.11)
+SCA103T_D04 = _sca103t("D04", 15.0, 6554.0, 0.057)
+SCA103T_D05 = _sca103t("D05", 30.0, 3277.0, 0.11)
 SCA61T_FAHH1G = _sca61t("FAHH1G", "±30°", 1638.0, 0.11)
 SCA61T_FA1H1G = _sca61t("FA1H1G", "±90°", 819.0, 0.23)

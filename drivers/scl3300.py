@@ -19,7 +19,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.link import require_length
-from tiltcal.drivers.device import Model, Reading, SpiPort, deviation_within, from_twin, in_words
+from tiltcal.drivers.device import Model, Reading, SpiPort, deviation_within, from_twin, in_words, typical_nonlinearity
 from tiltcal.drivers.registers import check_data_line, choose_range, in_counts
 from tiltcal.drivers.scl3300_frames import (
     BANK_0,
@@ -107,6 +107,8 @@ class Scl3300Part:
         Largest offset of either sign, g.
     sensitivity_limit : float
         Largest relative error of the sensitivity.
+    nonlinearity : tuple of float
+        Typical square and cube of the response; empty where no source states them.
     """
 
     name: str
@@ -115,6 +117,7 @@ class Scl3300Part:
     words: Mapping[str, int]
     offset_limit: float
     sensitivity_limit: float
+    nonlinearity: tuple[float, ...] = ()
 
 
 class Scl3300:
@@ -388,6 +391,7 @@ _SCA3300 = Scl3300Part(
     words={"3g": 1, "6g": 2, "1.5g": 3, "1.5g-10hz": 4},
     offset_limit=0.020,
     sensitivity_limit=0.007,
+    nonlinearity=typical_nonlinearity(0.001, 1.0),
 )
 
 
@@ -410,6 +414,7 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
         sensitivity=measuring.counts_per_g,
         offset_spread=deviation_within(part.offset_limit),
         sensitivity_spread=deviation_within(part.sensitivity_limit),
+        nonlinearity=part.nonlinearity,
         rails=(-32768.0, 32767.0),
         resolution=1.0,
         # A first-order filter: after half a period of its corner frequency the noise has changed by 96 %.

@@ -255,6 +255,7 @@ def _model(address: Address) -> Model:
         twin=from_twin("analog", "thermistor_twin", wired),
         not_modelled=(
             "lag behind the chamber, self-heating, noise",
+            "the memory fault (parity) of other parts",
             "tolerance of the curve and of the fixed resistor, resistance of the wires",
             "supply: ripple, drift",
             "converter: offset, gain error, nonlinearity, noise, charge taken from the divider",

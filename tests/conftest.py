@@ -6,6 +6,8 @@ import os
 
 # Workers run beside each other, so each one's linear algebra keeps to one thread; it must be said before numpy loads.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# An error that nothing foresees fails a test as Python prints it.
+os.environ.setdefault("TILTCAL_TRACEBACK", "1")
 
 import gc
 import re
@@ -14,7 +16,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
-from multiprocessing.resource_tracker import ensure_running
 
 import pytest
 from hypothesis import settings
@@ -80,12 +81,6 @@ def warm() -> Iterator[WarmStart]:
     """Yield a server that forks processes of the command: what they test needs a process, but no start of Python."""
     with warm_start() as server:
         yield server
-
-
-@pytest.fixture(scope="session")
-def resource_tracker() -> None:
-    """Start what multiprocessing keeps for the whole run."""
-    ensure_running()
 
 
 @pytest.fixture

@@ -23,24 +23,26 @@ def main(args: list[str] | None = None) -> None:
     try:
         _keep_ctrl_c()
         signals = _NotedSignals()
-        _one_blas_thread()
+        _settle_libraries()
         _collect_seldom()
-        from tiltcal.cli.child_process import needs_guard, run_guarded
-
-        code = run_guarded(lambda: _run(args, signals), args) if needs_guard(args) else _run(args, signals)
+        code = _run(args, signals)
     except KeyboardInterrupt:
         code = _interrupted()
     # Without waiting for the engine's threads: one that asks for the interpreter while it shuts down aborts.
     os._exit(code)
 
 
-def _one_blas_thread() -> None:
-    """Let the OpenBLAS of numpy and scipy start no threads, unless the environment states a number.
+def _settle_libraries() -> None:
+    """State in the environment what libraries read there when they are imported, so that none fails on it.
 
-    They wait busily, which is 60 of the 160 ms that the import of numpy takes, and no matrix here is large enough to
-    need them.
+    The threads of OpenBLAS wait busily, which is 60 of the 160 ms that the import of numpy takes, and no matrix here is
+    large enough to need them. Figures are files, whatever window another program of the user draws in. An engine of 0
+    threads, which polars does not start, is one of as many as there are cores.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ["MPLBACKEND"] = "svg"
+    if os.environ.get("POLARS_MAX_THREADS") == "0":
+        del os.environ["POLARS_MAX_THREADS"]
 
 
 def _collect_seldom() -> None:
@@ -97,9 +99,11 @@ def _run(args: list[str], signals: _NotedSignals) -> int:
         code = run(args)
         _deaf()
     except BaseException as failure:
-        if not (_comes_from_ctrl_c(failure) or signals.ctrl_c()):
-            raise
-        return _interrupted()
+        if _comes_from_ctrl_c(failure) or signals.ctrl_c():
+            return _interrupted()
+        from tiltcal.cli.unforeseen import report
+
+        code = report(failure, args)
     return _flushed(code)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 from numbers import Integral, Real
 from os import PathLike
-from typing import Any
+from typing import Any, cast
 
 from tiltcal.errors import UsageError
 
@@ -15,21 +15,26 @@ def of_python(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
+SMALLEST, LARGEST = 1e-9, 1e9
+"""Of a number that is stated and not 0: no quantity of a bench is outside, and its powers are finite and not 0."""
+
+
 def is_number(value: object, least: float = -inf) -> bool:
-    """Return whether a value is a finite number, not below the least one."""
-    return isinstance(value, Real) and least <= float(value) and -inf < float(value) < inf
+    """Return whether a value is a number, not below the least one, that is 0 or between the bounds of a bench."""
+    number = cast(float, value)  # a whole number of 310 digits can be compared, but is no float
+    return isinstance(value, Real) and least <= number and (number == 0 or SMALLEST <= abs(number) <= LARGEST)
 
 
 def require_above_zero(option: str, value: object) -> None:
     """Refuse a value that is no number above 0, with a UsageError; None is not stated."""
     if value is not None and not (is_number(value, 0.0) and value):
-        raise UsageError(f"{option} takes a number above 0, not {shown(value)}")
+        raise UsageError(f"{option} takes a number from {SMALLEST:g} to {LARGEST:g}, not {shown(value)}")
 
 
 def require_from_zero(option: str, value: object) -> None:
     """Refuse a value that is no number from 0, with a UsageError; None is not stated."""
     if value is not None and not is_number(value, 0.0):
-        raise UsageError(f"{option} takes a number from 0, not {shown(value)}")
+        raise UsageError(f"{option} takes 0 or a number from {SMALLEST:g} to {LARGEST:g}, not {shown(value)}")
 
 
 def require_whole(option: str, value: object, least: int, what: str) -> None:
@@ -37,13 +42,16 @@ def require_whole(option: str, value: object, least: int, what: str) -> None:
 
     ``what`` names what it counts, for the message.
     """
-    if value is not None and not (isinstance(value, Integral) and int(value) >= least):
-        raise UsageError(f"{option} takes a number of {what} from {least}, not {shown(value)}")
+    if value is not None and not (isinstance(value, Integral) and least <= int(value) <= LARGEST):
+        raise UsageError(f"{option} takes a number of {what} from {least} to {LARGEST:g}, not {shown(value)}")
 
 
 def shown(value: object) -> str:
     """Return a refused value as it is written on the command line and in a program alike: -1 is -1.0."""
-    return f"{value:.15g}" if isinstance(value, Real) else repr(value)
+    try:
+        return f"{value:.15g}" if isinstance(value, Real) else repr(value)
+    except OverflowError:
+        return "one beyond 1e308"
 
 
 def require_boolean(option: str, value: object) -> None:

@@ -13,6 +13,6 @@ rows = rows.with_columns(
     tilt_x=pl.col("x") / 1.5,
     tilt_y=pl.col("y") / 1.5,
     flag=pl.lit(1, pl.UInt8),
-    reason=pl.lit(0, pl.UInt8),
+    reason=pl.lit(0, pl.UInt16),
 )
 rows.sink_csv(out) if Path(out).suffix == ".csv" else rows.sink_parquet(out)

@@ -18,6 +18,6 @@ rows = rows.with_columns(
     tilt_x=pl.col("g_x").clip(-1.0, 1.0).arcsin().degrees(),
     tilt_y=pl.col("g_y").clip(-1.0, 1.0).arcsin().degrees(),
     flag=pl.when(outside | clipped).then(3).otherwise(1).cast(pl.UInt8),
-    reason=clipped.cast(pl.UInt8) + 2 * outside.cast(pl.UInt8),
+    reason=clipped.cast(pl.UInt16) + 2 * outside.cast(pl.UInt16),
 )
 rows.sink_csv(out) if Path(out).suffix == ".csv" else rows.sink_parquet(out)

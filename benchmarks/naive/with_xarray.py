@@ -17,5 +17,5 @@ for axis in "xy":
 clipped = (np.abs(rows["g_x"]) > 1.0) | (np.abs(rows["g_y"]) > 1.0)
 outside = (rows["temperature"] < 4.0) | (rows["temperature"] > 28.0)
 rows["flag"] = xr.where(clipped | outside, 3, 1).astype(np.uint8)
-rows["reason"] = (clipped + 2 * outside).astype(np.uint8)
+rows["reason"] = (clipped + 2 * outside).astype(np.uint16)
 rows.to_netcdf(out, engine="h5netcdf")

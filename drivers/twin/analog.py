@@ -72,12 +72,15 @@ class SensorWiring(Wiring):
 
     Parameters
     ----------
+    parity_signal : bool
+        Whether both outputs near ground are the fault signal of the part.
     truth : Truth
         In V referred to a supply of 5 V.
     """
 
-    def __init__(self, wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+    def __init__(self, parity_signal: bool, wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         super().__init__(truth, clock, wired.supply)
+        self._parity_signal = parity_signal
         self._fixture = fixture
         self._channels = dict(zip(wired.numbers, truth.channels, strict=True))
 
@@ -86,7 +89,7 @@ class SensorWiring(Wiring):
         channel = self._channels.get(number)
         if channel is None:
             return 0.0
-        if self._truth.fault(now_ns / 1e9).kind == "parity":
+        if self._parity_signal and self._truth.fault(now_ns / 1e9).kind == "parity":
             return 0.05 * uniform(self._truth.seed, f"parity {channel}", now_ns)
         temperature = self._fixture.temperature(self._truth.lag)
         return self._truth.sample(channel, self._fixture.gravity, temperature, now_ns, now_ns) / NOMINAL
@@ -117,9 +120,9 @@ class ThermistorWiring(Wiring):
         return self._wired.divider.share(temperature + self._truth.thermometer_error)
 
 
-def analog_twin(wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+def analog_twin(parity_signal: bool, wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
     """Return a virtual converter with a sensor at its inputs."""
-    return wired.front_end.twin(SensorWiring(wired, truth, fixture, clock), clock)
+    return wired.front_end.twin(SensorWiring(parity_signal, wired, truth, fixture, clock), clock)
 
 
 def thermistor_twin(wired: WiredThermistor, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:

@@ -26,7 +26,7 @@ from tiltcal.drivers.twin.truth import LEVEL, Polynomial, Truth
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.sca100t import InclinometerPart, Sca100tPart
+    from tiltcal.drivers.sca100t import InclinometerPart
     from tiltcal.drivers.twin.fixture import HeldPose, Vector
     from tiltcal.drivers.twin.truth import Fault
 
@@ -195,7 +195,7 @@ class Push:
         return goal + (self.start - goal) * exp(-elapsed * log(20.0) / typical)
 
 
-def draw_truth(part: Sca100tPart, seed: int) -> Truth:
+def draw_truth(part: InclinometerPart, seed: int) -> Truth:
     """Return a plausible part, with errors uniformly distributed within the tolerances of the datasheet.
 
     Returns
@@ -205,13 +205,13 @@ def draw_truth(part: Sca100tPart, seed: int) -> Truth:
     """
     within = part_errors(seed)
     # Each term has half of the tolerance, so that their sum keeps it at the end of the range.
-    half = sin(radians(part.nonlinearity)) / 2.0
+    square, cube = part.nonlinearity
     return replace(
         draw_inclinometer(part, 0.6, seed),
         nonlinearity={
             channel: (
-                within(half, f"quadratic {channel}") / part.range**2,
-                within(half, f"cubic {channel}") / part.range**3,
+                within(square / 2.0, f"quadratic {channel}"),
+                within(cube / 2.0, f"cubic {channel}"),
             )
             for channel in "xy"
         },

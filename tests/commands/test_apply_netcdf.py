@@ -85,7 +85,7 @@ def test_values_and_flags_are_those_of_csv() -> None:
         for name in expected.columns[3:]:
             np.testing.assert_array_equal(found[name].values, expected[name].to_numpy(), err_msg=name)
         assert found["flag"].values.tolist()[2] == 9
-        assert found["flag"].dtype == found["reason"].dtype == np.uint8
+        assert (found["flag"].dtype, found["reason"].dtype) == (np.uint8, np.uint16)
 
 
 def test_what_the_file_held_stays_as_it_lay() -> None:
@@ -113,8 +113,9 @@ def test_what_is_added_says_what_it_is() -> None:
             4: "fail",
             9: "missing",
         }
-        assert reason["flag_masks"].tolist() == [1, 2, 4, 8, 16, 32, 64, 128]
-        assert len(reason["flag_meanings"].split()) == 8
+        assert reason["flag_masks"].tolist() == [1, 2, 4, 8, 16, 32, 64, 128, 256]
+        assert reason["flag_masks"].dtype == found["reason"].dtype
+        assert len(reason["flag_meanings"].split()) == 9
         assert all(found[name].attrs["long_name"] for name in set(found.variables) - {*OWN, "site"})
         first, second = found.attrs["history"].split("\n")
         assert first == "2026-05-01 recorded"

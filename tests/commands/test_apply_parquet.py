@@ -100,7 +100,7 @@ class TestOutput:
         found = applied(log)
         assert found.columns == [*log.columns, *ADDED]
         assert_frame_equal(found.select(log.columns), log, check_exact=True)
-        assert found.schema["flag"] == found.schema["reason"] == pl.UInt8
+        assert (found.schema["flag"], found.schema["reason"]) == (pl.UInt8, pl.UInt16)
         assert found["flag"].to_list() == [3, 3, 9, 9, 3]  # no temperature in this log
         assert found["reason"].to_list() == [16, 16, 32, 32, 16]
 

@@ -1,26 +1,27 @@
-"""``tiltcal apply`` to several logs: in the processes of this machine, or on the workers of a cluster."""
+"""``tiltcal apply`` to several logs: one after another, or on the workers of a cluster."""
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support import FIXTURES
 from support.command import TILTCAL, tiltcal, tiltcal_process
 
-from tiltcal.cli import apply_tasks
-from tiltcal.cli.apply_tasks import ApplyTask, Outcome
+from tiltcal.cli import apply_several
+from tiltcal.cli.apply_several import Outcome
+from tiltcal.cli.unforeseen import TRACEBACK
+from tiltcal.logs.apply import apply_log
 from tiltcal.logs.apply_summary import ApplySummary
-from tiltcal.logs.prepared_calibration import ApplyOptions
 
 CAL = FIXTURES / "mavs.yaml"
 
@@ -88,111 +89,40 @@ def test_what_cannot_be_done_is_said_before_anything_is(arguments: tuple[str, ..
 def test_a_lost_scheduler_is_named() -> None:
     future: Future[Outcome] = Future()
     future.cancel()
-    assert "the scheduler was lost" in str(apply_tasks._result(future))
+    assert "the scheduler was lost" in str(apply_several._answer(future)[1])
 
 
-class Ending(ApplyTask):
-    """A task whose library ends the process."""
+def test_remarks_on_a_log_name_it_and_those_on_the_calibration_come_once(bench: Path) -> None:
+    arguments = ["--magnetometer", "mx,my,mz", "--uncertainty"]
+    for name in ("log1.csv", "log2.csv"):
+        (bench / name).write_text("x,y,mx,my,mz\n1024,1100,20,1,40\n")
+    done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "-o", "tilt", *arguments, cwd=bench)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("note: heading counts from magnetic north") == 1
+    lagged = tiltcal("apply", FIXTURES / "ramp.yaml", "log1.csv", "log2.csv", "-o", "tilt", cwd=bench)
+    assert lagged.returncode == 0, lagged.stderr
+    for name in ("log1.csv", "log2.csv"):
+        assert f"{name}: note: the log has no column of times" in lagged.stderr
 
-    def run(self, *_: object, **__: object) -> ApplySummary:
-        os._exit(1)
+
+class Panic(BaseException):
+    """What an engine raises that no handler of errors catches, as polars does."""
 
 
-@pytest.mark.usefixtures("resource_tracker")
-def test_processes_give_what_one_gives_and_a_lost_one_costs_its_log_alone(
+def test_a_log_that_ends_in_an_error_of_a_library_costs_itself_alone(
     bench: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(apply_tasks, "WORTH_PROCESSES", -1)
-    tasks = [
-        kind(CAL, ApplyOptions(), str(bench / f"log{rows}.csv"), str(bench / "tilt" / f"log{rows}.csv"))
-        for rows, kind in ((1, ApplyTask), (2, Ending), (3, ApplyTask))
-    ]
-    outcomes = {Path(task.log).name: outcome for task, outcome in apply_tasks.done_here(tasks, 2)}
-    assert [getattr(outcomes[name], "rows", 0) for name in ("log1.csv", "log2.csv", "log3.csv")] == [1, 0, 3]
-    assert str(outcomes["log2.csv"]).endswith(
-        "log2.csv cannot be read: its library ended the process; the file is damaged"
-    )
-    for name in ("log1.csv", "log3.csv"):
-        assert (bench / "tilt" / name).read_text() == tiltcal("apply", CAL, bench / name).stdout
+    def panicking(calibration: Path, log: str, *args: Any, **options: Any) -> ApplySummary:
+        if log == "log2.csv":
+            raise Panic("invalid or out-of-range datetime")
+        return apply_log(calibration, log, *args, **options)
 
-
-# A rerun
-
-
-def rerun(bench: Path, *options: str) -> list[str]:
-    """Return the logs that are processed again."""
-    cal = bench / "S.yaml" if (bench / "S.yaml").exists() else CAL
-    done = tiltcal("apply", cal, "log1.csv", "log2.csv", "-o", "tilt", "--json", *options, cwd=bench)
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)["logs"]
-    assert [one["rows"] for one in told.values()] == [1, lines(bench / "log2.csv") - 1]
-    return [name for name, one in told.items() if not one.get("up_to_date")]
-
-
-def test_a_rerun_skips_what_would_come_out_the_same(bench: Path) -> None:
-    assert rerun(bench) == ["log1.csv", "log2.csv"]
-    assert rerun(bench) == []
-    assert rerun(bench, "--force") == ["log1.csv", "log2.csv"]
-    said = tiltcal("apply", CAL, "log1.csv", "-o", "tilt", cwd=bench).stderr
-    assert said == "tilt/log1.csv: up to date, skipped (--force processes it again)\n"
-    assert sorted(path.name for path in (bench / "tilt").iterdir()) == ["log1.csv", "log2.csv"]
-
-
-def changed_log(bench: Path) -> None:
-    log, before = bench / "log2.csv", (bench / "log2.csv").stat()
-    log.write_text(log.read_text().replace("1024", "1025"))
-    os.utime(log, ns=(before.st_atime_ns, before.st_mtime_ns))  # as a copy that keeps the time has it
-
-
-def edited_result(bench: Path) -> None:
-    with open(bench / "tilt" / "log2.csv", "a") as result:
-        result.write("# checked\n")
-
-
-def replaced_result(bench: Path) -> None:
-    result = bench / "tilt" / "log2.csv"
-    result.unlink()
-    result.write_text("x,y\n")
-
-
-@pytest.mark.parametrize("change", [changed_log, edited_result, replaced_result])
-def test_a_changed_log_or_result_is_processed_again(change: Callable[[Path], None], bench: Path) -> None:
-    rerun(bench)
-    change(bench)
-    assert rerun(bench) == ["log2.csv"]
-    assert rerun(bench) == []
-
-
-@pytest.mark.parametrize(
-    "options",
-    ["--uncertainty", "--first-order", "--skip-bad-rows", "--columns x=y,y=x", "--mounting roll=180"],
-)
-def test_a_changed_option_is_seen(options: str, bench: Path) -> None:
-    rerun(bench)
-    assert rerun(bench, *options.split()) == ["log1.csv", "log2.csv"]
-    assert rerun(bench, *options.split()) == []
-
-
-def test_a_changed_calibration_or_version_is_seen(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shutil.copy(CAL, bench / "S.yaml")
-    rerun(bench)
-    (bench / "S.yaml").write_text(CAL.read_text().replace("procedure:", "# read again\nprocedure:", 1))
-    assert rerun(bench) == ["log1.csv", "log2.csv"]
-    monkeypatch.setattr("tiltcal.__version__", "9.9")
-    assert rerun(bench) == ["log1.csv", "log2.csv"]
-
-
-def test_a_file_system_without_attributes_keeps_it_hidden_beside(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("setxattr", "getxattr"):
-        monkeypatch.delattr(os, name, raising=False)
-    rerun(bench)
-    assert rerun(bench) == []
-    assert {path.name for path in (bench / "tilt").iterdir() if not path.name.startswith(".")} == {
-        "log1.csv",
-        "log2.csv",
-    }
-    changed_log(bench)
-    assert rerun(bench) == ["log2.csv"]
+    monkeypatch.setattr(apply_several, "apply_log", panicking)
+    monkeypatch.delenv(TRACEBACK)
+    done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "log3.csv", "-o", "tilt", cwd=bench)
+    assert done.returncode == 2
+    assert "log2.csv failed and is left out: log2.csv cannot be processed: Panic: invalid or out-of-" in done.stderr
+    assert sorted(path.name for path in (bench / "tilt").iterdir()) == ["log1.csv", "log3.csv"]
 
 
 # A cluster

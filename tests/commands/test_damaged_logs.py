@@ -1,10 +1,12 @@
-"""Damaged Parquet and NetCDF files end in an error that names them: no traceback, no abort, no endless loop."""
+"""Damaged Parquet and NetCDF files: an error that names them, or the library's own end; never a half-written output."""
 
 from __future__ import annotations
 
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import h5netcdf
@@ -13,7 +15,7 @@ import numpy as np
 import polars as pl
 import pytest
 from support import FIXTURES
-from support.command import tiltcal, tiltcal_process
+from support.command import TILTCAL, tiltcal, tiltcal_process
 
 from tiltcal.errors import InputError
 from tiltcal.logs.formats import open_log
@@ -33,28 +35,30 @@ def netcdf(path: Path, rows: int = 4, **attributes: object) -> None:
                 variable[:] = np.full(rows, 1024.0)
 
 
-@pytest.mark.parametrize("name", ["panic.parquet", "abort.parquet"])
-def test_a_library_that_gives_up(name: str, tmp_path: Path) -> None:
-    """One raises what no handler of errors catches, one ends its process."""
-    shutil.copy(DAMAGED / name, tmp_path)
-    done = tiltcal_process("apply", CAL, name, "-o", "out.csv", cwd=tmp_path)
+def test_an_engine_that_panics(tmp_path: Path) -> None:
+    """It raises what no handler of errors catches, and prints words of its own before."""
+    shutil.copy(DAMAGED / "panic.parquet", tmp_path)
+    done = tiltcal_process("apply", CAL, "panic.parquet", "-o", "out.csv", cwd=tmp_path)
     assert done.returncode == 2
-    (line,) = done.stderr.splitlines()  # and no panic of the library above it
-    assert line.startswith(f"tiltcal: {name}")
+    assert done.stderr.splitlines()[-1].startswith("tiltcal: panic.parquet: this is no Parquet file, or a damaged one")
     assert not (tmp_path / "out.csv").exists()
 
 
-def test_a_library_that_loops_for_ever(tmp_path: Path) -> None:
-    shutil.copy(DAMAGED / "endless.nc", tmp_path)
-    script = (
-        "import tiltcal.cli.child_process as guard\nguard.BUSY = 1.0\nfrom tiltcal.__main__ import main\n"
-        f"main(['apply', {CAL!r}, 'endless.nc', '-o', 'out.nc'])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith("tiltcal: endless.nc cannot be read: its library computed for 1 s without an end")
+@pytest.mark.parametrize(("name", "signals"), [("abort.parquet", ()), ("endless.nc", (signal.SIGTERM,))])
+def test_a_library_that_ends_the_command_or_never_returns(
+    name: str, signals: tuple[signal.Signals, ...], tmp_path: Path
+) -> None:
+    """Whatever becomes of the command, a log with a whole output is there or not."""
+    shutil.copy(DAMAGED / name, tmp_path)
+    (tmp_path / "tilt").mkdir()
+    command = [*TILTCAL, "apply", CAL, name, "-o", "tilt"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        for number in signals:
+            while not any(word in Path(f"/proc/{process.pid}/maps").read_text() for word in ("h5py", "hdf5")):
+                time.sleep(0.01)
+            process.send_signal(number)
+        assert process.wait(60) < 0
+    assert not list((tmp_path / "tilt").iterdir())
 
 
 def test_an_offset_that_is_text(tmp_path: Path) -> None:

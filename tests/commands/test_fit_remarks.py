@@ -55,7 +55,7 @@ def test_a_record_that_is_as_stated_has_nothing_said_against_it(tmp_path: Path) 
 
 
 def test_where_no_jig_is_stated_the_one_that_shows_is_told(tmp_path: Path) -> None:
-    assert "the residuals correspond to a jig of " in fitted(tmp_path, 4.0, ALL)
+    assert "the positions agree to " in fitted(tmp_path, 4.0, ALL)
 
 
 def test_four_positions_for_four_unknowns_are_warned_of(tmp_path: Path) -> None:

@@ -68,6 +68,29 @@ class TestTemperaturePoint:
         assert not (tmp_path / "S-1.yaml").exists()
 
 
+def test_ten_minutes_after_a_leg_of_1_degree_a_minute_a_late_thermometer_is_refused(tmp_path: Path) -> None:
+    """A thermometer that is 5 min late is still 0.7 °C behind; its last minute looks still."""
+    time = np.arange(0.0, 4200.0, 2.0)
+    leg = np.clip(time - 900.0, 0.0, 1110.0)
+    chamber = 24.0 - leg / 60.0
+    behind = 5.0 * (1.0 - np.exp(-leg / 300.0)) * np.exp(-np.maximum(time - 2010.0, 0.0) / 300.0)
+    rows = np.column_stack([time, 1024.0 + 0.3 * (chamber - 24.0), 1024.0 - 0.3 * (chamber - 24.0), chamber + behind])
+    rows[:, 1:] += np.random.default_rng(3).normal(0.0, (0.5, 0.5, 0.02), (len(time), 3))
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="time,x,y,temperature", comments="", fmt="%.4f")
+    codes = []
+    for end in (2610, 4200):  # 10 min and 36 min after the leg
+        cold = f"level-cold,{(end - 60) // 2},{end // 2}"
+        (tmp_path / "segments.csv").write_text(f"position,start,end\nlevel-warm,400,440\n{cold}\n")
+        result = tiltcal(
+            *("fit", "two-temperature", "log.csv", "--segments", "segments.csv", "--sensor", "sca100t-d02"),
+            *("--serial", "S-1", "-o", "S-1.yaml"),
+            cwd=tmp_path,
+        )
+        codes.append(result.returncode)
+        assert ("segment level-cold: the temperature drifts by -" in result.stderr) is (end == 2610)
+    assert codes == [2, 0]
+
+
 class TestFastRamp:
     """A ramp of 0.5 °C/min, whose thermometer is 1 °C ahead of an element that is 120 s late."""
 

@@ -28,7 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / f"U-{unit}-a.yaml").write_text(text.replace("2000-01-01", "2020-03-01"))
     later = MAVS.replace("SIM-42", "U-0").replace("x: [2.54933]", f"x: [{drift[0]:.5f}]").replace("2000", "2021")
     later = later.replace("noise alone: no jig is stated, and no position is left over", "the stated jig")
-    (folder / "U-0-b.yaml").write_text(later.replace("x: 1030.0062", "x: 1042.0062"))
+    (folder / "U-0-b.yaml").write_text(later.replace("x: 1030.01", "x: 1042.01"))
     (folder / "torn.yaml").write_text(MAVS[:300])
     return folder
 
@@ -93,12 +93,12 @@ def test_the_numbers_of_a_coefficient_have_two_digits_of_their_spread(folder: Pa
 
 
 def test_a_change_is_told_with_its_uncertainty_and_the_folder_of_its_file(folder: Path, tmp_path: Path) -> None:
-    """The offset has u = 0.7042 counts in both files: √2 times that is 0.996."""
+    """0.7042 counts of the offset are each file's own, √2 times that is 0.996; the column of z is common to both."""
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         text = (folder / "U-0-b.yaml").read_text()
         (tmp_path / name / "U-0.yaml").write_text(text)
-    (tmp_path / "a" / "U-0.yaml").write_text(text.replace("x: 1042.0062", "x: 1030.0062").replace("2021", "2020"))
+    (tmp_path / "a" / "U-0.yaml").write_text(text.replace("x: 1042.01", "x: 1030.01").replace("2021", "2020"))
     done = tiltcal("history", tmp_path)
     assert "  2021-01-01  b/U-0.yaml  changed: offset.x by +12.0 ± 1.0 count" in done.stdout.splitlines()
     page = tmp_path / "fleet.html"

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -125,28 +125,46 @@ def test_ctrl_c_in_the_middle_of_a_log(end: str, tmp_path: Path) -> None:
 
 
 def test_ctrl_c_in_the_middle_of_several_logs(tmp_path: Path) -> None:
-    logs = [tmp_path / "a.csv", tmp_path / "b.csv"]
-    for log in logs:
-        os.mkfifo(log)
+    os.mkfifo(tmp_path / "a.csv")
+    (tmp_path / "b.csv").write_text("x,y,temperature\n1024,1030,15\n")
     (tmp_path / "tilt").mkdir()
-    script = f"""
-import tiltcal.cli.apply_tasks as tasks
-from tiltcal.__main__ import main
-tasks.WORTH_PROCESSES = -1
-main(["apply", {CAL!r}, "a.csv", "b.csv", "-o", "tilt", "--jobs", "2"])
-"""
-    process = subprocess.Popen([sys.executable, "-c", script], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    with ExitStack() as stack:
-        pipes = [stack.enter_context(open(log, "wb", buffering=0)) for log in logs]  # waits for a worker to open it
-        for pipe in pipes:
-            pipe.write(b"x,y,temperature\n" + b"1024,1030,15\n" * 1000)
+    command = [*TILTCAL, "apply", CAL, "a.csv", "b.csv", "-o", "tilt"]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    with open(tmp_path / "a.csv", "wb", buffering=0) as pipe:  # waits for the command to open it
+        pipe.write(b"x,y,temperature\n" + b"1024,1030,15\n" * 1000)
         process.send_signal(signal.SIGINT)
         said = process.communicate(timeout=60)[1]
         assert (process.returncode, said.strip()) == (130, "tiltcal: interrupted")
         assert list((tmp_path / "tilt").iterdir()) == []
-        for pipe in pipes:
-            with pytest.raises(BrokenPipeError):  # no worker is left to read it
-                pipe.write(b"1024,1030,15\n")
+
+
+def processes_in(folder: Path) -> list[str]:
+    """Return the command lines of the processes that work in a folder."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if os.path.realpath(process / "cwd") == str(folder):
+                found.append((process / "cmdline").read_text())
+    return found
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the processes of a folder are found in /proc")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_command_leaves_no_process_and_no_file(number: signal.Signals, tmp_path: Path) -> None:
+    """A process of its own once finished what the killed command had begun, and replaced what a later one wrote."""
+    import polars as pl
+
+    frame = pl.DataFrame({"x": [1024.0], "y": [1030.0], "temperature": [15.0]})
+    pl.concat([frame] * 1000).sample(4_000_000, with_replacement=True, seed=1).write_parquet(tmp_path / "log.parquet")
+    process = subprocess.Popen(
+        [*TILTCAL, "apply", CAL, "log.parquet", "-o", "out.parquet"], cwd=tmp_path, stderr=subprocess.DEVNULL
+    )
+    while not any("polars" in maps for maps in memory_of(process.pid)):
+        time.sleep(0.01)
+    process.send_signal(number)
+    assert process.wait(60) == -number
+    assert processes_in(tmp_path) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["log.parquet"]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")

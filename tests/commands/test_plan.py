@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from math import hypot, radians, sqrt
+from math import hypot, radians, sin, sqrt
 from pathlib import Path
 
 import pytest
@@ -19,16 +19,44 @@ def plan(*options: str, sensor: str = "sca100t-d02") -> dict:
 
 def test_noise_alone_is_the_closed_form() -> None:
     """Four positions at ±30° of two axes, each mean good to s: u(offset) = s/2, u(S) = s/sqrt(2)/sin 30°."""
-    found = plan("plane", "--noise", "2.0", "--samples", "100")["uncertainty"]
-    s = 2.0 / sqrt(100)
+    found = plan("plane", "--noise", "0.02", "--samples", "100", sensor="adxl202")["uncertainty"]
+    s = 0.02 / sqrt(100)
     assert found["offset.x"] == pytest.approx(s / 2, rel=1e-3)
     assert found["sensitivity.x.x"] == pytest.approx(s / sqrt(2) / 0.5, rel=1e-3)
 
 
 def test_a_jig_adds_what_its_angle_is_worth() -> None:
-    """Level and 45° with noise near zero: the offset of D02 is uncertain by 819 count/g times the jig."""
-    found = plan("zero-45", "--noise", "0.5", "--samples", "1000000", "--jig", "0.2")["uncertainty"]
-    assert found["offset.x"] == pytest.approx(819.0 * radians(0.2), rel=1e-3)
+    """Level and 45° with noise near zero: the offset is uncertain by 0.125 duty/g times the jig."""
+    stated = ("zero-45", "--noise", "1e-4", "--samples", "1000000", "--jig", "0.2")
+    found = plan(*stated, sensor="adxl202")["uncertainty"]
+    assert found["offset.x"] == pytest.approx(0.125 * radians(0.2), rel=1e-3)
+
+
+def test_the_column_of_z_and_the_non_linearity_count_by_the_data_sheet() -> None:
+    """SCA100T: 4 % of cross-axis sensitivity at most for both columns, so 4 %/√6 each; D02 typically bends by 0.57°.
+
+    At level S_z is in the reading, so that the offset is as uncertain; six faces determine it.
+    """
+    level = plan("zero-45", "--jig", "0.01")["uncertainty"]
+    column = 819.0 * 0.04 / sqrt(6.0)
+    assert level["sensitivity.x.z"] == pytest.approx(column, rel=1e-3)
+    assert level["offset.x"] == pytest.approx(column, rel=1e-2)
+    assert level["nonlinearity.x.2"] == level["nonlinearity.x.3"] == pytest.approx(sin(radians(0.57)), rel=1e-3)
+    assert plan("six-face", "--jig", "0.01")["uncertainty"]["sensitivity.x.z"] < 0.02 * column
+
+
+def test_closing_is_recommended_where_only_the_noise_shows_along_gravity() -> None:
+    assert "recommended" in plan("six-face", sensor="scl3300")["closing"]
+    assert "recommended" not in plan("plane")["closing"]
+    assert "closing" not in tiltcal("plan", "six-face", "--sensor", "scl3300", "--closing").stdout
+
+
+def test_a_lean_of_the_table_is_said_in_plain_words() -> None:
+    words = (
+        "If the table is not level, its tilt is in the offsets: turn the fixture by 180° and repeat one position, or "
+    )
+    assert plan("plane")["not_covered"] == f"{words}state --table-lean."
+    assert plan("plane", "--table-lean", "0.1")["not_covered"] is None
 
 
 def test_a_thermometer_adds_what_the_drift_makes_of_it() -> None:
@@ -75,7 +103,7 @@ positions:
 @pytest.mark.parametrize(
     ("determines", "positions", "advice"),
     [
-        ("{axes: [x]}", ["tilt: {x: 0}"], "add the position +x straight up"),
+        ("{axes: [x]}", ["tilt: {x: 0}"], "add the position +45° of x"),
         (
             "{axes: [x, y, z]}",
             ["gravity: [1, 0, 0]", "gravity: [0, 1, 0]", "gravity: [0, 0, 1]"],

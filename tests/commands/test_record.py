@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import csv
+import json
+import re
 import signal
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 
 import polars as pl
 import pytest
+from support.adxl202_part import Adxl202Part, on_a_pty
 from support.command import tiltcal
 from support.warm_start import WarmStart, wait_until_grown
 
@@ -78,6 +82,44 @@ def test_a_reading_that_fails_leaves_its_cells_empty(tmp_path: Path) -> None:
     assert len(rows) == 30
     assert 9 <= len(empty) <= 11
     assert "readings missing" in result.stderr
+
+
+@dataclass
+class LossyPart(Adxl202Part):
+    """A part of whose sentences each tenth is never sent."""
+
+    def sentence(self) -> bytes:
+        if self.sent % 10 == 9:
+            self.sent += 1
+        return super().sentence()
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.parquet"])
+def test_it_says_what_was_damaged_and_lost_on_the_line(name: str, tmp_path: Path) -> None:
+    """Of ten sentences each tenth is missing, and of the others each third is damaged."""
+    pytest.importorskip("serial", reason="the pyserial package is not installed")
+    with on_a_pty(LossyPart(damage_one_in=3)) as path:
+        given = ("--sensor", "adxl202", "--address", f"serial://{path}?baudrate=115200")
+        done = tiltcal("record", *given, "--rows", "150", "-o", name, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = re.search(r"150 rows in .*\nadxl202: 150 sentences, (\d+) damaged, (\d+) lost, 0 restarts", done.stderr)
+    assert found, done.stderr
+    damaged, lost = map(int, found.groups())
+    assert damaged == pytest.approx(150 / 2, abs=15)
+    assert lost == pytest.approx(150 / 6, abs=8)
+    if name.endswith("parquet"):
+        counts = json.loads(pl.read_parquet_metadata(tmp_path / name)["link_statistics"])
+        assert counts == {"adxl202": {"sentences": 150, "damaged": damaged, "lost": lost, "restarts": 0}}
+
+
+def test_the_counts_of_the_line_stay_in_a_log_that_is_compensated(tmp_path: Path) -> None:
+    sensor = ("--sensor", "adxl202", "--address", "sim:")
+    assert tiltcal("record", *sensor, "--rows", "20", "-o", "log.parquet", cwd=tmp_path).returncode == 0
+    measured = ("measure", "plane", *sensor, "--serial", "A", "-o", "A.yaml", "--operator", "sim", "--samples", "20")
+    assert tiltcal(*measured, cwd=tmp_path).returncode == 0
+    assert tiltcal("apply", "A.yaml", "log.parquet", "-o", "tilt.parquet", cwd=tmp_path).returncode == 0
+    before, after = (pl.read_parquet_metadata(tmp_path / name) for name in ("log.parquet", "tilt.parquet"))
+    assert after["link_statistics"] == before["link_statistics"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])

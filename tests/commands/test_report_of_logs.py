@@ -12,7 +12,6 @@ from support import FIXTURES
 from support.html_page import Page
 
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.cli import apply_tasks
 from tiltcal.cli.main import run
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 
@@ -70,17 +69,6 @@ def test_a_log_that_is_compensated_already_says_the_same(log: Path, tmp_path: Pa
     assert "is that of the log" in said[1]
     angles = [[row[1:] for row in table] for table in tables(page, "Angle / °")]
     assert angles[0] == angles[1]
-
-
-@pytest.mark.usefixtures("resource_tracker")
-def test_a_page_is_the_same_where_a_process_draws_it(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    alone, beside = tmp_path / "alone.html", tmp_path / "beside.html"
-    report(CALIBRATION, log, output=alone)
-    monkeypatch.setattr(apply_tasks, "WORTH_PROCESSES", -1)
-    report(CALIBRATION, log, output=beside)
-    assert beside.read_bytes() == alone.read_bytes()
 
 
 def tables(page: Page, first: str) -> list[list[list[str]]]:

@@ -113,3 +113,36 @@ def test_a_journal_with_its_end_needs_no_sensor(
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "S-1.yaml").read_bytes() == (sessions / "S-1.yaml").read_bytes()
     assert replayed_verdict(sessions, "v.jsonl")["passed"] is True
+
+
+@pytest.mark.parametrize("content", ["dear friend\n", "serial: S-9"])
+def test_a_journal_replaces_no_file_of_a_stranger(sessions: Path, tmp_path: Path, content: str) -> None:
+    """Neither a letter nor the calibration of another sensor, be it named by the journal or by the user."""
+    shutil.copytree(sessions, tmp_path, dirs_exist_ok=True)
+    own = (tmp_path / "S-1.yaml").read_text()
+    strange = own.replace("serial: S-1", content) if content.startswith("serial") else content
+    (tmp_path / "S-1.yaml").write_text(strange)
+    (tmp_path / "S-2.yaml").write_text(strange)
+    for command in (
+        ("measure", "--resume", "m-stopped.jsonl", "--operator", "sim"),
+        ("measure", "--resume", "m-stopped.jsonl", "--operator", "sim", "-o", "S-1.yaml"),
+        ("measure", "--resume", "S-1.journal.jsonl", "--operator", "sim"),
+        ("replay", "S-1.journal.jsonl", "-o", "S-1.yaml"),
+        ("replay", "rotation.jsonl", "-o", "S-1.yaml"),
+    ):
+        refused = tiltcal(*command, cwd=tmp_path)
+        assert refused.returncode == 2, command
+        assert "the file there is no calibration of" in refused.stderr
+    assert (tmp_path / "S-1.yaml").read_text() == (tmp_path / "S-2.yaml").read_text() == strange
+
+
+def test_a_journal_replaces_its_calibration(sessions: Path, tmp_path: Path) -> None:
+    shutil.copytree(sessions, tmp_path, dirs_exist_ok=True)
+    own = (tmp_path / "S-1.yaml").read_bytes()
+    (tmp_path / "S-1.yaml").write_bytes(own.replace(b"operator: sim", b"operator: me"))
+    for _ in range(2):
+        assert tiltcal("replay", "S-1.journal.jsonl", "-o", "S-1.yaml", cwd=tmp_path).returncode == 0
+        assert (tmp_path / "S-1.yaml").read_bytes() == own
+    for _ in range(2):
+        replayed = tiltcal("replay", "rotation.jsonl", "-o", "pairs.yaml", cwd=tmp_path)
+        assert replayed.returncode == 0, replayed.stderr

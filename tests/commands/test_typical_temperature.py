@@ -55,10 +55,11 @@ def test_the_spread_of_the_parts_is_in_the_angles(calibration) -> None:
     """±0.008 °/°C over the parts is ±0.32° at level, 40 °C away from the reference; noise and fit add 1 % to it."""
     known = calibration.coefficients
     inputs = stated_uncertainty(calibration.uncertainty, known).inputs
-    temperatures = np.array([known.thermal.reference + 40.0])
-    readings = known.predict(np.array([[0.0, 0.0, 1.0]]), temperatures)
+    temperatures = known.thermal.reference + np.array([40.0, 0.0])
+    readings = known.predict(np.array([[0.0, 0.0, 1.0]] * 2), temperatures)
     found = CompensationWithUncertainty(Compensation(known), known, inputs)(readings, temperatures)
-    assert found.standard[0, :2] == pytest.approx(0.32, rel=0.03)
+    warm, usual = found.standard[:, :2]
+    assert np.sqrt(warm**2 - usual**2) == pytest.approx(0.32, rel=0.03)
 
 
 def test_a_units_own_run_wins(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from shlex import split
 
@@ -153,13 +154,14 @@ def differ(tmp_path: Path, offset: float, serial: str = "S-1") -> dict:
     (tmp_path / "a.yaml").write_text(CALIBRATION.format(offset=1024.0))
     (tmp_path / "b.yaml").write_text(CALIBRATION.format(offset=offset).replace("S-1", serial))
     result = tiltcal("diff", "a.yaml", "b.yaml", "--json", cwd=tmp_path)
-    return json.loads(result.stdout) if result.returncode == 0 else {"error": result.stderr}
+    return json.loads(result.stdout) | {"exit": result.returncode} if result.stdout else {"error": result.stderr}
 
 
 def test_a_change_within_its_uncertainty_is_none(tmp_path: Path) -> None:
     """0.5 count with 0.3 on either side: 0.5 / 0.424 = 1.18 standard uncertainties."""
     told = differ(tmp_path, 1024.5)
     assert told["verdict"] == "unchanged"
+    assert told["exit"] == 0
     row = next(row for row in told["coefficients"] if row["name"] == "offset.x")
     assert row["change"] == pytest.approx(0.5)
     assert row["ratio"] == pytest.approx(1.1785, abs=1e-3)
@@ -205,11 +207,27 @@ def test_a_change_beyond_it_is_named(tmp_path: Path) -> None:
     told = differ(tmp_path, 1026.0)
     assert told["verdict"] == "changed"
     assert told["changed"] == ["offset.x"]
+    assert told["exit"] == 1
 
 
 def test_the_verdict_allows_for_how_many_are_compared(tmp_path: Path) -> None:
     """Six coefficients at 95 % together: 1 - (1 - 0.95^(1/6)) each, 2.63 standard uncertainties (two-sided)."""
     assert differ(tmp_path, 1024.0)["threshold"] == pytest.approx(2.631, abs=2e-3)
+
+
+def test_an_unchanged_part_in_two_procedures_is_not_called_changed(tmp_path: Path) -> None:
+    """One part on the virtual bench: its offset of `plane` was 39.6 u from that of `cross-axis`."""
+    for procedure in ("plane", "cross-axis"):
+        given = ("--sensor", "sca100t-d02", "--address", "sim:seed=7", "--serial", "S-7", "--jig", "0.05")
+        done = tiltcal("measure", procedure, *given, "--operator", "sim", "-o", f"{procedure}.yaml", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    found = tiltcal("diff", "plane.yaml", "cross-axis.yaml", cwd=tmp_path)
+    assert found.returncode == 0, found.stdout
+    assert re.search(r"^  offset.x +not comparable$", found.stdout, re.MULTILINE)
+    assert "unchanged" in found.stdout
+    assert "not comparable: offset.x" in tiltcal("history", ".", cwd=tmp_path).stdout
+    assert tiltcal("report", "plane.yaml", "cross-axis.yaml", "-o", "page.html", cwd=tmp_path).returncode == 0
+    assert "not comparable: Offset of x, Offset of y" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 def test_two_sensors_are_not_compared(tmp_path: Path) -> None:

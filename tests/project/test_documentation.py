@@ -64,8 +64,8 @@ class Command:
 
     @property
     def fails(self) -> bool:
-        """Whether the page shows an error of ours as the last thing printed."""
-        return any(line.startswith("tiltcal: ") for line in self.printed.splitlines())
+        """Whether the page shows an error of ours, or the verdict of `diff` that a sensor has changed."""
+        return any(line.startswith(("tiltcal: ", "changed: ")) for line in self.printed.splitlines())
 
 
 def commands_of(block: str) -> Iterator[Command]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import errno
 import sys
 from itertools import pairwise
-from statistics import fmean, median, stdev
+from statistics import median
 
 import pytest
 from support import ROOT
-from support.emulated.bench import DEVICE, Message, Part, run_on_spi
+from support.emulated.bench import DEVICE, Message, run_on_spi
 
 PROGRAM = [
     sys.executable,
@@ -42,23 +42,6 @@ def test_the_driver_reads_the_words_that_the_part_sent() -> None:
     assert bench.exit_code == 0
 
 
-def test_the_readings_follow_the_pose() -> None:
-    part = Part(
-        offset=(1024.0, 1030.0), sensitivity=((819.0, 10.0, 0.0), (-20.0, 815.0, 4.0)), drift=(0.5, 0.0), jig=0.0
-    )
-    with run_on_spi(PROGRAM, part) as bench:
-        bench.pose((0.6, 0.0, 0.8), 34.0)
-        read = bench.ask("read 100")
-
-    x, y = zip(*read["values"], strict=True)
-    # Five standard deviations of the mean of 100 samples of 0.6 count, rounding included (1/12 count²).
-    assert fmean(x) == pytest.approx(1024.0 + 0.6 * 819.0 + 10 * 0.5, abs=0.35)
-    assert fmean(y) == pytest.approx(1030.0 - 0.6 * 20.0 + 0.8 * 4.0, abs=0.35)
-    assert 0.4 < stdev(x) < 0.95
-    # 197 - 1.083 * 34 rounds to 160.
-    assert read["temperatures"] == pytest.approx([34.16] * 100, abs=0.005)
-
-
 def test_chip_select_is_high_for_150_us_before_every_read() -> None:
     with run_on_spi(PROGRAM) as bench:
         bench.ask("exchange 50 100000")
@@ -72,28 +55,10 @@ def test_chip_select_is_high_for_150_us_before_every_read() -> None:
     assert median(kept) - median(bare) >= 150_000
 
 
-def test_the_adapter_is_set_to_mode_0_and_500_khz() -> None:
-    with run_on_spi(PROGRAM) as bench:
-        bench.ask("probe")
-        assert bench.settings() == {"mode": 0, "bits": 8, "speed": 500_000}
-
-
 def test_the_address_sets_mode_and_speed() -> None:
     with run_on_spi([*PROGRAM[:3], f"spi://{DEVICE}?mode=3&speed=125000"]) as bench:
         bench.ask("probe")
         assert bench.settings() == {"mode": 3, "bits": 8, "speed": 125_000}
-
-
-def test_a_failed_transfer_is_a_bus_error_and_the_next_one_may_work() -> None:
-    with run_on_spi(PROGRAM) as bench:
-        bench.fail(errno.EIO)
-        failed = bench.ask("read 1")
-        bench.fail(0)
-        recovered = bench.ask("read 1")
-
-    assert failed["error"] == "BusError"
-    assert f"transfer on {DEVICE} failed (Input/output error)" in failed["message"]
-    assert len(recovered["values"]) == 1
 
 
 def test_an_unplugged_adapter_can_be_opened_again() -> None:

@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support import FIXTURES
 from support.command import measure
 from support.json_program import GONE, Event, ProgramSession, lead
 
+import tiltcal
 from tiltcal.bench.operators.json_lines import parsed
 from tiltcal.bench.operators.rig import understood
 from tiltcal.errors import InputError
@@ -75,6 +77,46 @@ def test_a_typed_temperature_counts(tmp_path: Path) -> None:
     thermal = read_calibration(tmp_path / "S-1.yaml").coefficients.thermal
     assert thermal is not None
     assert thermal.range == (5.75, 24.25)
+
+
+def test_a_program_is_told_once_a_minute_what_is_waited_for(tmp_path: Path) -> None:
+    """The chamber takes its time to 5.5 °C by the bench's clock, which is virtual."""
+    twin = (FIXTURES / "twins" / "sca100t-d02.yaml").read_text()
+    (tmp_path / "slow.yaml").write_text(twin.replace("time_constant: 20.0", "time_constant: 200.0"))
+    options = ("--sensor", "sca100t-d02", "--address", "sim:?twin=slow.yaml", "--serial", "S-1", "-o", "S-1.yaml")
+    led = lead(
+        *("measure", "two-temperature", *options, "--samples", "20"),
+        cwd=tmp_path,
+        answer=lambda message: ready(message, 0) if "ask" in message else None,
+    )
+    assert led.exit_code == 0, led.errors
+    cold = [event for event in led.events("waiting") if event["position"] == led.asks[-1]["position"]]
+    assert len(cold) > 5
+    assert all(event.keys() == {"event", "position", "seconds", "why", "temperature"} for event in cold)
+    assert [event["seconds"] // 60 for event in cold] == list(range(1, len(cold) + 1))
+    assert all(event["seconds"] % 60 < 10 for event in cold)
+    asked = led.asks[-1]["temperature"]
+    assert abs(cold[-1]["temperature"] - asked) < abs(cold[0]["temperature"] - asked)
+    (tmp_path / "quick").mkdir()
+    assert not table(tmp_path / "quick", "plane", ready).events("waiting")
+
+
+def test_a_rig_in_python_is_told_too_where_it_listens(tmp_path: Path) -> None:
+    class Rig:
+        def __init__(self) -> None:
+            self.waited: list[Event] = []
+
+        def position(self, ask: Event) -> Event:
+            return {"answer": "ready"}
+
+        def waiting(self, event: Event) -> None:
+            self.waited.append(event)
+
+    rig = Rig()
+    sensor = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1"}
+    tiltcal.measure("two-temperature", operator=rig, output=tmp_path / "S-1.yaml", samples=5, **sensor)
+    assert [event["event"] for event in rig.waited] == ["waiting"] * len(rig.waited)
+    assert rig.waited[0]["seconds"] >= 60
 
 
 def test_redo_asks_again_and_back_goes_back(tmp_path: Path) -> None:

@@ -98,6 +98,16 @@ def test_several_sensors_that_sit_differently_share_the_attitudes(tmp_path: Path
         np.testing.assert_allclose(angles(found.sensitivity), angles(truth), atol=0.05)
 
 
+def test_a_bench_with_a_sensor_of_two_axes_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "bench.yaml").write_text(
+        'tiltcal: 1\nkind: bench\nsensors:\n  - {serial: A, model: sca3000-d01, address: "sim:"}\n'
+        '  - {serial: B, model: sca100t-d02, address: "sim:?seed=9"}\n'
+    )
+    result = tiltcal("measure", "free", "--bench", "bench.yaml", "--operator", "sim", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "free positions need a sensor of three channels x, y and z, and sca100t-d02 has x, y" in result.stderr
+
+
 REFUSED = {
     "a sensor of two axes": (("measure", "free", "--sensor", "sca100t-d02"), "three channels"),
     "a stated jig": (("measure", "free", "--sensor", "sca3000-d01", "--jig", "0.3"), "use no jig"),

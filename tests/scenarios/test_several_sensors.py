@@ -81,7 +81,7 @@ def test_a_sensor_that_sits_askew_is_calibrated_in_its_own_frame(tmp_path: Path)
     straight, turned = (read_calibration(tmp_path / f"{name}.yaml") for name in "ST")
     for one in (straight, turned):
         assert one.coefficients.offset == pytest.approx([1023.0, 1021.0], abs=0.5)
-        assert one.coefficients.sensitivity.ravel() == pytest.approx([817.4, 11.2, -7.9, 821.6], abs=0.9)
+        assert one.coefficients.sensitivity[:, :2].ravel() == pytest.approx([817.4, 11.2, -7.9, 821.6], abs=0.9)
     assert turned.provenance.bench.axes == ("-y", "x", "z")
 
 
@@ -102,6 +102,30 @@ def test_a_sensor_that_fails_is_reported_and_the_others_go_on(tmp_path: Path) ->
     assert not (tmp_path / "BAD.yaml").exists()
     replayed = tiltcal("replay", "bench.journal.jsonl", "--golden", "GOOD.yaml", cwd=tmp_path)
     assert replayed.returncode == 0, replayed.stderr
+
+
+def test_a_sensor_called_thermometer_is_given_up_as_any_other(tmp_path: Path) -> None:
+    good, bad = twin(tmp_path, 1), twin(tmp_path, 2, "  faults: [{kind: unplugged, start: 4.5, end: 1.0e+9}]\n")
+    bench(
+        tmp_path,
+        f'serial: GOOD, model: sca100t-d02, address: "{good}"',
+        f'serial: thermometer, model: sca100t-d02, address: "{bad}"',
+    )
+    result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", "--samples", "5", cwd=tmp_path)
+    assert result.returncode == 3
+    assert "thermometer is dropped, the others continue" in result.stderr
+    assert len(read_calibration(tmp_path / "GOOD.yaml").positions) == 4
+
+
+def test_the_folder_of_the_calibration_files_is_made(tmp_path: Path) -> None:
+    bench(tmp_path, *(f'serial: A-{n}, model: sca100t-d02, address: "sim:?seed={n}"' for n in (1, 2)))
+    measured(tmp_path, "-o", "z")
+    assert {path.name for path in (tmp_path / "z").iterdir()} == {"A-1.yaml", "A-2.yaml", "bench.journal.jsonl"}
+    (tmp_path / "file").touch()
+    for named, why in (("file", "File exists"), ("no/where", "No such file or directory")):
+        refused = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", "-o", named, cwd=tmp_path)
+        assert refused.returncode == 2
+        assert f"{named} cannot be made: {why}" in refused.stderr
 
 
 def test_a_refusal_names_its_sensor_when_all_others_are_dropped(tmp_path: Path) -> None:

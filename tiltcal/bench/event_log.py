@@ -115,6 +115,14 @@ class EventLog:
             self.record(ANSWER, {"to": question, **said.record()})
         return said
 
+    def next_question(self) -> str | None:
+        """Return the question that the journal answers next; empty before an accepted position, None at the end."""
+        for place in range(self._next, len(self._events)):
+            event = self._events[place]
+            if event.kind in (ANSWER, POSITION):
+                return str(event.payload[0].get("to", ""))
+        return None
+
     def report(self, operator: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
         """Report an event to the operator, unless it was reported before the session was interrupted."""
         if self.state is not SessionState.PLAYING:

@@ -18,6 +18,7 @@ from tiltcal.bench.session_start import StatedSession, start_session
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.level import NO_LEVEL, level_summary
+from tiltcal.calibration.summary import NOT_FOLLOWED, summary, verdict
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.device import Sensor, in_words
@@ -54,6 +55,7 @@ def measure(
     resume: str | Path | None = None,
     plain: bool = False,
     remark: Callable[[str], None] = unheard,
+    result: Callable[[str], None] | None = None,
 ) -> Calibration | Any:
     """Take sensors through a procedure, and write their calibration files.
 
@@ -107,6 +109,9 @@ def measure(
         Whether the terminal prints lines only.
     remark : callable
         Gets each remark on the session, one line of text.
+    result : callable, optional
+        Gets the coefficients of each calibration with their uncertainties, lines of text; not with the operator
+        ``json``, whose program reads the files.
 
     Returns
     -------
@@ -156,19 +161,25 @@ def measure(
     with session.resumable("measure", remark):
         session.probe()
         with open_operator(operator, turns=turns_stage, virtual=virtual, say=remark, plain=bool(plain)) as opened:
-            result = session.run(opened)
-            result.write()
-            opened.done(list(result.calibrations), session.path)
-            result.require_all()
-    return _results(session, result, remark)
+            outcome = session.run(opened)
+            outcome.write()
+            opened.done(list(outcome.calibrations), session.path)
+            outcome.require_all()
+    return _results(session, outcome, remark, None if operator == "json" else result)
 
 
-def _remark_notes(calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool) -> None:
-    """Remark each note once, with its sensors; after ``level``, not again those of the calibration before."""
+def _remark_notes(
+    calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool, judged: bool
+) -> None:
+    """Remark each verdict and note once, with its sensors; after ``level``, not again those of the base.
+
+    A verdict that was ``judged`` before is not repeated.
+    """
     having: dict[str, list[str]] = {}
     for calibration in calibrations:
-        for note in calibration.fit.notes:
-            if not renewed or note == NO_LEVEL:
+        said = () if judged else verdict(calibration.record)
+        for note in (*said, *calibration.fit.notes):
+            if not renewed or note == NO_LEVEL or NOT_FOLLOWED in note:
                 having.setdefault(note, []).append(calibration.sensor.serial)
     for note, serials in having.items():
         every = len(serials) == len(calibrations) > 1
@@ -205,19 +216,23 @@ def open_sensor(model: str, address: str) -> Iterator[Sensor]:
 
 
 def _results(
-    session: Session, result: SessionResult, remark: Callable[[str], None]
+    session: Session, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
 ) -> Calibration | tiltcal.PairCalibration | list[Calibration]:
     """Return what a session found, and remark what limits it."""
-    for name, statistics in result.ending.link_statistics_by_serial.items():
+    for name, statistics in outcome.ending.link_statistics_by_serial.items():
         remark(f"{name}: {in_words(statistics)}")
-    found = list(result.calibrations.values())
+    records, determines = list(outcome.calibrations.values()), session.plan.procedure.determines
     if session.plan.procedure.rotation is not None:
-        return tiltcal.PairCalibration(found[0])  # type: ignore[arg-type]
-    calibrations = [Calibration(record) for record in found if isinstance(record, CalibrationRecord)]
-    _remark_notes(calibrations, remark, renewed=session.plan.procedure.determines.level)
+        pair = tiltcal.PairCalibration(records[0])  # type: ignore[arg-type]
+        (result or unheard)(str(pair))
+        return pair
+    calibrations = [Calibration(record) for record in records if isinstance(record, CalibrationRecord)]
+    _remark_notes(calibrations, remark, renewed=determines.level, judged=result is not None)
     for calibration in calibrations:
-        if session.plan.procedure.determines.level:
-            remark(level_summary(calibration.record))
+        if determines.level:
+            (result or remark)(level_summary(calibration.record))
+        else:
+            (result or unheard)(summary(calibration.record, notes=False))
         if session.plan.procedure.closes:
             remark(changes_in_words(calibration.record))
     return calibrations[0] if len(session.plan.sensors) == 1 else calibrations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 from tiltcal.bench.channel_map import map_channels
 from tiltcal.calibration.free_positions import require_no_jig
+from tiltcal.calibration.joint_fit import along_gravity
 from tiltcal.calibration.prediction import (
     PredictedMounting,
     PredictedUncertainty,
@@ -144,7 +146,9 @@ def plan(
     if steps.closes or steps.determines.free or steps.ramp is not None or len(steps.positions) < 2:
         return found
     closed = known(steps.with_closing(True), model)
-    return replace(found, closing=_closing_in_words(steps, samples or steps.samples, closed.prediction.dof))
+    return replace(
+        found, closing=_closing_in_words(steps, found.design.channels, samples or steps.samples, closed.prediction.dof)
+    )
 
 
 def _model(sensor: str | None, address: str | None, own: CalibrationRecord | None) -> Model:
@@ -156,11 +160,13 @@ def _model(sensor: str | None, address: str | None, own: CalibrationRecord | Non
     return model if address is None else model.at(parse_address(address))
 
 
-def _closing_in_words(steps: Procedure, samples: int, dof: int) -> str:
+def _closing_in_words(steps: Procedure, channels: Sequence[str], samples: int, dof: int) -> str:
     """Return what ``--closing`` takes, and the degrees of freedom that it leaves."""
     first = steps.positions[0]
     soaked = "" if first.temperature is None else f"a soak at {first.temperature:g} °C and "
+    steep = along_gravity(channels, [position.gravity for position in steps.positions])
+    advised = "--closing is recommended, as along gravity nothing else shows a drift: it" if steep else "--closing"
     return (
-        f"--closing takes {first.name} again at the end ({soaked}{samples} samples), and leaves {dof} degrees of "
+        f"{advised} takes {first.name} again at the end ({soaked}{samples} samples), and leaves {dof} degrees of "
         "freedom, which show what has changed"
     )

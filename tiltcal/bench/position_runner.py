@@ -18,18 +18,20 @@ from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import OperatorAnswer, PositionOperator
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sample_checks import (
+    ReadingSpans,
     far_off,
     require_few,
     require_not_stuck,
     require_off_rails,
     require_plausible_temperature,
-    unchanging,
 )
 from tiltcal.bench.sensor_set import RECOVERY, ConnectedSensor, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.calibration import level
 from tiltcal.calibration.measurement import Measurement, missing_temperature
+from tiltcal.core.detection import TILTED
+from tiltcal.core.gravity_direction import normalised
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.core.ramp.record import RampRecord
@@ -46,6 +48,12 @@ NUDGED = 0.002
 NUDGED_SIGMAS = 6.0
 """And it must be this many standard uncertainties: a refusal costs the operator time, a look while settling none."""
 
+TIP = "tip"
+"""The question whether a reading follows, and the position that is asked for."""
+
+TIPPED = (0.2, 0.2, -0.2)
+"""What a tip by hand adds to gravity, g: of any attitude it changes all components, of level by 14° in all."""
+
 FIRST = "this is the first position: there is none before it to go back to"
 
 
@@ -54,8 +62,15 @@ class PositionRunner:
 
     Parameters
     ----------
+    spans : ReadingSpans
+        What was read before.
     fixture : Fixture or None
         The virtual jig, where the sensors are virtual.
+
+    Attributes
+    ----------
+    unseen : mapping of str to sequence of str
+        By serial number, the channels that did not follow when the operator was asked to tip the sensors.
     """
 
     def __init__(
@@ -65,6 +80,7 @@ class PositionRunner:
         operator: PositionOperator,
         log: EventLog,
         clock: RecordedClock,
+        spans: ReadingSpans,
         fixture: Fixture | None = None,
     ) -> None:
         self._plan = plan
@@ -77,8 +93,11 @@ class PositionRunner:
         self._fixture = fixture
         self._steps = {sensor.serial: ReadingStep() for sensor in sensors.sensors}
         """What the readings have shown of the steps that no model states."""
-        self._asked_to_tilt = False
-        """Whether the operator was asked to see that a reading follows a tilt."""
+        self._spans = spans
+        sensors.listen(spans.add)
+        self._tipped = False
+        self.unseen: Mapping[str, Sequence[str]] = {}
+        self._answered_ns = 0
         self._soaked: tuple[float, int] | None = None
         """The temperature that the sensors have, and the interruptions before they took it; None on the way."""
 
@@ -137,6 +156,8 @@ class PositionRunner:
         result = self._result(actual, held, left_out, answer.temperature, expectations)
         result = replace(result, asked=position.temperature)
         self._check(result, accepted, expectations)
+        if len(accepted) == len(self._procedure.positions) - 1:
+            self._tip(position)
         verdict = log.ask("review", operator.review, result)
         if verdict.word != "accept":
             return verdict.word
@@ -144,7 +165,7 @@ class PositionRunner:
         log.report(operator.accepted, result)
         return result
 
-    def _asked(self, position: Position, number: int) -> OperatorAnswer:
+    def _asked(self, position: Position, number: int, question: str = "position") -> OperatorAnswer:
         """Ask for a position; the readings that the operator looks at meanwhile are taken again in a replay."""
         if self._soaked is not None and position.temperature != self._soaked[0]:
             self._soaked = None
@@ -152,7 +173,9 @@ class PositionRunner:
         while self._log.plays_live_reading():
             with suppress(HardwareError):
                 self._sensors.read(fresh=True)
-        return self._log.ask("position", self._operator.position, position, number, self._live)
+        answer = self._log.ask(question, self._operator.position, position, number, self._live)
+        self._answered_ns = self._log.now_ns()
+        return answer
 
     def _refuse(self, position: Position, error: Exception) -> None:
         log, sensors = self._log, self._sensors
@@ -174,7 +197,8 @@ class PositionRunner:
         return self._sensors.by_serial(self._sensors.read(fresh=True))
 
     def _look(self, position: Position, sample: Sample, why: str) -> None:
-        self._log.report(self._operator.look, position, self._sensors.by_serial(sample), why)
+        seconds = (self._log.now_ns() - self._answered_ns) / 1e9
+        self._log.report(self._operator.look, position, self._sensors.by_serial(sample), why, seconds)
 
     def _settle(self, position: Position, typed: float | None, look: Callable[[Sample, str], None]) -> None:
         """Wait until the readings hold still, and the temperature too, where the sensors do not have it already."""
@@ -269,16 +293,36 @@ class PositionRunner:
         for sensor in self._sensors.sensors:
             require_not_stuck(sensor, result, accepted)
         self._require_plausible(result, expectations, accepted)
-        if len(accepted) == len(self._procedure.positions) - 1:
-            self._refuse_unchanging_once(result, accepted)
+        if self._log.next_question() == "position":
+            raise Unsettled("an earlier version had this position measured again")
 
-    def _refuse_unchanging_once(self, result: PositionResult, accepted: Sequence[PositionResult]) -> None:
-        """Refuse the last position where a channel has never changed; measured again it counts."""
-        found = (unchanging(sensor, result, accepted) for sensor in self._sensors.sensors)
-        why = next(filter(None, found), "")
-        if why and not self._asked_to_tilt:
-            self._asked_to_tilt = True
-            raise Unsettled(why)
+    def _tip(self, position: Position) -> None:
+        """Have the sensors tipped once where a channel that no position tilts has shown no more than two values.
+
+        That is the normal state of a good sensor without noise, and of a dead converter. In a replay the journal says
+        whether it was asked; those of earlier versions have no such question.
+        """
+        if self._tipped or self._log.next_question() not in (None, TIP) or not (quiet := self._quiet()):
+            return
+        names = ", ".join(f"{channel} of {serial}" for serial, channels in quiet.items() for channel in channels)
+        gravity = normalised([component + by for component, by in zip(position.gravity, TIPPED, strict=True)])
+        prompt = f"{names}: no change was seen. Tip it by hand, some 10° about each axis, and answer while it is."
+        tip = replace(position, name=TIP, gravity=gravity, tilt=None, prompt=prompt)
+        answer = self._asked(tip, len(self._procedure.positions), TIP)
+        if answer.word == "ready":
+            self._sensors.read(fresh=True)
+        self._tipped = True
+        self.unseen = self._quiet()
+
+    def _quiet(self) -> dict[str, list[str]]:
+        """Return the channels that no position tilts and that have shown no more than two values, by serial number."""
+        quiet: dict[str, list[str]] = {}
+        for sensor in self._sensors.sensors:
+            seen = np.array([sensor.orientation.seen(one.gravity) for one in self._procedure.positions])
+            flat = [channel for channel, by in zip("xyz", np.ptp(seen, axis=0), strict=True) if by <= TILTED]
+            channels = [channel for channel in self._spans.quiet(sensor.serial) if channel in flat]
+            quiet |= {sensor.serial: channels} if channels else {}
+        return quiet
 
     def _expectations(self, accepted: Sequence[PositionResult]) -> dict[str, ExpectedReadings]:
         """Return what predicts each sensor's readings: its model and the positions accepted so far."""

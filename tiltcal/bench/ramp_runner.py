@@ -15,7 +15,7 @@ from tiltcal.bench.event_log import EventLog, RecordedClock
 from tiltcal.bench.operators.operator import PositionOperator
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.position_runner import PositionRunner, measurement_of
-from tiltcal.bench.sample_checks import at_rail, require_few
+from tiltcal.bench.sample_checks import ReadingSpans, at_rail, require_few
 from tiltcal.bench.sensor_set import RECOVERY, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Unsettled
@@ -42,9 +42,10 @@ class RampRunner(PositionRunner):
         operator: PositionOperator,
         log: EventLog,
         clock: RecordedClock,
+        spans: ReadingSpans,
         fixture: Fixture | None = None,
     ) -> None:
-        super().__init__(plan, sensors, operator, log, clock, fixture)
+        super().__init__(plan, sensors, operator, log, clock, spans, fixture)
         self._ramp = ramp
         self._rows: dict[str, list[tuple[float, ...]]] = {sensor.serial: [] for sensor in sensors.sensors}
 
@@ -70,6 +71,8 @@ class RampRunner(PositionRunner):
             raise Unsettled("a ramp has one attitude: leave the sensor as it lies")
         samples = self._leg(actual)
         result = self._of_leg(actual, samples)
+        if len(accepted) == len(self._procedure.positions) - 1:
+            self._tip(position)
         log.position(result.record())
         log.report(operator.accepted, result)
         return result

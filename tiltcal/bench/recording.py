@@ -10,7 +10,7 @@ import errno
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
@@ -20,7 +20,7 @@ from tiltcal.bench.event_log import EventLog
 from tiltcal.bench.sensor_set import ConnectedSensor, Listener, SensorSet, connected, probe_devices
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
-from tiltcal.drivers.device import Reading
+from tiltcal.drivers.device import Reading, in_words
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import append_whole
 from tiltcal.files.bench import BenchFile
@@ -42,17 +42,21 @@ class RecordingTally:
         The last reason.
     interrupted : bool
         Whether it was stopped before its end.
+    link_statistics : mapping of str to mapping of str to int
+        By device: what was used, damaged and lost on its line.
     """
 
     rows: int = 0
     missing: int = 0
     why: str = ""
     interrupted: bool = False
+    link_statistics: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
     @property
-    def missing_in_words(self) -> str:
-        """The missing readings as the end of a line of text; empty if there are none."""
-        return f", {self.missing} readings missing ({self.why})" if self.missing else ""
+    def losses_in_words(self) -> str:
+        """The missing readings as the end of a line, and the link statistics as lines of text."""
+        missing = f", {self.missing} readings missing ({self.why})" if self.missing else ""
+        return missing + "".join(f"\n{device}: {in_words(counts)}" for device, counts in self.link_statistics.items())
 
 
 class CsvRecorder:
@@ -226,7 +230,7 @@ def record_bench(
             tally.interrupted = not endless
         finally:
             recorder.close()
-            tally.rows = recorder.rows
+            tally.rows, tally.link_statistics = recorder.rows, opened.link_statistics()
     return tally
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import median
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.settle import Timed, Unsettled
-from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.detection import (
     LEFT_OUT,
     TEMPERATURE_JUMP,
@@ -132,53 +131,37 @@ def require_not_stuck(sensor: ConnectedSensor, result: PositionResult, accepted:
                 f"{sensor.model.unit}, and those of the positions before scatter by {noise:.3g}; see that the sensor "
                 "converts (if it was shaken in the positions before, go back and repeat them)"
             )
-        same = _alike(channel, now, before)
-        if any(abs(measurement.gravity[_axis(channel)] - now.gravity[_axis(channel)]) > TILTED for measurement in same):
+        alike = [one for one in before if one.summaries[channel].std == summary.std == 0.0]
+        same = [one for one in alike if one.summaries[channel].mean == summary.mean]
+        axis = "xyz".index(channel)
+        if any(abs(one.gravity[axis] - now.gravity[axis]) > TILTED for one in same):
+            count = sum(one.summaries[channel].n for one in (*same, now))
             raise Unsettled(
-                f"{channel} of {sensor.serial} is stuck: {_reads(channel, [*same, now], sensor)}; see that the sensor "
-                "converts, and that its axis is wired"
+                f"{channel} of {sensor.serial} is stuck: all {count} samples of {len(same) + 1} positions read "
+                f"{summary.mean:.6g} {sensor.model.unit}; see that the sensor converts, and that its axis is wired"
             )
 
 
-def unchanging(sensor: ConnectedSensor, result: PositionResult, accepted: Sequence[PositionResult]) -> str:
-    """Return which channel has read one value in all positions up to the last, and how to see whether it is stuck.
+class ReadingSpans:
+    """The lowest and the highest reading of each channel that a session has seen, moves between positions included."""
 
-    Other temperatures and headings change a reading, but not always by its step: the operator has to move the sensor.
+    def __init__(self, sensors: Sequence[ConnectedSensor]) -> None:
+        self._models = {sensor.serial: sensor.model for sensor in sensors}
+        self._spans: dict[str, list[tuple[float, float, float]]] = {}
 
-    Returns
-    -------
-    str
-        Empty where every channel has changed, or there is one position alone.
-    """
-    now = result.measurements[sensor.serial]
-    before = [result.measurements[sensor.serial] for result in accepted]
-    for channel in now.summaries:
-        same = _alike(channel, now, before)
-        if same and len(same) == len(before):
-            return (
-                f"{channel} of {sensor.serial} may be stuck: {_reads(channel, [*same, now], sensor)}; tilt the sensor, "
-                "see that the reading follows, and put it back: measured again it counts"
-            )
-    return ""
+    def add(self, readings: Mapping[str, Reading]) -> None:
+        """Take one sample, by serial number; a reading at a rail is none."""
+        for serial, reading in readings.items():
+            step = self._models[serial].resolution or reading.step
+            before = self._spans.get(serial) or [(value, value, step) for value in reading.values]
+            if not at_rail(reading, self._models[serial]):
+                spans = zip(before, reading.values, strict=True)
+                self._spans[serial] = [(min(low, one), max(high, one), step) for (low, high, _), one in spans]
 
-
-def _alike(channel: str, now: Measurement, before: Sequence[Measurement]) -> list[Measurement]:
-    """Return the positions before in which every sample of a channel was the one value that it reads now."""
-    summary = now.summaries[channel]
-    others = [measurement for measurement in before if measurement.summaries[channel].std == summary.std == 0.0]
-    return [measurement for measurement in others if measurement.summaries[channel].mean == summary.mean]
-
-
-def _reads(channel: str, alike: Sequence[Measurement], sensor: ConnectedSensor) -> str:
-    summaries = [measurement.summaries[channel] for measurement in alike]
-    return (
-        f"all {sum(summary.n for summary in summaries)} samples of {len(alike)} positions read "
-        f"{summaries[0].mean:.6g} {sensor.model.unit}"
-    )
-
-
-def _axis(channel: str) -> int:
-    return "xyz".index(channel)
+    def quiet(self, serial: str) -> list[str]:
+        """Return the channels of a sensor that have shown at most two neighbouring values."""
+        channels, spans = self._models[serial].channels, self._spans.get(serial, [])
+        return [name for name, (low, high, step) in zip(channels, spans, strict=False) if high - low <= 1.5 * step]
 
 
 def _absurd_temperatures(readings: Sequence[Reading]) -> dict[int, str]:

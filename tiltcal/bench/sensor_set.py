@@ -16,8 +16,8 @@ from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Interruption, Link
-from tiltcal.drivers.device import Model, Reading, Sensor
-from tiltcal.errors import HardwareError, SensorError
+from tiltcal.drivers.device import Model, Reading, Sensor, StreamingSensor
+from tiltcal.errors import BusError, HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.frozen import frozen
 
@@ -76,9 +76,12 @@ class SensorSet:
     ----------
     lost : dict of str to str
         Why sensors were given up, by serial number.
+    reopened : set of str
+        Sensors whose bus failed and was opened again, by serial number.
     """
 
-    THERMOMETER = "thermometer"
+    THERMOMETER = ""
+    """The thermometer of the bench among the names of its devices: no sensor has this serial number."""
 
     def __init__(self, connected: Sequence[ConnectedSensor], thermometer: Sensor | None = None) -> None:
         self._all = tuple(connected)
@@ -88,6 +91,7 @@ class SensorSet:
         self._just_lost: list[str] = []
         """The sensors that were given up since the last success."""
         self.lost: dict[str, str] = {}
+        self.reopened: set[str] = set()
 
     @property
     def sensors(self) -> tuple[ConnectedSensor, ...]:
@@ -109,6 +113,11 @@ class SensorSet:
     def has_thermometer(self) -> bool:
         """Whether a thermometer of the bench gives the temperature of every sensor."""
         return self._thermometer is not None
+
+    def link_statistics(self) -> dict[str, Mapping[str, int]]:
+        """Return the link statistics of each device that counts them, by serial number, or model where it has none."""
+        devices = [(name or self.models[0].name, device) for name, device in self._devices]
+        return {name: device.link_statistics() for name, device in devices if isinstance(device, StreamingSensor)}
 
     def listen(self, listener: Listener) -> None:
         """Pass every sample that :meth:`read` takes from here on to a listener."""
@@ -214,6 +223,8 @@ class SensorSet:
 
         A sensor that fails :data:`ATTEMPTS` times in a row is given up where others remain, and it is not ``needed``.
         """
+        if isinstance(error.__cause__, BusError):
+            self.reopened.add(error.serial)
         count = self._failures[error.serial] = self._failures.get(error.serial, 0) + 1
         if count < ATTEMPTS:
             return True
@@ -242,7 +253,7 @@ class SensorSet:
             raise
         except HardwareError as error:
             alone = len(self._all) == 1 and serial != self.THERMOMETER
-            raise SensorError(serial, str(error) if alone else f"{serial}: {error}") from error
+            raise SensorError(serial, str(error) if alone else f"{serial or 'thermometer'}: {error}") from error
 
 
 def open_device(
@@ -264,8 +275,10 @@ def open_device(
     return virtual.twin(device) if address.simulated else open_link(address, device.model, lines)
 
 
-def probe_devices(devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: Clock) -> None:
-    """Open one device after the other, and check that it answers.
+def probe_devices(
+    devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: Clock, *, read: bool = False
+) -> list[Reading]:
+    """Open one device after the other, check that it answers, and return a reading of each where it is to be read.
 
     Raises
     ------
@@ -275,9 +288,13 @@ def probe_devices(devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: 
         A device that cannot be opened, or does not answer.
     """
     lines: dict[str, ModbusLine] = {}
+    readings = []
     for device in devices:
         with closing(open_device(device, virtual, lines)) as link:
-            device.model.driver(link, clock).probe()
+            driver = device.model.driver(link, clock)
+            driver.probe()
+            readings += [driver.read()] if read else []
+    return readings
 
 
 @contextmanager

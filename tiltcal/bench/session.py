@@ -16,16 +16,19 @@ from tiltcal.bench.operators.operator import PositionOperator, RotationOperator
 from tiltcal.bench.operators.sim import SimOperator, SimRotationOperator
 from tiltcal.bench.position_runner import PositionRunner
 from tiltcal.bench.recording import sample_rows
+from tiltcal.bench.sample_checks import ReadingSpans
 from tiltcal.bench.sensor_set import SensorSet, connected, probe_devices
 from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.virtual_bench import VirtualBench
+from tiltcal.calibration.calibration import Calibration, calibration_in
 from tiltcal.calibration.verification import Verification, verify_positions
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.drivers.device import StreamingSensor
-from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError
+from tiltcal.drivers.device import Reading
+from tiltcal.errors import HardwareError, InputError, Stopped, TiltcalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
+from tiltcal.files.document import read_document
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
 from tiltcal.files.journal_header import HEADER
 from tiltcal.files.moments import moment_after
@@ -105,6 +108,7 @@ class Session:
         self._finished = False
         self._clock = session_clock(plan.started, virtual=plan.virtual)
         self._virtual = VirtualBench(self._clock, plan.devices)
+        self._probed: dict[str, Reading] = {}
 
     @classmethod
     def of_journal(
@@ -116,11 +120,16 @@ class Session:
         ------
         JournalError
             The journal cannot be read or used.
+        UsageError
+            The session has several sensors, and the output is no folder.
         """
         journal = read_journal(path)
         if journal.torn:
             remark(f"{path}: the last line was torn off and is dropped")
-        return cls(SessionPlan.from_journal(journal), path, journal, output)
+        session = cls(SessionPlan.from_journal(journal), path, journal, output)
+        if output is not None and len(session.outputs) > 1 and not os.path.isdir(output):
+            raise UsageError(f"the session has {len(session.outputs)} sensors: name a folder instead of {output}")
+        return session
 
     @contextmanager
     def resumable(self, command: str, remark: Callable[[str], None]) -> Iterator[None]:
@@ -175,7 +184,8 @@ class Session:
         Raises
         ------
         UsageError
-            A path that cannot be written, or that a journal names outside its own folder.
+            A path that cannot be written, or where a journal would replace a file that is no calibration of its
+            sensor, or that it names outside its own folder.
         """
         if self.journal is not None and self._named is None and self._outside:
             # The journal may be somebody else's.
@@ -184,8 +194,29 @@ class Session:
             )
         for path in self.outputs:
             check_writable(path, self.path)
+            if self.journal is not None and os.path.isfile(path) and os.path.getsize(path):
+                self._require_calibration_of_plan(path)
         if not self._ended:
             check_writable(self.path)
+
+    def _require_calibration_of_plan(self, path: Path) -> None:
+        """Refuse a file that is no calibration of a sensor of the plan: the journal may be somebody else's."""
+        identities = [(device.model_name, device.serial) for device in self.plan.sensors]
+        try:
+            there = calibration_in(read_document(path))
+        except InputError:
+            there = None
+        if isinstance(there, Calibration):
+            replaceable = (there.sensor.model, there.sensor.serial) in identities
+        else:
+            bench = None if there is None else there.provenance.bench
+            replaceable = bench is not None and [(one.model, one.serial) for one in bench.sensors] == identities
+        if not replaceable:
+            serials = ", ".join(serial for _, serial in identities)
+            raise UsageError(
+                f"cannot write {path}: the file there is no calibration of {serials}; move it away, or name another "
+                "file with -o"
+            )
 
     def probe(self) -> None:
         """Check before the operator starts that every device answers; a journal that has its end needs none.
@@ -195,7 +226,8 @@ class Session:
         HardwareError
             A device that does not answer.
         """
-        probe_devices(() if self._ended else self.plan.devices, self._virtual, self._clock)
+        probed = probe_devices(() if self._ended else self.plan.devices, self._virtual, self._clock, read=True)
+        self._probed = {device.serial: reading for device, reading in zip(self.plan.sensors, probed, strict=False)}
         self._clock.seek(0)
 
     def run(
@@ -226,7 +258,9 @@ class Session:
             accepted = runner.run()
             if not self.outputs:  # a verification
                 return SessionResult({}, self._finish(opened))
-            found = tilt_calibrations(self.plan, opened.sensors.sensors, accepted, runner.records)
+            found = tilt_calibrations(
+                self.plan, opened.sensors.sensors, accepted, runner.records, runner.unseen, opened.sensors.reopened
+            )
             files = {self._output(device): device for device in self.plan.sensors if device.serial in found}
             opened.log.ask("write", positions.confirm_write, list(files))
             end = self._finish(opened)
@@ -258,12 +292,14 @@ class Session:
 
     def _position_runner(self, opened: _OpenSession, operator: PositionOperator) -> PositionRunner:
         fixture = self._virtual.fixture if self.plan.virtual and opened.live else None
+        spans = ReadingSpans(opened.sensors.sensors)
+        spans.add(self._probed)
         if self.plan.procedure.ramp is not None:
             from tiltcal.bench.ramp_runner import RampRunner
 
             ramp = self.plan.procedure.ramp
-            return RampRunner(ramp, self.plan, opened.sensors, operator, opened.log, opened.clock, fixture)
-        return PositionRunner(self.plan, opened.sensors, operator, opened.log, opened.clock, fixture)
+            return RampRunner(ramp, self.plan, opened.sensors, operator, opened.log, opened.clock, spans, fixture)
+        return PositionRunner(self.plan, opened.sensors, operator, opened.log, opened.clock, spans, fixture)
 
     def _match(self, rotation: Rotation, opened: _OpenSession, operator: RotationOperator) -> SessionResult:
         """Let the stage turn, and match its pairs."""
@@ -310,12 +346,7 @@ class Session:
         ended = moment_after(self.plan.started, opened.log.now_ns())
         sha256 = opened.log.finish()
         self._finished = True
-        statistics = {
-            sensor.serial: sensor.sensor.link_statistics()
-            for sensor in opened.sensors.sensors
-            if isinstance(sensor.sensor, StreamingSensor)
-        }
-        return SessionEnd(ended, sha256, opened.sensors.lost, statistics)
+        return SessionEnd(ended, sha256, opened.sensors.lost, opened.sensors.link_statistics())
 
     def _output(self, device: DeviceSetup) -> Path:
         planned = Path(os.path.normpath(self.path.parent / device.output))

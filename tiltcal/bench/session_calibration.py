@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from math import hypot
 from typing import Any
@@ -13,6 +14,7 @@ from tiltcal.bench.sensor_set import ConnectedSensor
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
+from tiltcal.calibration.summary import NOT_FOLLOWED
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
@@ -48,6 +50,8 @@ def tilt_calibrations(
     sensors: Sequence[ConnectedSensor],
     accepted: Sequence[PositionResult],
     records: Mapping[str, RampRecord],
+    unseen: Mapping[str, Sequence[str]],
+    reopened: Collection[str],
 ) -> dict[str, CalibrationRecord]:
     """Return the calibration of each sensor by its serial number, without its provenance.
 
@@ -59,6 +63,10 @@ def tilt_calibrations(
         Every position, in the procedure's order.
     records : mapping of str to RampRecord
         Of a ramp, the continuous record of each sensor.
+    unseen : mapping of str to sequence of str
+        By serial number, the channels that were tipped and did not follow.
+    reopened : collection of str
+        Sensors whose bus failed and was opened again, by serial number.
 
     Raises
     ------
@@ -77,6 +85,7 @@ def tilt_calibrations(
                 sensor.model.thermometer_rounding if own_thermometers else None,
                 base.calibration if (base := plan.bases.get(sensor.serial)) else None,
                 records.get(sensor.serial),
+                sensor.serial in reopened,
             )
             for sensor in sensors
         ],
@@ -85,7 +94,11 @@ def tilt_calibrations(
         typical_temperature=plan.typical,
         settings={"samples": plan.settings.samples, "settle_seconds": plan.settings.settle},
     )
-    return {sensor.serial: record for sensor, record in zip(sensors, found, strict=True)}
+    calibrations = {}
+    for sensor, record in zip(sensors, found, strict=True):
+        notes = [f"{channel} {NOT_FOLLOWED}" for channel in unseen.get(sensor.serial, ())]
+        calibrations[sensor.serial] = replace(record, fit=replace(record.fit, notes=(*record.fit.notes, *notes)))
+    return calibrations
 
 
 def tilt_provenance(plan: SessionPlan, device: DeviceSetup, ending: SessionEnd) -> Provenance:

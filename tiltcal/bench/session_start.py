@@ -13,6 +13,7 @@ from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import SessionPlan, plan_session
 from tiltcal.calibration.free_positions import require_no_jig
 from tiltcal.calibration.prediction import predict
+from tiltcal.calibration.suitability import unchecked
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.atomic import check_writable
 from tiltcal.files.base_calibration import bases_of
@@ -73,8 +74,6 @@ def _resumed(journal: Path, stated: StatedSession, remark: Callable[[str], None]
         raise UsageError(
             f"{journal} is of a verification; continue it with: tiltcal verify CAL --resume {quote(str(journal))}"
         )
-    if len(session.outputs) > 1 and stated.output is not None and not os.path.isdir(stated.output):
-        raise UsageError(f"the session has {len(session.outputs)} sensors: name a folder instead of {stated.output}")
     begun = session.plan
     serials = [device.serial for device in begun.sensors]
     begun.require_as_begun(
@@ -128,9 +127,10 @@ def _begun(stated: StatedSession, remark: Callable[[str], None]) -> Session:
         bases=bases,
         typical=stated.typical_temperature,
     )
-    session = Session(plan, path)
     _predict(plan, remark)
-    return session
+    if steps.rotation is None:
+        _make_folder(beside.parent)
+    return Session(plan, path)
 
 
 def _require_named(stated: StatedSession) -> None:
@@ -176,6 +176,9 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
         if len(plan.sensors) > 1:
             remark("several devices are read one after the other: the delay of one, times 2 pi f, goes into q")
         return
+    for device in plan.sensors:
+        if why := unchecked(device.model):
+            remark(f"{device.serial}: {why}")
     for device in {(sensor.model_name, sensor.orientation): sensor for sensor in plan.sensors}.values():
         base = plan.bases.get(device.serial)
         expected = predict(
@@ -219,10 +222,17 @@ def _outputs(procedure: Procedure, sensors: BenchFile, stated: StatedSession) ->
         check_writable(output)
         return [output], output
     folder = output or Path()
-    if not os.path.isdir(folder):
-        raise UsageError(f"with --bench, -o names the folder for the calibration files; {folder} is no folder")
     name = "bench" if isinstance(bench, BenchFile) else Path(str(bench)).name
     return [folder / f"{sensor.serial}.yaml" for sensor in sensors.sensors], folder / name
+
+
+def _make_folder(folder: Path) -> None:
+    """Make the folder of a bench's calibration files, unless it is there."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        why = f"{folder} cannot be made: {error.strerror}"
+        raise UsageError(f"with --bench, -o names the folder for the calibration files; {why}") from None
 
 
 def free_journal(output: Path, remark: Callable[[str], None]) -> Path:

@@ -124,7 +124,7 @@ def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Cal
     held: deque[Timed] = deque()
     began: float | None = None
     judged = 0.0
-    why = "waiting until it is still"
+    why = "waiting until it is still" if window.target is None else f"on the way to {window.target:g} °C"
     while True:
         sample = sensors.read(fresh=True)
         now = clock.now_ns() / 1e9

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from tiltcal.calibration.channel_checks import ACCELERATION, require_own_readings
-from tiltcal.calibration.free_positions import directed, require_no_jig, with_verdict
+from tiltcal.calibration.channel_checks import require_own_readings
+from tiltcal.calibration.free_positions import calibrate_free, require_no_jig
 from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
@@ -26,6 +26,7 @@ from tiltcal.calibration.temperature import (
     with_typical_temperature,
 )
 from tiltcal.core.rounding import round_to
+from tiltcal.drivers.columns import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.position_record import ProcedureRecord
@@ -114,11 +115,9 @@ def _with_thermometer(bench: BenchUncertainty, sensors: Sequence[MeasuredSensor]
 def _fitted(
     sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
 ) -> list[CalibrationRecord]:
-    """Return the joint estimate, in free positions or set ones, with an order of the drift that the data warrant."""
+    """Return the estimate of each sensor, joint in set positions, with an order of the drift that the data warrant."""
     if procedure.determines.free:
-        sensors = directed(sensors)
-        found = fit_jointly(sensors, procedure, bench)
-        return [with_verdict(record, its.measurements) for record, its in zip(found, sensors, strict=True)]
+        return [calibrate_free(sensor, procedure, bench) for sensor in sensors]
     if not procedure.determines.cross_validated:
         return fit_jointly(sensors, procedure, bench)
     choice = choose_order(sensors, procedure, bench)

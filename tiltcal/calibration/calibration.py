@@ -11,7 +11,7 @@ from typing import Any, Unpack, overload
 
 import tiltcal
 from tiltcal.calibration.apply_arguments import ApplyArguments, Frame
-from tiltcal.calibration.summary import mounting_lines, summary
+from tiltcal.calibration.summary import summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
 from tiltcal.errors import EstimateError, InputError, UsageError
@@ -29,7 +29,7 @@ from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.node import Node
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
-from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.files.uncertainty import Uncertainty, length_tolerance
 from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_boolean
 
@@ -148,7 +148,10 @@ class Calibration:
             The sensitivity matrix cannot be inverted.
         """
         require_boolean("--first-order", first_order)
-        return Compensation(self.coefficients, self.limits, first_order=first_order)
+        limits = self.limits
+        if limits.length is None:
+            limits = replace(limits, length=length_tolerance(self.record.uncertainty, self.coefficients, limits))
+        return Compensation(self.coefficients, limits, first_order=first_order)
 
     @overload
     def apply(self, frame: Mapping[str, Any], **arguments: Unpack[ApplyArguments]) -> dict[str, Any]: ...
@@ -294,7 +297,7 @@ class Calibration:
         return f"<Calibration of {sensor.model} {sensor.serial}: {', '.join(sensor.channels)} in {sensor.unit}>"
 
     def __str__(self) -> str:
-        return "\n".join([summary(self.record), *mounting_lines(self.record)])
+        return summary(self.record)
 
 
 def read(path: str | Path) -> Calibration | Any:
@@ -322,7 +325,7 @@ def calibration_in(document: Node) -> Calibration | tiltcal.PairCalibration:
         return tiltcal.PairCalibration(PAIR.read(document))
     calibration = Calibration(TILT.read(document))
     try:
-        calibration.compensation()
+        Compensation(calibration.coefficients)
     except EstimateError as failure:
         raise InputError(str(failure), file=document.file) from failure
     return calibration

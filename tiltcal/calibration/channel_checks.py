@@ -16,6 +16,7 @@ from tiltcal.calibration.measurement import MeasuredSensor, at_rail, rails_of
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.model import Coefficients
 from tiltcal.core.rounding import significant
+from tiltcal.drivers.columns import OF_G
 from tiltcal.errors import EstimateError
 
 LEAST_ANGLE = 15.0
@@ -26,11 +27,6 @@ REACTION = 3.0
 
 ROUNDING = 1e-9
 """The share of a reading below which a sensitivity is a rounding error."""
-
-ACCELERATION = ("m/s2", "m/s^2", "m/s²")
-
-OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
-"""What 1 g is in units of acceleration."""
 
 CLEARLY = 2.0
 """A channel whose sensitivity to another axis is so many times that to its own is that axis's channel."""
@@ -60,7 +56,12 @@ def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
     """
     _require_reaction(sensor, found)
     _require_apart(found.coefficients)
-    return (*_remarks(found.coefficients), *_remarks_on_unit(found.coefficients, sensor.sensor.unit))
+    return remarks_on_wiring(found.coefficients, sensor.sensor.unit)
+
+
+def remarks_on_wiring(coefficients: Coefficients, unit: str) -> tuple[str, ...]:
+    """Return remarks on channels that are exchanged or turned, and on readings of another unit."""
+    return (*_remarks(coefficients), *_remarks_on_unit(coefficients, unit))
 
 
 _COPIES = "two copies of one channel? Look at the wiring, and at --columns"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations, permutations
@@ -230,34 +230,45 @@ def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
 
 def _assumed(sessions: Sequence[CombinedSession], measured: Sequence[str], target: Coefficients) -> list[Statement]:
     """Return what one session has assumed and no session has measured, as a statement; none where there is nothing."""
+    found: list[Statement] = []
     for kind, starts in KINDS.items():
         sources = [session for session in sessions if session.assumes(kind)]
         others = [session for session in sessions if not session.assumes(kind)]
-        if not sources or any(kind != "temperature" or session.coefficients.thermal for session in others):
-            continue
-        source = min(sources, key=lambda session: "nominal" in (session.assumes(kind) or ""))
-        some = [
+        if sources and not any(kind != "temperature" or session.coefficients.thermal for session in others):
+            source = min(sources, key=lambda session: "nominal" in (session.assumes(kind) or ""))
+            names = [name for name in source.known.names if name.startswith(starts)]
+            found = found or _statements(source, names, measured, target)
+    lent = next((session for session in sessions if session.record.fit.priors), None)
+    return found if lent is None else found + _statements(lent, lent.record.fit.priors, measured, target)
+
+
+def _statements(
+    source: CombinedSession, names: Collection[str], measured: Sequence[str], target: Coefficients
+) -> list[Statement]:
+    """Return what a session has assumed of some coefficients and none has measured, as a statement; or nothing."""
+    own = source.known.chosen(
+        [
             k
             for k, name in enumerate(source.known.names)
-            if name.startswith(starts) and name in values(target) and name not in measured
+            if name in names and name in values(target) and name not in measured
         ]
-        if some:
-            own = source.known.chosen(some)
-            return [
-                Statement(
-                    label=ASSUMED,
-                    names=own.names,
-                    values=vector_of(source.coefficients, own.names),
-                    covariance=own.covariance,
-                    factors=own.factors,
-                    temperature=None,
-                    u_temperature=0.0,
-                    given=(),
-                    given_values=np.zeros(0),
-                    by_given=np.zeros((len(some), 0)),
-                )
-            ]
-    return []
+    )
+    if not own.names:
+        return []
+    return [
+        Statement(
+            label=ASSUMED,
+            names=own.names,
+            values=vector_of(source.coefficients, own.names),
+            covariance=own.covariance,
+            factors=own.factors,
+            temperature=None,
+            u_temperature=0.0,
+            given=(),
+            given_values=np.zeros(0),
+            by_given=np.zeros((len(own.names), 0)),
+        )
+    ]
 
 
 def _require_agreement(sessions: Sequence[CombinedSession], found: Combination) -> None:

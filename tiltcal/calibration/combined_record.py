@@ -23,6 +23,7 @@ from tiltcal.core.estimation.estimate import NO_FREEDOM
 from tiltcal.core.model import Limits
 from tiltcal.core.rounding import significant
 from tiltcal.core.uncertainty_inputs import is_turn
+from tiltcal.errors import InputError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
 from tiltcal.files.fit_record import NOISE_ALONE, FitRecord
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
@@ -67,6 +68,7 @@ def _fit(
     sources = {fit.uncertainty_from for fit in fits if fit.uncertainty_from}
     left = [note for fit in fits for note in fit.notes if note != NO_FREEDOM or not found.dof]
     judged = all(fit.chi_square is not None or not fit.degrees_of_freedom for fit in fits)
+    assumed = {name for statement in found.statements if statement.label == ASSUMED for name in statement.names}
     chi_square = found.chi_square + sum(fit.chi_square or 0.0 for fit in fits)
     return FitRecord(
         residuals={renamed[n, name]: row for n, fit in enumerate(fits) for name, row in fit.residuals.items()},
@@ -76,6 +78,8 @@ def _fit(
         thermometer_celsius=max((fit.thermometer_celsius or 0.0 for fit in fits), default=0.0) or None,
         budget=_budget(sessions, found),
         notes=tuple(dict.fromkeys([f"combined of {' and '.join(map(_told, sessions))}", *remarks, *left])),
+        priors={name: u for fit in fits for name, u in fit.priors.items() if name in assumed},
+        not_covered=tuple(dict.fromkeys(error for fit in fits for error in fit.not_covered)),
         mounting=next((fit.mounting for fit in fits if fit.mounting), None),
         level=next((fit.level for fit in fits if fit.level), None),
     )
@@ -181,6 +185,11 @@ def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRe
         for channel, (low, high) in record.limits.reading.items():
             before = reading.get(channel, (low, high))
             reading[channel] = max(low, before[0]), min(high, before[1])
+            if not reading[channel][0] < reading[channel][1]:
+                raise InputError(
+                    f"limits.reading.{channel}: [{low:g}, {high:g}] and [{before[0]:g}, {before[1]:g}] do not overlap: "
+                    "the sessions are not of one sensor in one range; correct the limits, or leave a session out"
+                )
     met = [record.limits.temperature for record in records if record.limits.temperature and record.coefficients.thermal]
     return Limits(tilt, (min(low for low, _ in met), max(high for _, high in met)) if met else None, reading)
 

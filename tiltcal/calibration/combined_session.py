@@ -56,9 +56,10 @@ class CombinedSession:
 
     @cached_property
     def assumed(self) -> frozenset[str]:
-        """The coefficients that were not measured."""
+        """The coefficients that were not measured, those that the data sheet states among them."""
         starts = tuple(start for kind, all_ in KINDS.items() if self.assumes(kind) for start in all_)
-        return frozenset(name for name in values(self.coefficients) if starts and name.startswith(starts))
+        found = frozenset(name for name in values(self.coefficients) if starts and name.startswith(starts))
+        return found | set(self.record.fit.priors)
 
     @cached_property
     def known(self) -> UncertaintyInputs:

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from math import nan
 from typing import Any
+
+import numpy as np
 
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.verdict import Verdict, judge
-from tiltcal.core.named_coefficients import CoefficientChange
+from tiltcal.core.gravity_direction import LEVEL, gravity_from_tilt, normalised
+from tiltcal.core.model import AXES, Array
+from tiltcal.core.named_coefficients import CoefficientChange, values
+from tiltcal.core.orientation import orientation
 from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
 from tiltcal.files.fit_record import NOISE_ALONE
+from tiltcal.files.position_record import PositionSet
 from tiltcal.frozen import frozen
+
+_ALIKE = 0.02
+"""Coefficients of two files mean the same if the shares of other terms that they hold differ by less than this."""
 
 _INCOMPLETE = (
     "the uncertainty of the {which} file rests on noise alone and leaves out how well the positions were set: measure "
@@ -27,24 +37,30 @@ class Comparison:
     Attributes
     ----------
     changes : tuple of CoefficientChange
-        Every coefficient that both have, at the newer one's reference temperature.
+        Every coefficient that means the same in both, at the newer one's reference temperature, or where only one has a
+        drift at the temperature of the other.
+    not_comparable : tuple of str
+        All others; where the positions do not determine the column of z, an offset holds a part of it.
     """
 
     sensor: SensorIdentity
     changes: tuple[CoefficientChange, ...]
     verdict: Verdict
+    not_comparable: tuple[str, ...] = ()
 
     @property
     def in_words(self) -> str:
         """The verdict in one word, and by how much each changed coefficient has changed."""
+        rest = f"; not comparable: {', '.join(self.not_comparable)}" if self.not_comparable else ""
         if self.verdict.word != "changed":
-            return self.verdict.word
+            return self.verdict.word + rest
         changed = [change for change in self.changes if change.name in self.verdict.changed]
-        return "changed: " + ", ".join(
+        moved = (
             f"{change.name} by {plus_minus(change.difference, change.u or 0.0, signed=True)} "
             f"{unit_of(change.name, self.sensor.unit)}".rstrip()
             for change in changed
         )
+        return f"changed: {', '.join(moved)}{rest}"
 
     def as_data(self) -> dict[str, Any]:
         """Return the comparison as plain data."""
@@ -66,6 +82,7 @@ class Comparison:
                 }
                 for change in self.changes
             ],
+            "not_comparable": list(self.not_comparable),
         }
 
     def __str__(self) -> str:
@@ -81,6 +98,7 @@ class Comparison:
                 f"  {change.name:<26} {change.before:>12.6g} {change.after:>12.6g} {change.difference:>+12.4g}"
                 f"   {ratio}{mark}"
             )
+        lines += [f"  {name:<26} not comparable" for name in self.not_comparable]
         return "\n".join([*lines, str(verdict)])
 
     __repr__ = __str__
@@ -112,12 +130,53 @@ def compare(old: Calibration, new: Calibration) -> Comparison:
 def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Comparison:
     """Compare the contents of two calibration files, as :func:`compare` does."""
     require_same_sensor(old, new)
-    found = tuple(changes_between(old, new))
-    alone = [
-        which
-        for which, calibration in (("older", old), ("newer", new))
-        if calibration.fit.uncertainty_from == NOISE_ALONE
-    ]
-    return Comparison(
-        new.sensor, found, judge(found, _INCOMPLETE.format(which=" and the ".join(alone)) if alone else "")
-    )
+    reference = _temperature(old if old.coefficients.thermal is None else new)
+    steady = {record.coefficients.thermal is None for record in (old, new)}
+    unlike = {"offset", "sensitivity"} if len(steady) == 2 and reference is None else set()
+    bent = (old.coefficients.nonlinearity is None) != (new.coefficients.nonlinearity is None)
+    shares = [_held_shares(record) for record in (old, new)]
+
+    def comparable(name: str) -> bool:
+        kind, channel, *axis = name.split(".")
+        first, last = (held.get("".join(axis) if kind == "sensitivity" else kind, 0.0) for held in shares)
+        curved = bent and (kind == "offset" or (kind == "sensitivity" and axis == [channel]))
+        return kind not in unlike and not curved and np.allclose(first, last, rtol=0.0, atol=_ALIKE, equal_nan=True)
+
+    compared = tuple(change for change in changes_between(old, new, reference) if comparable(change.name))
+    files = (("older", old), ("newer", new))
+    alone = [which for which, record in files if record.fit.uncertainty_from == NOISE_ALONE]
+    incomplete = _INCOMPLETE.format(which=" and the ".join(alone)) if alone else ""
+    verdict = judge(compared, incomplete if compared else "no coefficient means the same in both files")
+    rest = (values(old.coefficients) | values(new.coefficients)).keys() - {change.name for change in compared}
+    return Comparison(new.sensor, compared, verdict, tuple(sorted(rest)))
+
+
+def _temperature(record: CalibrationRecord) -> float | None:
+    """Return the reference temperature, without a drift the mean of the positions, °C; None where none is stated."""
+    if record.coefficients.thermal is not None:
+        return record.coefficients.thermal.reference
+    own, _, levelled = record.runs
+    met = [position.temperature for position in levelled or own if position.temperature is not None]
+    return float(np.mean(met)) if met else None
+
+
+def _held_shares(record: CalibrationRecord) -> dict[str, Array]:
+    """Return the shares of the columns x, y and z that a file leaves out in its ``offset`` and each column, shape (3,).
+
+    They are those of least squares at the positions; NaN where the attitudes are not stated.
+    """
+    axes, bench = record.coefficients.axes, record.provenance.bench
+    own, _, levelled = record.runs
+    stated = [record.procedure.set.get(position.position, PositionSet()) for position in own]
+    attitudes = [gravity_from_tilt(one.tilt) if one.tilt is not None else one.gravity for one in stated]
+    seen = orientation(bench.axes if bench is not None and bench.axes else AXES).seen
+    up = np.array([(nan,) * 3 if one is None else seen(normalised(one)) for one in [*attitudes, LEVEL]])
+    fitted = [AXES.index(axis) for axis in axes]
+    design = np.column_stack([np.ones(len(up)), up[:, fitted]])
+    held = np.full((design.shape[1], 3), nan)
+    if own and np.isfinite(up).all():
+        held = np.linalg.lstsq(design[:-1], up[:-1], rcond=None)[0]
+    if levelled:
+        held[0] = up[-1] - design[-1, 1:] @ held[1:]
+    held[:, fitted] = 0.0
+    return dict(zip(("offset", *axes), held, strict=True))

@@ -31,13 +31,13 @@ from tiltcal.files.uncertainty import Covariance, Uncertainty
 DIGITS = 4
 """Of an uncertainty."""
 
-MATRIX_DIGITS = 100.0
+MATRIX_DIGITS = 1e4
 """The covariance is rounded to this part of what four digits of its two uncertainties would be."""
 
 SHARE_DIGITS = 3
 
-TOO_GOOD = 0.02
-"""A chi-square that is so small with no more than this probability shows that less was uncertain than stated."""
+PRIOR_DIGITS = 9
+"""Of an uncertainty that is taken out of a difference again."""
 
 
 def rounded(found: DeterminedCoefficients) -> Coefficients:
@@ -130,18 +130,15 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         noise_estimated=None if found.estimated_noise is None else significant(found.estimated_noise, SHARE_DIGITS),
         budget=budget_record(found.budget, found.names),
         notes=tuple(found.notes),
+        priors={}
+        if design.assumes_sensitivity
+        else {name: significant(prior.u, PRIOR_DIGITS) for name, prior in design.priors.items()},
+        not_covered=found.not_covered,
     )
     if found.chi_square is None or found.p is None or not found.stated:
         return record
-    notes = record.notes
-    if design.jig and found.p > 1.0 - TOO_GOOD:
-        notes += (
-            f"the positions agree better than a jig of {design.jig:g}° lets them: it is better than stated, or the "
-            "noise is, and the uncertainty is larger than it need be",
-        )
     return replace(
         record,
-        notes=notes,
         chi_square=significant(found.chi_square, 4),
         p_value=significant(found.p, SHARE_DIGITS),
         suspect_positions={

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
-from math import acos, cos, degrees, radians
+from itertools import combinations, compress
+from math import acos, cos, degrees, radians, sqrt
 
 import numpy as np
 
-from tiltcal.calibration.measurement import MeasuredSensor, Measurement
+from tiltcal.calibration.channel_checks import judge_channels
+from tiltcal.calibration.joint_fit import design_of, record_of
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
 from tiltcal.core.coverage_factor import NORMAL_FACTOR
-from tiltcal.core.estimation.ellipsoid import UNKNOWNS, count_distinct, fit_ellipsoid, misfits
+from tiltcal.core.estimation.design import Design
+from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
+from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
+from tiltcal.core.estimation.pooling import noise_of_means
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.rounding import significant
 from tiltcal.core.statistics import SampleSummary
@@ -32,6 +37,11 @@ SKEW, UNEQUAL = 15.0, 1.5
 REACH = 45.0
 """A direction is missing where no attitude comes as near, degrees."""
 
+BELOW_NOISE = "the residuals are smaller than the noise of the readings, by chance: the noise counts"
+GAUGE = (
+    "unit gravity alone says nothing of the mounting: the frame's z axis is the direction that the z channel senses, "
+    "and its y axis lies in the plane of those of y and z"
+)
 UNDETERMINED = (
     "undetermined: gravity alone does not show how the sensor sits. The sensitivity is given in the frame whose z axis "
     "is the direction that channel z senses, and whose y axis lies in the plane of those of channels y and z"
@@ -44,67 +54,92 @@ def require_no_jig(procedure: Procedure, jig: float | None) -> None:
         raise UsageError("free positions use no jig: leave --jig out, or name a procedure whose positions are set")
 
 
-def directed(sensors: Sequence[MeasuredSensor]) -> list[MeasuredSensor]:
-    """Return the sensors of a fixture with the directions that their readings show, for the estimator to refine.
+def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
+    """Calibrate a sensor of three channels from unit gravity alone.
 
-    The ellipsoid of the readings of one with three channels gives the directions for all. An EstimateError where no
-    sensor has three, or the readings lie on no ellipsoid.
+    An EstimateError where too many attitudes do not agree, or the coefficients are too uncertain to be of use, or are
+    those of no sensor; the message names the attitudes, or the directions that are missing.
     """
-    leader = next((sensor for sensor in sensors if set(AXES) <= set(sensor.sensor.channels)), None)
-    if leader is None:
-        raise EstimateError("free positions need a sensor of three channels: unit gravity does not determine fewer")
-    seen = directions([measurement.summaries for measurement in leader.measurements]) @ np.array(leader.orientation)
-    return [replace(sensor, measurements=_turned(sensor, seen)) for sensor in sensors]
-
-
-def directions(positions: Sequence[Mapping[str, SampleSummary]]) -> Array:
-    """Return a first estimate of the direction of gravity in each position, shape (positions, 3), from x, y and z.
-
-    Unit vectors, in the frame in which the sensitivity matrix is upper triangular. An EstimateError where the readings
-    are fewer than nine, or lie on no ellipsoid.
-    """
-    means = np.array([[summaries[channel].mean for channel in AXES] for summaries in positions])
-    return fit_ellipsoid(means, np.zeros_like(means)).attitudes
-
-
-def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:
-    """Add how well the length of gravity is met, what judges it, and what is undetermined.
-
-    Of 728 simulated recordings with an expanded uncertainty below :data:`UNCERTAIN` none was off by more than twice
-    that; above :data:`WORTHLESS` 57 % were. Where every axis was up and down, the intervals hold beyond that, too: 97 %
-    of 324 between 50 and 1000 mg.
-
-    Parameters
-    ----------
-    calibration : CalibrationRecord
-        From unit gravity alone.
-    measurements : sequence of Measurement
-        Its positions, in the directions that were found.
-
-    Raises
-    ------
-    EstimateError
-        The coefficients are too uncertain to be of use, or are those of no sensor; the message names the directions
-        that are missing.
-    """
-    coefficients = calibration.coefficients
-    attitudes = np.array([measurement.gravity for measurement in measurements])
-    distinct = count_distinct(attitudes)
-    fit = replace(calibration.fit, distinct_attitudes=distinct)
-    if len(coefficients.channels) == len(coefficients.axes) == len(AXES):
-        mean = np.array(
-            [[measurement.summaries[channel].mean for channel in coefficients.channels] for measurement in measurements]
+    design = design_of(sensor.sensor, procedure, bench)
+    summaries = [[measurement.summaries[axis] for axis in AXES] for measurement in sensor.measurements]
+    mean = np.array([[summary.mean for summary in row] for row in summaries])
+    # Sway within a hold looks like noise with a memory; it does not change the length of gravity.
+    noise = [noise_of_means(channel) for channel in zip(*summaries, strict=True)]
+    u = np.sqrt([variance + rounding**2 for variance, _, rounding in noise]).T
+    seen = fit_free(mean, u, _sway(summaries))
+    names = [measurement.position for measurement in sensor.measurements]
+    off = {name: significant(1e3 * float(misfit), 3) for name, misfit in zip(names, seen.misfit, strict=True)}
+    if len(seen.disagreeing):
+        named = ", ".join(f"{names[k]} ({off[names[k]]:+g} mg)" for k in seen.disagreeing)
+        raise EstimateError(
+            f"the length of gravity in {named} does not agree with the other attitudes, and these are too few without "
+            "them: was the sensor still there? Take them again, or more attitudes"
         )
-        misfit = misfits(mean, coefficients.offset, coefficients.sensitivity)
-        fit = replace(fit, misfit_rms_mg=significant(1e3 * float(np.sqrt(np.mean(misfit**2))), 3))
-    warnings = []
-    if distinct <= UNKNOWNS:
+    placed = [
+        replace(measurement, gravity=(x, y, z), tilt=None)
+        for measurement, (x, y, z) in zip(sensor.measurements, seen.attitudes.tolist(), strict=True)
+    ]
+    dof = sum(summary.dof for row in summaries for summary in row)
+    found = _estimate(seen, design, list(compress(names, seen.kept)), dof)
+    left_out = {name: off[name] for name in compress(names, ~seen.kept)}
+    notes = (*found.notes, *judge_channels(sensor, found))
+    if left_out:
+        named = ", ".join(f"{name} ({misfit:+g} mg)" for name, misfit in left_out.items())
+        notes += (f"left out, because the length of gravity does not agree with the other attitudes: {named}",)
+    found = replace(found, notes=notes)
+    record = record_of(found, design, replace(sensor, measurements=list(compress(placed, seen.kept))), procedure)
+    fit = replace(
+        record.fit,
+        distinct_attitudes=seen.distinct,
+        left_out_mg=left_out,
+        misfit_rms_mg=significant(1e3 * seen.rms, 3),
+        warning=_warning(record, seen),
+    )
+    return replace(
+        record,
+        derived=replace(record.derived, mounting=UNDETERMINED),
+        fit=fit,
+        positions=tuple(measurement.record(AXES) for measurement in placed),
+    )
+
+
+def _sway(summaries: Sequence[Sequence[SampleSummary]]) -> Array:
+    """Return the standard deviation of the readings that is motion, shape (positions, 3), unit.
+
+    Of noise alone, without a memory, the mean of n samples has the variance std² / n: what is more is motion.
+    """
+    std = np.array([[summary.std for summary in row] for row in summaries])
+    slow = float(np.sum([[summary.n * summary.noise**2 for summary in row] for row in summaries]))
+    return std * sqrt(max(1.0 - float(np.sum(std**2)) / slow, 0.0)) if slow else 0.0 * std
+
+
+def _estimate(seen: FreeFit, design: Design, names: Sequence[str], noise_dof: float) -> Estimate:
+    """Return the fit as an estimate of named positions; ``noise_dof`` are the degrees of freedom of the noise."""
+    notes = (GAUGE, *((BELOW_NOISE,) if seen.below_noise else ()), *(() if seen.dof else (NO_FREEDOM,)))
+    return Estimate(
+        coefficients=Coefficients(AXES, AXES, seen.offset, seen.sensitivity),
+        names=design.names,
+        budget=seen.budget(noise_dof),
+        positions=tuple(names),
+        residuals=(seen.misfit[:, None] * seen.attitudes)[seen.kept] @ seen.sensitivity.T,
+        dof=seen.dof,
+        chi_square=None,
+        p=None,
+        stated=not seen.dof,
+        notes=notes,
+    )
+
+
+def _warning(calibration: CalibrationRecord, seen: FreeFit) -> str | None:
+    """Return what limits the use of a calibration; what makes it useless is an EstimateError."""
+    coefficients, warnings = calibration.coefficients, []
+    if seen.distinct <= UNKNOWNS:
         warnings.append(
-            f"{distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to show whether "
-            "the result is right; add attitudes, 12 to 18 or more"
+            f"{seen.distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to show "
+            "whether the result is right; add attitudes, 12 to 18 or more"
         )
     worst, expanded = _worst(calibration)
-    why, missing = _no_sensor(coefficients), _missing(attitudes)
+    why, missing = _no_sensor(coefficients), _missing(seen.attitudes)
     most = WORTHLESS if missing else WORTHLESS_ANGLE
     if why is None and expanded > most:
         why = f"{worst} has an expanded uncertainty of {expanded:.2g} mg, more than {most:g} mg"
@@ -113,9 +148,7 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
         raise EstimateError(f"the attitudes do not determine the sensor: {why}; {advice}")
     if expanded > UNCERTAIN:
         warnings.append(f"{worst} has an expanded uncertainty of {expanded:.2g} mg: {advice}")
-    if warnings:
-        fit = replace(fit, warning="; ".join(warnings))
-    return replace(calibration, derived=replace(calibration.derived, mounting=UNDETERMINED), fit=fit)
+    return "; ".join(warnings) or None
 
 
 def _worst(calibration: CalibrationRecord) -> tuple[str, float]:
@@ -162,12 +195,3 @@ def _advice(worst: str, missing: Sequence[str]) -> str:
     if len(set(axes)) > 1:
         return f"add attitudes between the axes {' and '.join(axes)}, with both about 45° up or down"
     return "hold it still for longer in each attitude, or in more of them"
-
-
-def _turned(sensor: MeasuredSensor, directions: Array) -> list[Measurement]:
-    """Return a sensor's positions in directions of the fixture's frame."""
-    own = directions @ np.array(sensor.orientation).T
-    return [
-        replace(measurement, gravity=(x, y, z), tilt=None)
-        for measurement, (x, y, z) in zip(sensor.measurements, own.tolist(), strict=True)
-    ]

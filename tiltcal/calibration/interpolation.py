@@ -25,7 +25,7 @@ from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import CalibrationRecord, require_same_sensor
+from tiltcal.files.calibration import CalibrationRecord, require_same_sensor, responses_to_priors
 from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.position_record import ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
@@ -165,6 +165,7 @@ class _End:
     names: tuple[str, ...]
     covariance: Array
     dof: Array
+    by_prior: Array
 
     @classmethod
     def of(cls, record: CalibrationRecord, reference: float | None) -> _End:
@@ -175,11 +176,13 @@ class _End:
         if reference is not None and moved is not coefficients:
             names, by = _referring(coefficients, stated, reference)
         known = Budget.of([Part("", by, stated.covariance, stated.factors)])
-        return cls(moved, names, known.covariance, known.dof)
+        common = responses_to_priors(record)
+        none = np.zeros(len(record.fit.priors))
+        return cls(moved, names, known.covariance, known.dof, by @ [common.get(name, none) for name in stated.names])
 
     def times(self, weight: float) -> _End:
         """Return this end with the covariance that its coefficients have when they are multiplied by a weight."""
-        return replace(self, covariance=self.covariance * weight**2)
+        return replace(self, covariance=self.covariance * weight**2, by_prior=self.by_prior * weight)
 
 
 def _referring(
@@ -216,6 +219,13 @@ def _joined(
         covariance[np.ix_(rows, rows)] += end.covariance
         variances = np.diag(end.covariance)
         sources += [(v * alone[k], float(dof)) for k, v, dof in zip(rows, variances, end.dof, strict=True)]
+    if len(ends) == 2 and ends[0].by_prior.shape[1] == ends[1].by_prior.shape[1]:
+        # What the data sheet states errs alike in both.
+        across = np.zeros_like(covariance)
+        across[np.ix_(*([names.index(name) for name in end.names] for end in ends))] = (
+            ends[0].by_prior @ ends[1].by_prior.T
+        )
+        covariance += across + across.T
     for name, (variance, dof) in walked.items():
         row = names.index(name)
         covariance[row, row] += variance

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import asin, degrees, fsum, inf, radians, sqrt
 
@@ -19,7 +19,7 @@ from tiltcal.core.model import AXES, Limits
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import significant
 from tiltcal.core.statistics import SampleSummary
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.device import Model, deviation_within
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.position_record import PositionSet, ProcedureRecord
@@ -33,6 +33,13 @@ NO_NOISE = "the table states no uncertainties of its means (ux, uy, uz)"
 FEW = 3.0
 """Degrees of freedom below which a variance is hardly known."""
 EXACT_TEMPERATURES = f"{NO_THERMOMETER}: temperatures count as exact"
+
+
+LARGEST_AGREEMENT, LARGEST_AGREEMENT_REOPENED = 0.5, 0.3
+"""Estimated jigs above which it is asked what happened, degrees; the second where a sensor was opened again."""
+STEEP = 0.99
+"""Gravity along a channel, g, from which on a set angle says little of its reading."""
+DRIFT_NOT_SHOWN = "along gravity only the noise counts; --closing or --jig shows a drift"
 
 
 def fit_jointly(
@@ -51,8 +58,8 @@ def fit_jointly(
     calibrations = []
     for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
         design = seen.design
-        remarks = () if design.priors else judge_channels(sensor, estimated)
-        estimate = _with_remarks(with_hysteresis(estimated, seen), sensor.measurements, design)
+        remarks = () if design.assumes_sensitivity else judge_channels(sensor, estimated)
+        estimate = _with_remarks(with_hysteresis(estimated, seen), sensor, design)
         found = record_of(estimate, design, sensor, procedure)
         calibrations.append(replace(found, fit=replace(found.fit, notes=(*found.fit.notes, *remarks))))
     return calibrations
@@ -77,14 +84,22 @@ def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure
 
 def _assumed(design: Design, sensor: MeasuredSensor) -> str:
     """Return the origin of a sensitivity that was not determined; empty where it was."""
-    if not design.priors:
+    if not design.assumes_sensitivity:
         return ""
     return "nominal of the model" if sensor.base is None else OF_BASE
 
 
-def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: Design) -> Estimate:
+def _with_remarks(found: Estimate, sensor: MeasuredSensor, design: Design) -> Estimate:
     """Return the estimate with notes on what its uncertainty includes and what it leaves out."""
-    notes = list(found.notes)
+    notes, measurements = list(found.notes), sensor.measurements
+    if not (design.free or design.assumes_sensitivity):
+        notes += _counted_as_zero(design, sensor.nominal)
+    if design.jig is None and along_gravity(design.channels, [measurement.gravity for measurement in measurements]):
+        notes.append(DRIFT_NOT_SHOWN)
+    agreement = found.estimated_jig or 0.0
+    if agreement > (LARGEST_AGREEMENT_REOPENED if sensor.reopened else LARGEST_AGREEMENT):
+        opened = ": the sensor was opened again in the session" if sensor.reopened else ""
+        notes.append(f"were the positions set by hand, or was something changed between them{opened}? State the --jig")
     correlated = correlated_noise(_summaries(measurements, design.channels))
     if correlated is not None and correlated.certain:
         notes.append(correlated.note)
@@ -108,10 +123,38 @@ def _with_remarks(found: Estimate, measurements: Sequence[Measurement], design: 
     return replace(found, notes=tuple(notes))
 
 
+def _counted_as_zero(design: Design, model: Model | None) -> Iterator[str]:
+    """Yield what the positions do not determine and no data sheet states, in a sentence."""
+    missing = [f"the sensitivity to {axis}" for axis in AXES if len(design.channels) == 2 and axis not in design.axes]
+    missing += [] if design.nonlinearity else ["non-linearity"]
+    if missing:
+        source = "no data sheet is named (--sensor)" if model is None else f"no data sheet of {model.name} states it"
+        yield f"{' and '.join(missing)} counts as zero: {source}"
+
+
+def along_gravity(channels: Sequence[str], directions: Sequence[Sequence[float]]) -> bool:
+    """Return whether a channel stands along gravity, where an angle hardly counts, and no direction comes twice."""
+    steep = any(abs(up[AXES.index(channel)]) > STEEP for up in directions for channel in channels if channel in AXES)
+    return steep and len({tuple(np.round(up, 6).tolist()) for up in directions}) == len(directions)
+
+
 def observed_sensor(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> SensorObservations:
     """Return a sensor as the estimator takes it; what :func:`design_of` refuses is refused here."""
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
-    return SensorObservations(design, observations_of(sensor.measurements, design.channels), sensor.orientation)
+    observations = observations_of(sensor.measurements, design.channels)
+    if not (procedure.determines.nonlinearity or _sense_own_axes(design, observations)):
+        # It is counted along a channel's own axis, which swapped channels hardly sense.
+        kept = {name: prior for name, prior in design.priors.items() if not name.startswith("nonlinearity.")}
+        design = replace(design, nonlinearity=0, priors=kept)
+    return SensorObservations(design, observations, sensor.orientation)
+
+
+def _sense_own_axes(design: Design, observations: Sequence[Observation]) -> bool:
+    """Return whether no channel follows another axis of the design more than its own, by a straight line."""
+    axes = [axis for axis in design.axes if f"sensitivity.{design.channels[0]}.{axis}" not in design.priors]
+    along = np.array([[1.0, *(seen.gravity[AXES.index(axis)] for axis in axes)] for seen in observations])
+    follows = np.abs(np.linalg.lstsq(along, np.array([seen.mean for seen in observations]), rcond=None)[0][1:])
+    return all(axes[k] == c for c, k in zip(design.channels, np.argmax(follows, axis=0), strict=True)) if axes else True
 
 
 def design_of(
@@ -148,10 +191,27 @@ def design_of(
         nonlinearity=determines.nonlinearity,
     )
     if determines.axes:
-        return design
+        return design if design.free or nominal is None else _with_data_sheet(design, nominal)
     return (
         _with_nominal(design, procedure, nominal) if base is None else _with_base(design, base, whole=determines.level)
     )
+
+
+def _with_data_sheet(design: Design, model: Model) -> Design:
+    """Return the design with what no position determines, and what the data sheet of the model states of it.
+
+    The limit is that of the root sum square of two columns (Cross-axis Compensation, eq. 1), which share its variance.
+    """
+    own, channels = design.axes, design.channels
+    two_of_three = len(channels) == 2 and set(channels) <= set(AXES) and model.cross_axis_limit > 0.0
+    u = model.sensitivity * deviation_within(model.cross_axis_limit) / sqrt(2.0)
+    axes = (*own, *(axis for axis in AXES if axis not in own)) if two_of_three else own
+    order = max(design.nonlinearity, len(model.nonlinearity)) if set(channels) <= set(axes) else 0
+    priors = {f"sensitivity.{c}.{axis}": Prior(0.0, u) for c in channels for axis in axes if axis not in own}
+    for k in range(design.nonlinearity, order):
+        priors |= {f"nonlinearity.{c}.{k + 2}": Prior(0.0, model.nonlinearity[k]) for c in channels}
+    scale = model.sensitivity if model.scaled else 0.0
+    return replace(design, axes=axes, nonlinearity=order, priors=priors, nominal=scale)
 
 
 def _with_nominal(design: Design, procedure: Procedure, nominal: Model | None) -> Design:

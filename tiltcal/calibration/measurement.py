@@ -147,6 +147,8 @@ class MeasuredSensor:
     base : CalibrationRecord or None
         The sensor's own calibration: a mounting or a new level completes it, and its sensitivity stands in where a
         procedure determines none.
+    reopened : bool
+        Whether its bus failed in the session and was opened again.
     """
 
     sensor: SensorIdentity
@@ -156,3 +158,4 @@ class MeasuredSensor:
     thermometer: float | None = None
     base: CalibrationRecord | None = None
     ramp: RampRecord | None = None
+    reopened: bool = False

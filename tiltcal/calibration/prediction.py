@@ -28,6 +28,11 @@ from tiltcal.frozen import frozen
 PARTS = 8
 """Positions that stand for a leg of a ramp."""
 
+LEAN = (
+    "If the table is not level, its tilt is in the offsets: turn the fixture by 180° and repeat one position, or state "
+    "--table-lean."
+)
+
 SHOWN = 3
 """Correlations and positions that are named."""
 
@@ -44,6 +49,8 @@ class PredictedUncertainty:
         Of the offset of a usual part, unit/°C, that was counted with.
     closing : str
         What a closing visit to the first position takes and brings; empty where there is one.
+    not_covered : str
+        What no position shows; empty where the plan covers all.
     """
 
     design: Design
@@ -52,6 +59,7 @@ class PredictedUncertainty:
     drift: float
     unit: str
     closing: str = ""
+    not_covered: str = ""
 
     @property
     def uncertainty(self) -> dict[str, float]:
@@ -68,6 +76,7 @@ class PredictedUncertainty:
             "correlations": [list(pair) for pair in self.prediction.correlations],
             "worth_adding": [list(position) for position in self.prediction.worth_adding],
             "closing": self.closing or None,
+            "not_covered": self.not_covered or None,
         }
 
     def __str__(self) -> str:
@@ -95,8 +104,7 @@ class PredictedUncertainty:
             yield f"  {first} and {second} are hardly separated (correlation {correlation:+.2f})"
         for name, coefficient, share in prediction.worth_adding[:SHOWN]:
             yield f"  adding {name} would bring {coefficient} to {100 * share:.0f} % of its uncertainty"
-        if self.closing:
-            yield f"  {self.closing}"
+        yield from (f"  {sentence}" for sentence in (self.closing, self.not_covered) if sentence)
 
 
 @frozen
@@ -239,7 +247,9 @@ def predict(
         sensors=sensors,
         level=procedure.determines.level,
     )
-    return PredictedUncertainty(design, prediction, scatter, drift, model.unit)
+    one_heading = len({(position.heading or 0.0) % 360.0 for position in procedure.positions}) == 1
+    uncovered = LEAN if one_heading and table_lean is None and not design.free else ""
+    return PredictedUncertainty(design, prediction, scatter, drift, model.unit, not_covered=uncovered)
 
 
 def _jig_in_words(jig: float | None) -> str:

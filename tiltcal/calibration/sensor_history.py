@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime, timedelta
 from functools import cached_property
 from itertools import pairwise
-from math import inf
+from math import inf, sqrt
 from operator import attrgetter
 
 import numpy as np
@@ -15,9 +15,9 @@ from tiltcal.calibration.comparison import Comparison, compare_records
 from tiltcal.calibration.interpolation import Interval, Stability
 from tiltcal.core.instrumental_drift import RandomWalk, WalkContrasts, estimate_walk, walk_contrasts
 from tiltcal.core.model import Array, Coefficients
-from tiltcal.core.named_coefficients import referred, values
+from tiltcal.core.named_coefficients import ROUNDED, referred, values
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor, responses_to_priors
 from tiltcal.files.moments import moment, to_the_second
 from tiltcal.files.uncertainty import known_coefficients
 from tiltcal.frozen import frozen
@@ -146,8 +146,11 @@ class SensorHistory:
             coefficients = calibration.record.coefficients
             moved = coefficients if reference is None else referred(coefficients, reference)
             known = known_coefficients(calibration.record.uncertainty, coefficients, reference)
+            shared = responses_to_priors(calibration.record)  # errs alike in all, so that it makes no difference
             day = calibration.date.timestamp() / DAY
-            found.append({name: (day, value, known[name].u) for name, value in values(moved).items() if name in known})
+            alike = {name: float(row @ row) for name, row in shared.items()}
+            u = {name: sqrt(max(c.u**2 - alike.get(name, 0.0), (ROUNDED * c.u) ** 2)) for name, c in known.items()}
+            found.append({name: (day, value, u[name]) for name, value in values(moved).items() if name in u})
         common = [name for name in found[-1] if all(name in row for row in found)]
         return {name: tuple(np.array([row[name] for row in found]).T) for name in common}
 

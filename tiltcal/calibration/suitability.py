@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tiltcal.core.model import AXES
 from tiltcal.core.orientation import STRAIGHT, Orientation
+from tiltcal.core.plausibility import UNKNOWN_OFFSET
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.procedure import Procedure
@@ -17,6 +18,20 @@ def require_tilt(procedure: Procedure, model: Model) -> None:
             f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
             "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
         )
+    if procedure.determines.free and tuple(model.channels) != AXES:
+        raise UsageError(
+            f"free positions need a sensor of three channels x, y and z, and {model.name} has "
+            f"{', '.join(model.channels)}: unit gravity does not determine fewer; name a procedure that sets positions"
+        )
+
+
+def unchecked(model: Model) -> str:
+    """Return which check of the positions is off, because the address states no nominal value; else nothing."""
+    if not model.scaled:
+        return "no sensitivity= is stated, so that neither a wrong position nor a small movement is detected"
+    if model.offset_spread > UNKNOWN_OFFSET:
+        return "no offset= is stated, so that positions are compared with each other alone, and the first with none"
+    return ""
 
 
 def require_suitable(

@@ -7,6 +7,8 @@ from math import asin, degrees
 
 import numpy as np
 
+from tiltcal.core.gravity_direction import gravity_from_tilt
+from tiltcal.core.model import AXES
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
@@ -16,13 +18,25 @@ from tiltcal.files.fit_record import FitRecord, MountingFit
 INCREDIBLE = 1e-3
 """Probability of a chi-square below which it is not credible."""
 
-SHOWN = 3
-"""Positions that are named."""
+NOT_FOLLOWED = (
+    "was not seen to follow when the sensor was tipped: a dead converter reads so; look at it with tiltcal probe"
+)
+"""What a note says of a channel that showed at most two neighbouring values in a whole session."""
+
+REMARKABLE = 0.05
+"""Probability below which, or above one less it, a chi-square is remarked."""
+
+LARGEST_ESTIMATED_JIG = 5.0
+"""Estimated jig above which a calibration is judged failing, degrees."""
+
+LOOKS_LIKE, LARGEST_BEND = 0.8, 0.1
+"""Residuals look like non-linearity where a square and a cube of less than the second explain this share of them."""
 
 
-def summary(calibration: CalibrationRecord) -> str:
-    """Return the coefficients with their standard uncertainties, and how well the positions fit."""
-    return "\n".join(_lines(calibration))
+def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:
+    """Return all coefficients with their standard uncertainties, how well the positions fit, and the notes."""
+    lines = [*_lines(calibration), *mounting_lines(calibration)]
+    return "\n".join(lines + [f"  {note}" for note in calibration.fit.notes if notes])
 
 
 def mounting_summary(calibration: CalibrationRecord) -> str:
@@ -68,32 +82,38 @@ def _lines(calibration: CalibrationRecord) -> Iterator[str]:
         yield f"  {label} {_pair(value, u[name]) if name in u else f'{value:>12.6g}'}{unit}"
     if coefficients.thermal is not None and coefficients.thermal.lag:
         yield f"  thermal lag       {_pair(coefficients.thermal.lag, u.get('temperature.lag', 0.0))} s"
-    yield from _fit_lines(calibration)
+    yield from (f"  {line}" for line in fit_lines(calibration))
 
 
-def _fit_lines(calibration: CalibrationRecord) -> Iterator[str]:
-    """Yield how well the positions agree."""
+def fit_lines(calibration: CalibrationRecord) -> Iterator[str]:
+    """Yield how well the positions agree, and what speaks against it."""
     fit, sensor, worst = calibration.fit, calibration.sensor, calibration.fit.worst
     if worst is not None:
         own = float(np.max(np.abs(calibration.coefficients.sensitivity)))
         angle = degrees(asin(min(abs(worst.residual) / own, 1.0)))
         yield (
-            f"  worst residual  {worst.position}, channel {worst.channel}: {worst.residual:g} {sensor.unit} "
+            f"worst residual  {worst.position}, channel {worst.channel}: {worst.residual:g} {sensor.unit} "
             f"({angle:.3f}° near level)"
         )
     if fit.degrees_of_freedom is not None:
         origin = f", uncertainty from {fit.uncertainty_from}" if fit.uncertainty_from else ""
         chi_square = "" if fit.chi_square is None else f", chi-square {fit.chi_square:g}"
-        yield f"  degrees of freedom {fit.degrees_of_freedom}{origin}{chi_square}"
-    yield from (f"  {objection}" for objection in objections(fit))
-    if fit.jig_estimated_degrees is not None:
-        yield f"  the residuals correspond to a jig of {fit.jig_estimated_degrees:g}°"
-    yield from (f"  {note}" for note in fit.notes)
+        yield f"degrees of freedom {fit.degrees_of_freedom}{origin}{chi_square}"
+    yield from verdict(calibration)
 
 
-def objections(fit: FitRecord) -> list[str]:
+def verdict(calibration: CalibrationRecord) -> Iterator[str]:
+    """Yield the verdict on a fit: how well its positions agree, what speaks against it, and remarks."""
+    shows = calibration.fit.jig_estimated_degrees
+    if shows is not None:
+        yield f"the positions agree {f'to {shows:.2g}°' if shows else 'within their noise'}"
+    yield from objections(calibration)
+    yield from remarks_on_chance(calibration.fit)
+
+
+def objections(calibration: CalibrationRecord) -> list[str]:
     """Return what speaks against a fit, or against what was stated of its bench; empty where nothing does."""
-    found = []
+    fit, found = calibration.fit, []
     p = _probability(fit)
     if p is not None and p < INCREDIBLE:
         shown, warm = "below 1e-9" if p < 1e-9 else f"{p:.1g}", fit.thermometer_estimated_celsius
@@ -102,15 +122,59 @@ def objections(fit: FitRecord) -> list[str]:
             cause = f"temperatures are off by {warm:g} °C, which counts, or noise or jig are worse than stated"
         if fit.noise_estimated is not None:
             cause = f"the means have noise of {fit.noise_estimated:g}, which counts, or the jig is worse than stated"
+        if looks_bent(calibration):
+            cause = f"the residuals look like non-linearity, or {cause}"
         found.append(
             f"chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom (probability {shown}) is "
             f"not credible: {cause}"
         )
+    if fit.jig_estimated_degrees is not None and fit.jig_estimated_degrees > LARGEST_ESTIMATED_JIG:
+        found.append(f"the positions agree to {fit.jig_estimated_degrees:.2g}° only: one of them was another")
     if fit.suspect_positions:
         named = [f"{position} ({suspect.off_degrees:g}°)" for position, suspect in fit.suspect_positions.items()]
-        more = f" and {len(named) - SHOWN} more" if len(named) > SHOWN else ""
-        found.append(f"further off than the stated jig allows, the worst first: {', '.join(named[:SHOWN])}{more}")
+        found.append(f"further off than the stated jig allows, the worst first: {', '.join(named)}")
+    found += [note for note in fit.notes if NOT_FOLLOWED in note]
     return found + _objections_to_mounting(fit.mounting)
+
+
+def remarks_on_chance(fit: FitRecord) -> Iterator[str]:
+    """Yield that the positions agree worse, or better, than a stated jig lets them in 19 of 20 sessions."""
+    p, jig = _probability(fit), fit.jig_degrees
+    if p is None or not jig:
+        return
+    if INCREDIBLE <= p < REMARKABLE:
+        yield (
+            f"the positions agree worse than a jig of {jig:g}° lets them (probability {p:.1g}): it is worse than "
+            "stated, or the noise is, and the uncertainty is too small"
+        )
+    if p > 1.0 - REMARKABLE:
+        yield (
+            f"the positions agree better than a jig of {jig:g}° lets them: it is better than stated, or the noise is, "
+            "and the uncertainty is larger than it need be"
+        )
+
+
+def looks_bent(calibration: CalibrationRecord) -> bool:
+    """Return whether the residuals of all channels follow the square and the cube of what these sense."""
+    coefficients, fit = calibration.coefficients, calibration.fit
+    up = {
+        name: position.gravity or gravity_from_tilt(position.tilt or {})
+        for name, position in calibration.procedure.set.items()
+        if name in fit.residuals and (position.gravity is not None or position.tilt is not None)
+    }
+    gravity = np.array(list(up.values())).reshape(-1, 3)
+    linear, sizes, _ = np.linalg.svd(np.column_stack([np.ones(len(up)), gravity]), full_matrices=False)
+    linear = linear[:, sizes > 1e-6]
+    whole = explained = 0.0
+    for channel in set(coefficients.channels) & set(coefficients.axes):
+        a = gravity[:, AXES.index(channel)]
+        own = np.array([fit.residuals[name].get(channel, 0.0) for name in up]) / coefficients.own_sensitivity(channel)
+        own, bend = (one - linear @ (linear.T @ one) for one in (own, np.column_stack([a**2, a**3])))
+        shares, _, rank, _ = np.linalg.lstsq(bend, own, rcond=1e-6)
+        if rank >= len(up) - linear.shape[1] or np.any(np.abs(shares) > LARGEST_BEND):
+            return False  # they follow anything, or what no sensor has
+        whole, explained = whole + float(own @ own), explained + float(np.sum((bend @ shares) ** 2))
+    return explained > LOOKS_LIKE * whole > 0.0
 
 
 def _objections_to_mounting(fit: MountingFit | None) -> list[str]:

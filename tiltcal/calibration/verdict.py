@@ -45,7 +45,7 @@ class Verdict:
 
     def __str__(self) -> str:
         if not self.thresholds:
-            return "no verdict: the files state no uncertainties to compare with"
+            return f"no verdict: {self.incomplete or 'the files state no uncertainties to compare with'}"
         if not self.changed and self.unjudged:
             return f"no verdict: no uncertainty is stated of {', '.join(self.unjudged)}, which differs"
         if not self.changed:

@@ -20,6 +20,7 @@ from tiltcal.core.gravity_direction import Vector, tilt_from_gravity
 from tiltcal.core.model import AXES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.uncertainty import length_tolerance
 from tiltcal.frozen import frozen
 
 PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
@@ -151,7 +152,8 @@ def verify_positions(
     """
     coefficients = calibration.coefficients
     # What is judged is the sensor's own frame, in which positions are set; the mounting is the application's.
-    compensation = Compensation(replace(coefficients, mounting=None), calibration.limits)
+    length = length_tolerance(calibration.uncertainty, coefficients, calibration.limits)
+    compensation = Compensation(replace(coefficients, mounting=None), replace(calibration.limits, length=length))
     found = []
     for measurement in measurements:
         readings = np.array([[measurement.summaries[channel].mean for channel in coefficients.channels]])

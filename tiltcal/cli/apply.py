@@ -13,9 +13,9 @@ from tiltcal.cli.talk import progress_bar, remark, talk
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from tiltcal.cli.apply_tasks import ApplyTask
+    from tiltcal.cli.apply_several import Outcome
 
 _EXAMPLE = """\b
 Examples:
@@ -126,15 +126,6 @@ Examples:
     help="Average the readings of each TIME, such as 10s, 5min or 1h, before they are converted; adds count.",
 )
 @click.option(
-    "--jobs",
-    type=options.Count(1, "logs"),
-    metavar="N",
-    help="Process at most N of several logs at a time [the number of processor cores].",
-)
-@click.option(
-    "--force", is_flag=True, help="Of several logs process those too whose results in the folder -o are up to date."
-)
-@click.option(
     "--scheduler",
     metavar="ADDRESS",
     help="Process each log on a worker of this dask scheduler, such as tcp://10.0.0.1:8786; the workers must see the "
@@ -152,8 +143,6 @@ def command(
     output: str,
     columns: str,
     skip_bad_rows: bool,
-    jobs: int | None,
-    force: bool,
     scheduler: str | None,
     as_json: bool,
     **how: Any,
@@ -165,12 +154,11 @@ def command(
     (degrees) of each axis (with three axes also pitch, roll and inclination), then flag and reason. flag: 1 pass, 3
     suspect, 4 fail, 9 missing. reason is a sum: 1 arcsine argument beyond ±1, 2 temperature outside the calibrated
     range, 4 reading at the rail, 8 tilt outside the calibrated range, 16 temperature missing, 32 not a number, 64
-    outside the time of --calibrations, 128 no direction of gravity or heading, headings of a mean that differ, or a
-    magnetic field of unusual length. OUT is written whole or not at all.
+    outside the time of --calibrations, 128 no direction or its sign unknown, or a magnetic field of unusual length, 256
+    length of gravity of three axes is not 1 g. OUT is written whole or not at all.
 
-    Several logs are processed into the folder -o, --jobs at a time, or with --scheduler on the workers of a cluster. If
-    a log fails, it is named, and the others are processed. A log is skipped where its result is in the folder already,
-    made of the same log and calibration with the same options and version of tiltcal; --force processes it again.
+    Several logs are processed into the folder -o, one after another, or with --scheduler on the workers of a cluster.
+    If a log fails, it is named, and the others are processed.
 
     --uncertainty adds, in degrees, u_tilt_x (standard uncertainty, k = 1) and U95_tilt_x (the true tilt is within
     tilt_x ± U95_tilt_x in 95 % of all cases) of every angle, from the covariance of the calibration, the noise of a
@@ -194,8 +182,7 @@ def command(
     If CALIBRATION contains accelerometer pairs (from `tiltcal match`), the new columns are the matched sum of each pair
     and, with two pairs, the gradient signal and its components at twice the spin frequency over the previous turn.
     """
-    from tiltcal.cli.apply_tasks import ApplyTask, tasks_of
-    from tiltcal.logs.apply import prepare_any
+    from tiltcal.logs.apply import apply_log, prepare_any
     from tiltcal.logs.prepared_calibration import ApplyOptions
 
     calibration, logs = (Path(files[0]), files[1:]) if calibrations is None else (calibrations, files)
@@ -207,12 +194,21 @@ def command(
         if logs[0].lower().endswith(SUFFIXES):
             raise UsageError(f"{logs[0]} is a calibration, and --calibrations names a folder of them: leave one out")
     given = ApplyOptions(**how)
+    how |= {"columns": columns, "skip_bad_rows": skip_bad_rows}
     if len(logs) > 1 or scheduler is not None or os.path.isdir(output):
-        tasks = tasks_of(calibration, given, logs, output, columns=columns, skip_bad_rows=skip_bad_rows)
-        prepare_any(calibration, given, remark)  # an error of the calibration is raised once
-        return _each(tasks, jobs, force, scheduler, as_json)
+        from tiltcal.cli.apply_several import applied_here, applied_on, outputs_in
+
+        outputs = outputs_in(output, logs, calibration)
+        said: list[str] = []  # remarks on the calibration, or an error of it, come once
+        prepare_any(calibration, given, said.append)
+        for text in said:
+            remark(text)
+        task = (calibration, outputs, how)
+        return _reported(
+            outputs, applied_here(*task) if scheduler is None else applied_on(scheduler, *task), said, as_json
+        )
     with progress_bar("apply") as progress:
-        summary = ApplyTask(calibration, given, logs[0], output, columns, skip_bad_rows).run(remark, progress)
+        summary = apply_log(calibration, logs[0], output, say=remark, progress=progress, **how)
     if as_json:
         (talk if output == "-" else click.echo)(options.json_text(summary.as_data()))
     else:
@@ -220,23 +216,24 @@ def command(
     return 0
 
 
-def _each(tasks: Sequence[ApplyTask], jobs: int | None, force: bool, scheduler: str | None, as_json: bool) -> int:
-    """Process several logs, report each one, and raise an error at the end if one failed."""
-    from tiltcal.cli.apply_tasks import done_here, done_on
-
+def _reported(
+    outputs: Mapping[str, str], outcomes: Iterable[tuple[str, Outcome]], said: Sequence[str], as_json: bool
+) -> int:
+    """Report what became of each of several logs, and raise an error at the end if one failed."""
     done = {}
-    for task, outcome in done_here(tasks, jobs, force) if scheduler is None else done_on(scheduler, tasks, force):
+    for log, (remarks, outcome) in outcomes:
+        for text in remarks:
+            if text not in said:
+                remark(f"{log}: {text}")
         if isinstance(outcome, TiltcalError):
-            remark(f"{task.log} failed and is left out: {outcome}")
+            remark(f"{log} failed and is left out: {outcome}")
             continue
-        done[task.log] = {"output": task.output, **outcome.as_data()}
+        done[log] = {"output": outputs[log], **outcome.as_data()}
         if not as_json:
-            remark(f"{task.output}: {outcome}")
+            remark(f"{outputs[log]}: {outcome}")
     if as_json:
-        options.print_judged(
-            options.json_text({"logs": {task.log: done[task.log] for task in tasks if task.log in done}})
-        )
-    if len(done) < len(tasks):
+        options.print_judged(options.json_text({"logs": {log: done[log] for log in outputs if log in done}}))
+    if len(done) < len(outputs):
         rest = "; the others are written" if done else ""
-        raise InputError(f"{len(tasks) - len(done)} of {len(tasks)} logs failed{rest}")
+        raise InputError(f"{len(outputs) - len(done)} of {len(outputs)} logs failed{rest}")
     return 0

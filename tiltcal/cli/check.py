@@ -26,7 +26,7 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
 
     Exit code 2 if a file is wrong; the message names file, line and key, and the other files are checked too. Exit code
     1 if a file is readable, but has a negative verdict: an interrupted journal, a calibration that the journal beside
-    it does not give, or a fit whose chi-square is not credible.
+    it does not give, a fit whose chi-square is not credible, or positions that do not agree.
     """
     if schema is not None:
         if paths:
@@ -40,16 +40,16 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     results, wrong = [], 0
     for path in paths:
         try:
-            kind, findings = _checked(path)
+            kind, findings, remarks = _checked(path)
         except TiltcalError as problem:
             if len(paths) == 1:
                 raise
             remark(str(problem))
             wrong += 1
             continue
-        results.append({"file": str(path), "kind": kind, "findings": findings})
+        results.append({"file": str(path), "kind": kind, "findings": findings, "remarks": remarks})
         if not as_json:
-            options.print_judged(f"{path}: {kind}, " + ("; ".join(findings) if findings else "good"))
+            options.print_judged(f"{path}: {kind}, " + ("; ".join([*findings, *remarks]) or "good"))
     if as_json:
         options.print_judged(options.json_text(results, 2))
     if wrong:
@@ -57,10 +57,10 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     return NEGATIVE_VERDICT if any(result["findings"] for result in results) else 0
 
 
-def _checked(path: Path) -> tuple[str, list[str]]:
-    """Return the kind of a file, and its negative findings."""
+def _checked(path: Path) -> tuple[str, list[str], list[str]]:
+    """Return the kind of a file, its negative findings, and remarks that are none."""
     if _is_journal(path):
-        return "journal", _of_journal(path)
+        return "journal", _of_journal(path), []
     document = read_document(path)
     named = document.entries().get("kind")
     if named is None:
@@ -72,11 +72,11 @@ def _checked(path: Path) -> tuple[str, list[str]]:
         from tiltcal.bench.device_setup import known_bench
 
         known_bench(document)
-        return kind, []
+        return kind, [], []
     from tiltcal.files.json_schema import FORMATS
 
     FORMATS[kind].read(document)
-    return kind, []
+    return kind, [], []
 
 
 def _is_journal(path: Path) -> bool:
@@ -99,15 +99,17 @@ def _of_journal(path: Path) -> list[str]:
     return findings
 
 
-def _of_calibration(path: Path, document: Node) -> tuple[str, list[str]]:
+def _of_calibration(path: Path, document: Node) -> tuple[str, list[str], list[str]]:
     from tiltcal.calibration.calibration import Calibration, calibration_in
-    from tiltcal.calibration.summary import objections
+    from tiltcal.calibration.channel_checks import remarks_on_wiring
+    from tiltcal.calibration.summary import objections, remarks_on_chance
 
     found = calibration_in(document)
     beside = _of_journal_beside(path, found.provenance.journal)
     if isinstance(found, Calibration):
-        return "calibration", objections(found.fit) + beside
-    return "pair calibration", beside
+        wiring = remarks_on_wiring(found.record.coefficients, found.record.sensor.unit)
+        return "calibration", objections(found.record) + beside, [*wiring, *remarks_on_chance(found.fit)]
+    return "pair calibration", beside, []
 
 
 def _of_journal_beside(path: Path, captured: FileRecord | None) -> list[str]:

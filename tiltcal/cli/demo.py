@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     from tiltcal.core.model import Array
 
 MODEL, PROCEDURE, SERIAL = "sca100t-d02", "complete", "SIM-1"
-ROWS, REACH, TEMPERATURES = 1500, 50.0, (28.0, 5.0)
-REACH_BESIDE_X = 36.0
-"""Largest tilt of y, degrees: below 40°, because beside a tilt of x by 50° a larger one is no direction."""
+ROWS, REACH, TEMPERATURES = 1500, {"x": 40.0, "y": 35.0}, (22.0, 8.0)
 
 
 @click.command(epilog="Example: tiltcal demo demo")
@@ -40,6 +38,8 @@ def command(folder: Path, seed: int) -> None:
     It measures a virtual SCA100T-D02 in seven positions at two temperatures, and applies the calibration to a log of
     the same part with known true tilt. All files are written into FOLDER.
     """
+    import polars as pl
+
     model, address = find_model(MODEL), parse_address(f"sim:?seed={seed}")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -62,16 +62,17 @@ def command(folder: Path, seed: int) -> None:
         remark=lambda text: click.echo(indent(text, "   ")),
     )
     click.echo("\n2. the calibration file")
-    click.echo(summary(read_calibration(calibration)))
+    click.echo(summary(read_calibration(calibration), notes=False))
     click.echo(
-        f"\n3. apply it to a recorded log: {ROWS} rows, tilts within ±{REACH:g}°, "
+        f"\n3. apply it to a recorded log: {ROWS} rows inside the calibrated range, tilts up to ±{REACH['x']:g}°, "
         f"{TEMPERATURES[0]:g} to {TEMPERATURES[1]:g} °C"
     )
     _record(log, address, model)
     apply.main([str(calibration), str(log), "-o", str(compensated)], standalone_mode=False)
+    click.echo("   flag 1 is good; a row outside the calibrated range gets 3, one without a tilt 4, an empty one 9")
     click.echo(f"   wrote {compensated}")
     click.echo("\n4. tilt error against the log's true tilt")
-    rows = _columns(compensated)
+    rows = {column.name: column.to_numpy() for column in pl.read_csv(compensated)}
     true = {axis: rows[f"true_tilt_{axis}"] for axis in ("x", "y")}
     before = {axis: _nominal_tilt(model, rows[axis]) - true[axis] for axis in true}
     after = {axis: rows[f"tilt_{axis}"] - true[axis] for axis in true}
@@ -84,7 +85,7 @@ def command(folder: Path, seed: int) -> None:
         return
     from tiltcal.report.tilt_figure import draw_tilt_error
 
-    title = f"{MODEL} on the virtual bench, tilts within ±{REACH:g}°"
+    title = f"{MODEL} on the virtual bench, tilts within ±{REACH['x']:g}°"
     draw_tilt_error(picture, rows["time"], rows["temperature"], before, after, title)
     write_report([str(calibration), str(compensated)], page)
     click.echo(f"   wrote {picture}\n   wrote {page}")
@@ -103,7 +104,7 @@ def _record(path: Path, address: Address, model: Model) -> None:
     lines = ["time,x,y,temperature,true_tilt_x,true_tilt_y"]
     for number in range(ROWS):
         share = number / (ROWS - 1)
-        tilt = {"x": REACH * sin(9 * 2 * pi * share), "y": REACH_BESIDE_X * sin(14 * 2 * pi * share)}
+        tilt = {axis: REACH[axis] * sin(turns * 2 * pi * share) for axis, turns in (("x", 9), ("y", 14))}
         bench.fixture.move(gravity_from_tilt(tilt), TEMPERATURES[0] + (TEMPERATURES[1] - TEMPERATURES[0]) * share)
         clock.sleep(1.0)
         g_x, g_y, _ = bench.fixture.gravity
@@ -114,19 +115,11 @@ def _record(path: Path, address: Address, model: Model) -> None:
     write_whole(path, "\n".join(lines) + "\n")
 
 
-def _columns(log: Path) -> dict[str, Array]:
-    import polars as pl
-
-    rows = pl.read_csv(log)
-    return {name: rows[name].to_numpy() for name in rows.columns}
-
-
 def _nominal_tilt(model: Model, readings: Array) -> Array:
     """Return the tilt from the data sheet's offset and sensitivity, degrees."""
     import numpy as np
 
-    sines = np.clip((readings - model.offset) / model.sensitivity, -1.0, 1.0)
-    return np.array([degrees(asin(sine)) for sine in sines])
+    return np.degrees(np.arcsin(np.clip((readings - model.offset) / model.sensitivity, -1.0, 1.0)))
 
 
 def _print_errors(before: Mapping[str, Array], after: Mapping[str, Array]) -> None:

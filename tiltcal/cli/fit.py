@@ -103,7 +103,7 @@ def _print_misfit(calibration: CalibrationRecord) -> None:
     """Print the misfit and the warning of a calibration from unit gravity."""
     fit = calibration.fit
     click.echo(
-        f"  misfit of the length of gravity {fit.misfit_rms_mg:g} mg rms over {len(calibration.positions)} positions, "
+        f"  misfit of the length of gravity {fit.misfit_rms_mg:g} mg rms over {len(fit.residuals)} positions, "
         f"{fit.distinct_attitudes} different attitudes"
     )
     if fit.warning:

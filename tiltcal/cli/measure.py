@@ -52,7 +52,7 @@ from tiltcal.cli.talk import remark
 @options.resume
 @options.plain
 def command(procedure: str | None, operator: str, **settings: Any) -> None:
-    """Measure the positions of PROCEDURE and write the calibration file.
+    """Measure the positions of PROCEDURE, write the calibration file, and print its coefficients.
 
     PROCEDURE is one of `tiltcal procedures`, or the path of your own. With `rotation` a stage turns instead, and -o is
     the file of its pairs. A journal records everything at once: after a crash, a power cut or Ctrl-C, `--resume
@@ -61,4 +61,4 @@ def command(procedure: str | None, operator: str, **settings: Any) -> None:
     from tiltcal.bench.measure import measure
 
     chosen = None if options.left_at_default("operator") else operator
-    measure(procedure, operator=chosen, remark=remark, **settings)
+    measure(procedure, operator=chosen, remark=remark, result=click.echo, **settings)

@@ -106,7 +106,7 @@ def command(
             path = output or Path(stack.enter_context(TemporaryDirectory(prefix="tiltcal-"))) / "recorded"
             tally = record_log(single(str(sensor), "", address), rate, samples, seconds, path)
             kept = f" in {output}" if output is not None else ""
-            remark(f"{tally.rows} samples{kept}{tally.missing_in_words}")
+            remark(f"{tally.rows} samples{kept}{tally.losses_in_words}")
             interrupted = tally.interrupted
             log, rate, name = str(path), None, str(output or "the record")
         progress = stack.enter_context(progress_bar("noise"))

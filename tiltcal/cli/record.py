@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
@@ -43,14 +44,15 @@ def command(
     """Record the readings of a sensor or a bench until Ctrl-C.
 
     Each row has the time (UTC), the readings and the temperature. No row that was written is lost. A reading that fails
-    leaves empty cells and is counted. A .parquet log is written as CSV first and converted at the end; after a power
-    cut the CSV remains.
+    leaves empty cells and is counted, and so is what was damaged or lost on a line. A .parquet log keeps these counts
+    as `link_statistics` in its metadata; it is written as CSV first and converted at the end, and after a power cut the
+    CSV remains.
     """
     if (bench is None) == (sensor is None) or (sensor is None) != (address is None):
         raise UsageError("record needs either --bench FILE, or --sensor MODEL and --address ADDRESS")
     named = known_bench(read_document(bench)) if bench is not None else single(str(sensor), "", str(address))
     tally = record_log(named, rate, rows, seconds, output)
-    remark(f"{tally.rows} rows in {output}{tally.missing_in_words}")
+    remark(f"{tally.rows} rows in {output}{tally.losses_in_words}")
     return INTERRUPTED if tally.interrupted else 0
 
 
@@ -77,7 +79,7 @@ def record_log(
     with _progress() as progress:
         tally = record_bench(bench, log, rate=rate, rows=rows, seconds=seconds, progress=progress)
     if log != output:
-        _to_parquet(log, output)
+        _to_parquet(log, output, tally)
     return tally
 
 
@@ -91,7 +93,7 @@ def _progress() -> Iterator[Callable[[RecordingTally], None]]:
         now = time.monotonic()
         if now - shown >= SHOWN_EVERY:
             shown = now
-            sys.stderr.write(f"\r\x1b[2K{tally.rows} rows{tally.missing_in_words[:100]}   Ctrl-C stops")
+            sys.stderr.write(f"\r\x1b[2K{tally.rows} rows{tally.losses_in_words[:100]}   Ctrl-C stops")
             sys.stderr.flush()
 
     if not sys.stderr.isatty():
@@ -103,12 +105,13 @@ def _progress() -> Iterator[Callable[[RecordingTally], None]]:
         sys.stderr.write("\r\x1b[2K")
 
 
-def _to_parquet(log: Path, output: Path) -> None:
+def _to_parquet(log: Path, output: Path, tally: RecordingTally) -> None:
     """Convert the recorded CSV to Parquet, block by block, then remove the CSV."""
     from tiltcal.files.atomic import whole_file
     from tiltcal.logs.formats import create_log, open_log
 
     with open_log(log) as rows, whole_file(output) as sink:
+        rows.notes = {"link_statistics": json.dumps(tally.link_statistics)} if tally.link_statistics else {}
         writer = create_log(output, sink, rows)
         blocks = rows.rows(range(len(rows.names)), rows.names.index("time"), frames=True)
         writer.write((block, {}) for block in blocks)

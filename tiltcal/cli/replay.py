@@ -14,7 +14,7 @@ from tiltcal.bench.session import Session
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, JournalError, UsageError
-from tiltcal.files.atomic import check_writable, require_apart, whole_file, write_whole
+from tiltcal.files.atomic import require_apart, whole_file, write_whole
 
 
 @click.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")
@@ -37,7 +37,7 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
 
     A verification makes no file: `tiltcal verify CAL --resume JOURNAL` repeats its verdict.
     """
-    session = Session.of_journal(journal, remark)
+    session = Session.of_journal(journal, remark, output)
     before = session.journal
     if before is not None and before.end is None:
         raise JournalError(
@@ -48,8 +48,7 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
     if not session.outputs and (output or golden) is not None:
         raise UsageError(f"{journal} is of a verification, which makes no calibration file: leave -o and --golden out")
     if output is not None:
-        for path in _targets(output, session.outputs):
-            check_writable(path, journal)
+        session.require_writable()
     if samples is not None:
         require_apart(samples, journal)
     with nullcontext() if samples is None else whole_file(samples) as stream:
@@ -57,7 +56,7 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
     if golden is not None and not _gives(journal, texts, golden):
         return NEGATIVE_VERDICT
     if output is not None:
-        for path, text in zip(_targets(output, list(texts)), texts.values(), strict=True):
+        for path, text in texts.items():
             write_whole(path, text)
             remark(f"wrote {path}")
     elif not session.outputs:

@@ -111,21 +111,12 @@ def _tilt_page(
     columns: str,
     skip_bad_rows: bool,
 ) -> str:
-    from tiltcal.cli.apply_tasks import WORTH_PROCESSES
-    from tiltcal.cli.worker_processes import worker_processes
-    from tiltcal.report.tilt_page import calibration_figures, tilt_page
+    from tiltcal.report.tilt_page import tilt_page
 
     last, source = calibrations[-1], _source(names[-1])
     earlier = [(calibration, Path(name).name) for calibration, name in zip(calibrations[:-1], names, strict=False)]
-
-    def found() -> list[ReportedLog]:
-        return [_look_over(log, last, Path(names[-1]), columns, skip_bad_rows) for log in logs]
-
-    if sum(os.path.getsize(log) for log in logs if os.path.isfile(log)) < WORTH_PROCESSES:
-        return tilt_page(last, source, earlier, found())
-    with worker_processes(1) as pool:  # which loads matplotlib and draws while the logs are read
-        figures = pool.submit(calibration_figures, last)
-        return pool.submit(tilt_page, last, source, earlier, found(), figures.result()).result()
+    reported = [_look_over(log, last, Path(names[-1]), columns, skip_bad_rows) for log in logs]
+    return tilt_page(last, source, earlier, reported)
 
 
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:

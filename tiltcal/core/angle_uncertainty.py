@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import nan, pi
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tiltcal.core.compensation import Compensated, Compensation
-from tiltcal.core.model import Array, Coefficients
+from tiltcal.core.coverage_factor import NORMAL_FACTOR
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.core.uncertainty_propagation import Propagation
 from tiltcal.frozen import frozen
+
+_ATTITUDES, _ROUNDING = 9, 1e-9  # values of g_x and of g_y at which the length of gravity is tried; g
 
 
 @frozen
@@ -62,3 +68,28 @@ class CompensationWithUncertainty:
             for chunk in self._compensation.chunks(readings, temperature, compensated):
                 uncertainty[:, :, chunk.rows] = self.propagation(chunk)
         return AngleUncertainty(compensated, standard.T, expanded.T)
+
+
+def length_half_width(coefficients: Coefficients, limits: Limits, inputs: UncertaintyInputs) -> float:
+    """Return half of the widest 95 % interval of the length of gravity of three axes over the calibrated range, g.
+
+    It is that of the coefficients and of a single reading; 0 where no attitude was covered.
+    """
+    inputs = inputs.without_turn  # a turn changes no length
+    wide = inputs.factors / NORMAL_FACTOR
+    inputs = replace(inputs, covariance=inputs.covariance * np.outer(wide, wide), factors=inputs.factors / wide)
+    ends = (limits.tilt.get(axis, (-pi / 2, pi / 2)) for axis in AXES)
+    x, y, z = (np.sin(np.linspace(low, high, _ATTITUDES)) for low, high in ends)
+    g_x, g_y, side = np.meshgrid(x, y, np.array([1.0, -1.0]))
+    square = 1.0 - g_x**2 - g_y**2
+    g_z = side * np.sqrt(np.maximum(square, 0.0))
+    reached = (square > -_ROUNDING) & (g_z >= z[0] - _ROUNDING) & (g_z <= z[-1] + _ROUNDING)
+    gravity = np.stack([g_x, g_y, g_z], axis=-1)[reached]
+    thermal = coefficients.thermal
+    covered = None if thermal is None else overlap(limits.temperature, thermal.range)
+    temperatures = (nan,) if thermal is None else (thermal.reference, *(covered or ()))
+    gravity, temperature = np.tile(gravity, (len(temperatures), 1)), np.repeat(temperatures, len(gravity))
+    compensation, out = Compensation(coefficients), Compensated.empty(len(gravity), 3)
+    propagation = Propagation(compensation, coefficients, inputs)
+    chunks = compensation.chunks(coefficients.predict(gravity, temperature), temperature, out)
+    return max((float(propagation.length_half_width(chunk).max()) for chunk in chunks), default=0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ class ColumnStatistics:
         self._counts = np.zeros((len(self.angles), round(2 * _REACH / STEP) + 1), np.int64)
         self._sums = np.zeros(len(self.angles))
 
-    def add(self, time: Array, angles: Array, flag: NDArray[np.uint8], reason: NDArray[np.uint8]) -> None:
+    def add(self, time: Array, angles: Array, flag: NDArray[Any], reason: NDArray[Any]) -> None:
         """Take some rows.
 
         Parameters
@@ -57,7 +58,7 @@ class ColumnStatistics:
             Seconds, or what the log counts instead.
         angles : ndarray, shape (n, angles)
             Degrees; NaN where there is none. Fastest where each column is contiguous.
-        flag, reason : ndarray of uint8, shape (n,)
+        flag, reason : ndarray of whole numbers, shape (n,)
         """
         count_flags(self.flags, self.reasons, flag, reason)
         self._distribute(angles)

@@ -4,20 +4,20 @@ The model of :mod:`tiltcal.core.model` is inverted. With ``v_i = (u_i - offset_i
 
     v = S g    =>    g = S⁻¹ v    =>    a' = R g    =>    tilt_i = asin(a'_i)
 
-where R is the mounting rotation. A sensor with two channels does not see g_z. Where it is needed (a z column in S, or
-a mounting rotation) the missing equation is that gravity is a unit vector: with ``p = A⁻¹ v`` and ``q = A⁻¹ S_z``, A
-being the x and y columns of S,
+where R is the mounting rotation; tilts of three axes are arctangents. A sensor with two channels does not see g_z.
+Where it is needed (a z column in S, or a mounting rotation) the missing equation is that gravity is a unit vector: with
+``p = A⁻¹ v`` and ``q = A⁻¹ S_z``, A being the x and y columns of S,
 
     (g_x, g_y) = p - q g_z    and    g_x² + g_y² + g_z² = 1
 
 which is a quadratic in g_z and is solved as one. Its sign is that of the sensor's face: up, unless the mounting turns
-the sensor upside down.
+the sensor upside down. On edge, more than 45° from both, the face has a sign where the sensor itself lies near level.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import pi, radians, sin
+from math import cos, inf, isfinite, pi, radians, sin
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from tiltcal.core.flags import (
     CLIPPED,
     FAIL,
+    GRAVITY_LENGTH,
     MISSING,
     NO_DIRECTION,
     NO_TEMPERATURE,
@@ -35,12 +36,13 @@ from tiltcal.core.flags import (
     TEMPERATURE_RANGE,
     TILT_RANGE,
     Bytes,
+    Reasons,
     mark,
 )
 from tiltcal.core.matrix_product import product
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, polynomial, take_out_nonlinearity
 from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.tilt_angles import DIRECTIONS, inclination, pitch, roll, tilt
+from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
 from tiltcal.printable import counted
@@ -50,6 +52,18 @@ CLIP_LIMIT = 1.02
 
 VANISHES = 1e-9
 """Gravity of three axes that is no longer than this has no direction, g."""
+
+LENGTH_TOLERANCE = 0.02
+"""A length of gravity that differs from 1 g by more is suspect, where its uncertainty does not allow more."""
+
+SHORTEST, LONGEST = 0.5, 2.0
+"""Lengths of gravity beyond which three axes have no tilt, g."""
+
+_EDGE = cos(radians(45.0))
+"""The z component between those of a sensor near level and of one on edge."""
+
+_OVER = -sin(radians(5.0))
+"""Element zz of the mounting below which a sensor of two axes hangs upside down: on edge, an estimate is no sign."""
 
 _CHUNK = 32_768  # rows whose columns stay in the cache from the first step to the last
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
@@ -65,40 +79,34 @@ class Compensated:
     ----------
     gravity : ndarray, shape (n, axes)
         Up in the application frame, g.
-    tilt : ndarray, shape (n, axes)
-        asin of each column of ``gravity``, degrees; NaN where the argument is beyond ±1.02, or all three are 0.
-    pitch, roll, inclination : ndarray, shape (n,), or None
-        Degrees over the full circle, NaN where all of ``gravity`` is 0; None unless the sensor has three axes.
+    angles : ndarray, shape (n, angles)
+        Degrees: the tilt of each axis and, of three, pitch, roll and inclination. NaN where the argument of an arcsine
+        is beyond ±1.02, or three axes read less than 0.5 g or more than 2 g.
     flag : ndarray of uint8, shape (n,)
         1 pass, 3 suspect, 4 fail, 9 missing.
-    reason : ndarray of uint8, shape (n,)
+    reason : ndarray of uint16, shape (n,)
         Bit mask, see :data:`tiltcal.core.flags.REASONS`.
     """
 
     gravity: Array
-    tilt: Array
-    pitch: Array | None
-    roll: Array | None
-    inclination: Array | None
+    angles: Array
     flag: Bytes
-    reason: Bytes
+    reason: Reasons
 
     @classmethod
     def empty(cls, rows: int, axes: int) -> Compensated:
         """Return a result with memory for ``rows`` rows, laid out column after column."""
-        gravity, tilt = np.empty((2, axes, rows))
-        pitch, roll, inclination = np.empty((3, rows)) if axes == 3 else (None, None, None)
-        flag, reason = np.empty((2, rows), np.uint8)
-        return cls(gravity.T, tilt.T, pitch, roll, inclination, flag, reason)
+        gravity, angles = np.empty((axes, rows)), np.empty((axes + len(DIRECTIONS) * (axes == 3), rows))
+        return cls(gravity.T, angles.T, np.empty(rows, np.uint8), np.empty(rows, np.uint16))
 
     def part(self, rows: slice) -> Compensated:
         """Return a view of some rows."""
-        pitch, roll, inclination = (
-            None if angle is None else angle[rows] for angle in (self.pitch, self.roll, self.inclination)
-        )
-        return Compensated(
-            self.gravity[rows], self.tilt[rows], pitch, roll, inclination, self.flag[rows], self.reason[rows]
-        )
+        return Compensated(self.gravity[rows], self.angles[rows], self.flag[rows], self.reason[rows])
+
+    @property
+    def tilt(self) -> Array:
+        """The tilt of each axis, shape (n, axes), degrees."""
+        return self.angles[:, : self.gravity.shape[1]]
 
 
 @frozen
@@ -169,6 +177,8 @@ class Compensation:
         From the sensor's frame to the application's; None where they are one.
     solves_z : bool
         Whether g_z, which two channels do not see, is needed and solved for.
+    on_edge : bool
+        Whether the mounting turns such a sensor by more than 45° from upright and from upside down.
 
     Raises
     ------
@@ -180,7 +190,8 @@ class Compensation:
     -----
     Two channels and a mounting rotation, or a z column: g_z is +sqrt(1 - g_x² - g_y²) unless element zz of the
     mounting matrix is negative (the sensor hangs upside down), then it is minus that. Where g_x² + g_y² > 1, g_z is 0
-    and the row has flag 3 and reason 1.
+    and the row has flag 3 and reason 1. With a mounting on edge, what follows from a g_z of less than cos 45° is NaN,
+    and the row has flag 4 and reason 128.
 
     One channel: the other axes are taken to be level, whatever their columns are.
     """
@@ -220,7 +231,13 @@ class Compensation:
             self.inverse @ sensitivity[:, 2] if self.axes == own[:2] and len(own) > channels else np.zeros(2)
         )
         self.solves_z = channels == 2 and (len(own) > channels or self.rotation is not None)
-        self._upside_down = self.rotation is not None and bool(self.rotation[2, 2] < -_ROUNDING)
+        facing = 1.0 if self.rotation is None else float(self.rotation[2, 2])
+        self._upside_down = facing < _OVER
+        self.on_edge = self.solves_z and abs(facing) < _EDGE - _ROUNDING
+        length = LENGTH_TOLERANCE if limits.length is None else limits.length
+        self._squares = VANISHES**2, inf
+        if isfinite(length):
+            self._squares = max(1.0 - length, SHORTEST) ** 2 - _ROUNDING, min(1.0 + length, LONGEST) ** 2 + _ROUNDING
 
         self._rails = _bounds(limits.reading, coefficients.channels)
         self._reach = _bounds(
@@ -241,9 +258,7 @@ class Compensation:
 
     def table(self, compensated: Compensated) -> dict[str, NDArray[np.float64] | Bytes]:
         """Return the columns of a result under the names that :attr:`columns` lists."""
-        whole = (compensated.pitch, compensated.roll, compensated.inclination)
-        angles = (*compensated.tilt.T, *(angle for angle in whole if angle is not None))
-        columns = (*compensated.gravity.T, *angles, compensated.flag, compensated.reason)
+        columns = (*compensated.gravity.T, *compensated.angles.T, compensated.flag, compensated.reason)
         return dict(zip(self.columns, columns, strict=True))
 
     def __call__(
@@ -327,14 +342,13 @@ class Compensation:
         chunk = self.unjudged(rows, u, temperature, out)
         own, application = chunk.own, out.gravity.T
         self._mount(own, chunk.hidden, application)
-        for angle, argument in zip(out.tilt.T, application, strict=True):
-            _arcsine(argument, angle, out)
         if len(self.axes) == 3:
-            g_x, g_y, g_z = application
-            pitch(g_x, g_y, g_z, out=out.pitch)
-            roll(g_x, g_y, g_z, out=out.roll)
-            inclination(g_x, g_y, g_z, out=out.inclination)
-            _blank_without_direction(application, out)
+            self._judge_length(tilts_of_three(application, out.angles.T), out)
+        else:
+            for angle, argument in zip(out.angles.T, application, strict=True):
+                _arcsine(argument, angle, out)
+        if self.on_edge and chunk.hidden is not None:
+            self._blank_unknown_sign(chunk.hidden, out)
         self._judge_tilt(own, out)
         self._judge_readings(u, out)
         return chunk
@@ -398,6 +412,27 @@ class Compensation:
             product(self.rotation[:2, :2], own, out=application)
             application += self.rotation[:2, 2:] * hidden
 
+    def _judge_length(self, square: Array, out: Compensated) -> None:
+        """Mark rows in which gravity is not 1 g long, and blank their angles where it is no gravity at all."""
+        inside = (square >= self._squares[0]) & (square <= self._squares[1])
+        if inside.all():
+            return
+        mark(out, ~inside, SUSPECT, GRAVITY_LENGTH)
+        lost = ~inside & ~((square >= SHORTEST**2 - _ROUNDING) & (square <= LONGEST**2 + _ROUNDING))
+        mark(out, lost, FAIL, GRAVITY_LENGTH)
+        mark(out, square <= VANISHES**2, FAIL, NO_DIRECTION)
+        out.angles[lost] = np.nan
+
+    def _blank_unknown_sign(self, hidden: Array, out: Compensated) -> None:
+        """Blank what follows from a g_z whose sign nothing shows: the sensor is on edge in its mounting and in fact."""
+        unknown = np.abs(hidden) < _EDGE - _ROUNDING
+        if self.rotation is None or not unknown.any():
+            return
+        mark(out, unknown, FAIL, NO_DIRECTION)
+        by_hidden = self.rotation[:2, 2] - self.rotation[:2, :2] @ self.coupling
+        for column in np.flatnonzero(np.abs(by_hidden) > _ROUNDING):
+            out.gravity[unknown, column] = out.angles[unknown, column] = np.nan
+
     def _judge_tilt(self, own: Array, out: Compensated) -> None:
         """Mark rows that tilt a sensor axis further than the calibration covers."""
         for axis, (low, high) in self._reach.items():
@@ -415,9 +450,7 @@ class Compensation:
         missing = ~finite
         out.flag[missing] = MISSING
         out.reason[missing] = NOT_A_NUMBER
-        for column in (out.gravity, out.tilt, out.pitch, out.roll, out.inclination):
-            if column is not None:
-                column[missing] = np.nan
+        out.gravity[missing] = out.angles[missing] = np.nan
 
 
 def _arcsine(argument: Array, angle: Array, out: Compensated) -> None:
@@ -431,17 +464,6 @@ def _arcsine(argument: Array, angle: Array, out: Compensated) -> None:
     lost = ~(size <= CLIP_LIMIT + _ROUNDING)
     mark(out, lost, FAIL, CLIPPED)
     angle[lost] = np.nan
-
-
-def _blank_without_direction(gravity: Array, out: Compensated) -> None:
-    """Blank the angles of rows in which three axes read 0 g, as in free fall: nothing shows where up is."""
-    none = np.abs(gravity[2]) <= VANISHES
-    if none.any():
-        none &= np.linalg.norm(gravity, axis=0) <= VANISHES
-        mark(out, none, FAIL, NO_DIRECTION)
-        for angle in (out.tilt, out.pitch, out.roll, out.inclination):
-            if angle is not None:
-                angle[none] = np.nan
 
 
 def _inverse(sensitivity: Array) -> Array:

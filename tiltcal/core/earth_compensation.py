@@ -130,6 +130,8 @@ class EarthFrameCompensation:
             lost = length > CLIP_LIMIT
             mark(chunk.out, lost, FAIL, CLIPPED)
             unknown |= lost
+        elif len(self._compensation.axes) == 3:
+            unknown |= np.isnan(chunk.out.angles[:, 0])
         length[unknown | (length <= VANISHES)] = np.nan
         return np.asarray(up / length)
 

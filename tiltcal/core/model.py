@@ -149,11 +149,15 @@ class Limits:
         °C.
     reading : mapping of str to (low, high)
         Per channel: a reading at or beyond one of these is at the rail, unit.
+    length : float or None
+        By how much the length of gravity of three axes may differ from 1 g, g; None where its uncertainty decides,
+        infinite for means, whose length says nothing.
     """
 
     tilt: dict[str, tuple[float, float]] = field(default_factory=dict)
     temperature: tuple[float, float] | None = None
     reading: dict[str, tuple[float, float]] = field(default_factory=dict)
+    length: float | None = None
 
 
 def overlap(first: tuple[float, float] | None, second: tuple[float, float] | None) -> tuple[float, float] | None:

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.model import Array, Mounting
 from tiltcal.errors import EstimateError
 
@@ -20,6 +19,8 @@ UNKNOWN_ANGLE = pi / sqrt(3.0)
 UNKNOWN_FACTOR = 0.95 * sqrt(3.0)
 """Its coverage factor: 95 % of the whole circle."""
 
+LOCKED = 3.0
+"""Standard uncertainties of the pitch from ±90° within which roll and yaw are not separated."""
 
 _LOCK = 1e-8  # cosine of pitch below which roll and yaw turn about one line, within double precision
 _ORTHOGONAL = 1e-6
@@ -105,8 +106,11 @@ def mounting_angles(matrix: Array) -> MountingAngles:
 
 
 def is_locked(pitch: float, u: float) -> bool:
-    """Return whether cos(pitch) is 0 within its 95 % interval, so that roll and yaw cannot be separated; radians."""
-    return cos(pitch) <= NORMAL_FACTOR * u
+    """Return whether the pitch is ±90° within three standard uncertainties: roll and yaw are not separated; radians.
+
+    Both errors of the line move it away from ±90°: it is within 1.96 in 85 % of the sensors that are mounted there.
+    """
+    return abs(abs(pitch) - pi / 2.0) <= LOCKED * u
 
 
 def _wrapped(angle: float) -> float:

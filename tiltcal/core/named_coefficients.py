@@ -13,6 +13,9 @@ from tiltcal.core.model import Array, Coefficients, polynomial, vector_of, with_
 from tiltcal.core.uncertainty_budget import Budget, propagated
 from tiltcal.frozen import frozen
 
+ROUNDED = 1e-3
+"""The share of an uncertainty that remains of a difference although both errors are one: files round their numbers."""
+
 
 @frozen
 class KnownCoefficient:
@@ -125,7 +128,7 @@ def known(
 
     def numbers(vector: Array) -> Array:
         moved = with_vector(coefficients, names, vector)
-        return np.array(list(values(moved if reference is None else referred(moved, reference)).values()))
+        return np.array(list(values(referred(moved, reference)).values()))
 
     u, wide = propagated(numbers, vector_of(coefficients, names), covariance, np.maximum(factors, NORMAL_FACTOR))
     return {
@@ -135,15 +138,15 @@ def known(
     }
 
 
-def referred(coefficients: Coefficients, reference: float) -> Coefficients:
+def referred(coefficients: Coefficients, reference: float | None) -> Coefficients:
     """Return the same coefficients at another reference temperature.
 
     Parameters
     ----------
     coefficients : Coefficients
         Without temperature terms they are the same at every temperature.
-    reference : float
-        °C.
+    reference : float or None
+        °C; None for their own.
 
     Notes
     -----
@@ -151,7 +154,7 @@ def referred(coefficients: Coefficients, reference: float) -> Coefficients:
     takes p(s) over, and the sensitivity the factor 1 + gain(s), by which the new gain is divided.
     """
     thermal = coefficients.thermal
-    if thermal is None or thermal.reference == reference:
+    if thermal is None or reference is None or thermal.reference == reference:
         return coefficients
     shift = reference - thermal.reference
     drift, gain = (
@@ -175,6 +178,7 @@ def changes(
     after: Coefficients,
     known_before: Mapping[str, KnownCoefficient],
     known_after: Mapping[str, KnownCoefficient],
+    common: Mapping[str, float] | None = None,
 ) -> list[CoefficientChange]:
     """Return the change of each coefficient that both have, at the later one's reference temperature.
 
@@ -182,22 +186,31 @@ def changes(
     ----------
     known_before, known_after : mapping of str to KnownCoefficient
         By dotted name, at the later one's reference temperature; a name that is missing is not known.
+    common : mapping of str to float
+        Covariance of the errors of both, by dotted name; a name that is missing has none.
     """
-    if after.thermal is not None:
-        before = referred(before, after.thermal.reference)
-    old, new = values(before), values(after)
+    before = referred(before, None if after.thermal is None else after.thermal.reference)
+    old, new, common = values(before), values(after), common or {}
     return [
-        CoefficientChange(name, old[name], new[name], *difference_of(known_before.get(name), known_after.get(name)))
+        CoefficientChange(
+            name,
+            old[name],
+            new[name],
+            *difference_of(known_before.get(name), known_after.get(name), common.get(name, 0.0)),
+        )
         for name in new
         if name in old
     ]
 
 
-def difference_of(before: KnownCoefficient | None, after: KnownCoefficient | None) -> tuple[float | None, float]:
+def difference_of(
+    before: KnownCoefficient | None, after: KnownCoefficient | None, common: float = 0.0
+) -> tuple[float | None, float]:
     """Return the standard uncertainty of a difference and its degrees of freedom (GUM, eq. G.2b)."""
     if before is None or after is None:
         return None, inf
     total = before.u**2 + after.u**2
+    total = max(total - 2.0 * common, ROUNDED**2 * total)
     parts = [(np.array([value.u**2]), value.dof) for value in (before, after)]
     return sqrt(total), float(welch_satterthwaite(np.array([total]), parts)[0])
 

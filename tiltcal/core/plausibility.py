@@ -21,6 +21,9 @@ POSE = sin(radians(1.5))
 MATCHED, ODD = 5.0, 8.0
 """Standard deviations from which a reading is refused: where another position fits better, and where none does."""
 
+UNKNOWN_OFFSET = 1.0
+"""An offset whose standard deviation over parts is above this is not known, g: it predicts no reading by itself."""
+
 SAME_TILT = radians(5.0)
 """Attitudes closer than this are one attitude taken again."""
 
@@ -59,6 +62,7 @@ class ExpectedReadings:
     ) -> None:
         self._channels = channels
         self._offset, self._sensitivity = offset, sensitivity
+        self._or = ", or was a position before it wrong (go back)" if offset_spread > UNKNOWN_OFFSET else ""
         prior = np.diag([offset_spread**2 + OFFSET_FLOOR**2, *(3 * [CROSS_SPREAD**2])])
         self._mean: list[Array] = []
         self._covariance: list[Array] = []
@@ -127,7 +131,7 @@ class ExpectedReadings:
         }
         nearest = min(others, key=lambda name: others[name], default=None)
         if nearest is not None and own > MATCHED and others[nearest] < own / 2:
-            return f"this looks like {nearest}: is the sensor turned round?"
+            return f"this looks like {nearest}: is the sensor turned round{self._or}?"
         if own > ODD:
             expected = self.expected(positions[position])
             differences = ", ".join(
@@ -136,7 +140,7 @@ class ExpectedReadings:
             )
             return (
                 f"no position of this procedure reads like this ({differences}): is the sensor at the angle, and are "
-                "its axes named right?"
+                f"its axes named right{self._or}?"
             )
         return None
 

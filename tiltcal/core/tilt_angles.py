@@ -2,7 +2,8 @@
 
 ``g`` points UP in the sensor frame, in g; level is (0, 0, 1). All angles are degrees::
 
-    tilt of axis i = asin(g_i)                          -90 to  90
+    tilt of axis i = asin(g_i)                          -90 to  90, of one or two axes
+    tilt of axis x = atan2(g_x, hypot(g_y, g_z))        -90 to  90, of three; likewise of y and z
     pitch          = atan2(g_x, hypot(g_y, g_z))        -90 to  90
     roll           = atan2(g_y, g_z)                   -180 to 180
     inclination    = atan2(hypot(g_x, g_y), g_z)          0 to 180
@@ -40,22 +41,16 @@ def tilt(component: Array, out: Array | None = None) -> Array:
     return angle
 
 
-def pitch(g_x: Array, g_y: Array, g_z: Array, out: Array | None = None) -> Array:
-    """Compute the pitch, degrees: how far the x axis points above the horizontal."""
-    return _arctangent(g_x, np.hypot(g_y, g_z), out)
-
-
-def roll(g_x: Array, g_y: Array, g_z: Array, out: Array | None = None) -> Array:
-    """Compute the roll, degrees: the turn about the x axis."""
-    return _arctangent(g_y, g_z, out)
-
-
-def inclination(g_x: Array, g_y: Array, g_z: Array, out: Array | None = None) -> Array:
-    """Compute the inclination, degrees: the angle between the z axis and the vertical."""
-    return _arctangent(np.hypot(g_x, g_y), g_z, out)
-
-
-def _arctangent(opposite: Array, adjacent: Array, out: Array | None) -> Array:
-    angle: Array = np.arctan2(opposite, adjacent, out=out)
-    angle *= _DEGREES
-    return angle
+def tilts_of_three(gravity: Array, out: Array) -> Array:
+    """Compute the tilts of three axes and :data:`DIRECTIONS`, shape (6, n), degrees; return |g|², shape (n,)."""
+    x, y, z = squares = gravity * gravity
+    tilt_x, tilt_y, tilt_z, pitch, roll, inclination = out
+    np.arctan2(gravity[0], np.sqrt(y + z), out=tilt_x)
+    np.arctan2(gravity[1], np.sqrt(x + z), out=tilt_y)
+    np.arctan2(gravity[1], gravity[2], out=roll)
+    np.arctan2(np.sqrt(x + y), gravity[2], out=inclination)
+    for angle in (tilt_x, tilt_y, roll, inclination):
+        angle *= _DEGREES
+    pitch[...] = tilt_x
+    np.subtract(90.0, inclination, out=tilt_z)
+    return np.asarray(squares.sum(axis=0))

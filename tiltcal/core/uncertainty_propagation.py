@@ -9,7 +9,7 @@ the slope w of a channel, one over the derivative of its reading by the signal v
 and the covariance of two channels' signals is a quadratic form of their derivatives, taken for many rows at a time.
 A component that is not measured follows the two that are; see :mod:`tiltcal.core.compensation`. From the components to
 the angles it is a gradient again, except at an edge: at ±90° of a tilt the interval of the argument is taken through
-the arcsine, and where pitch or inclination comes from a length near zero, an error across it counts too.
+the arcsine, and where an angle of three axes comes from a length near zero, an error across it counts too.
 """
 
 from __future__ import annotations
@@ -133,13 +133,20 @@ class Propagation:
     def _fill(self, chunk: KernelChunk, room: Array) -> None:
         variances = self._variances(chunk)
         application = chunk.out.gravity.T
+        if self._sees_all:
+            self._angles_of_three(application, variances, room)
+            return
         slope = None if chunk.hidden is None else self._slope_of_hidden(chunk.own, chunk.hidden, variances)
         for axis, argument in enumerate(application):
             variance, factor = self._whole_variance(self._of_axis(axis, chunk.own, slope, variances))
             _through_arcsine(argument, variance, factor, room[1, axis])
             np.divide(room[1, axis], factor, out=room[0, axis])
-        if self._sees_all:
-            self._directions(application, variances, room[:, len(self._axes) :])
+
+    def length_half_width(self, chunk: KernelChunk) -> Array:
+        """Return half of the 95 % interval of the length of gravity of three axes, shape (n,), g."""
+        gravity = chunk.out.gravity.T
+        along = list(gravity / np.sqrt(np.einsum("in,in->n", gravity, gravity)))
+        return self._half(self._along(self._variances(chunk), along))[0]
 
     def half_widths(self, chunk: KernelChunk, gradients: Sequence[UpGradient]) -> tuple[Array, Array]:
         """Return half of the 95 % interval of quantities that follow from up, in their units, and the coverage factors.
@@ -360,71 +367,37 @@ class Propagation:
             return parts[0], NORMAL_FACTOR
         return self._coverage.whole(parts[0], self._widened or parts[1], parts[-1])
 
-    def _directions(self, gravity: Array, variances: Array, room: Array) -> None:
-        """Fill in pitch, roll and inclination: arctangents of one component and the length of the two others."""
-        across = self._across(gravity, variances, (1, 2))
-        across.roll(room[:, DIRECTIONS.index("roll")])
-        self._from_length(0, across, gravity, variances, room[:, DIRECTIONS.index("pitch")])
-        across = self._across(gravity, variances, (0, 1))
-        self._from_length(2, across, gravity, variances, room[:, DIRECTIONS.index("inclination")])
-
-    def _across(self, gravity: Array, variances: Array, across: tuple[int, int]) -> _Across:
-        """Return two components as a length and a direction, with the interval of an error that turns them."""
-        length = _length(gravity[across[0]], gravity[across[1]])
-        cosine, sine = gravity[across[0]] / length, gravity[across[1]] / length
-        nowhere = length == 0.0
-        if nowhere.any():
-            cosine[nowhere], sine[nowhere] = 1.0, 0.0
-        gradient: list[Array | float] = [0.0, 0.0, 0.0]
-        gradient[across[0]], gradient[across[1]] = -sine, cosine
-        return _Across(across, length, cosine, sine, *self._half(self._along(variances, gradient)))
-
-    def _from_length(self, alone: int, across: _Across, gravity: Array, variances: Array, room: Array) -> None:
-        """Fill in pitch or inclination: the arctangent of a component over the length of the two others."""
-        length = across.length
-        size = length * length + gravity[alone] * gravity[alone]
-        gradient: list[Array | float] = [0.0, 0.0, 0.0]
-        gradient[alone] = length / size
-        share = gravity[alone] / -size
-        gradient[across.axes[0]], gradient[across.axes[1]] = share * across.cosine, share * across.sine
-        half, factor = self._half(self._along(variances, gradient))
-        # The length of the two grows by an error across it, which near zero is as good as one along it.
-        longer = (_length(length, across.half) - length) * share
-        width = _length(half, longer)
-        # Within the circle that holds 95 % of the errors, the truth may as well be straight down.
-        from_edge = length / np.abs(gravity[alone])
-        within = from_edge <= CIRCLE * np.maximum(half, across.half / np.sqrt(size))
-        np.copyto(width, np.maximum(width, from_edge), where=within)
-        np.minimum(width, HALF_TURN, out=room[1])
-        np.minimum(room[1] / factor, UNKNOWN_ANGLE, out=room[0])
+    def _angles_of_three(self, gravity: Array, variances: Array, room: Array) -> None:
+        """Fill in the angles of three axes: arctangents of one component and the length of the two others."""
+        for alone, (first, second) in enumerate(((1, 2), (0, 2), (0, 1))):
+            length = _length(gravity[first], gravity[second])
+            cosine, sine = gravity[first] / length, gravity[second] / length
+            nowhere = length == 0.0
+            if nowhere.any():
+                cosine[nowhere], sine[nowhere] = 1.0, 0.0
+            gradient: list[Array | float] = [0.0, 0.0, 0.0]
+            gradient[first], gradient[second] = -sine, cosine
+            across, factor = self._half(self._along(variances, gradient))
+            if alone == 0:
+                _within_a_turn(across / length, factor, room[:, 3 + DIRECTIONS.index("roll")])
+            size = length * length + gravity[alone] * gravity[alone]
+            share = gravity[alone] / -size
+            gradient[alone], gradient[first], gradient[second] = length / size, share * cosine, share * sine
+            half, factor = self._half(self._along(variances, gradient))
+            # The length of the two grows by an error across it, which near zero is as good as one along it.
+            width = _length(half, (_length(length, across) - length) * share)
+            # Within the circle that holds 95 % of the errors, the truth may as well be straight up or down.
+            from_edge = length / np.abs(gravity[alone])
+            within = from_edge <= CIRCLE * np.maximum(half, across / np.sqrt(size))
+            np.copyto(width, np.maximum(width, from_edge), where=within)
+            _within_a_turn(width, factor, room[:, alone])
+        room[:, 3 + DIRECTIONS.index("pitch")], room[:, 3 + DIRECTIONS.index("inclination")] = room[:, 0], room[:, 2]
 
 
-@frozen
-class _Across:
-    """Two components of g, by length and direction, of n rows.
-
-    Attributes
-    ----------
-    axes : (int, int)
-        The two components.
-    half : ndarray, shape (n,)
-        Half of the 95 % interval of an error across their direction.
-    factor : ndarray, shape (n,), or float
-        Its coverage factor.
-    """
-
-    axes: tuple[int, int]
-    length: Array
-    cosine: Array
-    sine: Array
-    half: Array
-    factor: Array | float
-
-    def roll(self, room: Array) -> None:
-        """Fill in the uncertainty of the direction itself, radians."""
-        half = self.half / self.length
-        np.minimum(half, HALF_TURN, out=room[1])
-        np.minimum(half / self.factor, UNKNOWN_ANGLE, out=room[0])
+def _within_a_turn(half: Array, factor: Array | float, room: Array) -> None:
+    """Fill in the standard and the expanded uncertainty of an angle from half of its interval, radians."""
+    np.minimum(half, HALF_TURN, out=room[1])
+    np.minimum(half / factor, UNKNOWN_ANGLE, out=room[0])
 
 
 def _is_zero(component: Array | float) -> bool:

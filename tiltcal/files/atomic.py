@@ -22,7 +22,7 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
     """Open a binary stream whose content becomes the file when the block ends without an error.
 
     The stream writes to a file without a name in the same folder, so that a program that is killed leaves nothing
-    behind; where the system has no such files, to a temporary one. At the end it is flushed to the disk and renamed;
+    behind; where the system has no such files, to a temporary one. At the end it is flushed to the disk and named;
     where the block raises, it is gone and a file that stood at ``path`` is as it was. A device or pipe has no such end:
     it is written as it comes. What was written can be read again, but for a device or pipe.
 
@@ -107,7 +107,7 @@ def _check_place(path: str | Path) -> None:
         pass
     except OSError as failure:
         raise _cannot_write(path, failure, "choose another name") from failure
-    part = _part_of(target)
+    part = part_of(target)
     try:
         stream, named = _begun(part)
     except OSError as failure:
@@ -125,7 +125,7 @@ def require_apart(path: str | Path, *read: str | Path) -> None:
 
 
 def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
-    part = _part_of(target)
+    part = part_of(target)
     try:
         stream, named = _begun(part)
     except OSError as failure:
@@ -137,17 +137,21 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
             _keep_permissions(target, stream)
             os.fsync(stream.fileno())
             if not named:
-                # A folder's descriptor has to be given for the link behind /proc to be followed; its value is ignored.
-                nameless = stream.fileno()
-                os.link(f"/proc/self/fd/{nameless}", part, src_dir_fd=nameless)
-        os.replace(part, target)
+                try:
+                    _give_name(stream.fileno(), target)
+                except FileExistsError:  # no call replaces it by a file without a name
+                    _give_name(stream.fileno(), part)
+                    named = True
+        if named:
+            os.replace(part, target)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
     _sync_folder(target.parent)
 
 
-def _part_of(target: Path) -> Path:
+def part_of(target: Path) -> Path:
+    """Return a name that nobody can predict, for what becomes this file when it is whole."""
     return target.with_name(f".tiltcal-{os.urandom(6).hex()}.part")
 
 
@@ -167,6 +171,11 @@ def _nameless(folder: Path) -> int | None:
         if failure.errno in _NO_ROOM:
             raise
         return None
+
+
+def _give_name(nameless: int, path: Path) -> None:
+    # A folder's descriptor has to be given for the link behind /proc to be followed; its value is ignored.
+    os.link(f"/proc/self/fd/{nameless}", path, src_dir_fd=nameless)
 
 
 def _keep_permissions(target: Path, stream: BinaryIO) -> None:

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.model import AXES, Coefficients, Limits
+from tiltcal.core.model import AXES, Array, Coefficients, Limits
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.mounting_rotation import rotation_vector
-from tiltcal.core.named_coefficients import CoefficientChange, changes, difference_of, values
+from tiltcal.core.named_coefficients import CoefficientChange, changes, difference_of, referred, values
 from tiltcal.core.uncertainty_inputs import TURN
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import COEFFICIENTS, in_degrees
@@ -38,6 +38,9 @@ def _channels(found: tuple[str, ...], node: Node, context: Context) -> tuple[str
         raise node.error("channels are one to three different ones of x, y, z")
     return found
 
+
+UNDETERMINED = 1e-3
+"""The positions do not determine a coefficient whose uncertainty is its prior's within this share."""
 
 UNKNOWN_MODEL = "recorded"
 """The model in a file of `fit`, where the user named none."""
@@ -194,16 +197,35 @@ def _comments(unit: str) -> dict[str, str]:
     }
 
 
-def changes_between(before: CalibrationRecord, after: CalibrationRecord) -> list[CoefficientChange]:
-    """Return the change of every coefficient between two calibrations, at the later one's reference temperature."""
-    thermal = after.coefficients.thermal
-    reference = None if thermal is None else thermal.reference
-    known = (
-        known_coefficients(calibration.uncertainty, calibration.coefficients, reference)
-        for calibration in (before, after)
+def changes_between(
+    before: CalibrationRecord, after: CalibrationRecord, reference: float | None
+) -> list[CoefficientChange]:
+    """Return the change of every coefficient between two calibrations at a temperature, °C, where they have drifts."""
+    old, new = (referred(record.coefficients, reference) for record in (before, after))
+    earlier, later = (
+        known_coefficients(record.uncertainty, record.coefficients, reference) for record in (before, after)
     )
-    found = changes(before.coefficients, after.coefficients, *known)
+    common: dict[str, float] = {}
+    if before.fit.priors == after.fit.priors:
+        first, last = responses_to_priors(before), responses_to_priors(after)
+        common = {name: float(first[name] @ last[name]) for name in first if name in last}
+    found = changes(old, new, earlier, later, common)
     return [*found, *_change_of_lag(before, after), *_turns_between(before, after)]
+
+
+def responses_to_priors(record: CalibrationRecord) -> dict[str, Array]:
+    """Return by how much each coefficient follows each of the data sheet's priors, over that one's uncertainty.
+
+    The sums of products of two files are the covariance of their errors: a prior errs alike in all files of a sensor.
+    One that the positions determine in part counts as determined by them.
+    """
+    covariance, priors = record.uncertainty.covariance, record.fit.priors
+    if covariance is None or not set(priors) <= set(covariance.parameters):
+        return {}
+    places, u = [covariance.parameters.index(name) for name in priors], np.array(list(priors.values()))
+    matrix = covariance.as_array()
+    undetermined = np.isclose(np.sqrt(np.diag(matrix))[places], u, rtol=UNDETERMINED)
+    return dict(zip(covariance.parameters, matrix[:, places] / u * undetermined, strict=True))
 
 
 def _change_of_lag(before: CalibrationRecord, after: CalibrationRecord) -> Iterator[CoefficientChange]:
@@ -224,4 +246,4 @@ def _turns_between(before: CalibrationRecord, after: CalibrationRecord) -> Itera
     stated = [known_turns(record.uncertainty, record.coefficients) for record in (before, after)]
     for axis, angle in zip(AXES, np.degrees(turn).tolist(), strict=True):
         name = f"{TURN}{axis}"
-        yield CoefficientChange(name, 0.0, angle, *difference_of(*(turns.get(name) for turns in stated)))
+        yield CoefficientChange(name, 0.0, angle, *difference_of(stated[0].get(name), stated[1].get(name)))

@@ -185,6 +185,9 @@ def _matrix(
     values = np.linalg.svd(matrix[:, square], compute_uv=False)
     if not values[-1] >= _SINGULAR * values[0] or values[0] == 0.0:
         raise node.error("the matrix is singular: its rows do not separate the axes; measure the sensitivity again")
+    for channel, row in zip(channels, matrix, strict=True):
+        if channel in axes and row[axes.index(channel)] == 0.0:
+            raise node.error(f"{channel} does not sense axis {channel}: call each channel by the axis it senses most")
     return axes, matrix
 
 

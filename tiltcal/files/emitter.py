@@ -1,8 +1,8 @@
 """YAML text of a fixed style: small mappings in one line, large ones opened, 120 columns wide.
 
 What is written reads back equal under YAML 1.2, and the same under YAML 1.1: a text that either would take for a
-number, a date, a truth value or nothing is quoted, and ``1e-08`` is written ``1.0e-08``. The word ``y`` alone is left
-bare: it is the name of an axis in every file, and no parser at work today takes it for a truth value.
+number, a date, a truth value or nothing is quoted, and ``1e-08`` is written ``1.0e-08``. The letters ``y`` and ``n``
+alone are left bare: they are keys in every file, and no parser at work today takes them for truth values.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ WIDTH = 120
 _COMMENT_COLUMN = 46
 _KEY_LIMIT = 100
 """YAML itself ends at 1024 bytes, escapes included."""
-_READ_AS_OTHER = {"yes", "no", "on", "off", "true", "false", "null", "n"}
+_READ_AS_OTHER = {"yes", "no", "on", "off", "true", "false", "null"}
 _BARE = re.compile(r"[^\W\d_]([\w./+()°%=-]| (?=[\w./+()°%=-]))*")
 _UNPRINTABLE = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
 _FOLD = re.compile(r"(?<=[^\s\\]) (?=[^\s])")

@@ -173,6 +173,17 @@ class FitRecord:
         default={},
     )
     notes: tuple[str, ...] = entry(ListOf(Text()), "what limits the numbers", default=())
+    priors: Mapping[str, float] = entry(
+        ByCoefficient(FROM_ZERO),
+        "per coefficient that the procedure does not determine, its standard uncertainty by the data sheet; its value "
+        "before the session is 0, and its error is common to all calibrations of the sensor",
+        default={},
+    )
+    not_covered: tuple[str, ...] = entry(
+        ListOf(Text()),
+        "errors of the bench that no position shows and that are not in the uncertainty, such as `lean` of the table",
+        default=(),
+    )
     cross_validation: CrossValidation | None = entry(
         Section(CrossValidation), "after a sweep: how the order of the drift was chosen", default=None
     )
@@ -186,6 +197,12 @@ class FitRecord:
     )
     distinct_attitudes: int | None = entry(
         Integer(minimum=0), "from free positions: how many attitudes differ", default=None
+    )
+    left_out_mg: Mapping[str, float] = entry(
+        ByName(Number()),
+        "from free positions: attitudes that do not agree with the others and are not in the fit, and by how much the "
+        "length of gravity is off in each, mg",
+        default={},
     )
     misfit_rms_mg: float | None = entry(
         FROM_ZERO, "from free positions: how well the length of gravity is met, mg rms", default=None

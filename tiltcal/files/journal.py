@@ -32,7 +32,7 @@ from typing import Any, BinaryIO, overload
 from zlib import crc32
 
 from tiltcal.errors import InputError, JournalError, UsageError
-from tiltcal.files.atomic import append_whole, write_all
+from tiltcal.files.atomic import append_whole, part_of, write_all
 from tiltcal.files.journal_header import HEADER, Header
 from tiltcal.files.node import document_of
 from tiltcal.frozen import frozen
@@ -255,21 +255,26 @@ class JournalWriter:
             The file exists, or cannot be made.
         """
         path = Path(path)
-        if os.path.lexists(path):
-            raise UsageError(f"{path} exists: resume it with --resume {path}, or name another --journal")
         body = _dumps({"tiltcal-journal": VERSION, **header}).encode()
         crc = crc32(body)
         line = body[:-1] + f',"check":"{crc:08x}"}}\n'.encode()
-        whole = path.with_name(f".{path.name}.new")
+        part = part_of(path)
         try:
-            descriptor = os.open(whole, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_CLOEXEC, 0o644)
-            write_all(descriptor, line)
-            os.fsync(descriptor)
-            os.rename(whole, path)
+            descriptor = os.open(part, _APPEND | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
+            try:
+                write_all(descriptor, line)
+                os.fsync(descriptor)
+                _lock(descriptor, path)  # while no other process can resume it, because it has no name
+                _give_name(part, path)
+            except BaseException:
+                os.close(descriptor)
+                raise
+            finally:
+                part.unlink(missing_ok=True)
+        except FileExistsError:
+            raise UsageError(f"{path} exists: resume it with --resume {path}, or name another --journal") from None
         except OSError as error:
-            whole.unlink(missing_ok=True)
             raise UsageError(f"{path}: the journal cannot be made: {error.strerror}") from None
-        _lock(descriptor, path)
         return cls(path, descriptor, crc, 0, hashlib.sha256(line), len(line))
 
     @classmethod
@@ -282,16 +287,18 @@ class JournalWriter:
             Another process writes it, or has written to it since it was read, or it cannot be opened for writing.
         """
         try:
-            descriptor = os.open(journal.path, os.O_RDWR | os.O_APPEND | os.O_CLOEXEC)
+            descriptor = os.open(journal.path, _APPEND)
         except OSError as error:
             raise JournalError(f"cannot be continued: {error.strerror}", file=journal.path) from None
-        _lock(descriptor, journal.path)
-        if b"\n" in os.pread(descriptor, LINE_LIMIT, journal.size):
+        try:
+            _lock(descriptor, journal.path)
+            if b"\n" in os.pread(descriptor, LINE_LIMIT, journal.size):
+                why = "another process has written to it since it was read: resume it again"
+                raise JournalError(why, file=journal.path)
+            os.ftruncate(descriptor, journal.size)
+        except BaseException:
             os.close(descriptor)
-            raise JournalError(
-                "another process has written to it since it was read: resume it again", file=journal.path
-            )
-        os.ftruncate(descriptor, journal.size)
+            raise
         return cls(journal.path, descriptor, journal.crc, len(journal.events), journal.digest.copy(), journal.size)
 
     def append(self, dt_ns: int, kind: str, *payload: Any) -> None:
@@ -341,12 +348,25 @@ class JournalWriter:
 _dumps = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode
 
 
+_APPEND = os.O_RDWR | os.O_APPEND | os.O_CLOEXEC
+
+
 def _lock(descriptor: int, path: Path) -> None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        os.close(descriptor)
         raise JournalError("another tiltcal is writing this journal; wait until it ends", file=path) from None
+
+
+def _give_name(part: Path, path: Path) -> None:
+    """Give a file its name; a FileExistsError where another has it, be it a link that leads nowhere."""
+    try:
+        os.link(part, path)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links: a file of our own takes the name, and only that one is replaced
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW))
+        os.rename(part, path)
 
 
 def _header(line: bytes, path: Path) -> tuple[dict[str, Any], int]:

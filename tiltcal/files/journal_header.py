@@ -9,6 +9,7 @@ from typing import Any
 
 from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.declaration import Anything, ByName, ListOf, Section, entry
+from tiltcal.files.moments import MOMENT
 from tiltcal.files.scalars import FROM_ZERO, Flag, Integer, Number, Text
 from tiltcal.frozen import frozen
 
@@ -47,7 +48,7 @@ class Header:
 
     software: str = entry(Text(), "who wrote the journal")
     journal: str = entry(Text(), "its file name")
-    started: str = entry(Text(), "when, UTC")
+    started: str = entry(MOMENT, "when, UTC")
     virtual: bool = entry(Flag(), "whether every device is a twin")
     operator: str = entry(Text(), "who leads: `terminal`, `json`, `sim` or `python`")
     person: str | None = entry(Text(), "the name in the bench file", default=None)

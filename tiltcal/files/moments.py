@@ -10,13 +10,18 @@ from tiltcal.files.declaration import Context, Converted
 from tiltcal.files.node import Node
 from tiltcal.files.scalars import Text
 
+_LAST_YEAR = 2999
+"""A moment behind it is none, so that what is added to one stays a date."""
+
 
 def moment(text: str | date, path: str | Path | None = None) -> datetime:
     """Return a moment in ISO 8601, or one of Python; UTC where it names no zone. An InputError where it is none."""
     try:
         found = datetime.fromisoformat(str(text))
     except ValueError:
-        raise InputError(f"{str(text)!r} is no date: write it as 2026-05-01T12:00:00Z", file=path) from None
+        found = datetime.max
+    if found.year > _LAST_YEAR:
+        raise InputError(f"{str(text)!r} is no date: write it as 2026-05-01T12:00:00Z", file=path)
     if found.tzinfo is UTC:
         return found
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)

@@ -273,8 +273,8 @@ class Procedure:
     soak: Soak = entry(
         Section(Soak),
         "at a new temperature: the window, seconds, and the largest drift in it, °C",
-        default=Soak(seconds=20.0, drift=0.3),
-        usual="`{seconds: 20, drift: 0.3}`",
+        default=Soak(seconds=240.0, drift=0.06),
+        usual="`{seconds: 240, drift: 0.06}`",
     )
     ramp: Ramp | None = entry(
         Section(Ramp),

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.core.compensation import LENGTH_TOLERANCE
 from tiltcal.core.coverage_factor import NORMAL_FACTOR, degrees_of_freedom
-from tiltcal.core.model import AXES, Array, Coefficients, Mounting
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import KnownCoefficient, known, values
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
@@ -297,6 +298,16 @@ def uncertainty_inputs(uncertainty: Uncertainty, coefficients: Coefficients) -> 
     if not _joint(uncertainty)[0]:
         return UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0))
     return stated_uncertainty(uncertainty, coefficients).inputs
+
+
+def length_tolerance(uncertainty: Uncertainty, coefficients: Coefficients, limits: Limits) -> float:
+    """Return by how much the length of gravity of three axes may differ from 1 g before a row is suspect."""
+    inputs = uncertainty_inputs(uncertainty, coefficients)
+    if len(coefficients.channels) < 3 or not inputs.names:
+        return LENGTH_TOLERANCE
+    from tiltcal.core.angle_uncertainty import length_half_width
+
+    return max(LENGTH_TOLERANCE, length_half_width(coefficients, limits, inputs))
 
 
 def known_coefficients(

@@ -7,8 +7,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from datetime import date, timedelta
 from itertools import chain
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 import tiltcal
 from tiltcal.calibration.calibration import read
@@ -129,8 +132,8 @@ def apply_log(
 
     Notes
     -----
-    A damaged Parquet or NetCDF file can end the process in its library: leave files of doubtful origin to ``tiltcal
-    apply``, which reads them in a child process.
+    A damaged Parquet or NetCDF file can end the process in its library, or keep it there: run ``tiltcal apply`` in a
+    process of its own for files of doubtful origin.
     """
     require_path("the log", log)
     require_path("the output", output)
@@ -264,6 +267,8 @@ class CompensatedLog:
         Where the components of ``magnetometer`` and ``velocity`` stand, if they are asked for.
     summary : ApplySummary
         Counts the rows as they pass.
+    say : callable
+        Called with each remark on the rows, when all have passed.
     field_length : FieldLength or None
         Remembers the usual length of the magnetic field.
     """
@@ -274,6 +279,7 @@ class CompensatedLog:
     roles: Mapping[str, int]
     vectors: Mapping[str, tuple[int, ...]]
     summary: ApplySummary
+    say: Callable[[str], None]
     field_length: FieldLength | None = None
 
     @classmethod
@@ -313,8 +319,13 @@ class CompensatedLog:
         present = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
         if TIME in prepared.optional_roles and TIME not in present:
             say(NO_TIME)
+        field_length = None
+        if vectors.get("magnetometer"):
+            from tiltcal.core.heading import FieldLength
+
+            field_length = FieldLength()
         summary = ApplySummary(widths={name: ColumnWidths() for name in prepared.watched})
-        return cls(log, prepared, channels, present, vectors, summary, _field_length("magnetometer" in vectors))
+        return cls(log, prepared, channels, present, vectors, summary, say, field_length)
 
     @property
     def units(self) -> dict[str, str | None]:
@@ -349,6 +360,8 @@ class CompensatedLog:
             frames=frames or means is not None,
             needs_time=needs_time,
         )
+        if self.prepared.lagged and time is not None:
+            rows = _in_order(rows, time, self.log.name)
         for block in rows if means is None else means.blocks(rows):
             values = self._values(block)
             table = self.prepared.kernel(values)
@@ -359,6 +372,9 @@ class CompensatedLog:
             if count:
                 self.summary.add(table, len(block.faults) + block.bad_rows)
             yield block, table
+        for lead, remarks in (self.prepared.readings or self.prepared).remarks.items():
+            for remark in remarks:
+                self.say(f"note: {lead.rstrip('_')}{': ' * bool(lead)}{remark}")
 
     def _needs_time(self) -> bool:
         """Return whether the time decides something; means of so many rows merely have one."""
@@ -379,22 +395,31 @@ class CompensatedLog:
             return None
         from tiltcal.logs.averaging import Means
 
-        rails = {
-            index: self.prepared.rails[channel]
-            for channel, index in zip(self.prepared.channels, self.channels, strict=True)
-            if channel in self.prepared.rails
-        }
         sensors = [sensor.of(self.channels) for sensor in self.prepared.sensors] or [SensorColumns("", self.channels)]
         time, heading = self.roles.get(TIME), self.roles.get(HEADING)
-        return Means(self.prepared.averaging, self.log.names, sensors, rails, time, heading, self.log.name)
+        return Means(self.prepared.averaging, self.log.names, sensors, self._judged, time, heading, self.log.name)
+
+    def _judged(self, block: LogBlock) -> Table:
+        """Return what is made of readings one by one, before their means."""
+        return (self.prepared.readings or self.prepared).kernel(self._values(block))
 
 
-def _field_length(there: bool) -> FieldLength | None:
-    if not there:
-        return None
-    from tiltcal.core.heading import FieldLength
-
-    return FieldLength()
+def _in_order(blocks: Iterable[LogBlock], time: int, name: str) -> Iterator[LogBlock]:
+    """Yield blocks whose times go on, s; a temperature follows its thermometer with a lag in no others."""
+    last, first = nan, 0
+    for block in blocks:
+        known = np.flatnonzero(np.isfinite(block.values[time]))
+        steps = np.diff(block.values[time][known], prepend=last)
+        if np.any(steps <= 0.0):
+            wrong = int(np.argmax(steps <= 0.0))
+            how = "goes back" if steps[wrong] < 0.0 else "stands still"
+            why = f"time {how} at row {first + int(known[wrong])}, and the calibration follows a thermal lag"
+            raise InputError(
+                f"{why}: sort the log, or name a column of times that go on (--columns time=NAME)", file=name
+            )
+        last = float(block.values[time][known[-1]]) if len(known) else last
+        first += len(block)
+        yield block
 
 
 def _locate_vector(log: LogReader, role: str, names: Sequence[str]) -> tuple[int, ...]:

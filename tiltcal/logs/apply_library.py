@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.calibration_library import calibration_at
 from tiltcal.calibration.interpolation import Interval
+from tiltcal.calibration.summary import objections
 from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.model import Array, polynomial
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
-from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.files.uncertainty import Uncertainty, length_tolerance
 from tiltcal.logs.columns import TEMPERATURE, TIME, SensorColumns, named_columns
 from tiltcal.logs.compensation_kernel import Kernel, LagCorrection, RoleValues
 from tiltcal.logs.log import LogReader, Table
@@ -78,6 +79,9 @@ def prepare_library(
     for history in [library.history(serial) for serial, _ in found]:
         for remark in history.remarks:
             say(f"note: {remark}")
+        for calibration in history.calibrations[:-1]:
+            for objection in objections(calibration.record):
+                say(f"note: {calibration.name}: {objection}")
         stability = library.stability(history.sensor.serial, options.stability) if options.uncertainty else None
         _say_stability(history, stability, say)
         parts.append(_prepare_sensor(history, stability, options, start, log.name, say))
@@ -152,8 +156,10 @@ def _prepare_sensor(
         "sha256": ", ".join(sha256_of(calibration.path) for calibration in calibrations),
     }
     template = prepare(Calibration(calibrations[-1].record), options, say, origin=origin)
-    kernel = LibraryKernel(history, stability, options, template.kernel.columns, template.rails, start, log)
-    return replace(template, kernel=kernel)
+    kernel = LibraryKernel(history, stability, options, template, start, log)
+    alone = ApplyOptions(options.first_order, mounting=options.mounting)
+    readings = template.readings and _prepare_sensor(history, None, alone, start, log, lambda line: None)
+    return replace(template, kernel=kernel, readings=readings)
 
 
 class LibraryKernel:
@@ -163,10 +169,8 @@ class LibraryKernel:
     ----------
     stability : Stability or None
         None where no uncertainty is asked for.
-    columns : tuple of str
-        What each compensation gives.
-    rails : mapping of str to (float, float)
-        The lowest and the highest reading of each channel; empty where they are not known.
+    template : PreparedCalibration
+        The last calibration: each compensation gives its columns, and adds to its remarks.
     start : float or None
         When the time of the log is 0, seconds since 1970; None where its time counts from 1970.
     """
@@ -176,12 +180,13 @@ class LibraryKernel:
         history: SensorHistory,
         stability: Stability | None,
         options: ApplyOptions,
-        columns: tuple[str, ...],
-        rails: Mapping[str, tuple[float, float]],
+        template: PreparedCalibration,
         start: float | None,
         log: str,
     ) -> None:
-        self.columns = columns
+        self.columns, self._remarks = template.kernel.columns, template.remarks[""]
+        records = [calibration.record for calibration in history.calibrations]
+        self._length = max(length_tolerance(one.uncertainty, one.coefficients, one.limits) for one in records)
         if not options.uncertainty:
             history = _each(history, lambda record: replace(record, uncertainty=Uncertainty({}, {})))
         if options.mounting:  # it replaces that of each
@@ -191,6 +196,7 @@ class LibraryKernel:
         self._parts = 1 if not options.uncertainty and self._offset_alone else STEPS
         self._start, self._log = start, log
         channels = history.calibrations[-1].record.coefficients.channels
+        rails = Calibration(history.calibrations[-1].record).limits.reading
         self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in channels}
         self._dates = np.array([calibration.date.timestamp() for calibration in history.calibrations])
         self._kernels: dict[int, tuple[Kernel, float]] = {}
@@ -285,8 +291,8 @@ class LibraryKernel:
             middle = self._middle(step)
             record = _without_lag(self._record_at(step, middle))
             # With them stated, nothing looks for the sensor's model in each step.
-            record = replace(record, limits=replace(record.limits, reading=self._rails))
-            self._kernels[step] = prepare(Calibration(record), self._options).kernel, middle
+            record = replace(record, limits=replace(record.limits, reading=self._rails, length=self._length))
+            self._kernels[step] = prepare(Calibration(record), self._options, remarks=self._remarks).kernel, middle
         kernel, middle = self._kernels[step]
         if 0 <= step < _OUTSIDE:
             shifted = self._on_line(step // self._parts, values, time - middle)
@@ -415,6 +421,7 @@ def _bench(
 ) -> PreparedCalibration:
     """Return the calibrations of several sensors as one; ``leads`` are what the names of their columns begin with."""
     kernels: list[tuple[SensorColumns, Kernel]] = []
+    readings = [part.readings for part in parts if part.readings is not None]
     channels: list[str] = []
     for lead, part in zip(leads, parts, strict=True):
         first = len(channels)
@@ -449,8 +456,10 @@ def _bench(
         roles,
         vectors=parts[0].vectors,
         averaging=parts[0].averaging,
-        rails=led_values(lambda part: part.rails),
         sensors=tuple(columns for columns, _ in kernels),
+        lagged=any(part.lagged for part in parts),
+        readings=_bench(leads, readings, names, roles) if len(readings) == len(parts) else None,
+        remarks=led_values(lambda part: part.remarks),
     )
 
 

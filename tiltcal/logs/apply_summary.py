@@ -13,15 +13,14 @@ from tiltcal.core.model import Array
 from tiltcal.logs.log import Table
 from tiltcal.printable import counted
 
-_CODES = 1 << 15
-"""Sign, exponent and the seven leading bits of the mantissa: neighbours are a per cent apart."""
-
 
 class ColumnWidths:
-    """Half widths of intervals, counted by size; NaN is none."""
+    """Positive numbers, counted by size: by some bits of the mantissa, from one power of 2 to another; NaN is none."""
 
-    def __init__(self) -> None:
-        self._counts = np.zeros(_CODES, np.int64)
+    def __init__(self, bits: int = 7, powers: tuple[int, int] = (-127, 128)) -> None:
+        self._shift = 23 - bits
+        self._first, end = ((127 + power) << bits for power in powers)
+        self._counts = np.zeros(end - self._first, np.int64)
         self._largest = 0.0
 
     def add(self, widths: Array) -> None:
@@ -30,16 +29,18 @@ class ColumnWidths:
         known = widths if finite.all() else widths[finite]
         if len(known):
             self._largest = max(self._largest, float(known.max()))
-            self._counts += np.bincount(known.astype(np.float32).view(np.int32) >> 16, minlength=_CODES)
+            codes = (known.astype(np.float32).view(np.int32) >> self._shift) - self._first
+            np.clip(codes, 0, len(self._counts) - 1, out=codes)
+            self._counts += np.bincount(codes, minlength=len(self._counts))
 
     @property
     def median(self) -> float | None:
-        """The median, to half a per cent; None where there is no value."""
+        """The median, to half the distance of neighbours; None where there is no value."""
         total = int(self._counts.sum())
         if not total:
             return None
-        code = int(np.searchsorted(np.cumsum(self._counts), (total + 1) // 2))
-        ends = np.array([code << 16, (code + 1) << 16], np.int32).view(np.float32)
+        code = self._first + int(np.searchsorted(np.cumsum(self._counts), (total + 1) // 2))
+        ends = np.array([code << self._shift, (code + 1) << self._shift], np.int32).view(np.float32)
         return min(float(ends.mean()), self._largest)
 
     @property
@@ -80,7 +81,7 @@ class ApplySummary:
         """Count some rows, and those of them that could not be parsed."""
         if "flag" not in table:
             table = {**table, **self._worst(table)}
-        flag, reason = (np.asarray(table[name], np.uint8) for name in ("flag", "reason"))
+        flag, reason = (np.asarray(table[name], np.uint16) for name in ("flag", "reason"))
         for name, widths in self.widths.items():
             widths.add(np.asarray(table[name], dtype=float))
         self.rows += len(flag)
@@ -89,9 +90,9 @@ class ApplySummary:
 
     def _worst(self, table: Table) -> Table:
         """Count the rows of each of several sensors; return the worst flag of each row and all its reasons."""
-        worst: dict[str, NDArray[np.uint8]] = {}
+        worst: dict[str, NDArray[np.uint16]] = {}
         for lead in (name.removesuffix("flag") for name in table if name.endswith("_flag")):
-            flag, reason = (np.asarray(table[lead + name], np.uint8) for name in ("flag", "reason"))
+            flag, reason = (np.asarray(table[lead + name], np.uint16) for name in ("flag", "reason"))
             self.sensors.setdefault(lead.removesuffix("_"), ApplySummary()).add({"flag": flag, "reason": reason})
             worst["flag"] = np.maximum(worst.get("flag", flag), flag)
             worst["reason"] = worst.get("reason", reason) | reason

@@ -10,14 +10,14 @@ log; a row without a time belongs to the group of the row before it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.flags import FAIL, NO_DIRECTION, RAIL, SUSPECT, mark_columns
+from tiltcal.core.flags import FAIL, GRAVITY_LENGTH, NO_DIRECTION, RAIL, SUSPECT, Bytes, Reasons, mark_columns
 from tiltcal.core.heading import FIELD_TOLERANCE, full_circle
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
@@ -26,12 +26,13 @@ from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import SensorColumns
 from tiltcal.logs.log import LogBlock, Table
 from tiltcal.logs.text_to_numbers import no_time_yet, texts_of_times
-from tiltcal.stated_arguments import require_whole
+from tiltcal.stated_arguments import is_number, require_whole
 
 if TYPE_CHECKING:
     import polars as pl
 
 _DURATION = re.compile(r"([0-9.]+) *(ms|s|min|h|d)?")
+_FROM_TILT = ("tilt_", "pitch", "roll", "inclination", "heading", "v_", "u_", "U95_")  # columns begin so
 _SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 
@@ -44,13 +45,7 @@ class Averaging:
 
 
 def averaging(rows: int | None, every: str | float | timedelta | None) -> Averaging:
-    """Return what ``--average`` and ``--every`` say.
-
-    Raises
-    ------
-    UsageError
-        Both or none are given, or one is no number above 0.
-    """
+    """Return what ``--average`` and ``--every`` say; one of them is given."""
     if (rows is None) == (every is None):
         raise UsageError("--average and --every each say what belongs into a mean: give one of them")
     if rows is not None:
@@ -62,7 +57,7 @@ def averaging(rows: int | None, every: str | float | timedelta | None) -> Averag
         seconds = float(found[1]) * _SECONDS[found[2] or "s"] if found else 0.0
     except ValueError:
         seconds = 0.0
-    if not seconds > 0.0:
+    if not (seconds > 0.0 and is_number(seconds)):
         raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every}")
     return Averaging(seconds=seconds)
 
@@ -77,15 +72,18 @@ class AveragedBlock(LogBlock):
         Of how many rows the readings of each sensor are the mean.
     rows : ndarray of int, shape (n,)
         In how many rows at least one sensor has all its readings.
-    railed : ndarray of bool, shape (n, sensors)
-        Whether a reading of each sensor was at the rail.
+    flags : ndarray of uint8, shape (n, sensors)
+        The worst flag of a reading of each sensor, at the rail or of a length of gravity that is not 1 g; else 0.
+    reasons : ndarray of uint16, shape (n, sensors)
+        Which of the two.
     apart : ndarray of bool, shape (n,)
         Whether their headings differ so much that the mean of their directions is 5 % shorter than they are.
     """
 
     counts: NDArray[np.int64]
     rows: NDArray[np.int64]
-    railed: NDArray[np.bool_]
+    flags: Bytes
+    reasons: Reasons
     apart: NDArray[np.bool_]
 
 
@@ -97,8 +95,8 @@ class Means:
     ----------
     sensors : sequence of SensorColumns
         Where the readings stand.
-    rails : mapping of int to (float, float)
-        The lowest and the highest reading of some of them.
+    judged : callable
+        Compensates readings one by one.
     time, heading : int or None
         Where the time and a heading stand.
     log : str or None
@@ -108,7 +106,7 @@ class Means:
     averaging: Averaging
     names: Sequence[str]
     sensors: Sequence[SensorColumns]
-    rails: dict[int, tuple[float, float]]
+    judged: Callable[[LogBlock], Table]
     time: int | None = None
     heading: int | None = None
     log: str | None = None
@@ -131,13 +129,17 @@ class Means:
             yield self._means(pending, self._groups(pending, done), bad)
 
     def added(self, block: LogBlock, table: Table) -> Table:
-        """Return the columns of a block of means: the count, and its flags: 4 of a rail, 3 of headings apart."""
+        """Return the columns of a block of means: the count, and its flags, of readings and of headings apart too."""
         if not isinstance(block, AveragedBlock):
             raise TypeError("a block of means is needed")
         marked = dict(table)
-        for sensor, railed in zip(self.sensors, block.railed.T, strict=True):
-            own = (f"{sensor.lead}flag", f"{sensor.lead}reason")
-            marked |= mark_columns({name: table[name] for name in own}, railed, FAIL, RAIL)
+        for sensor, flags, reasons in zip(self.sensors, block.flags.T, block.reasons.T, strict=True):
+            own = {name: table[name] for name in (f"{sensor.lead}flag", f"{sensor.lead}reason")}
+            marked |= mark_columns(own, reasons > 0, flags, reasons)
+            lost = (flags == FAIL) & (reasons & GRAVITY_LENGTH > 0)
+            for name in table if lost.any() else ():
+                if name.startswith(tuple(sensor.lead + kind for kind in _FROM_TILT)):
+                    marked[name] = np.where(lost, np.nan, table[name])
         return {COUNT: block.rows, **mark_columns(marked, block.apart, SUSPECT, NO_DIRECTION)}
 
     def _groups(self, block: LogBlock, done: int) -> NDArray[np.int64]:
@@ -164,12 +166,15 @@ class Means:
         complete = np.array([np.isfinite(block.readings(sensor.readings)).all(axis=1) for sensor in self.sensors])
         shared, rows = _counted(np.logical_or.reduce(complete), starts)
         counts = np.empty((len(starts), len(self.sensors)), np.int64)
-        railed = np.empty(counts.shape, bool)
+        flags, reasons = np.empty(counts.shape, np.uint8), np.empty(counts.shape, np.uint16)
+        judged = self.judged(block)
         used_for: dict[int, NDArray[np.bool_]] = {}
         strict: set[int] = set()
         for number, sensor in enumerate(self.sensors):
             used, counts[:, number] = _counted(complete[number], starts)
-            railed[:, number] = np.logical_or.reduceat(used & self._at_rail(block, sensor), starts)
+            reason = np.where(used, judged[f"{sensor.lead}reason"], 0).astype(np.uint16) & (RAIL | GRAVITY_LENGTH)
+            reasons[:, number] = np.bitwise_or.reduceat(reason, starts)
+            flags[:, number] = np.maximum.reduceat(np.where(reason, judged[f"{sensor.lead}flag"], 0), starts)
             used_for |= dict.fromkeys(sensor.columns, used)
             strict |= {*sensor.readings}
         values = {}
@@ -182,15 +187,9 @@ class Means:
             else:
                 values[index] = _mean(column, used_for.get(index, shared), starts, strict=index in strict)
         frame = None if block.frame is None else self._frame(block.frame, groups, shared, values)
-        return AveragedBlock(values, frame=frame, counts=counts, rows=rows, railed=railed, apart=apart, bad_rows=bad)
-
-    def _at_rail(self, block: LogBlock, sensor: SensorColumns) -> NDArray[np.bool_]:
-        """Return the rows in which a reading of a sensor is at its rail."""
-        found = np.zeros(len(block), bool)
-        for index in self.rails.keys() & {*sensor.readings}:
-            low, high = self.rails[index]
-            found |= (block.values[index] <= low) | (block.values[index] >= high)
-        return found
+        return AveragedBlock(
+            values, frame=frame, counts=counts, rows=rows, flags=flags, reasons=reasons, apart=apart, bad_rows=bad
+        )
 
     def _frame(
         self, frame: pl.DataFrame, groups: NDArray[np.int64], used: NDArray[np.bool_], values: dict[int, Array]

@@ -11,30 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.flags import (
-    CLIPPED,
-    FLAGS,
-    NO_DIRECTION,
-    NO_TEMPERATURE,
-    NOT_A_NUMBER,
-    OUTSIDE_TIME,
-    RAIL,
-    TEMPERATURE_RANGE,
-    TILT_RANGE,
-)
+from tiltcal.core.flags import FLAGS, REASONS
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 
-_MEANINGS = {
-    CLIPPED: "arcsine_argument_beyond_1",
-    TEMPERATURE_RANGE: "temperature_outside_calibrated_range",
-    RAIL: "reading_at_rail",
-    TILT_RANGE: "tilt_outside_calibrated_range",
-    NO_TEMPERATURE: "temperature_missing",
-    NOT_A_NUMBER: "not_a_number",
-    OUTSIDE_TIME: "outside_time_of_calibrations",
-    NO_DIRECTION: "no_direction_or_magnetic_field_of_unusual_length",
-}
 _JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
     "flag": {
         "long_name": "quality flag of QARTOD",
@@ -45,8 +25,8 @@ _JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
     "reason": {
         "long_name": "reasons for the quality flag",
         "standard_name": "status_flag",
-        "flag_masks": np.array([*_MEANINGS], np.uint8),
-        "flag_meanings": " ".join(_MEANINGS.values()),
+        "flag_masks": np.array([*REASONS], np.uint16),
+        "flag_meanings": " ".join("_".join(re.findall(r"\w+", why.replace("the ", ""))) for why in REASONS.values()),
     },
 }
 _STANDARD, _EXPANDED = "u_", "U95_"

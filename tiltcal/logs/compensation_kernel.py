@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -9,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.compensation import Compensated, Compensation
-from tiltcal.core.flags import MISSING, NO_TEMPERATURE, SUSPECT, Mask, mark
+from tiltcal.core.flags import MISSING, NO_DIRECTION, NO_TEMPERATURE, SUSPECT, Mask, mark
 from tiltcal.core.model import Array
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.core.uncertainty_columns import uncertainty_columns, with_shares
 from tiltcal.frozen import frozen
+from tiltcal.logs.apply_summary import ColumnWidths
 from tiltcal.logs.log import Table
+from tiltcal.printable import counted
 
 if TYPE_CHECKING:
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
     from tiltcal.core.earth_compensation import EarthFrameCompensation
     from tiltcal.core.pair.compensation import PairCompensation
     from tiltcal.core.uncertainty_propagation import Propagation
+
+_USUAL = 0.005  # g, by which the median length of gravity of a log may differ from 1 g without a remark
 
 
 @frozen
@@ -70,6 +75,30 @@ class Kernel(Protocol):
         ...
 
 
+class RowRemarks:
+    """The remarks on all rows of a log: on the length of gravity, and on a sign that nothing shows."""
+
+    def __init__(self) -> None:
+        self._squares = ColumnWidths(11, (-8, 24))
+        self._unknown = 0
+
+    def add(self, chunk: KernelChunk, *, on_edge: bool) -> None:
+        """Count some rows, before a heading marks them."""
+        if len(chunk.own) == 3:
+            self._squares.add(np.einsum("an,an->n", chunk.own, chunk.own))
+        if on_edge:
+            self._unknown += int(np.count_nonzero(chunk.out.reason & NO_DIRECTION))
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the remarks."""
+        length = (self._squares.median or 1.0) ** 0.5
+        if abs(length - 1.0) > _USUAL:
+            yield f"|g| is {round(length, 3):g}: supply, unit, place or zero differ from the calibration's"
+        if self._unknown:
+            rows = counted(self._unknown, "row")
+            yield f"in {rows} the sensor is more than 45° from level, mounted on edge: nothing shows the sign of its z"
+
+
 class LagCorrection:
     """The temperature of the sensing element in place of the thermometer's; it remembers the rows before.
 
@@ -108,6 +137,8 @@ class TiltKernel:
     lag : float
         By how much its element is later than the thermometer, s. Rows without a time are compensated with the
         temperature of the thermometer, and have flag 3 and reason 16.
+    remarks : RowRemarks, optional
+        Counts the rows.
     """
 
     def __init__(
@@ -117,10 +148,12 @@ class TiltKernel:
         earth: EarthFrameCompensation | None = None,
         lag: float = 0.0,
         averaged: bool = False,
+        remarks: RowRemarks | None = None,
     ) -> None:
         self._compensation, self._uncertain, self._earth = compensation, uncertain, earth
         self._correct_lag = LagCorrection(lag)
         self._averaged = averaged
+        self._remarks = remarks or RowRemarks()
         names = [*compensation.columns]
         if uncertain is not None:
             names += uncertainty_columns(compensation.angles, averaged=averaged)
@@ -136,6 +169,7 @@ class TiltKernel:
         with np.errstate(all="ignore"):
             for chunk in self._compensation.chunks(values.readings, values.temperature, out):
                 rows = chunk.rows
+                self._remarks.add(chunk, on_edge=self._compensation.on_edge)
                 if values.count is not None:
                     chunk = replace(chunk, share=1.0 / np.maximum(values.count[rows], 1))
                 if self._uncertain is not None:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.free_positions import directions, require_no_jig
+from tiltcal.calibration.free_positions import require_no_jig
 from tiltcal.calibration.joint_fit import no_sensitivity
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
 from tiltcal.calibration.suitability import require_tilt
@@ -45,9 +45,9 @@ from tiltcal.logs.static_intervals import (
     StaticInterval,
     intervals_of,
     intervals_of_table,
-    oriented,
     placed,
     require_positions,
+    unplaced,
 )
 from tiltcal.logs.streams import imported_meanwhile, sha256_of
 from tiltcal.stated_arguments import is_number, require_boolean, require_whole, shown
@@ -181,7 +181,7 @@ def fit(
         if "left_out" in measurement.when:
             far = measurement.when["left_out"]
             which = "1 sample is" if far == 1 else f"{far} samples are"
-            say(f"{measurement.position}: {which} far off the others, and left out")
+            say(f"{measurement.position}: {which} far off the others or missing, and left out")
     measured = MeasuredSensor(
         identity,
         positions.measurements,
@@ -323,21 +323,18 @@ class FitSource:
         return FitPositions([attitude], provenance, found)
 
     def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
-        """Positions of a sensor of three channels in the directions that its readings show.
+        """Positions of a sensor of three channels whose directions the readings will show.
 
         Raises
         ------
         InputError
             A file is wrong; the message names file and line.
         EstimateError
-            The readings lie on no ellipsoid, or no static intervals are found.
+            No static intervals are found.
         """
-        channels = sensor.channels
         if not self.finds:
             intervals, provenance = self._given(sensor)
-            return FitPositions(
-                oriented(intervals, directions([interval.summaries for interval in intervals])), provenance
-            )
+            return FitPositions(unplaced(intervals), provenance)
         windows = WINDOWS if self.window is None else (self.window,)
         with self._record(sensor) as record, record.stored() as readings:
             chosen, tried = find_still(readings, windows)
@@ -345,10 +342,10 @@ class FitSource:
             found = still_segments(chosen)
             samples, step = sampled(record, found, self.rails)
             intervals = intervals_of(samples, step, record, file=record.name)
-        attitudes = directions([interval.summaries for interval in intervals])
-        for interval, (x, y, z) in zip(intervals, attitudes.tolist(), strict=True):
+        attitudes = [] if chosen.fit is None else chosen.fit.attitudes.tolist()
+        for interval, (x, y, z) in zip(intervals, attitudes, strict=True):
             rows = [segment for segment in found if segment.name == interval.position]
-            n = interval.summaries[channels[0]].n
+            n = interval.summaries[sensor.channels[0]].n
             where = f"{rows[0].start} to {rows[-1].end - 1}"
             say(f"  {interval.name}: {n} of rows {where}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
         how = SegmentsRecord(
@@ -357,7 +354,7 @@ class FitSource:
             threshold=significant(chosen.threshold, 4),
             times_noise=chosen.multiple,
         )
-        return FitPositions(oriented(intervals, attitudes), self._provenance(record, how, _times(samples)))
+        return FitPositions(unplaced(intervals), self._provenance(record, how, _times(samples)))
 
     @property
     def _name(self) -> str:
@@ -482,11 +479,6 @@ def _identity(
     if model is None and not (steps.determines.axes or steps.determines.free):
         raise EstimateError(no_sensitivity(steps))
     channels = tuple(model.channels) if model else steps.determines.axes or ("x", "y", "z")
-    if steps.determines.free and channels != ("x", "y", "z"):
-        raise UsageError(
-            f"unit gravity alone needs three channels x, y and z; {model.name if model else 'it'} has "
-            f"{', '.join(channels)}: name a procedure whose positions were set"
-        )
     unit = str(model and model.unit) if unit is None else unit
     for what, text in (("the serial number", serial), ("the unit", unit)):
         require_name(text, what)

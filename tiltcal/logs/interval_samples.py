@@ -49,18 +49,20 @@ Rails = Mapping[str, tuple[float, float]]
 
 @frozen
 class Sums:
-    """The sums over the samples of a piece without those that are far off.
+    """The sums over the samples of a piece without those that are far off or have no number.
 
     Attributes
     ----------
     limit : float
         Two steps of the reading are at least so much, unit.
     far : int
-        Samples that are far off.
+        Samples that are left out.
     why : str
-        Which, and by how much; empty without.
+        Which, and by how much it is off; empty without.
     beyond : mapping of str to (float, int)
         The first reading of a channel at a rail, and how many are.
+    channels : mapping of str to Moments
+        Empty where no sample has a number.
     """
 
     limit: float
@@ -130,15 +132,12 @@ class Piece:
 
     Attributes
     ----------
-    lost : (int, str) or None
-        The first sample of which a channel has no number, counted from the beginning of the interval, and the channel.
     sums : sequence of Sums
-        By rising limit; none where a number is missing.
+        By rising limit.
     temperatures : Temperatures or None
         None without a thermometer.
     """
 
-    lost: tuple[int, str] | None
     sums: Sequence[Sums]
     temperatures: Temperatures | None
 
@@ -289,11 +288,14 @@ def piece_of(
     for row, parts in zip(values, zip(*rows, strict=True), strict=True):
         np.concatenate(parts, out=row)
     temperatures = _temperatures(values[len(channels)]) if len(values) > len(channels) else None
-    samples = values[: len(channels)]
-    lost = np.flatnonzero(~np.isfinite(samples).all(axis=0))
-    if len(lost):
-        missing = channels[int(np.argmin(np.isfinite(samples[:, lost[0]])))]
-        return Piece((begun + int(lost[0]), missing), (), temperatures)
+    samples, lost, places = values[: len(channels)], 0, np.arange(begun, begun + values.shape[1])
+    empty = ""
+    if not (there := np.isfinite(samples)).all():
+        empty = f"{channels[int(np.argmin(there.all(axis=1)))]} has no number"
+        complete = there.all(axis=0)
+        samples, places, lost = samples[:, complete], places[complete], int(np.count_nonzero(~complete))
+    if not len(places):
+        return Piece([Sums(0.0, lost, empty, {}, {})], temperatures)
     judged = [distances(channel) for channel in samples]
     # How far a sample is off in the channel in which it is farthest of those that make it an outlier.
     off = np.zeros(samples.shape[1])
@@ -306,7 +308,7 @@ def piece_of(
     sums = []
     for limit in (0.0, *doubtful.tolist()):
         kept = off <= limit
-        why, left = "", samples
+        why, left = empty, samples
         if not kept.all():
             far = [
                 np.flatnonzero((distance > least) & ~kept) if distance is not None else np.empty(0, int)
@@ -319,10 +321,10 @@ def piece_of(
             left = samples[:, kept]
         number, edges = 0, ()
         if block:
-            places = begun + np.flatnonzero(kept)
-            number = int(places[0]) // block
-            bounds = np.arange(number + 1, int(places[-1]) // block + 1) * block
-            edges = (0, *np.searchsorted(places, bounds).tolist(), len(places))
+            taken = places[kept]
+            number = int(taken[0]) // block
+            bounds = np.arange(number + 1, int(taken[-1]) // block + 1) * block
+            edges = (0, *np.searchsorted(taken, bounds).tolist(), len(taken))
         moments = {name: moments_of(channel, number, edges) for name, channel in zip(channels, left, strict=True)}
         beyond = {}
         for name, (low, high) in rails.items():
@@ -330,8 +332,8 @@ def piece_of(
             at = channel[~((low < channel) & (channel < high))]
             if len(at):
                 beyond[name] = (float(at[0]), len(at))
-        sums.append(Sums(limit, len(kept) - int(kept.sum()), why, beyond, moments))
-    return Piece(None, sums, temperatures)
+        sums.append(Sums(limit, lost + len(kept) - int(kept.sum()), why, beyond, moments))
+    return Piece(sums, temperatures)
 
 
 def _temperatures(values: Array) -> Temperatures:

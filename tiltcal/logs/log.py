@@ -17,7 +17,7 @@ from tiltcal.logs.streams import ByteReader, HashingReader, keep_freed_memory, r
 if TYPE_CHECKING:
     import polars as pl
 
-Table = Mapping[str, Array | NDArray[np.uint8] | NDArray[np.int64]]
+Table = Mapping[str, Array | NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.int64]]
 """The columns that a calibration adds to some rows, by name."""
 
 Progress = Callable[[int, int | None], None]

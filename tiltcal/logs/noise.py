@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.channel_checks import OF_G
 from tiltcal.core.disturbances import moved_rows, stuck_rows
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.noise import FEWEST_SAMPLES, ChannelNoise, NoiseScale, characterise
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.columns import OF_G
 from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import read_calibration

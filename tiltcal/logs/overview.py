@@ -54,8 +54,6 @@ def look_over(
     return overview, compensated
 
 
-def _small(column: NDArray[Any], absent: int) -> NDArray[np.uint8]:
-    """Return flags or reasons as numbers of one byte."""
-    if column.dtype == np.uint8:
-        return column
-    return np.where((column >= 0) & (column <= 255), column, absent).astype(np.uint8)
+def _small(column: NDArray[Any], absent: int) -> NDArray[Any]:
+    """Return flags or reasons as whole numbers."""
+    return np.where((column >= 0) & (column <= 65535), column, absent).astype(np.uint16)

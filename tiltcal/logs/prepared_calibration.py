@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import date, timedelta
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tiltcal
 from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.summary import objections
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME, SensorColumns
-from tiltcal.logs.compensation_kernel import Kernel, PairKernel, TiltKernel
+from tiltcal.logs.compensation_kernel import Kernel, PairKernel, RowRemarks, TiltKernel
 from tiltcal.stated_arguments import is_number, require_boolean, require_from_zero, require_text_or_none, shown
 
 if TYPE_CHECKING:
@@ -115,10 +117,14 @@ class PreparedCalibration:
         The three columns of ``magnetometer`` and ``velocity``, where these are asked for.
     averaging : Averaging or None
         How rows are put into means before the kernel sees them.
-    rails : mapping of str to (float, float)
-        The lowest and the highest reading of channels, at which it is no measurement.
+    readings : PreparedCalibration or None
+        What judges the readings of which means are made.
+    remarks : mapping of str to RowRemarks
+        The remarks on the rows, by what the names of a sensor's columns begin with.
     sensors : tuple of SensorColumns
         Where the readings of each sensor stand among the channels; empty for a sensor whose columns have no lead.
+    lagged : bool
+        Whether the kernel follows a thermal lag, so that times have to go on.
     """
 
     kernel: Kernel
@@ -131,8 +137,10 @@ class PreparedCalibration:
     optional_roles: tuple[str, ...] = ()
     vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     averaging: Averaging | None = None
-    rails: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     sensors: tuple[SensorColumns, ...] = ()
+    lagged: bool = False
+    readings: PreparedCalibration | None = None
+    remarks: Mapping[str, RowRemarks] = field(default_factory=dict)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -155,6 +163,7 @@ def prepare(
     *,
     file: Path | None = None,
     origin: Mapping[str, str] | None = None,
+    remarks: RowRemarks | None = None,
 ) -> PreparedCalibration:
     """Make a calibration ready.
 
@@ -166,6 +175,8 @@ def prepare(
         The calibration's file, for messages.
     origin : mapping of str to str, optional
         What is known of that file.
+    remarks : RowRemarks, optional
+        On the rows of other calibrations too.
 
     Raises
     ------
@@ -184,6 +195,12 @@ def prepare(
         calibration = _mounted(calibration, options.mounting, say)
     coefficients, sensor = calibration.coefficients, calibration.sensor
     stated["serial"] = sensor.serial
+    for objection in objections(calibration.record):
+        say(f"note: the calibration of {sensor.serial}: {objection}")
+    remarks, readings = remarks or RowRemarks(), None
+    if averaging is not None:
+        readings = prepare(calibration, ApplyOptions(options.first_order))
+        calibration = Calibration(replace(calibration.record, limits=replace(calibration.limits, length=inf)))
     try:
         compensation = calibration.compensation(first_order=options.first_order)
         uncertain = _uncertain(calibration, compensation, options.reading_noise, say) if options.uncertainty else None
@@ -194,7 +211,7 @@ def prepare(
         raise InputError(str(failure), file=file) from failure
     lag = 0.0 if coefficients.thermal is None else coefficients.thermal.lag
     return PreparedCalibration(
-        TiltKernel(compensation, uncertain, earth, lag, averaging is not None),
+        TiltKernel(compensation, uncertain, earth, lag, averaging is not None, remarks),
         coefficients.channels,
         dict.fromkeys(coefficients.channels, sensor.unit),
         compensation.angles,
@@ -204,7 +221,9 @@ def prepare(
         (TIME,) if lag else (),
         vectors,
         averaging,
-        calibration.limits.reading,
+        readings=readings,
+        remarks={"": remarks},
+        lagged=bool(lag),
     )
 
 

@@ -17,7 +17,7 @@ from math import cos, inf, radians, sqrt
 
 import numpy as np
 
-from tiltcal.core.estimation.ellipsoid import UNKNOWNS, Ellipsoid, fit_ellipsoid
+from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
 from tiltcal.core.model import Array
 from tiltcal.core.rows import LongRuns, Rows, Span, Stillest, lost_rows, stuck_spans, window_scatter
 from tiltcal.core.statistics import BLOCKS
@@ -44,27 +44,17 @@ _BLOCK = 1 << 14
 
 @dataclass(frozen=True)
 class StaticDetection:
-    """One threshold between still and moving, and the fit that it leads to.
+    """One threshold between still and moving, and the fit that it leads to; None where attitudes determine none.
 
-    Attributes
-    ----------
-    window : int
-        Rows.
-    multiple : float
-        Threshold over noise.
-    noise : float
-        Standard deviation in the stillest part, all channels together (root of the sum of squares), unit.
-    intervals : tuple of tuple of (start, end)
-        The rows of each attitude, ends exclusive; an attitude may have several intervals.
-    ellipsoid : Ellipsoid or None
-        The unit-gravity fit of the attitudes; None where they cannot determine it.
+    ``noise`` is the standard deviation in the stillest part, all channels together (root of the sum of squares), unit,
+    and ``multiple`` is threshold over noise; each attitude has one or several intervals of rows, ends exclusive.
     """
 
     window: int
     multiple: float
     noise: float
     intervals: tuple[tuple[Span, ...], ...]
-    ellipsoid: Ellipsoid | None
+    fit: FreeFit | None
 
     @property
     def threshold(self) -> float:
@@ -74,39 +64,24 @@ class StaticDetection:
     @property
     def distinct(self) -> int:
         """The number of different attitudes."""
-        return 0 if self.ellipsoid is None else self.ellipsoid.distinct
+        return 0 if self.fit is None else self.fit.distinct
 
     @property
     def expanded(self) -> float:
         """Expanded uncertainty (95 %) of the unknowns on average, g; infinite where nothing judges them."""
-        return inf if self.ellipsoid is None else self.ellipsoid.expanded
+        return inf if self.fit is None else self.fit.expanded
 
 
 def find_still(readings: Rows, windows: Sequence[int] = WINDOWS) -> tuple[StaticDetection, tuple[StaticDetection, ...]]:
-    """Find the still intervals of a log by the threshold that calibrates best.
+    """Find the still intervals of readings of x, y, z, unit, NaN where one is missing, by the best threshold.
 
-    Parameters
-    ----------
-    readings : Rows
-        Of the channels x, y, z, in the sensor's unit; NaN where one is missing. They are read several times.
-    windows : sequence of int
-        Rows of the windows to try.
-
-    Returns
-    -------
-    chosen : StaticDetection
-    tried : tuple of StaticDetection
-        All of them, the strictest of each window first.
-
-    Raises
-    ------
-    EstimateError
-        No threshold finds more attitudes than there are unknowns.
+    It returns the choice, and all that were tried, the strictest of each window first. An EstimateError where no
+    threshold finds more attitudes than there are unknowns. The readings are read several times.
     """
     stuck = stuck_spans(readings, STUCK)
     tried = tuple(_choices(readings, stuck, windows))
     best = min(tried, key=lambda choice: choice.expanded, default=None)
-    if best is None or best.ellipsoid is None or best.expanded == inf:
+    if best is None or best.fit is None or best.expanded == inf:
         raise EstimateError(_too_few(tried, readings, stuck))
     # What is left over shows the scatter no better than this. A choice that is better by less has but left out some
     # attitude that fits badly, and would be surer of itself than it is.
@@ -135,7 +110,7 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
     ]
     for choice in tried:
         if choice.window == chosen.window:
-            fit = choice.ellipsoid
+            fit = choice.fit
             row = f"{choice.threshold:>10.4g}{sum(map(len, choice.intervals)):>11}{len(choice.intervals):>11}"
             row += f"{fit.distinct:>10}{1e3 * fit.rms:>11.3f} mg" if fit else f"{'-':>10}{'-':>14}"
             row += "             -" if choice.expanded == inf else f"{1e3 * choice.expanded:>11.3f} mg"
@@ -144,15 +119,7 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
 
 
 class StillSpans:
-    """Collects the rows in which a log is still, by each of some thresholds.
-
-    Parameters
-    ----------
-    window : int
-        Rows of a window.
-    thresholds : sequence of float
-        Standard deviations, all channels together, unit.
-    """
+    """Collects the rows in which a log is still over a window, by standard deviations of all channels, unit."""
 
     def __init__(self, window: int, thresholds: Sequence[float]) -> None:
         self._middle, self._thresholds = window // 2, thresholds
@@ -180,7 +147,7 @@ def _choices(readings: Rows, stuck: Sequence[Span], windows: Sequence[int]) -> l
     bounds = [part for found in attitudes for spans in found for part in (spans.ravel(), block_bounds(spans)[1])]
     sums = RowSums(readings, np.concatenate([np.empty(0, np.intp), *bounds]))
     return [
-        StaticDetection(window, multiple, noise, tuple(map(_as_spans, found)), _ellipsoid(readings, sums, found))
+        StaticDetection(window, multiple, noise, tuple(map(_as_spans, found)), _fit(readings, sums, found))
         for (window, multiple, noise, _), found in zip(still, attitudes, strict=True)
     ]
 
@@ -226,12 +193,12 @@ def _attitudes(sums: RowSums, spans: Numbers) -> list[Numbers]:
     return np.split(spans, cuts)
 
 
-def _ellipsoid(readings: Rows, sums: RowSums, attitudes: Sequence[Numbers]) -> Ellipsoid | None:
+def _fit(readings: Rows, sums: RowSums, attitudes: Sequence[Numbers]) -> FreeFit | None:
     if not attitudes:
         return None
     means, uncertainties = zip(*(mean_of(readings, sums, spans) for spans in attitudes), strict=True)
     try:
-        return fit_ellipsoid(np.array(means), np.array(uncertainties))
+        return fit_free(np.array(means), np.array(uncertainties))
     except EstimateError:
         return None
 

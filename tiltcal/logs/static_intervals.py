@@ -14,14 +14,14 @@ from typing import Any
 from tiltcal.calibration.measurement import Measurement, at_rail
 from tiltcal.core.detection import LEFT_OUT, TILTED, identical_by_chance, noise_of_positions
 from tiltcal.core.gravity_direction import Vector
-from tiltcal.core.model import AXES, Array
+from tiltcal.core.model import AXES
 from tiltcal.core.statistics import SampleSummary, summary_of
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.segments import Segment
-from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Line, Piece
+from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, IntervalSamples, Line
 from tiltcal.logs.recorded_readings import RecordedReadings
 
 FEWEST_ROWS = 2
@@ -65,19 +65,10 @@ class StaticInterval:
 def intervals_of(
     samples: Sequence[IntervalSamples], step: float, record: RecordedReadings, *, file: str
 ) -> list[StaticInterval]:
-    """Return what the sensor read in each interval, without the samples that are far off the others.
+    """Return what the sensor read in each interval, without the samples that are far off the others or missing.
 
-    Parameters
-    ----------
-    samples, step
-        Of the record; see :func:`tiltcal.logs.interval_samples.sampled`.
-    file : str
-        Where the segments stand, for messages.
-
-    Raises
-    ------
-    InputError
-        A segment reaches beyond the log, has a missing value, samples at a rail or too many far off, or is stuck.
+    A segment that reaches beyond the log, has samples at a rail or too many far off or missing, or is stuck is refused;
+    ``file`` is where the segments stand, and ``step`` that of the readings, unit.
     """
     names = _distinct([one.parts[0].name for one in samples])
     intervals = [_interval(one, step, record, name, file) for one, name in zip(samples, names, strict=True)]
@@ -106,17 +97,8 @@ def intervals_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterv
 def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: str) -> list[Measurement]:
     """Holds in known directions.
 
-    Parameters
-    ----------
-    procedure : Procedure
-        Says the direction of a position that is only named, and its temperature where none was recorded.
-    file : str
-        Where the positions are named, for messages.
-
-    Raises
-    ------
-    InputError
-        The temperature did not stand still where it counts or is missing in some, or a channel is the same in all.
+    The procedure says the direction of a position that is only named, and its temperature where none was recorded.
+    Refused are a temperature that did not stand still where it counts or is missing in some, and a stuck channel.
     """
     known = {position.name: position for position in procedure.positions}
     if procedure.determines.drift or procedure.determines.gain:
@@ -128,28 +110,16 @@ def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: s
     return measurements
 
 
-def oriented(intervals: Sequence[StaticInterval], attitudes: Array) -> list[Measurement]:
-    """Holds in the directions that a fit has found.
-
-    Parameters
-    ----------
-    attitudes : ndarray, shape (intervals, 3)
-        Unit vectors, up in the sensor frame.
-    """
+def unplaced(intervals: Sequence[StaticInterval]) -> list[Measurement]:
+    """Holds in free positions, whose directions a fit will find."""
     return [
-        Measurement(interval.name, (x, y, z), None, interval.temperature, interval.summaries, interval.where)
-        for interval, (x, y, z) in zip(intervals, attitudes.tolist(), strict=True)
+        Measurement(interval.name, (0.0, 0.0, 1.0), None, interval.temperature, interval.summaries, interval.where)
+        for interval in intervals
     ]
 
 
 def require_positions(named: Iterable[Segment] | Iterable[TabledPosition], procedure: Procedure, *, file: str) -> None:
-    """Refuse segments or tabled positions without a direction whose names the procedure does not have.
-
-    Raises
-    ------
-    InputError
-        The message names the line, and a similar name.
-    """
+    """Refuse segments or tabled positions without a direction whose names the procedure does not have."""
     known = [position.name for position in procedure.positions]
     for segment in named:
         if segment.gravity is None and segment.name not in known:
@@ -184,10 +154,11 @@ def _placed(interval: StaticInterval, known: Mapping[str, Position]) -> Measurem
 
 def _require_steady(interval: StaticInterval, procedure: Procedure, file: str) -> None:
     """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
-    if abs(interval.warming) > procedure.soak.drift:
+    allowed = SOAKS * procedure.soak.drift
+    if abs(interval.warming) > allowed:
         raise InputError(
             f"segment {interval.name}: the temperature drifts by {interval.warming:+.2f} °C up to its end, more than "
-            f"the {procedure.soak.drift:g} °C that {procedure.name} allows: thermometer and sensor are apart while "
+            f"the {allowed:g} °C that {procedure.name} allows in {SOAKS} soaks: thermometer and sensor are apart while "
             "they change; take rows where both stand still, or go slower",
             file=file,
             line=interval.line,
@@ -240,7 +211,7 @@ def _require_not_stuck_everywhere(measurements: Sequence[Measurement], file: str
 def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, name: str, file: str) -> StaticInterval:
     parts = [replace(part, end=record.rows) if part.end == TO_THE_END else part for part in samples.parts]
     pieces = [piece.result() for piece in samples.pieces]
-    _require_readings(parts, pieces, record, file)
+    _require_rows(parts, record, file)
     sums = [piece.summed(step) for piece in pieces]
     far = sum(found.far for found in sums)
     _require_few(far, next((found.why for found in sums if found.why), ""), parts, file)
@@ -258,7 +229,10 @@ def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, n
         name,
         parts[0].name,
         parts[0].gravity,
-        {channel: summary_of([found.channels[channel] for found in sums], step) for channel in record.channels},
+        {
+            channel: summary_of([found.channels[channel] for found in sums if found.channels], step)
+            for channel in record.channels
+        },
         summary_of(known).mean if known else None,
         parts[0].line,
         warming if samples.before is None else max(warming, samples.before.rise, key=abs),
@@ -268,25 +242,20 @@ def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, n
 
 
 def _require_few(count: int, why: str, parts: Sequence[Segment], file: str) -> None:
-    """Refuse a segment of which too many samples are far off the others."""
+    """Refuse a segment of which too many samples are far off the others or missing."""
     rows = sum(part.end - part.start for part in parts)
-    if count > max(1, LEFT_OUT * rows):
-        raise _refusal(parts[0], f"{count} of its {rows} samples are far off: {why}; choose other rows", file)
+    if count > max(1, LEFT_OUT * rows) or rows - count < FEWEST_ROWS:
+        raise _refusal(
+            parts[0], f"{count} of its {rows} samples are far off or missing: {why}; choose other rows", file
+        )
 
 
-def _require_readings(parts: Sequence[Segment], pieces: Sequence[Piece], record: RecordedReadings, file: str) -> None:
+def _require_rows(parts: Sequence[Segment], record: RecordedReadings, file: str) -> None:
     for part in parts:
         if part.end > record.rows:
             raise _refusal(part, f"ends at row {part.end}; {record.name} has {record.rows} rows", file)
         if part.end - part.start < FEWEST_ROWS:
             raise _refusal(part, f"has {part.end - part.start} row; at least {FEWEST_ROWS} are needed", file)
-    lost = next((piece.lost for piece in pieces if piece.lost is not None), None)
-    if lost is not None:
-        place, channel = lost
-        for part in sorted(parts, key=lambda part: part.start):
-            if place < part.end - part.start:
-                raise _refusal(part, f"{channel} has no number in row {part.start + place} of {record.name}", file)
-            place -= part.end - part.start
 
 
 def _refusal(segment: Segment, why: str, file: str) -> InputError:

@@ -303,5 +303,6 @@ def change_section(before: CalibrationRecord, name: str, after: CalibrationRecor
         for change, texts in zip(found, zip(old, new, moved, ratios, strict=True), strict=True)
     ]
     when = period(before.provenance)
-    said = str(verdict)
+    rest = ", ".join(words(name) for name in comparison.not_comparable)
+    said = f"{verdict}; not comparable: {rest}" if rest else str(verdict)
     return ChangeSection(f"{name}, {when}" if when else name, f"{said[:1].upper()}{said[1:]}.", rows)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from tiltcal.calibration.summary import INCREDIBLE, objections
+from tiltcal.calibration.summary import fit_lines
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.fit_record import FitRecord, LevelFit, MountingFit
@@ -91,56 +91,20 @@ def remarks(calibration: CalibrationRecord) -> list[str]:
     return [*fit.notes, *warned, *(f"assumed: {name}" for name in calibration.derived.assumed)]
 
 
-def verdict(fit: FitRecord, unit: str) -> Iterator[str]:
+def verdict(calibration: CalibrationRecord) -> Iterator[str]:
     """Yield the verdict on the fit, in sentences."""
-    yield from _judged(fit)
-    for objection in objections(fit):
-        yield f"{objection[:1].upper()}{objection[1:]}."
-    worst = fit.worst
-    if worst is not None:
-        yield (
-            f"The largest residual is {plain(worst.residual, 4)} {unit}, of channel {worst.channel} in "
-            f"{worst.position}."
-        )
-    yield from _bench_sentences(fit)
+    fit, unit = calibration.fit, calibration.sensor.unit
+    yield from (f"{line[:1].upper()}{line[1:]}." for line in fit_lines(calibration))
+    if fit.jig_degrees is not None:
+        yield f"Stated standard uncertainty of a set angle: {fit.jig_degrees:g}°."
+    if fit.thermometer_celsius is not None:
+        yield f"Standard uncertainty of a temperature: {plain(fit.thermometer_celsius, 2)} °C."
     if fit.misfit_rms_mg is not None:
         where = "" if fit.distinct_attitudes is None else f" in {fit.distinct_attitudes} attitudes"
         yield f"The misfit of the length of gravity is {plain(fit.misfit_rms_mg, 3)} mg rms{where}."
     yield from _swept(fit, unit)
     yield from _mounted(fit.mounting)
     yield from _levelled(fit.level, unit)
-
-
-def _judged(fit: FitRecord) -> Iterator[str]:
-    """Yield the verdict of chi-square, or the reason why there is none."""
-    dof = fit.degrees_of_freedom
-    if dof is None:
-        return
-    if fit.chi_square is not None:
-        found = f"χ² is {plain(fit.chi_square, 4)} with {dof} degrees of freedom"
-        if fit.p_value is not None:
-            found += f"; the probability of this or more is {plain(fit.p_value, 2)}"
-        yield f"{found}."
-        if fit.p_value is not None and fit.p_value >= INCREDIBLE:
-            yield "The positions agree with the stated noise and jig."
-    elif dof == 0:
-        yield "No degree of freedom is left: there are no residuals to check the result."
-    else:
-        yield (f"{dof} degrees of freedom are left. No jig was stated: the uncertainties come from the residuals.")
-
-
-def _bench_sentences(fit: FitRecord) -> Iterator[str]:
-    shows = fit.jig_estimated_degrees
-    if fit.jig_degrees is not None:
-        yield f"Stated standard uncertainty of a set angle: {fit.jig_degrees:g}°."
-    if shows == 0.0:
-        yield "The residuals show no error of the jig beyond their noise; none was stated."
-    elif shows is not None:
-        yield f"The residuals correspond to a jig with a standard deviation of {plain(shows, 3)}°; none was stated."
-    if fit.thermometer_celsius is not None:
-        yield f"Standard uncertainty of a temperature: {plain(fit.thermometer_celsius, 2)} °C."
-    if fit.uncertainty_from:
-        yield f"The uncertainties come from: {fit.uncertainty_from}."
 
 
 def _swept(fit: FitRecord, unit: str) -> Iterator[str]:

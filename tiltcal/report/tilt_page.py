@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from tiltcal.files.atomic import check_writable, write_whole
@@ -17,7 +17,6 @@ from tiltcal.report.coefficients_section import (
     derived_groups,
     sources_of,
 )
-from tiltcal.report.figure import SvgFigure
 from tiltcal.report.fit_section import position_table, remarks, verdict
 from tiltcal.report.log_section import ReportedLog, log_section
 from tiltcal.report.page import render, require_extra
@@ -47,7 +46,6 @@ def tilt_page(
     source: FileRecord,
     earlier: Sequence[tuple[CalibrationRecord, str]] = (),
     logs: Sequence[ReportedLog] = (),
-    figures: Mapping[str, SvgFigure | None] | None = None,
 ) -> str:
     """Return one HTML page that needs no other file; the same input gives the same page.
 
@@ -55,8 +53,6 @@ def tilt_page(
     ----------
     earlier : sequence of (CalibrationRecord, str)
         Earlier calibrations of the sensor, with the names of their files.
-    figures : mapping of str to SvgFigure or None, optional
-        Those of :func:`calibration_figures`, where they are drawn already.
     """
     shares = budget(calibration)
     return render(
@@ -73,21 +69,14 @@ def tilt_page(
         shaded=tuple(SOURCES),
         derived=derived_groups(calibration),
         positions=position_table(calibration),
-        verdict=list(verdict(calibration.fit, calibration.sensor.unit)),
+        verdict=list(verdict(calibration)),
         remarks=remarks(calibration),
         correlations=correlations(calibration),
         covered=covered(calibration),
         not_covered=not_covered(calibration),
         drifts=[change_section(calibration_, name, calibration) for calibration_, name in earlier],
         logs=[log_section(log, number) for number, log in enumerate(logs, start=1)],
-        **(calibration_figures(calibration) if figures is None else figures),
+        residuals=residual_figure(calibration),
+        temperature=temperature_figure(calibration),
+        tilt=tilt_figure(calibration),
     )
-
-
-def calibration_figures(calibration: CalibrationRecord) -> dict[str, SvgFigure | None]:
-    """Return the figures that need no log, by their names in the template; None where there is nothing to draw."""
-    return {
-        "residuals": residual_figure(calibration),
-        "temperature": temperature_figure(calibration),
-        "tilt": tilt_figure(calibration),
-    }

@@ -23,7 +23,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
-from math import pi
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any, ClassVar, NamedTuple, Protocol
@@ -96,53 +95,6 @@ class Scl3300:
     noise: float = 135e-6
     corner: float = 40.0
     damage: float = 0.0
-    jig: float = 0.01
-    seed: int = 1
-
-
-@dataclass(frozen=True)
-class Adxl355:
-    """The truth of the independent ADXL355: see :mod:`support.adxl355_part`."""
-
-    kind: ClassVar[str] = "adxl355"
-
-    clock: float = 1.03
-    races: int = 1
-    offset: tuple[float, ...] = (0.0313, -0.0184, 0.0262)
-    sensitivity: tuple[tuple[float, ...], ...] = ROWS
-    noise: float = 25e-6 * 31.25**0.5
-    corner: float = 31.25
-    jig: float = 0.01
-    seed: int = 1
-
-
-@dataclass(frozen=True)
-class Iis2iclx:
-    """The truth of the independent IIS2ICLX, two rows: see :mod:`support.iis2iclx_part`."""
-
-    kind: ClassVar[str] = "iis2iclx"
-
-    offset: tuple[float, ...] = (0.0053, -0.0034)
-    sensitivity: tuple[tuple[float, ...], ...] = ROWS[:2]
-    noise: float = 15e-6 * 52**0.5
-    corner: float = 52.0
-    jig: float = 0.01
-    seed: int = 1
-
-
-@dataclass(frozen=True)
-class Sca103t:
-    """The truth of the independent SCA103T, or with one element SCA61T: see :mod:`support.sca103t_part`."""
-
-    kind: ClassVar[str] = "sca103t"
-
-    counts_per_g: float = 6554.0
-    elements: int = 2
-    common: float = 3.4
-    offset: tuple[float, ...] = (0.0008,)
-    sensitivity: tuple[tuple[float, ...], ...] = ((1.004, 0.012, 0.0),)
-    noise: float = 0.0004 * pi / 180 * 28**0.5
-    corner: float = 18.0
     jig: float = 0.01
     seed: int = 1
 

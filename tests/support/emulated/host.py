@@ -46,9 +46,6 @@ PARTS = {
     "sca100t": "support.sca100t_part:Sca100tPart",
     "sca3000": "support.sca3000_part:Sca3000Part",
     "scl3300": "support.scl3300_part:Scl3300Part",
-    "adxl355": "support.adxl355_part:Adxl355Part",
-    "sca103t": "support.sca103t_part:Sca103tPart",
-    "iis2iclx": "support.iis2iclx_part:Iis2iclxPart",
     "ads1115": "support.analog_part:Ads1115Part",
     "mcp3208": "support.analog_part:Mcp3208Part",
 }

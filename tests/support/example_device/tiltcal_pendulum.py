@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
+from tiltcal.drivers.bus.link import Link, require_length
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.drivers.twin.fixture import HeldPose
 from tiltcal.drivers.twin.truth import Truth
-from tiltcal.errors import DeviceFault
+from tiltcal.errors import BusError, DeviceFault
 
 
 class Pendulum:
@@ -22,7 +22,7 @@ class Pendulum:
         return {"x": f"{self.read().values[0]:g} V"}
 
     def read(self) -> Reading:
-        text = self._link.exchange(b"?", 7)
+        text = require_length(self._link.exchange(b"?", 7), 7)
         try:
             return Reading((float(text),))
         except ValueError:
@@ -41,8 +41,11 @@ class PendulumTwin:
         self._truth, self._held, self._clock = truth, held, clock
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
+        now_ns = self._clock.now_ns()
         self._clock.sleep(1e-3)
-        value = self._truth.reading("x", self._held.gravity, self._held.temperature())
+        if self._truth.fault_on_link(now_ns, "pendulum").kind == "silent":
+            raise BusError("the pendulum does not answer, a fault that its truth sets")
+        value = self._truth.sample("x", self._held.gravity, self._held.temperature(), now_ns, now_ns)
         return f"{value:+7.4f}".encode()
 
     def close(self) -> None:
@@ -66,6 +69,6 @@ PENDULUM = Model(
     thermometer=False,
     driver=Pendulum,
     twin=PendulumTwin,
-    not_modelled=("everything but offset and sensitivity",),
+    not_modelled=("everything but offset and sensitivity", "the memory fault (parity) of other parts"),
     default_truth=lambda seed: Truth(("x",), {"x": 0.05}, {"x": {"x": 5.1, "y": 0.0, "z": 0.0}}, seed=seed),
 )

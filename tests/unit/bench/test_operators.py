@@ -86,7 +86,7 @@ def test_a_reading_of_more_than_1_g_has_no_tilt(shown: io.StringIO) -> None:
     console = Console(file=shown, force_terminal=True, width=100, color_system=None)
     operator = TerminalOperator(console, Typed(ENTER), live=True)
     operator.begin(PROCEDURE, {"S-1": find_model("scl3300")})
-    operator.look(LEVEL, {"S-1": Reading((-6097.0, 6100.0, 0.0), None)}, "live")
+    operator.look(LEVEL, {"S-1": Reading((-6097.0, 6100.0, 0.0), None)}, "live", 0.0)
     assert "x -6097 (beyond -90°)   y 6100 (beyond +90°)   z 0 (+0.00°)" in shown.getvalue()
 
 
@@ -143,7 +143,7 @@ def test_a_reading_is_shown_whole_or_not_at_all(shown: io.StringIO) -> None:
     operator = TerminalOperator(console, Typed(ENTER), live=True)
     operator.begin(PROCEDURE, {"S-1": find_model("sca100t-d02")})
     shown.truncate(0)
-    operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "waiting until still")
+    operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "waiting until still", 0.0)
     line = shown.getvalue().rpartition("K")[2]
     assert line == "  waiting until still   x 1045 (+1.47°) …"
     operator.clear()
@@ -155,7 +155,9 @@ def test_the_live_line_of_two_sensors_names_each_and_is_cut_between_its_parts(wi
     console = Console(file=shown, force_terminal=True, width=width, color_system=None)
     operator = TerminalOperator(console, Typed(ENTER), live=True)
     operator.begin(PROCEDURE, dict.fromkeys(("S-1", "S-2"), find_model("sca100t-d02")))
-    operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9), "S-2": Reading((1024.0, 205.0), None)}, "not still")
+    operator.look(
+        LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9), "S-2": Reading((1024.0, 205.0), None)}, "not still", 0.0
+    )
     line = shown.getvalue().rpartition("K")[2]
     parts = ["not still", "S-1 x 1045 (+1.47°)", "y 1019 (-0.35°)", "24.9 °C", "S-2 x 1024 (+0.00°)", "y 205 (-90.00°)"]
     whole = ["  " + "   ".join(parts[:count]) + (" …" if count < len(parts) else "") for count in range(1, 7)]
@@ -167,7 +169,7 @@ def test_what_is_said_after_a_live_line_has_a_line_of_its_own(shown: io.StringIO
     console = Console(file=shown, force_terminal=True, width=80, color_system=None)
     operator = TerminalOperator(console, Typed(ENTER), live=True)
     operator.begin(PROCEDURE, {"S-1": find_model("sca100t-d02")})
-    operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "on the way to 5 °C")
+    operator.look(LEVEL, {"S-1": Reading((1045.0, 1019.0), 24.9)}, "on the way to 5 °C", 0.0)
     operator.accepted(REVIEWED)
     assert shown.getvalue().endswith("24.9 °C\r\x1b[2K  accepted level\n")
     operator.refused(LEVEL, "it moves")

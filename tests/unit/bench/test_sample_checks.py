@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
+from support import ROOT
+from support.command import tiltcal
 
 from tiltcal import Calibration, measure, plan
 from tiltcal.bench import sensor_set, settle
@@ -91,30 +93,112 @@ def test_a_sensor_that_is_stuck_from_the_first_sample_is_refused(monkeypatch: py
 
 
 class Table:
-    """A rig that notes what is refused."""
+    """A rig that notes what it is asked for, and what is refused."""
 
     def __init__(self) -> None:
+        self.asks: list[dict[str, Any]] = []
         self.refusals: list[str] = []
 
     def position(self, ask: dict[str, Any]) -> dict[str, Any]:
+        self.asks.append(ask)
         return {"answer": "ready"}
 
     def refused(self, event: dict[str, Any]) -> None:
         self.refusals.append(f"{event['position']}: {event['why']}")
 
 
-@pytest.mark.parametrize(("procedure", "count"), [("reversal", 4), ("two-temperature", 2)])
-def test_a_reading_that_no_position_changes_is_refused_once_and_noted(
-    procedure: str, count: int, monkeypatch: pytest.MonkeyPatch
+def frozen(out: bytes, answer: bytes, number: int) -> bytes:
+    return word(1024) if out[0] == 0x10 else answer
+
+
+def flickering(out: bytes, answer: bytes, number: int) -> bytes:
+    return word(1024 + number // 3 % 2) if out[0] == 0x10 else answer
+
+
+@pytest.mark.parametrize("dead", [frozen, flickering])
+@pytest.mark.parametrize("procedure", ["reversal", "two-temperature", "temperature-sweep"])
+def test_a_dead_converter_is_tipped_and_what_does_not_follow_is_in_the_file(
+    procedure: str, dead: Change, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    disturb(monkeypatch, lambda out, answer, n: word(1024) if out[0] in (0x10, 0x11) else answer)
-    found = session(procedure, operator=(table := Table()))
-    (why,) = table.refusals
-    last = find_procedure(procedure).positions[-1].name
-    assert why.startswith(
-        f"{last}: x of S-1 may be stuck: all {100 * count} samples of {count} positions read 1024 count"
-    )
-    assert sum("or the channel is stuck" in note for note in found.fit.notes) == 2
+    """The procedure has one attitude; a converter that shows one code, or flickers between two, looks like a sensor."""
+    disturb(monkeypatch, dead)
+    found = session(procedure, operator=(table := Table()), samples=20)
+    positions = [position.name for position in find_procedure(procedure).positions]
+    assert [ask["position"] for ask in table.asks] == [*positions, "tip"]
+    assert table.asks[-1]["prompt"].startswith("x of S-1: no change was seen. Tip it by hand")
+    assert not table.refusals
+    assert [note.split()[0] for note in found.fit.notes if "was not seen to follow" in note] == ["x"]
+    checked = tiltcal("check", "S-1.yaml")
+    assert checked.returncode == 1
+    assert "x was not seen to follow when the sensor was tipped" in checked.stdout
+    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
+
+
+def test_a_dead_converter_on_a_ramp_is_tipped_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    disturb(monkeypatch, flickering)
+    found = session("ramp")
+    assert any(note.startswith("x was not seen to follow") for note in found.fit.notes)
+    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
+
+
+@pytest.mark.parametrize("offset", [1026.1, 1026.5])
+def test_a_sound_sensor_that_stands_still_is_tipped_once_and_good(offset: float) -> None:
+    """Noise of a fiftieth of a step, no drift: one code, or two where the reading lies between them."""
+    quiet = TWIN.replace("{x: 0.6, y: 0.6}", "{x: 0.02, y: 0.6}").replace("x: [0.4]", "x: [0.0]")
+    Path("twin.yaml").write_text(quiet.replace("x: 1026.0", f"x: {offset}"))
+    found = session("reversal", operator=(table := Table()))
+    assert [ask["position"] for ask in table.asks].count("tip") == 1
+    assert not any("was not seen to follow" in note for note in found.fit.notes)
+    assert tiltcal("check", "S-1.yaml").returncode == 0
+    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
+
+
+def test_a_change_that_probing_has_seen_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before the first position the sensor lay otherwise; the first link of a session is that of the probe."""
+    quiet = TWIN.replace("{x: 0.6, y: 0.6}", "{x: 0.02, y: 0.6}")
+    Path("twin.yaml").write_text(quiet)
+    connect = sensor_set.open_device
+    links: list[object] = []
+
+    def opened(*args: Any) -> Any:
+        link = connect(*args)
+        links.append(link)
+        if len(links) == 1:
+            exchange = link.exchange
+            link.exchange = lambda out, count=0: word(1300) if out[0] == 0x10 else exchange(out, count)  # type: ignore[method-assign]
+        return link
+
+    monkeypatch.setattr(sensor_set, "open_device", opened)
+    session("reversal", operator=(table := Table()))
+    assert "tip" not in [ask["position"] for ask in table.asks]
+
+
+@pytest.mark.parametrize("dead", [frozen, flickering])
+def test_in_a_procedure_that_tilts_a_dead_converter_is_refused(dead: Change, monkeypatch: pytest.MonkeyPatch) -> None:
+    disturb(monkeypatch, dead)
+    with pytest.raises(Stopped, match="x reads 1024"):
+        session("plane")
+
+
+def test_a_session_that_is_stopped_at_the_tip_is_resumed_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    disturb(monkeypatch, frozen)
+    session("reversal", journal="whole.jsonl", samples=10)
+    lines = Path("whole.jsonl").read_bytes().splitlines(keepends=True)
+    tip = next(number for number, line in enumerate(lines) if b'"to":"tip"' in line)
+    whole = Path("S-1.yaml").read_bytes()
+    for end in (tip, tip + 1, tip + 2):
+        Path("whole.jsonl").write_bytes(b"".join(lines[:end]))
+        Path("S-1.yaml").unlink()
+        measure(resume="whole.jsonl", operator="sim")
+        assert Path("S-1.yaml").read_bytes() == whole
+
+
+def test_a_journal_in_which_the_last_position_was_measured_again_is_replayed() -> None:
+    """Recorded when a channel that never changed had the last position measured again; keys called n were quoted."""
+    data = ROOT / "tests" / "data"
+    replayed = tiltcal("replay", data / "measured-again.journal.jsonl")
+    assert replayed.returncode == 0, replayed.stderr
+    assert replayed.stdout == (data / "measured-again.yaml").read_text().replace('"n":', "n:")
 
 
 def test_a_sound_sensor_whose_drift_is_below_its_step_is_calibrated() -> None:
@@ -124,7 +208,8 @@ def test_a_sound_sensor_whose_drift_is_below_its_step_is_calibrated() -> None:
     )
     Path("twin.yaml").write_text(quiet.replace("{x: 1026.0, y: 1021.0}", "{x: 1026.1, y: 1020.9}"))
     found = session("two-temperature", operator=(table := Table()))
-    assert len(table.refusals) == 1
+    assert not table.refusals
+    assert [ask["position"] for ask in table.asks].count("tip") == 1
     for channel, drift in (("x", 0.02), ("y", 0.01)):
         name = f"temperature.offset.{channel}.1"
         # Two readings that are each within half a step, √2 / √12 / 18.5 °C, and noise that is hidden in the step.

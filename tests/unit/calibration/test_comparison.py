@@ -33,6 +33,84 @@ def calibrated(rng: np.random.Generator, offset: float = 1024.0, jig: float | No
     return Calibration(calibrate([MeasuredSensor(SENSOR, measurements)], ZERO_45, BenchUncertainty(jig))[0])
 
 
+def part_measured(
+    rng: np.random.Generator, name: str, sensitivity: np.ndarray, temperature: float = 24.0, angle: float | None = None
+) -> Calibration:
+    """A part that drifts by 0.5 count/°C, in the positions of a procedure, with a jig of 0.1° that is stated.
+
+    A position that only changes the temperature leaves the part as it lies.
+    """
+    procedure, measurements, turn = find_procedure(name, angle), [], np.zeros(3)
+    for position in procedure.positions:
+        turn = turn if position.name == "level-cold" else np.radians(rng.normal(0.0, 0.1, 3))
+        up = np.array(position.gravity) + np.cross(turn, position.gravity)
+        met = temperature if position.temperature is None else position.temperature
+        mean = 1024.0 + sensitivity @ up + 0.5 * (met - 24.0) + rng.normal(0.0, NOISE, 2)
+        summaries = {c: SampleSummary(float(v), 0.6, 100, NOISE, 0.0, 9.0) for c, v in zip("xy", mean, strict=True)}
+        measurements.append(Measurement(position.name, position.gravity, position.tilt, met, summaries))
+    return Calibration(calibrate([MeasuredSensor(SENSOR, measurements)], procedure, BenchUncertainty(0.1))[0])
+
+
+OFFSETS = {"offset.x", "offset.y"}
+OF_Z = {"sensitivity.x.z", "sensitivity.y.z"}
+PLANE = {f"sensitivity.{channel}.{axis}" for channel in "xy" for axis in "xy"}
+DRIFT = {"temperature.offset.x.1", "temperature.offset.y.1"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "not_comparable"),
+    [
+        # All positions of plane have g_z = cos 30°, so its offset holds 87 % of the column of z.
+        ("plane", "plane", set()),
+        ("plane", "cross-axis", OFFSETS | OF_Z),
+        ("six-face", "plane", OFFSETS | OF_Z),
+        ("plane", "plane 45", OFFSETS),
+        # From level to 45° z loses 29 %, which the sensitivities of zero-45 take up.
+        ("zero-45", "cross-axis", OFFSETS | PLANE | OF_Z),
+        ("zero-45", "plane", OFFSETS | PLANE),
+        ("zero-45", "mavs", DRIFT),
+        ("complete", "cross-axis", DRIFT),
+    ],
+)
+def test_only_what_means_the_same_is_compared(old: str, new: str, not_comparable: set[str]) -> None:
+    """Of unchanged parts with 3 % of cross-axis sensitivity at most 5 % are called changed: 2 of 10 have p = 0.09."""
+    rng = np.random.default_rng(6)
+    changed = 0
+    for _ in range(10):
+        sensitivity = np.array([[819.0, 0.0, 0.0], [0.0, 819.0, 0.0]]) + 819.0 * rng.uniform(-0.03, 0.03, (2, 3))
+        first, second = (
+            part_measured(rng, name, sensitivity, temperature, float(angle) if angle else None)
+            for (name, _, angle), temperature in ((old.partition(" "), 14.0), (new.partition(" "), 14.0))
+        )
+        found = tiltcal.compare(first, second)
+        assert set(found.not_comparable) == not_comparable
+        assert {change.name for change in found.changes}.isdisjoint(not_comparable)
+        changed += found.verdict.word == "changed"
+    assert changed <= 2
+
+
+def test_a_file_with_a_drift_is_compared_at_the_temperature_of_the_other() -> None:
+    """Measured at 4 °C, where a drift of 0.5 count/°C makes 10 counts: 7 u of 0.1° twice."""
+    rng = np.random.default_rng(7)
+    sensitivity = np.array([[819.0, 12.0, -20.0], [9.0, 815.0, 24.0]])
+    warm, cold = part_measured(rng, "complete", sensitivity), part_measured(rng, "cross-axis", sensitivity, 4.0)
+    for pair in ((warm, cold), (cold, warm)):
+        found = tiltcal.compare(*pair)
+        assert found.verdict.word == "unchanged"
+        (offset,) = (change for change in found.changes if change.name == "offset.x")
+        assert offset.before == pytest.approx(1024.0 - 10.0, abs=6.0)
+
+
+def test_where_nothing_means_the_same_there_is_no_verdict() -> None:
+    rng = np.random.default_rng(8)
+    sensitivity = np.array([[819.0, 12.0, -20.0], [9.0, 815.0, 24.0]])
+    found = tiltcal.compare(*(part_measured(rng, name, sensitivity) for name in ("zero-45", "cross-axis")))
+    assert found.verdict.word == "unknown"
+    assert found.in_words.startswith("unknown; not comparable: offset.x, ")
+    assert "no verdict: no coefficient means the same in both files" in str(found)
+    assert set(found.as_data()["not_comparable"]) == OFFSETS | PLANE | OF_Z
+
+
 def test_files_that_rest_on_noise_alone_call_no_unchanged_part_changed() -> None:
     """819 count/g times 0.2° is 2.9 counts, 48 times the noise: all 200 of 200 were called changed."""
     rng = np.random.default_rng(1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy
 from scipy.spatial.transform import Rotation
-from support import FIXTURES
+from support import FIXTURES, WITHOUT_PRIORS
 
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.calibration import Calibration
@@ -175,7 +175,7 @@ def test_an_alignment_that_is_an_error_of_no_level_and_grows_with_the_tilt() -> 
 
 def test_one_channel_sees_the_turns_that_it_can() -> None:
     """Along its own tilt t a turn about the other level axis gives cos t - 1, over cos t for the tilt."""
-    base = read_calibration(FIXTURES / "zero-45.yaml")
+    base = read_calibration(WITHOUT_PRIORS)
     alone = replace(
         base,
         sensor=replace(base.sensor, channels=("x",)),

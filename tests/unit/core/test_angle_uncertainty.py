@@ -230,6 +230,7 @@ class TestEdges:
     """Where a derivative says nothing, the interval still holds the truth."""
 
     LEVELLING = Coefficients(AXES, AXES, np.zeros(3), 1000.0 * np.eye(3))
+    PLANE = Coefficients(AXES[:2], AXES[:2], np.zeros(2), 1000.0 * np.eye(2))
 
     def noisy(self, gravity: list[float], count: int = 4000) -> AngleUncertainty:
         """Readings of one attitude with 2 counts of noise, which is all that is uncertain."""
@@ -237,9 +238,20 @@ class TestEdges:
         readings = 1000.0 * np.array(gravity) + np.random.default_rng(8).normal(0.0, 2.0, (count, 3))
         return result_of(self.LEVELLING, doubt, readings, np.zeros(count))
 
+    @pytest.mark.parametrize("axis", [0, 1, 2])
+    @pytest.mark.parametrize("tilt", [0.0, 70.0, 85.0, 88.0, 89.5, -90.0])
+    def test_a_tilt_of_three_axes_towards_90(self, tilt: float, axis: int) -> None:
+        found = self.noisy(np.roll([np.sin(radians(tilt)), cos(radians(tilt)), 0.0], axis).tolist())
+        inside = np.abs(found.compensated.tilt[:, axis] - tilt) <= found.expanded[:, axis]
+        assert 0.94 <= np.mean(inside) <= 0.99
+        assert np.all(found.expanded[:, axis] < 4 * degrees(0.002))
+
     @pytest.mark.parametrize("tilt", [70.0, 85.0, 88.0, 89.5, 90.0])
     def test_a_tilt_towards_90(self, tilt: float) -> None:
-        found = self.noisy([np.sin(radians(tilt)), cos(radians(tilt)), 0.0])
+        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(2, 2.0))
+        gravity = 1000.0 * np.array([np.sin(radians(tilt)), cos(radians(tilt))])
+        readings = gravity + np.random.default_rng(8).normal(0.0, 2.0, (4000, 2))
+        found = result_of(self.PLANE, doubt, readings, np.zeros(4000))
         known = np.isfinite(found.expanded[:, 0])
         assert np.mean(known) >= 0.96  # 2.5 % are beyond ±1 by more than their interval
         inside = np.abs(found.compensated.tilt[known, 0] - tilt) <= found.expanded[known, 0]
@@ -248,8 +260,8 @@ class TestEdges:
 
     def test_an_argument_beyond_its_own_interval_has_no_uncertainty(self) -> None:
         """1.01 with 0.002 of noise contradicts the calibration: it says nothing of how far."""
-        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
-        found = result_of(self.LEVELLING, doubt, np.array([[1010.0, 0.0, 0.0], [1003.0, 0.0, 0.0]]), np.zeros(2))
+        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(2, 2.0))
+        found = result_of(self.PLANE, doubt, np.array([[1010.0, 0.0], [1003.0, 0.0]]), np.zeros(2))
         assert found.compensated.tilt[:, 0].tolist() == [90.0, 90.0]
         assert np.isnan(found.expanded[0, 0])
         expected = 90.0 - degrees(asin(1.003 - NORMAL * 0.002))
@@ -261,7 +273,7 @@ class TestEdges:
         """It cannot be below zero, and errors across it only make it more."""
         found = self.noisy(gravity)
         truth = degrees(np.arctan2(np.hypot(gravity[0], gravity[1]), gravity[2]))
-        inside = np.abs(found.compensated.inclination - truth) <= found.expanded[:, 5]
+        inside = np.abs(found.compensated.angles[:, 5] - truth) <= found.expanded[:, 5]
         assert 0.94 <= np.mean(inside) <= 0.99
         level = self.noisy([0.0, 0.0, 1.0], 1).expanded[0, 5]
         assert level < 4 * degrees(0.002)

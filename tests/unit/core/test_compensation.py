@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from math import asin, atan2, cos, degrees, hypot, inf, isfinite, nan, pi, radians, sin, sqrt
+from dataclasses import replace
+from math import acos, asin, atan2, cos, degrees, hypot, inf, isfinite, nan, pi, radians, sin, sqrt
 
 import numpy as np
 import pytest
@@ -119,7 +120,7 @@ class TestAgainstASeparateCalculation:
         ]
         np.testing.assert_allclose(result.tilt, expected, rtol=0, atol=1e-6)
         assert (result.flag == 1).all()
-        assert result.pitch is None
+        assert result.angles.shape == (self.COUNT, 2)
 
     def test_one_channel_takes_the_other_axes_to_be_level(self) -> None:
         """A sensor of one axis from `plane`, which determines what y adds to it as well."""
@@ -139,13 +140,11 @@ class TestAgainstASeparateCalculation:
         for row, t in zip(readings, temperature.tolist(), strict=True):
             sensor = cramer_3(known.sensitivity, signals(row, t, known))
             x, y, z = (sum(m * g for m, g in zip(line, sensor, strict=True)) for line in matrix)
-            tilts = [degrees(asin(max(-1.0, min(1.0, g)))) for g in (x, y, z)]
+            tilts = [degrees(atan2(a, hypot(b, c))) for a, b, c in ((x, y, z), (y, x, z), (z, x, y))]
             expected.append(
                 [*tilts, degrees(atan2(x, hypot(y, z))), degrees(atan2(y, z)), degrees(atan2(hypot(x, y), z))]
             )
-        angles = (result.pitch, result.roll, result.inclination)
-        found = np.column_stack([result.tilt, *(angle for angle in angles if angle is not None)])
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(result.angles, expected, rtol=0, atol=1e-6)
 
     @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["face up", "upside down"])
     def test_two_channels_with_a_z_column_and_a_mounting(self, sign: float) -> None:
@@ -203,8 +202,103 @@ def test_the_kernel_undoes_the_model(g_x: float, g_y: float, temperature: float,
     gravity = np.array([[g_x, g_y, sqrt(1 - g_x * g_x - g_y * g_y)]])
     t = np.array([temperature])
     result = Compensation(known)(known.predict(gravity, t), t)
-    expected = gravity @ np.array(document_matrix(Mounting(roll, pitch, 0.3))).T
-    np.testing.assert_allclose(result.gravity, expected[:, :2], rtol=0, atol=1e-11)
+    matrix = np.array(document_matrix(Mounting(roll, pitch, 0.3)))
+    expected = gravity @ matrix.T
+    if matrix[2, 2] < cos(radians(45.0)) and gravity[0, 2] < cos(radians(45.0)):
+        assert np.isnan(result.gravity).any()
+        assert result.flag.tolist() == [4]
+    else:
+        np.testing.assert_allclose(result.gravity, expected[:, :2], rtol=0, atol=1e-11)
+
+
+class TestLengthOfGravity:
+    """Three axes of 1000 per g around 0."""
+
+    KNOWN = coefficients(((1000.0, 0.0, 0.0), (0.0, 1000.0, 0.0), (0.0, 0.0, 1000.0)), offset=(0.0, 0.0, 0.0))
+    UP = np.array([0.6, 0.0, -0.8])
+
+    @pytest.mark.parametrize(
+        ("length", "verdict"),
+        [
+            (1.0, (1, 0)),
+            (1.02, (1, 0)),
+            (0.98, (1, 0)),
+            (1.0201, (3, 256)),
+            (0.9799, (3, 256)),
+            (0.5, (3, 256)),
+            (2.0, (3, 256)),
+            (0.4999, (4, 256)),
+            (2.0001, (4, 256)),
+            (9.81, (4, 256)),
+            (1e200, (4, 256)),
+        ],
+    )
+    def test_every_row_is_judged(self, length: float, verdict: tuple[int, int]) -> None:
+        out = Compensation(self.KNOWN)([length * 1000.0 * self.UP])
+        assert (out.flag[0], out.reason[0]) == verdict
+        expected = [degrees(asin(0.6)), 0.0, -degrees(asin(0.8)), degrees(asin(0.6)), 180.0, degrees(acos(-0.8))]
+        np.testing.assert_allclose(out.angles[0], expected if verdict[0] < 4 else 6 * [nan], atol=1e-12)
+        np.testing.assert_allclose(out.gravity[0], length * self.UP, rtol=1e-12)
+
+    def test_a_tolerance_of_its_own(self) -> None:
+        rows = [[0.0, 0.0, 1049.0], [0.0, 0.0, 1051.0], [0.0, 0.0, 499.0]]
+        assert Compensation(self.KNOWN, Limits(length=0.05))(rows).flag.tolist() == [1, 3, 4]
+        assert Compensation(self.KNOWN, Limits(length=0.7))(rows).flag.tolist() == [1, 1, 4]
+
+    def test_a_mounting_changes_no_length(self) -> None:
+        turned = replace(self.KNOWN, mounting=Mounting(roll=1.0, pitch=-0.5, yaw=2.0))
+        rows = np.random.default_rng(3).normal(0.0, 600.0, (1000, 3))
+        one, other = Compensation(self.KNOWN)(rows), Compensation(turned)(rows)
+        assert one.flag.tolist() == other.flag.tolist()
+        length = np.linalg.norm(rows, axis=1) / 1000.0
+        expected = np.where(np.abs(length - 1.0) <= 0.02, 1, np.where((length < 0.5) | (length > 2.0), 4, 3))
+        assert one.flag.tolist() == expected.tolist()
+
+    def test_no_noise_at_level_passes_an_arcsine(self) -> None:
+        rows = np.array([0.0, 0.0, 1000.0]) + np.random.default_rng(3).normal(0.0, 2.0, (1000, 3))
+        out = Compensation(self.KNOWN)(rows)
+        assert (out.flag.tolist(), out.reason.tolist()) == ([1] * 1000, [0] * 1000)
+        np.testing.assert_array_equal(out.tilt[:, 0], out.angles[:, 3])
+        np.testing.assert_allclose(out.tilt[:, 2], 90.0 - out.angles[:, 5], rtol=0, atol=1e-12)
+
+
+class TestOnEdge:
+    """Two axes in a mounting on edge: nothing shows the sign of the third where the sensor itself is not near level."""
+
+    def turned(self, roll: float, known: Coefficients, up: Array) -> tuple[Compensated, Array]:
+        """What the kernel makes of directions of up in the application's frame, and up in the sensor's."""
+        own = up @ np.array(document_matrix(Mounting(radians(roll), 0.0, 0.0)))
+        mounted = replace(known, mounting=Mounting(roll=radians(roll)))
+        return Compensation(mounted)(known.predict(own)), own
+
+    @pytest.mark.parametrize("roll", [90.0, -90.0, 60.0, -60.0, 92.0, 120.0, -120.0])
+    def test_rows_without_a_sign_have_no_number(self, roll: float) -> None:
+        up = directions(5000, 4)
+        out, own = self.turned(roll, coefficients(((800.0, 0.0), (0.0, 800.0))), up)
+        unknown = np.abs(own[:, 2]) < cos(radians(45.0))
+        assert 0.6 < np.mean(unknown) < 0.8
+        assert out.flag[unknown].tolist() == [4] * int(unknown.sum())
+        assert (out.reason[unknown] & 128 > 0).all()
+        assert np.isnan(out.gravity[unknown, 1]).all()
+        assert np.isnan(out.tilt[unknown, 1]).all()
+        np.testing.assert_allclose(out.gravity[:, 0], up[:, 0], atol=1e-9)  # x lies along the line of the roll
+        side = -1.0 if abs(roll) > 95.0 else 1.0
+        stands = ~unknown & (side * own[:, 2] > 0.0)
+        np.testing.assert_allclose(out.gravity[stands], up[stands, :2], atol=1e-9)
+        assert out.flag[stands].tolist() == [1] * int(stands.sum())
+
+    @pytest.mark.parametrize("roll", [44.0, -44.0, 136.0, 180.0, 0.0])
+    def test_upright_and_inverted_lose_nothing(self, roll: float) -> None:
+        up = directions(5000, 5)
+        out, own = self.turned(roll, coefficients(((800.0, 0.0), (0.0, 800.0))), up)
+        assert out.flag.tolist() == [1] * 5000
+        seen = own[:, 2] * (1.0 if abs(roll) < 90.0 else -1.0) > 1e-3
+        np.testing.assert_allclose(out.gravity[seen], up[seen, :2], atol=1e-9)
+
+    def test_a_z_column_lets_both_use_it(self) -> None:
+        out, own = self.turned(90.0, coefficients(TWO_OF_THREE), directions(500, 6))
+        unknown = np.abs(own[:, 2] - 0.4) < 0.3
+        assert np.isnan(out.gravity[unknown]).all()
 
 
 class TestFlags:
@@ -254,9 +348,9 @@ class TestFlags:
     def test_three_axes_that_read_0_g_have_no_direction(self, mounting: Mounting | None) -> None:
         """As `atan2(0, 0)` they were level with flag 1. Of two axes 0 g is level."""
         out = Compensation(coefficients(THREE, mounting=mounting))([[*OFFSET, -30.0], [*OFFSET, 1290.0]])
-        assert (out.flag.tolist(), out.reason.tolist()) == ([4, 1], [128, 0])
-        for angle in (*out.tilt.T, out.pitch, out.roll, out.inclination):
-            assert np.isnan(angle).tolist() == [True, False]
+        assert (out.flag.tolist(), out.reason.tolist()) == ([4, 1], [128 + 256, 0])
+        assert np.isnan(out.angles).all(axis=1).tolist() == [True, False]
+        assert np.isfinite(out.angles[1]).all()
         assert out.gravity[0].tolist() == [0.0, 0.0, 0.0]
         level = Compensation(coefficients(TWO))([[*OFFSET]])
         assert (level.flag.tolist(), level.tilt.tolist()) == ([1], [[0.0, 0.0]])

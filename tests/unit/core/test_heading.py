@@ -14,7 +14,7 @@ from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.earth_compensation import EarthFrameCompensation
 from tiltcal.core.earth_uncertainty import EarthUncertainty
-from tiltcal.core.flags import CLIPPED, FAIL, MISSING, NO_DIRECTION, NOT_A_NUMBER, PASS, SUSPECT
+from tiltcal.core.flags import CLIPPED, FAIL, GRAVITY_LENGTH, MISSING, NO_DIRECTION, NOT_A_NUMBER, PASS, SUSPECT
 from tiltcal.core.heading import FieldLength
 from tiltcal.core.model import Array, Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
@@ -68,7 +68,8 @@ def visible(truth: Truth, known: Coefficients, least: float) -> np.ndarray[tuple
         return np.ones(len(truth.up), bool)
     matrix = np.eye(3) if known.mounting is None else mounting_matrix(known.mounting)
     side = -1.0 if matrix[2, 2] < -1e-9 else 1.0
-    return np.asarray(side * (truth.up @ matrix)[:, 2] > least)
+    on_edge = abs(matrix[2, 2]) < cos(radians(45.0))
+    return np.asarray(side * (truth.up @ matrix)[:, 2] > (cos(radians(45.0)) + 0.05 if on_edge else least))
 
 
 @pytest.mark.parametrize("compass", [True, False])
@@ -91,7 +92,7 @@ def test_the_earth_as_rotations_have_it(channels: int, mounting: Mounting | None
         )
     )
     seen = visible(truth, known, 1e-3)  # nearer to the edge, a reading's last bit moves g_z by more
-    assert seen.sum() > 4_000
+    assert seen.sum() > (1_000 if mounting is RIGHT_ANGLE else 4_000)
     if compass:
         assert np.abs((table["heading"] - truth.heading + 180.0) % 360.0 - 180.0)[seen].max() < 1e-9
         assert 0.0 <= table["heading"][seen].min() < 1.0
@@ -192,7 +193,26 @@ class TestFlags:
 
     def test_no_heading_where_nothing_points_up(self) -> None:
         found = row(level(up=[[0.0, 0.0, 0.0]]))
-        assert found == pytest.approx((FAIL, NO_DIRECTION, nan, nan, nan, nan), nan_ok=True)
+        assert found == pytest.approx((FAIL, NO_DIRECTION + GRAVITY_LENGTH, nan, nan, nan, nan), nan_ok=True)
+        found = row(level(up=[[0.0, 0.0, 0.49]]))
+        assert found == pytest.approx((FAIL, GRAVITY_LENGTH, nan, nan, nan, nan), nan_ok=True)
+
+    def test_no_heading_where_two_axes_on_edge_show_no_sign(self) -> None:
+        known = coefficients(2, Mounting(radians(90.0), 0.0, 0.0))
+        compensation = Compensation(known)
+        earth = EarthFrameCompensation(compensation, magnetometer=True, velocity=True)
+        own = np.array([[0.0, 0.0], [0.6, 0.0], [0.8, 0.0], [0.0, -0.8]])
+        table = TiltKernel(compensation, earth=earth)(
+            RoleValues(
+                known.offset + own @ known.sensitivity.T,
+                magnetometer=np.array([[3.0, 20.0, -45.0]] * 4),
+                velocity=np.array([[1.0, 2.0, 3.0]] * 4),
+            )
+        )
+        for name in ("heading", *ENU):
+            assert np.isnan(table[name]).tolist() == [False, False, True, True]
+        assert table["flag"].tolist() == [PASS, PASS, FAIL, FAIL]
+        assert table["reason"].tolist() == [0, 0, NO_DIRECTION, NO_DIRECTION]
 
     def test_no_heading_where_the_field_is_vertical_or_nothing(self) -> None:
         for field in ([0.0, 0.0, -45.0], [0.0, 0.0, 0.0]):

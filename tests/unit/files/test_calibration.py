@@ -294,7 +294,9 @@ def calibrations(draw: st.DrawFn) -> CalibrationRecord:
     channels = tuple(draw(st.permutations(AXES))[: draw(st.integers(1, 3))])
     axes = AXES if len(channels) == 2 and draw(st.booleans()) else tuple(sorted(channels))
     n = len(channels)
-    sensitivity = np.array(draw(st.lists(st.floats(-1, 1), min_size=n * len(axes), max_size=n * len(axes))))
+    sensitivity = np.array(
+        draw(st.lists(st.floats(-1, 1).filter(bool), min_size=n * len(axes), max_size=n * len(axes)))
+    )
     sensitivity = sensitivity.reshape(n, len(axes))
     square = [0, 1] if len(axes) > n else list(range(n))
     sensitivity[np.arange(n), square] += 100.0

@@ -319,6 +319,13 @@ def test_what_is_written_reads_back_equal_under_yaml_1_1_too(written: dict[str, 
     assert yaml.safe_load(yaml_text(written)) == written
 
 
+def test_keys_of_one_letter_are_written_alike() -> None:
+    """PyYAML, which reads YAML 1.1, takes neither for a truth value; YAML 1.2 has no such words."""
+    text = yaml_text({"mean": {"x": 1, "y": 2, "n": 3}})
+    assert text == "mean: {x: 1, y: 2, n: 3}\n"
+    assert yaml.safe_load(text) == parse_document(text).plain() == {"mean": {"x": 1, "y": 2, "n": 3}}
+
+
 @given(
     st.dictionaries(
         st.from_regex(r"[a-z]{1,10}", fullmatch=True),

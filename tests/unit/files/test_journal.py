@@ -7,6 +7,7 @@ import json
 import os
 import zlib
 from pathlib import Path
+from threading import Barrier, Thread
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -125,6 +126,57 @@ def test_two_programs_cannot_write_one_journal(path: Path) -> None:
         JournalWriter.resume(read_journal(path))
     writer.close()
     JournalWriter.resume(read_journal(path)).close()
+
+
+def test_of_sessions_that_start_together_one_gets_the_journal(path: Path) -> None:
+    """Each round all of them are at the file at once; what the one has written is whole, and the others are refused."""
+    for number in range(20):
+        start, refused, shared = Barrier(6), [], path.with_name(f"{number}.jsonl")
+
+        def session(start: Barrier = start, refused: list[str] = refused, shared: Path = shared) -> None:
+            start.wait()
+            try:
+                captured(shared)
+            except UsageError as error:
+                refused.append(str(error))
+
+        together = [Thread(target=session) for _ in range(6)]
+        for thread in together:
+            thread.start()
+        for thread in together:
+            thread.join()
+        assert len(refused) == 5
+        assert all("exists: resume it" in why for why in refused)
+        assert len(read_journal(shared).events) == len(EVENTS)
+    assert len(list(path.parent.iterdir())) == 20
+
+
+def test_a_link_that_lies_ready_leads_to_no_file_of_a_stranger(path: Path) -> None:
+    stranger = path.with_name("letter.txt")
+    stranger.write_text("dear friend")
+    path.with_name(f".{path.name}.new").symlink_to(stranger)
+    captured(path)
+    assert stranger.read_text() == "dear friend"
+    assert read_journal(path).end is not None
+
+
+def test_a_link_in_place_of_the_journal_is_not_followed(path: Path) -> None:
+    path.symlink_to(path.with_name("elsewhere"))
+    with pytest.raises(UsageError, match="exists"):
+        captured(path)
+    assert os.listdir(path.parent) == [path.name]
+
+
+def test_a_file_system_without_links_has_journals_too(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_link(source: Path, target: Path) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr("os.link", no_link)
+    whole = captured(path)
+    with pytest.raises(UsageError, match="exists"):
+        captured(path)
+    assert path.read_bytes() == whole
+    assert os.listdir(path.parent) == [path.name]
 
 
 def test_what_another_process_wrote_since_it_was_read_is_not_cut_off(path: Path) -> None:

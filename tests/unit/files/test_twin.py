@@ -6,8 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from tiltcal.bench.virtual_bench import truth_of
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.twin.gradiometer import StageTruth
 from tiltcal.drivers.twin.truth import Fault, Truth
-from tiltcal.errors import InputError
+from tiltcal.errors import InputError, UsageError
 from tiltcal.files.twin import read_twin
 
 FILE = """\
@@ -98,3 +102,62 @@ def test_a_stage_without_end_between_its_lines_is_refused(tmp_path: Path) -> Non
     with pytest.raises(InputError, match=r"at least 0\.001") as caught:
         read(tmp_path, "tiltcal: 1\nkind: twin\ntruth:\n  disk: {rate: 1e-320}\n")
     assert (caught.value.line, caught.value.key) == (4, "truth.disk.rate")
+
+
+DISK = """\
+tiltcal: 1
+kind: twin
+model: gradiometer
+truth:
+  disk:
+    inclination: 30
+    spin: 0.25
+    rate: 20
+    gradient: {differential: 2e-6, cross: 1e-6}
+    accelerometers:
+      a1: {scale: 3.0, misalignment: 1.5, offset: 0.5}
+      a2: {scale: 3.1}
+      a3: {scale: 3.2, phase_error: 0.2}
+      a4: {scale: 3.3, drift: 1e-5, second_order: 0.1}
+"""
+
+
+def test_a_rotary_stage_is_read(tmp_path: Path) -> None:
+    model, truth = read(tmp_path, DISK)
+    assert isinstance(truth, StageTruth)
+    disk = truth.disk
+    assert (model, disk.spin, disk.rate, disk.gradient) == ("gradiometer", 0.25, 20.0, (2e-6, 1e-6))
+    assert [part.scale for part in disk.accelerometers] == [3.0, 3.1, 3.2, 3.3]
+    assert (disk.inclination, disk.accelerometers[0].misalignment) == pytest.approx((0.5235988, 0.02617994))
+    assert (disk.accelerometers[3].drift, disk.accelerometers[3].second_order) == (1e-5, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "key", "about"),
+    [
+        ("rate: 20", "rate: 500", 8, "truth.disk.rate", "do not fit on the virtual line"),
+        ("rate: 20", "rate: 0", 8, "truth.disk.rate", "at least 0.001"),
+        ("spin: 0.25", "spins: 0.25", 7, "truth.disk.spins", "did you mean 'spin'"),
+        ("a2: {scale: 3.1}", "a2: {}", 12, "truth.disk.accelerometers.a2", "'scale' is missing"),
+        ("      a2: {scale: 3.1}\n", "", 10, "truth.disk.accelerometers", "'a2' is missing"),
+        ("differential: 2e-6, ", "", 9, "truth.disk.gradient", "'differential' is missing"),
+        ("spin: 0.25", "noise: -1", 7, "truth.disk.noise", "at least 0"),
+    ],
+)
+def test_what_is_wrong_with_a_rotary_stage_is_named(
+    old: str, new: str, line: int, key: str, about: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, DISK.replace(old, new, 1))
+    assert (caught.value.line, caught.value.key) == (line, key)
+    assert about in caught.value.message
+
+
+def test_a_twin_of_another_kind_is_refused(tmp_path: Path) -> None:
+    for text, model, why in (
+        (FILE.replace("model: sca100t-d02\n", ""), "gradiometer", "has no theta and no a1"),
+        (DISK.replace("model: gradiometer\n", ""), "sca100t-d02", "has no x and no y, which a sca100t-d02 reads"),
+    ):
+        (tmp_path / "other.yaml").write_text(text)
+        with pytest.raises(UsageError, match=why):
+            truth_of(parse_address(f"sim:twin={tmp_path / 'other.yaml'}"), find_model(model))

@@ -90,3 +90,30 @@ def test_a_lag_that_is_no_number_is_refused(tmp_path):
     (tmp_path / "bad.yaml").write_text((tmp_path / "cal.yaml").read_text().replace("lag: 35.5", "lag: soon"))
     with pytest.raises(InputError, match="lag"):
         read(tmp_path / "bad.yaml")
+
+
+@pytest.mark.parametrize(
+    ("place", "time", "how"), [(7, 30.0, "stands still at row 7"), (7, 12.0, "goes back at row 7"), (1, 0.0, "row 1")]
+)
+def test_times_that_do_not_go_on_are_refused_with_their_row(tmp_path, ramp, place, time, how):
+    """Without a pace there is no lag: such logs were compensated as if the temperature began anew there."""
+    seconds, thermometer, _ = ramp
+    times = seconds.copy()
+    times[place] = time
+    readings = {"x": np.full_like(seconds, 1300.0), "y": np.full_like(seconds, 900.0), "temperature": thermometer}
+    log = write(tmp_path / "log.csv", {"time": times, **readings})
+    with pytest.raises(InputError, match=rf"log\.csv: time .*{how}.*--columns time=NAME"):
+        apply_log(lagging(LAG), log, tmp_path / "tilt.csv")
+    assert not (tmp_path / "tilt.csv").exists()
+    with pytest.raises(InputError, match=how):
+        lagging(LAG).apply({"time": times, **readings})
+    apply_log(lagging(0.0), log, tmp_path / "tilt.csv")
+
+
+def test_a_row_without_a_time_is_no_step_back(tmp_path, ramp):
+    seconds, thermometer, _ = ramp
+    times = seconds.copy()
+    times[5] = np.nan
+    readings = {"x": np.full_like(seconds, 1300.0), "y": np.full_like(seconds, 900.0), "temperature": thermometer}
+    found = lagging(LAG).apply({"time": times, **readings})
+    assert np.flatnonzero(np.asarray(found["reason"]) & 16).tolist() == [5]

@@ -82,9 +82,31 @@ def test_a_sample_far_off_is_left_out_and_counted(base: Path) -> None:
     found = tiltcal.fit("reversal", **readings, base=base, say=said.append, **SENSOR)
     assert found.offset["x"] == pytest.approx(2.56, abs=2e-3)
     assert [one.left_out for one in found.positions][:3] == [None, 1, None]
-    assert said == [f"{found.positions[1].position}: 1 sample is far off the others, and left out"]
+    assert said == [f"{found.positions[1].position}: 1 sample is far off the others or missing, and left out"]
     readings["data"]["x"][100:106] += 1.0
-    with pytest.raises(tiltcal.InputError, match="6 of its 80 samples are far off: x reads"):
+    with pytest.raises(tiltcal.InputError, match="6 of its 80 samples are far off or missing: x reads"):
+        tiltcal.fit("reversal", **readings, base=base, **SENSOR)
+
+
+def test_a_missing_sample_is_left_out_and_counted_as_one_far_off(base: Path) -> None:
+    readings = recorded("reversal", (2.56, 2.38))
+    without = {name: list(np.delete(column, 100)) for name, column in readings["data"].items()}
+    segments = [
+        {
+            **segment,
+            "start": segment["start"] - (segment["start"] > 100),
+            "end": segment["end"] - (segment["end"] > 100),
+        }
+        for segment in readings["segments"]
+    ]
+    shorter = tiltcal.fit("reversal", without, segments=segments, base=base, **SENSOR)
+    readings["data"]["x"][100] = np.nan
+    found = tiltcal.fit("reversal", **readings, base=base, **SENSOR)
+    assert [one.left_out for one in found.positions][:3] == [None, 1, None]
+    assert found.offset == pytest.approx(shorter.offset, abs=1e-12)
+    assert [one.n for one in found.positions][:3] == [80, 79, 80]
+    readings["data"]["y"][100:104] = readings["data"]["x"][110] = np.nan
+    with pytest.raises(tiltcal.InputError, match="5 of its 80 samples are far off or missing: x has no number"):
         tiltcal.fit("reversal", **readings, base=base, **SENSOR)
 
 
@@ -182,8 +204,8 @@ def test_a_base_with_a_mounting_is_refused(base: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ({"jig": -0.1}, "--jig takes a number from 0, not -0.1"),
-        ({"thermometer": float("nan")}, "--thermometer takes a number from 0, not nan"),
+        ({"jig": -0.1}, "--jig takes 0 or a number from .*, not -0.1"),
+        ({"thermometer": float("nan")}, "--thermometer takes 0 or a number from .*, not nan"),
         ({"gravity": 12.0}, "--gravity 12: local gravity is between 9.7 and 9.9"),
         ({"window": 2}, "--window"),
     ],

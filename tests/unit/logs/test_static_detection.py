@@ -68,10 +68,10 @@ class TestFindStill:
 
     def test_the_sensor_behind_it(self) -> None:
         chosen, _ = find_still(handled())
-        assert chosen.ellipsoid is not None
+        assert chosen.fit is not None
         # 1 mg of noise over some 250 rows is 0.06 mg; nine unknowns from sixteen attitudes, each within five sigma.
-        assert chosen.ellipsoid.offset == pytest.approx(OFFSET, abs=5e-4)
-        assert np.diag(chosen.ellipsoid.sensitivity) == pytest.approx(np.diag(SENSITIVITY), abs=1e-3)
+        assert chosen.fit.offset == pytest.approx(OFFSET, abs=5e-4)
+        assert np.diag(chosen.fit.sensitivity) == pytest.approx(np.diag(SENSITIVITY), abs=1e-3)
 
     def test_choices_that_leave_nine_attitudes_are_never_taken(self) -> None:
         """The trap of data/README.md: with nine attitudes the misfit is zero, and the result anything."""
@@ -80,10 +80,10 @@ class TestFindStill:
         hum = 0.004 * np.sin(np.arange(len(log)) * 1.7)
         log[9 * (HELD + MOVED) :, 2] += hum[9 * (HELD + MOVED) :]
         chosen, tried = find_still(log)
-        traps = [choice for choice in tried if choice.ellipsoid is not None and choice.ellipsoid.distinct == 9]
+        traps = [choice for choice in tried if choice.fit is not None and choice.fit.distinct == 9]
         assert traps
         assert all(choice.expanded == inf for choice in traps)
-        assert min(choice.ellipsoid.rms for choice in traps if choice.ellipsoid) < 1e-9
+        assert min(choice.fit.rms for choice in traps if choice.fit) < 1e-9
         assert len(chosen.intervals) == 16
 
     def test_rows_without_a_number_are_not_still(self) -> None:

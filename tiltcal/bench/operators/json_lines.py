@@ -47,7 +47,7 @@ class JsonLinesRig:
     def accepted(self, event: Mapping[str, Any]) -> None:
         self._send(event)
 
-    refused = lost = done = turn = held = resumed = accepted
+    waiting = refused = lost = done = turn = held = resumed = accepted
 
     def _next(self) -> object:
         line = self._answers.next()

@@ -125,8 +125,8 @@ class PositionOperator(Operator, Protocol):
         """Bring the sensors to a position: ``ready``, ``redo`` or ``back``."""
         ...
 
-    def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
-        """Show readings while the session waits or samples."""
+    def look(self, position: Position, readings: Mapping[str, Reading], why: str, seconds: float) -> None:
+        """Show readings while the session waits or samples, so many seconds after the answer."""
         ...
 
     def review(self, result: PositionResult) -> OperatorAnswer:

@@ -7,6 +7,7 @@ is due::
               "heading": 0, "temperature": None, "prompt": "Tilt the +Y side up to 30°"})
         -> {"answer": "ready"}            or {"answer": "ready", "tilt": {"y": 30.02}, "temperature": 5.4}
            or {"answer": "redo" | "back" | "quit"}
+    waiting({"event": "waiting", "position": "y-tilt1", "seconds": 60, "why": "...", "temperature": 5.4})
     accepted({"event": "accepted", "position": "y-tilt1", "mean": {...}, "std": {...}, "n": 100})
     refused({"event": "refused", "position": "y-tilt1", "why": "..."})        (followed by the same ask)
     lost({"event": "lost", "sensor": "A-1006", "why": "..."})                 (of several sensors one is given up)
@@ -21,8 +22,9 @@ A rig that turns a stage is asked once, and may stop it at any time::
     held({"event": "held", "why": "..."}), resumed({"event": "resumed"})
     accepted({"event": "accepted", "position": "rotation", "turns": 25.1, "p": {...}, ..., "suppression": {...}})
 
-Only ``position``, or ``rotation``, is needed; an event whose method is missing is left out. ``redo`` asks for the same
-position again; ``back`` gives up the position before it and asks for that one.
+``waiting`` comes once a minute. Only ``position``, or ``rotation``, is needed; an event whose method is missing is left
+out. ``redo`` asks for the same position again; ``back`` gives up the position before it and asks for that one. The
+position ``tip`` asks once to see that a reading follows, where nothing in a session has changed it.
 """
 
 from __future__ import annotations
@@ -54,6 +56,9 @@ TO_ROTATION = ("ready", "quit")
 WHILE_TURNING = ("stop", "quit")
 TILT_AXES = ("x", "y")
 KEYS = {"answer", "tilt", "gravity", "temperature"}
+
+WAITING = 60.0
+"""Seconds between two events while a chamber soaks or a reading settles."""
 
 REPEATS = 100
 """How often one position, or the stage, is asked for in vain before the session stops."""
@@ -133,6 +138,7 @@ class RigPositionOperator(_Rig):
     def __init__(self, rig: object) -> None:
         super().__init__(rig)
         self._method("position")
+        self._next_event = WAITING
 
     def begin(self, procedure: Procedure, models: Mapping[str, Model]) -> None:
         pass
@@ -149,12 +155,16 @@ class RigPositionOperator(_Rig):
             "prompt": position.prompt,
         }
         answer = self._ask(ask, TO_POSITION, position.name)
+        self._next_event = WAITING
         if answer.word == "redo":
             self._repeat(position.name, "the program answered redo")
         return answer
 
-    def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
-        pass
+    def look(self, position: Position, readings: Mapping[str, Reading], why: str, seconds: float) -> None:
+        if seconds >= self._next_event:
+            self._next_event = (seconds // WAITING + 1) * WAITING
+            temperature = next((one.temperature for one in readings.values() if one.temperature is not None), None)
+            self._send("waiting", position=position.name, seconds=round(seconds), why=why, temperature=temperature)
 
     def review(self, result: PositionResult) -> OperatorAnswer:
         return OperatorAnswer("accept")

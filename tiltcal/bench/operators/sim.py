@@ -65,7 +65,7 @@ class SimOperator(_Sim):
     def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
         return OperatorAnswer("ready")
 
-    def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
+    def look(self, position: Position, readings: Mapping[str, Reading], why: str, seconds: float) -> None:
         pass
 
     def review(self, result: PositionResult) -> OperatorAnswer:

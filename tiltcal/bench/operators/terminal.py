@@ -157,7 +157,7 @@ class TerminalOperator(_Terminal):
             elif key is not None:
                 self._refuse_key()
 
-    def look(self, position: Position, readings: Mapping[str, Reading], why: str) -> None:
+    def look(self, position: Position, readings: Mapping[str, Reading], why: str, seconds: float) -> None:
         self._show(readings, why)  # first, because what has no room is left out
 
     def review(self, result: PositionResult) -> OperatorAnswer:

@@ -71,20 +71,6 @@ def stated_budgets(
     return budgets
 
 
-def scaled_budgets(near: LinearSolution, scale: float, dof: float) -> list[Budget]:
-    """Return the uncertainty of each sensor's coefficients where the residuals give the size of the noise.
-
-    Parameters
-    ----------
-    scale : float
-        Sum of squares over degrees of freedom.
-    """
-    return [
-        Budget(scale * covariance, {NOISE: np.diag(scale * covariance)}, np.full(len(covariance), float(dof)))
-        for _, covariance, _ in _by_sensor(near, {}, None)
-    ]
-
-
 def estimated_jig_budgets(near: LinearSolution, components: VarianceComponents, bias: Array | None) -> list[Budget]:
     """Return the uncertainty of each sensor's coefficients where the jig was not stated and the residuals show it.
 

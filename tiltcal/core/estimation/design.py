@@ -79,8 +79,7 @@ class Design:
         Reference temperature, °C; used where an order is above 0.
     jig : float or None
         Standard uncertainty of each set angle, degrees, normal and per axis. None: not stated, and estimated from the
-        residuals. Infinite: the directions are only a first guess, and unit
-        gravity alone determines the coefficients.
+        residuals. Infinite: free positions.
     table : float or None
         Standard uncertainty of the table's lean, degrees per axis; all positions share it. None where nothing is known
         of it: positions at several headings then show it, and at one heading it goes into the offsets unseen.
@@ -93,6 +92,8 @@ class Design:
         0 for a straight line, 1 for a square, 2 for a square and a cube.
     priors : mapping of str to Prior
         By the coefficient's dotted name.
+    nominal : float
+        Sensitivity of the model, unit/g; 0 where it is not known.
     """
 
     channels: tuple[str, ...]
@@ -106,6 +107,12 @@ class Design:
     thermometer: float | None = 0.0
     nonlinearity: int = 0
     priors: Mapping[str, Prior] = field(default_factory=dict)
+    nominal: float = 0.0
+
+    @property
+    def assumes_sensitivity(self) -> bool:
+        """Whether the sensitivities are known before, and not determined."""
+        return any(f"sensitivity.{channel}.{channel}" in self.priors for channel in self.channels)
 
     @property
     def thermal(self) -> bool:

@@ -226,8 +226,6 @@ class LinearSolution:
     def unobserved(self) -> Array:
         """Share of each combination of angles that no reading shows, 1 / (1 + jig² d²)."""
         d = self.spectrum[1]
-        if np.isinf(self.jig):
-            return np.zeros_like(d)
         return np.asarray(1.0 / (1.0 + (self.jig * d) ** 2))
 
     @cached_property
@@ -247,11 +245,7 @@ class LinearSolution:
     def variances(self) -> Array:
         """Variance along each of :attr:`directions`."""
         variances = np.ones(self.shared)
-        d = self.spectrum[1] if self.angles else np.zeros(0)
-        if np.isinf(self.jig):
-            seen = d > DEGENERATE * np.max(d, initial=0.0)
-            variances[self.shared - self.angles :] = np.where(seen, 1.0 / np.where(seen, d, 1.0) ** 2, 0.0)
-        else:
+        if self.angles:
             variances[self.shared - self.angles :] = self.jig**2 * self.unobserved
         return variances
 
@@ -307,6 +301,6 @@ def linearised(system: System, z: Array, jig: float | None = None) -> LinearSolu
         Standard deviation of the attitude angles, radians; the system's own where it is left out.
     """
     equations = system.at(z)
-    stated = system.attitudes.stop - system.attitudes.start if np.isfinite(system.jig) else 0
-    elimination = eliminate(equations, system.unknowns - system.local, without=stated)
+    angles = system.attitudes.stop - system.attitudes.start
+    elimination = eliminate(equations, system.unknowns - system.local, without=angles)
     return LinearSolution(system, equations, elimination, system.jig if jig is None else jig)

@@ -48,7 +48,7 @@ def system_of(sensors: Sequence[SensorObservations]) -> System:
         orientations=np.array([sensor.orientation for sensor in sensors], dtype=float),
         gravity=gravity,
         settings=settings,
-        lean_rotations=heading_rotations(np.radians(headings)) if lean_unknown and not design.free else None,
+        lean_rotations=heading_rotations(np.radians(headings)) if lean_unknown else None,
         names=tuple(chain.from_iterable(names)),
         sensors=np.repeat(np.arange(len(sensors)), [len(name) for name in names]),
         prior_value=np.array([prior.value if prior else 0.0 for prior in priors]),

@@ -7,8 +7,8 @@ chooses how far its attitudes are unknowns:
   ordinary weighted least squares.
 - **not stated** (None): the residuals show its uncertainty, and the equations are solved as if that was stated
   (:mod:`tiltcal.core.estimation.variance_components`).
-- **infinite**: the attitudes are free, and unit gravity alone determines the coefficients. The mounting rotation is
-  then undetermined; the gauge is an upper-triangular sensitivity matrix of the first sensor with three channels.
+
+Attitudes that nobody set have a fit of their own (:mod:`tiltcal.core.estimation.free`).
 """
 
 from __future__ import annotations
@@ -20,15 +20,19 @@ from math import degrees, inf, radians, sqrt
 import numpy as np
 
 from tiltcal.core.estimation.attitude import rotation_vectors
-from tiltcal.core.estimation.covariance import estimated_jig_budgets, scaled_budgets, stated_budgets
+from tiltcal.core.estimation.covariance import estimated_jig_budgets, stated_budgets
 from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.elimination import LinearSolution, linearised
 from tiltcal.core.estimation.equation_assembly import system_of
-from tiltcal.core.estimation.gauss_newton import minimise
-from tiltcal.core.estimation.identifiability import require_determined
 from tiltcal.core.estimation.joint_equations import System
 from tiltcal.core.estimation.second_order import second_order_bias
-from tiltcal.core.estimation.unit_gravity import require_enough, require_spread, triangular_gauge
+from tiltcal.core.estimation.set_positions import (
+    LIKE_THE_REST,
+    errors_as_set,
+    require_positions,
+    start_as_set,
+    wrong_position,
+)
 from tiltcal.core.estimation.unstated_variances import (
     find_jig,
     find_noise,
@@ -51,15 +55,9 @@ SUSPICION = 0.01
 """Probability, over all positions together, of suspecting one of a jig that is as stated."""
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
-BELOW_NOISE = "the residuals are smaller than the noise of the readings, by chance: the noise counts"
-GAUGE = (
-    "unit gravity alone says nothing of the mounting: the frame's z axis is the direction that the z channel senses, "
-    "and its y axis lies in the plane of those of y and z"
-)
-LEAN_NOT_SHOWN = (
-    "all positions have one heading, where a lean of the table goes into the offsets unseen: state it (--table-lean), "
-    "or measure a position again with the fixture turned by 180°"
-)
+LEAN = "lean"
+"""In ``not_covered``: all positions have one heading, where a lean of the table goes into the offsets."""
+
 JIG_NOT_SHOWN = (
     "the jig is not stated, and no position shows the angle in which the sensor was held: it is not in the uncertainty"
 )
@@ -114,6 +112,8 @@ class Estimate(DeterminedCoefficients):
         Degrees of freedom of that.
     notes : tuple of str
         What limits the numbers, in words.
+    not_covered : tuple of str
+        Errors of the bench that no position shows and that are not in the uncertainty.
     """
 
     positions: tuple[str, ...]
@@ -128,6 +128,7 @@ class Estimate(DeterminedCoefficients):
     estimated_noise: float | None = None
     noise_dof: float | None = None
     notes: tuple[str, ...] = ()
+    not_covered: tuple[str, ...] = ()
 
     def suspects(self) -> list[AttitudeError]:
         """Return the positions that were further off than the stated jig allows, the worst first."""
@@ -162,17 +163,17 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     require_sound(sensors)
     design = sensors[0].design
     system = system_of(sensors)
-    if design.free:
-        return _free(sensors, system)
-    found = _unstated(sensors, system) if design.jig is None else _stated(sensors, system)
+    found = _unstated(sensors, system) if design.jig is None else _stated(sensors, system, design.jig)
     if design.table is not None or system.lean_rotations is not None:
         return found
-    return tuple(replace(estimate, notes=(*estimate.notes, LEAN_NOT_SHOWN)) for estimate in found)
+    return tuple(replace(estimate, not_covered=(LEAN,)) for estimate in found)
 
 
-def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
-    """Estimate with all errors of the bench as unknowns, whose uncertainty is stated."""
-    z = minimum_from(system, _start(system))
+def _stated(sensors: Sequence[SensorObservations], system: System, jig: float) -> tuple[Estimate, ...]:
+    """Estimate with all errors of the bench as unknowns, whose uncertainty is stated; the jig in degrees."""
+    z = start_as_set(system)
+    require_positions(sensors, system, z, jig)
+    z = minimum_from(system, z)
     near = linearised(system, z)
     dof = system.degrees_of_freedom(near.unobservable_leans)
     chi_square = near.equations.cost if dof else None
@@ -204,7 +205,8 @@ def _stated(sensors: Sequence[SensorObservations], system: System) -> tuple[Esti
 
 def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
     """Estimate the jig from the residuals, and solve the equations with it as if it were stated."""
-    z = minimum_from(system, _start(system.unweighted()))
+    start = start_as_set(system.unweighted())
+    z = minimum_from(system, start)
     near = with_attitudes(system, z)
     dof = system.degrees_of_freedom(near.unobservable_leans)
     if dof <= 0:
@@ -212,9 +214,11 @@ def _unstated(sensors: Sequence[SensorObservations], system: System) -> tuple[Es
     table = _known_table(near)
     components = variance_components(residuals_near(replace(system, table=table), z, dof))
     if components.angle > LARGEST_JIG:
+        errors = errors_as_set(sensors, system, start)
         raise EstimateError(
-            "the residuals are larger than any error of the set angles explains: are the positions named right, and "
-            "the readings plausible?"
+            f"{wrong_position(sensors, errors, LIKE_THE_REST * max(errors.values()))}: the residuals are larger than "
+            "any error of the set angles explains; see that the positions are named right, and that the readings are "
+            "plausible"
         )
     if system.noise_unknown:
         known, z, noise = find_noise(system, z, dof, table, None)
@@ -271,32 +275,6 @@ def _of_residuals(before: System, system: System, z: Array, dof: int, noise: Noi
     )
 
 
-def _free(sensors: Sequence[SensorObservations], system: System) -> tuple[Estimate, ...]:
-    """Estimate from unit gravity alone, in the gauge of an upper-triangular sensitivity matrix."""
-    equal = replace(system.unweighted(), jig=system.jig, thermometer=system.thermometer)
-    equal, z = triangular_gauge(equal, _start(equal.as_if_perfect()))
-    require_enough(equal)
-    z = minimise(equal, z)
-    near = linearised(equal, z)
-    require_spread(near)
-    dof = equal.degrees_of_freedom(0)
-    squares = near.equations.cost
-    stated = equal.unexplained(z) / system.sigma
-    chi_square = float(stated @ stated)
-    below_noise = 0.0 < chi_square < dof
-    if below_noise:  # the uncertainty comes from the noise, and has its degrees of freedom
-        budgets = scaled_budgets(near, squares / chi_square, _noise_dof(sensors))
-    else:
-        budgets = scaled_budgets(near, squares / dof, dof) if dof else stated_budgets(near)
-    notes = (GAUGE, *((BELOW_NOISE,) if below_noise else ()), *(() if dof else (NO_FREEDOM,)))
-    return _estimates(sensors, equal, _Found(z, budgets, dof, chi_square if dof else None, not dof, notes=notes))
-
-
-def _noise_dof(sensors: Sequence[SensorObservations]) -> float:
-    """Return the degrees of freedom of the noise, over all readings."""
-    return sum(float(np.sum(observation.dof)) for sensor in sensors for observation in sensor.observations)
-
-
 @frozen
 class _Found:
     """Minimum of the sum of squares, with uncertainty and tests, over all sensors."""
@@ -311,20 +289,6 @@ class _Found:
     estimated_thermometer: float | None = None
     noise_dof: float | None = None
     notes: tuple[str, ...] = ()
-
-
-def _start(system: System) -> Array:
-    """Return the coefficients with the attitudes as set: the result for a perfect jig, the start for any other."""
-    set_right = system.as_if_perfect()
-    free = set_right.holding(set_right.assumed)
-    z = set_right.start()
-    # Gain and nonlinearity have no effect before a sensitivity is known: they join in the second round.
-    insensitive = free.assumed.copy()
-    for block in free.at(z).blocks:
-        insensitive[block.unknowns] = ~np.any(block.jacobian[:, : block.readings], axis=1)
-    z = minimise(free.holding(insensitive), z)
-    require_determined(set_right, z)
-    return minimise(free, z) if insensitive.any() else z
 
 
 def _attitudes(
@@ -357,7 +321,7 @@ def _estimates(sensors: Sequence[SensorObservations], system: System, found: _Fo
     from scipy.special import chdtrc
 
     p = None if found.chi_square is None else float(chdtrc(found.dof, found.chi_square))
-    as_set = system.unexplained(found.z if sensors[0].design.free else system.as_set(found.z))
+    as_set = system.unexplained(system.as_set(found.z))
     estimates = []
     row = 0
     for number, sensor in enumerate(sensors):

@@ -10,8 +10,7 @@ from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
 STEPS = 200
-"""Most steps; a bench needs three to six, free directions from a poor start some ten, and one that is far worse than it
-was stated to be some sixty."""
+"""Most steps; a bench needs three to six, and one that is far worse than it was stated to be some sixty."""
 
 SETTLED = 1e-14
 """A step that changes the readings by less than this share of the largest is lost in their rounding."""

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.linalg import svd
 from numpy.typing import NDArray
 
-from tiltcal.core.estimation.elimination import LinearSolution
 from tiltcal.core.estimation.joint_equations import System
 from tiltcal.core.gravity_direction import Vector, gravity_from_tilt
 from tiltcal.core.model import Array, ChannelModel
@@ -80,34 +79,6 @@ def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
     if rank == len(names):
         return []
     return [name for name, part in zip(names, vectors[rank], strict=True) if abs(part) > NAMED_PART]
-
-
-def undetermined_unknowns(near: LinearSolution) -> list[str]:
-    """Name coefficients and directions that free positions leave undetermined; empty where all are determined."""
-    system = near.system
-    names = [*system.names, *(f"direction {k}" for k in range(system.unknowns - system.coefficients))]
-    length = np.zeros(system.unknowns)
-    for block in near.equations.blocks:
-        for unknowns, jacobian in zip(block.unknowns, block.jacobian, strict=True):
-            mixed = undetermined(jacobian, [names[k] for k in unknowns])
-            if mixed:
-                return mixed
-            length[unknowns] = np.linalg.norm(jacobian, axis=0)
-        np.add.at(length, system.local + block.columns.ravel(), block.shared.ravel() ** 2)
-    length[system.local :] = np.sqrt(length[system.local :])
-    if np.any(length[system.local :] == 0.0):
-        return [names[int(np.argmin(length))]]
-    # The combination of shared unknowns that shows least, with the coefficients that follow it.
-    triangle = near.elimination.triangle
-    weakest = svd(triangle / length[system.local :])[2][-1] / length[system.local :]
-    combination = np.concatenate([np.zeros(system.local), weakest])
-    for factor in near.elimination.factors:
-        combination[factor.unknowns] = -(factor.inverse @ (factor.follows @ weakest)[..., None])[..., 0]
-    combination *= length
-    size = float(np.linalg.norm(combination))
-    if float(np.linalg.norm(triangle @ weakest)) > UNDETERMINED * size:
-        return []
-    return [name for name, part in zip(names, combination / size, strict=True) if abs(part) > NAMED_PART]
 
 
 def _positions_to_add(model: ChannelModel, theta: Array, gravity: Array, dt: Array, rows: Array) -> list[str]:

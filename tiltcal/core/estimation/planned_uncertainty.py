@@ -10,18 +10,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
-from math import inf
 from operator import itemgetter
 
 import numpy as np
 
-from tiltcal.core.estimation.covariance import scaled_budgets, stated_budgets
+from tiltcal.core.estimation.covariance import stated_budgets
 from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.elimination import linearised
 from tiltcal.core.estimation.equation_assembly import system_of
+from tiltcal.core.estimation.free import UNKNOWNS, planned_budget
 from tiltcal.core.estimation.identifiability import CANDIDATES, WARMER, require_determined
 from tiltcal.core.estimation.joint_equations import System
-from tiltcal.core.estimation.unit_gravity import require_spread, triangular_gauge
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.uncertainty_budget import Budget
@@ -36,19 +35,7 @@ WORTH = 0.8
 
 @frozen
 class PlannedPosition:
-    """Position of a planned session.
-
-    Attributes
-    ----------
-    gravity : tuple of float
-        Up in the sensor frame, g.
-    temperature : float or None
-        °C.
-    heading : float or None
-        Degrees.
-    held : bool
-        The fixture stands as in the position before.
-    """
+    """Position of a planned session: up in the sensor frame, g; °C; degrees; the fixture stands as before."""
 
     name: str
     gravity: Vector
@@ -59,20 +46,10 @@ class PlannedPosition:
 
 @frozen
 class Prediction:
-    """Uncertainty that a planned session will reach.
+    """Uncertainty that a planned session will reach in named coefficients, and degrees of freedom to check them.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the coefficients.
-    budget : Budget
-        Their covariance and its sources.
-    dof : int
-        Degrees of freedom that are left to check the result.
-    correlations : tuple of (str, str, float)
-        Pairs of coefficients that the plan hardly separates, the strongest first.
-    worth_adding : tuple of (str, str, float)
-        A position, the coefficient that it helps most, and the share of its uncertainty that is left; best first.
+    ``correlations`` are pairs that the plan hardly separates, the strongest first; ``worth_adding`` has a position, the
+    coefficient that it helps most, and the share of its uncertainty that is left, best first.
     """
 
     names: tuple[str, ...]
@@ -97,46 +74,22 @@ def predict_uncertainty(
     sensors: int = 1,
     level: bool = False,
 ) -> Prediction:
-    """Compute the uncertainty that a planned session will reach for each of the sensors, at nominal coefficients.
+    """Compute the uncertainty that a planned session will reach for each of some equal sensors.
 
-    Parameters
-    ----------
-    design : Design
-        With the jig, the thermometer and the table as they are stated; a jig that is not stated counts as perfect, and
-        what is predicted is then what noise alone leaves.
-    noise : float
-        Standard uncertainty of a position's mean reading, in the sensor's unit.
-    sensitivity : float
-        Nominal, unit/g.
-    drift : float
-        Of the offset of a usual part, unit/°C: an error of the thermometer moves a reading by so much.
-    adc : float
-        Standard uncertainty that quantisation leaves in a mean, same unit as the noise.
-    sensors : int
-        How many alike sit on the fixture and are estimated together.
-    level : bool
-        Every position has to be level, so none in another direction is proposed.
-
-    Raises
-    ------
-    EstimateError
-        The plan leaves coefficients undetermined; they are named, and a position that would determine them.
+    A jig that is not stated counts as perfect. ``noise`` and ``adc`` are standard uncertainties of a position's mean,
+    unit; ``sensitivity`` is nominal, unit/g; ``drift`` is that of a usual part, unit/°C, by which an error of the
+    thermometer counts; of a ``level`` procedure no other direction is proposed. An EstimateError names coefficients
+    that the plan leaves undetermined, and a position that would determine them.
     """
-    equations = partial(_system, design, noise=noise, sensitivity=sensitivity, drift=drift, adc=adc, sensors=sensors)
-    system, z = equations(positions)
-    near = linearised(system, z)
-    if design.free:
-        require_spread(near)
-    else:
-        require_determined(system, z)
-    own = stated_budgets(near)[0]
+    budget = partial(_budget, design, noise=noise, sensitivity=sensitivity, drift=drift, adc=adc, sensors=sensors)
+    own, dof = budget(positions)
     names = design.names
     return Prediction(
         names=names,
         budget=own,
-        dof=system.degrees_of_freedom(near.unobservable_leans),
+        dof=dof,
         correlations=strong_correlations(names, own.covariance),
-        worth_adding=_worth_adding(design, positions, equations, own.u, level=level),
+        worth_adding=_worth_adding(design, positions, budget, own.u, level=level),
     )
 
 
@@ -151,7 +104,7 @@ def strong_correlations(names: Sequence[str], covariance: Array) -> tuple[tuple[
     return tuple(sorted(found, key=lambda pair: -abs(pair[2])))
 
 
-def _system(
+def _budget(
     design: Design,
     positions: Sequence[PlannedPosition],
     *,
@@ -160,8 +113,11 @@ def _system(
     drift: float,
     adc: float,
     sensors: int,
-) -> tuple[System, Array]:
-    """Return the equations of a plan, without readings, and all unknowns as in the data sheet."""
+) -> tuple[Budget, int]:
+    """Return the uncertainty that a plan leaves, and its degrees of freedom, with all unknowns as in the data sheet."""
+    if design.free:
+        gravity = np.array([position.gravity for position in positions])
+        return planned_budget(gravity, float(np.hypot(noise, adc)), sensitivity), len(positions) - UNKNOWNS
     stated = replace(design, jig=design.jig or 0.0)
     zero = np.zeros(len(design.channels))
     u = np.full(len(design.channels), max(np.hypot(noise, adc), 1e-12 * abs(sensitivity)))
@@ -182,7 +138,9 @@ def _system(
     require_sound(plan)
     system = system_of(plan)
     z = _nominal(design, system, sensitivity, drift)
-    return triangular_gauge(system, z) if design.free else (system, z)
+    require_determined(system, z)
+    near = linearised(system, z)
+    return stated_budgets(near)[0], system.degrees_of_freedom(near.unobservable_leans)
 
 
 def _nominal(design: Design, system: System, sensitivity: float, drift: float) -> Array:
@@ -201,7 +159,7 @@ def _nominal(design: Design, system: System, sensitivity: float, drift: float) -
 def _worth_adding(
     design: Design,
     positions: Sequence[PlannedPosition],
-    equations: Callable[[Sequence[PlannedPosition]], tuple[System, Array]],
+    budget: Callable[[Sequence[PlannedPosition]], tuple[Budget, int]],
     before: Array,
     *,
     level: bool,
@@ -219,7 +177,7 @@ def _worth_adding(
         turned = f"{first.name} with the fixture turned by 180°"
         candidates.append(replace(first, name=turned, heading=(first.heading or 0.0) + 180.0, held=False))
     for candidate in candidates:
-        after = scaled_budgets(linearised(*equations([*positions, candidate])), 1.0, inf)[0].u
+        after = budget([*positions, candidate])[0].u
         share = after / np.where(before > 0.0, before, np.inf)
         share[(before == 0.0) | assumed] = 1.0
         most = int(np.argmin(np.round(share, 6)))

@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tiltcal.core.flags import MISSING, NOT_A_NUMBER, PASS, Bytes
+from tiltcal.core.flags import MISSING, NOT_A_NUMBER, PASS, Bytes, Reasons
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import harmonic_columns
 from tiltcal.core.pair.encoder import AngleTracker
@@ -58,7 +58,7 @@ class PairCompensation:
             names += [f"{GRADIENT}_sin", f"{GRADIENT}_cos"]
         return (*names, "flag", "reason")
 
-    def __call__(self, readings: Array) -> dict[str, Array | Bytes]:
+    def __call__(self, readings: Array) -> dict[str, Array | Bytes | Reasons]:
         """Return the columns of some rows by name; ``readings``, shape (n, channels), are NaN where one is missing."""
         by_name = dict(zip(self.channels, readings.T, strict=True))
         sums = []
@@ -74,8 +74,8 @@ class PairCompensation:
         lost = ~np.isfinite(readings[:, : len(self._readings)]).all(axis=1)
         for column in values.values():
             column[lost] = np.nan
-        flag, reason = (np.where(lost, *pair).astype(np.uint8) for pair in ((MISSING, PASS), (NOT_A_NUMBER, 0)))
-        return {**values, "flag": flag, "reason": reason}
+        flag, reason = (np.where(lost, *pair) for pair in ((MISSING, PASS), (NOT_A_NUMBER, 0)))
+        return {**values, "flag": flag.astype(np.uint8), "reason": reason.astype(np.uint16)}
 
     def _gradient(self, sums: Sequence[Array]) -> Array:
         first, other = self._matchings

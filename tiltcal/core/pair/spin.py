@@ -68,8 +68,11 @@ def estimate_spin(time: Array, readings: Array) -> Spin:
         No line stands out, or it turns less than twice.
     """
     span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
-    if len(time) < _FEWEST_ROWS or not span > 0.0:
-        raise EstimateError("the record is too short, or its time does not change: the spin cannot be estimated")
+    if len(time) < _FEWEST_ROWS or not 0.0 < span == float(np.ptp(time)):
+        raise EstimateError(
+            "the record is too short, its time does not change, or a time lies before its first or after its last: the "
+            "spin cannot be estimated"
+        )
     middle = 0.5 * float(time[0] + time[-1])
     centred = (time - middle) / span
     turns = _strongest(centred, readings)

@@ -104,8 +104,7 @@ def open_log(
 
     Notes
     -----
-    A damaged Parquet or NetCDF file can end the process in its library, or keep it there. The command line reads them
-    in a child process (:mod:`tiltcal.cli.child_process`); here nothing guards the caller.
+    A damaged Parquet or NetCDF file can end the process in its library, or keep it there.
     """
     require_boolean("--skip-bad-rows", skip_bad_rows)
     if not isinstance(log, str | Path):

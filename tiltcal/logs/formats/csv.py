@@ -2,7 +2,7 @@
 
 The first line names the columns, every other line is a row (:mod:`tiltcal.logs.formats.csv_rows` defines it). Where the
 first line holds numbers alone it is a row, and the columns are called by number; fields may be parted by blanks
-(:mod:`tiltcal.logs.formats.whitespace`). Empty lines at the very end of the file are nothing.
+(:mod:`tiltcal.logs.formats.whitespace`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 import numpy as np
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
+from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, parse_rows
 from tiltcal.logs.formats.csv_short import SHORT, short_rows, short_text
 from tiltcal.logs.formats.whitespace import WhitespaceSeparated, blank_separated_names, numbered_columns
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 _BLOCK = 6 << 20
-_TAIL = 1 << 12
 _LONGEST_ROW = 16 << 20
-_UTF8_BOM = b"\xef\xbb\xbf"
 _UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -68,7 +66,7 @@ class CsvReader(LogReader):
         self.line_end = "\r\n" if first.endswith(b"\r\n") else "\n"
         self.header = first.removesuffix(b"\n").removesuffix(b"\r")
         self._refuse_what_is_no_text()
-        text = _text(self.header.removeprefix(_UTF8_BOM))
+        text = _text(self.header.removeprefix(UTF8_BOM))
         numbers = numbered_columns(text)
         if numbers is not None:
             self.names = numbers
@@ -128,18 +126,18 @@ class CsvReader(LogReader):
         """Whole lines; whether they are the last; whether the very last had no end."""
         ended = False
         # A stream may have brought rows along with its header, and nothing more for a while.
-        arrived = _end_of_content(self._pending) > 0
+        arrived = b"\n" in self._pending
         while not ended:
             more = b"" if arrived else self._read()
             ended, arrived = not more and not arrived, False
             unended = ended and not self._pending.endswith(b"\n")
             if unended and self._pending:
                 data, self._pending = self._pending + b"\n", b""
-            elif cut := _end_of_content(more):  # the lines that were just read are many, and copied once
+            elif cut := more.rfind(b"\n") + 1:  # the lines that were just read are many, and copied once
                 data, self._pending = b"".join((self._pending, memoryview(more)[:cut])), more[cut:]
             else:
                 self._pending += more
-                cut = _end_of_content(self._pending)
+                cut = self._pending.rfind(b"\n") + 1
                 data, self._pending = self._pending[:cut], self._pending[cut:]
             self._refuse_endless(self._pending, data)
             if data:
@@ -157,7 +155,7 @@ class CsvReader(LogReader):
             data += more
             self._refuse_endless(data)
         first, end, rest = data.partition(b"\n")
-        if not data.removeprefix(_UTF8_BOM).strip():
+        if not data.removeprefix(UTF8_BOM).strip():
             raise InputError("the log is empty", file=self.name)
         return first + end, rest
 
@@ -187,7 +185,7 @@ class CsvReader(LogReader):
         """Take the first line for the first row."""
         self.header = ",".join(self.names).encode()
         self._line = 1
-        self._pending = first.removeprefix(_UTF8_BOM) + self._pending
+        self._pending = first.removeprefix(UTF8_BOM) + self._pending
         if len(self.names) > 1 and b"," not in first:
             self._stream, self._pending = WhitespaceSeparated(self._pending, stream), b""
 
@@ -213,17 +211,6 @@ class CsvReader(LogReader):
 
     def _error(self, message: str, line: int) -> InputError:
         return InputError(message, file=self.name, line=line)
-
-
-def _end_of_content(data: bytes) -> int:
-    """Return the end of the last whole line that is not empty: empty ones behind it may be the end of the file."""
-    end = data.rfind(b"\n") + 1
-    while end:
-        start = max(end - _TAIL, 0)
-        if content := data[start:end].rstrip(b"\r\n"):
-            return data.find(b"\n", start + len(content)) + 1
-        end = start
-    return 0
 
 
 def _text(data: bytes) -> str:

@@ -39,6 +39,7 @@ _LF, _COMMA, _QUOTE, _CR, _NUL, _POINT, _ZERO, _NINE = b'\n,"\r\0.09'
 _PIECE = 1 << 16  # bytes: as many as stay in the cache with what is made of them
 _TORN = "the last row is cut short"
 _OF_NUMBERS = b"0123456789+-."
+UTF8_BOM = b"\xef\xbb\xbf"
 _UNUSED = "\x1f\x1e\x1d\x1c\x01\x02\x03\x04\x05\x06\x0e\x0f\x10\x11\x12\x13\x14\x15\x16\x17"
 
 
@@ -264,7 +265,7 @@ def _rows_without_quotes(
     wanted = sorted({*columns, *texts})
     cells = _engine(numeric, schema={str(index): pl.String for index in range(len(names))}, columns=wanted)
     values = _parse_cells({index: cells[str(index)] for index in columns}, names, faults, time)
-    rows = len(cells)
+    rows = numeric.count(b"\n")
     return _Rows(data, values, {index: cells[str(index)] for index in texts}, range(rows), rows, faults)
 
 
@@ -328,10 +329,13 @@ def _engine(data: bytes, *, quote_char: str | None = None, **options: Any) -> pl
     """Read rows without quotes.
 
     The engine takes bytes that begin as a compressed file does (a cell ``x`` and a control character will do) for one;
-    behind an empty line, which is skipped, they are what they are.
+    behind an empty line, which is skipped, they are what they are. It also drops a byte order mark, which is one only
+    at the beginning of the log: a second one in front of it is dropped in its place.
     """
     import polars as pl
 
+    if data.startswith(UTF8_BOM):
+        data = UTF8_BOM + data
     if data[0] in _OF_NUMBERS:
         return pl.read_csv(data, has_header=False, quote_char=quote_char, **options)
     return pl.read_csv(b"\n" + data, skip_lines=1, has_header=False, quote_char=quote_char, **options)

@@ -298,7 +298,7 @@ class NetcdfWriter(LogWriter):
         variable = file.create_variable(
             name,
             (dimension,),
-            "u4" if name == COUNT else "u1" if whole else "f8",
+            "u4" if name == COUNT else "f8" if not whole else "u2" if name.endswith("reason") else "u1",
             chunks=(min(file.dimensions[dimension].size, chunk),),
             compression="gzip",
             compression_opts=_LEVEL,

@@ -109,7 +109,7 @@ class ParquetReader(LogReader):
 
 
 class ParquetWriter(LogWriter):
-    """Writes Parquet: the log's columns keep their types; flag and reason take a byte, all others are doubles.
+    """Writes Parquet: the log's columns keep their types; flag takes a byte, reason two, all others are doubles.
 
     Notes
     -----

@@ -25,11 +25,11 @@ _GAPS = re.compile(rb"[ \t]+")
 def numbered_columns(first_line: str) -> tuple[str, ...] | None:
     """Return the columns' numbers, where a first line is a row of numbers; None where it names the columns."""
     fields = [field.strip() for field in first_line.split(",")] if "," in first_line else first_line.split()
-    if not fields or not all(is_number(field) for field in fields):
+    filled = [field for field in fields if field]  # a cell of a first row may be missing
+    if not filled or not all(is_number(field) for field in filled):
         return None
-    numbers = tuple(str(number) for number in range(1, len(fields) + 1))
-    counted = tuple(fields) in (numbers, tuple(str(number) for number in range(len(fields))))
-    return None if counted and len(fields) > 1 else numbers
+    counted = filled in ([str(first + k) for k in range(len(filled))] for first in (0, 1))
+    return None if counted and len(fields) > 1 else tuple(str(number) for number in range(1, len(fields) + 1))
 
 
 def blank_separated_names(first_line: str, second_line: str) -> tuple[str, ...] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
-from math import cos, inf, radians, sin
+from math import cos, radians, sin
 
 import numpy as np
 import pytest
@@ -20,7 +20,6 @@ from tiltcal.core.closed_forms import (
     tempco_from_two_temperatures,
 )
 from tiltcal.core.estimation.design import Design, Observation, Prior
-from tiltcal.core.estimation.ellipsoid import directions_from_readings
 from tiltcal.core.estimation.estimate import estimate
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.errors import EstimateError
@@ -249,56 +248,6 @@ def test_a_jig_that_goes_to_zero_is_least_squares() -> None:
     np.testing.assert_allclose(nearly.coefficients.sensitivity, exact.coefficients.sensitivity, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(nearly.covariance, exact.covariance, rtol=1e-6, atol=1e-12)
     assert nearly.dof == exact.dof
-
-
-class TestUnitGravityAlone:
-    """Directions that nobody set: the ellipsoid's nine numbers, and no mounting."""
-
-    S = np.array([[1.02, 0.03, -0.02], [0.0, 0.97, 0.05], [0.0, 0.0, 1.01]])
-    OFFSET = np.array([0.1, -0.3, 0.2])
-    FREE = Design(("x", "y", "z"), ("x", "y", "z"), jig=inf)
-
-    def observations(self, count: int, noise: float = 0.0) -> list[Observation]:
-        rng = np.random.default_rng(12)
-        up = rng.normal(size=(count, 3))
-        up /= np.linalg.norm(up, axis=1, keepdims=True)
-        mean = self.OFFSET + up @ self.S.T + noise * rng.standard_normal((count, 3))
-        guess = directions_from_readings(mean)
-        return [observe(str(k), tuple(g), *mean[k], u=max(noise, 1e-6)) for k, g in enumerate(guess)]
-
-    def test_the_truth_from_exact_readings(self) -> None:
-        found = estimate(self.observations(14), self.FREE)
-        np.testing.assert_allclose(found.coefficients.offset, self.OFFSET, atol=1e-9)
-        np.testing.assert_allclose(found.coefficients.sensitivity, self.S, atol=1e-9)
-        assert found.dof == 14 - 9
-
-    def test_the_residuals_say_the_uncertainty(self) -> None:
-        """30 positions for nine unknowns: 21 are left over."""
-        found = estimate(self.observations(30, 1e-3), self.FREE)
-        assert np.all(found.budget.dof == found.dof)
-        assert found.dof == 21
-        error = np.abs(found.coefficients.offset - self.OFFSET)
-        assert np.all(error < 4 * found.budget.u[[0, 4, 8]])
-        assert np.all(found.budget.u[[0, 4, 8]] < 1e-3)
-
-    def test_it_says_that_the_mounting_is_undetermined(self) -> None:
-        assert any("mounting" in note for note in estimate(self.observations(14), self.FREE).notes)
-
-    def test_nine_positions_for_nine_unknowns_are_told(self) -> None:
-        found = estimate(self.observations(9), self.FREE)
-        assert found.dof == 0
-        assert any("no degree of freedom" in note for note in found.notes)
-
-    def test_eight_are_refused(self) -> None:
-        with pytest.raises(EstimateError, match="nine"):
-            estimate(self.observations(12)[:8], self.FREE)
-
-    def test_positions_on_one_circle_are_refused(self) -> None:
-        tilt, turns = radians(30.0), np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
-        up = [(sin(tilt) * cos(turn), sin(tilt) * sin(turn), cos(tilt)) for turn in turns]
-        observations = [observe(str(k), g, *(self.OFFSET + self.S @ g), u=1e-6) for k, g in enumerate(up)]
-        with pytest.raises(EstimateError, match="add"):
-            estimate(observations, self.FREE)
 
 
 def test_readings_that_have_nothing_to_do_with_the_positions_are_refused() -> None:

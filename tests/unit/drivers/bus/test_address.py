@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from urllib.parse import quote
 
 import pytest
 from hypothesis import given
@@ -18,29 +17,16 @@ from tiltcal.errors import UsageError
     [
         ("spi:///dev/spidev0.0", "spi", "/dev/spidev0.0", {}),
         ("spi:/dev/spidev0.0", "spi", "/dev/spidev0.0", {}),
-        ("spi:///dev/spidev0.0?mode=0&speed=500000", "spi", "/dev/spidev0.0", {"mode": "0", "speed": "500000"}),
-        ("i2c:///dev/i2c-1?address=0x1d", "i2c", "/dev/i2c-1", {"address": "0x1d"}),
         (
             "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2",
             "ads1115+i2c",
             "/dev/i2c-1",
             {"address": "0x48", "x": "0", "y": "1", "supply": "2"},
         ),
-        (
-            "mcp3208+spi:///dev/spidev0.1?x=0&y=1&vref=5.0",
-            "mcp3208+spi",
-            "/dev/spidev0.1",
-            {"x": "0", "y": "1", "vref": "5.0"},
-        ),
-        ("serial:///dev/ttyUSB0?baudrate=115200", "serial", "/dev/ttyUSB0", {"baudrate": "115200"}),
-        ("serial:socket://host:4000", "serial", "socket://host:4000", {}),
         ("serial:rfc2217://host:4000?columns=x,y", "serial", "rfc2217://host:4000", {"columns": "x,y"}),
-        ("gpio:///dev/gpiochip0?x=17&y=27", "gpio", "/dev/gpiochip0", {"x": "17", "y": "27"}),
-        ("vcd:capture.vcd?x=D0&y=D1", "vcd", "capture.vcd", {"x": "D0", "y": "D1"}),
         ("vcd:my%20run%3F.vcd", "vcd", "my run?.vcd", {}),
         ("sim:", "sim", "", {}),
         ("sim:?twin=truth.yaml&seed=7", "sim", "", {"twin": "truth.yaml", "seed": "7"}),
-        ("sim:twin=truth.yaml&seed=7", "sim", "", {"twin": "truth.yaml", "seed": "7"}),
         ("sim:twin=a%26b/50%25+1.yaml", "sim", "", {"twin": "a&b/50%+1.yaml"}),
     ],
 )
@@ -59,21 +45,14 @@ def test_an_address_of_the_specification_is_understood(
         ("", "no scheme before a colon (such as spi:///dev/spidev0.0)"),
         ("/dev/spidev0.0", "no scheme before a colon (did you mean 'spi:///dev/spidev0.0'?)"),
         ("spo:///dev/spidev0.0", "unknown scheme 'spo' (did you mean 'spi'?)"),
-        ("SPI:///dev/spidev0.0", "unknown scheme 'SPI'"),
         ("http://host/", "unknown scheme 'http' (known: spi, i2c, serial, gpio, vcd, modbus, sim)"),
         ("ads1115+:///dev/i2c-1", "unknown scheme 'ads1115+'"),
         ("spi:", "no device after 'spi:'"),
-        ("spi:?mode=0", "no device after 'spi:'"),
         ("spi://dev/spidev0.0", "'dev' after '//' names a host (did you mean 'spi:///dev/spidev0.0'?)"),
-        ("serial://COM3", "'COM3' after '//' names a host (did you mean 'serial:COM3'?)"),
         ("spi:///dev/spidev0.0?mode", "option 'mode' is not of the form name=value"),
-        ("spi:///dev/spidev0.0?mode=0&", "option '' is not of the form name=value"),
-        ("spi:///dev/spidev0.0?=0", "option '=0' is not of the form name=value"),
         ("spi:///dev/spidev0.0?mode=0&mode=0", "option 'mode' is given twice"),
-        ("sim:truth.yaml", "option 'truth.yaml' is not of the form name=value"),
         ("sim:///dev/spidev0.0?seed=1", "a simulated sensor has no place"),
         ("spi:///dev/spi\ndev0.0", "it contains a control character"),
-        ("spi:///dev/spidev0.0%00", "it contains a control character"),
         ("serial:///dev/ttyUSB0?columns=x%0A", "it contains a control character"),
     ],
 )
@@ -84,21 +63,11 @@ def test_a_slip_is_named_with_the_address(written: str, why: str) -> None:
     assert why in str(error.value)
 
 
-def test_integers_are_decimal_or_hexadecimal() -> None:
-    address = parse_address("i2c:///dev/i2c-1?address=0x1D&count=010&shift=-3")
-    assert address.integer("address") == 29
-    assert address.integer("count") == 10
-    assert address.integer("shift") == -3
-    assert address.integer("absent", 5) == 5
-
-
 def test_numbers_and_text() -> None:
-    address = parse_address("vcd:f.vcd?vref=4.98&small=5e-3&x=D0")
-    assert address.number("vref") == 4.98
-    assert address.number("small") == 0.005
-    assert address.number("absent", 2.5) == 2.5
-    assert address.text("x") == "D0"
-    assert address.text("absent", "D7") == "D7"
+    address = parse_address("i2c:///dev/i2c-1?address=0x1D&count=010&shift=-3&vref=4.98&small=5e-3&x=D0")
+    assert [address.integer(name) for name in ("address", "count", "shift")] == [29, 10, -3]
+    assert [address.number("vref"), address.number("small"), address.text("x")] == [4.98, 0.005, "D0"]
+    assert (address.integer("absent", 5), address.number("absent", 2.5), address.text("absent", "D7")) == (5, 2.5, "D7")
 
 
 @pytest.mark.parametrize(
@@ -106,7 +75,6 @@ def test_numbers_and_text() -> None:
     [
         ("speed=fast", "option speed=fast is not a whole number"),
         ("speed=5e5", "option speed=5e5 is not a whole number"),
-        ("speed=1_000", "option speed=1_000 is not a whole number"),
         ("speed=٣", "option speed=٣ is not a whole number"),
         ("speed=" + "9" * 5000, "is not a whole number"),
         ("speed=", "option 'speed' is empty"),
@@ -127,32 +95,7 @@ def test_a_wrong_number_is_refused(text: str) -> None:
         parse_address(f"vcd:f.vcd?vref={text}").number("vref")
 
 
-def test_an_unknown_option_is_refused_with_the_near_name() -> None:
-    address = parse_address("spi:///dev/spidev0.0?sped=1")
-    with pytest.raises(UsageError, match=r"unknown option 'sped' \(did you mean 'speed'\?\)"):
-        address.allow("mode", "speed")
-    with pytest.raises(UsageError, match=r"unknown option 'sped' \(spi: takes no options\)"):
-        address.allow()
-
-
-names = st.text(st.characters(codec="ascii", categories=["L", "N"]), min_size=1)
-values = st.text(st.characters(exclude_categories=["C", "Z"]), min_size=1)
-
-
-@given(path=values, options=st.dictionaries(names, values))
-def test_what_is_quoted_comes_back(path: str, options: dict[str, str]) -> None:
-    query = "&".join(f"{name}={quote(value, safe='')}" for name, value in options.items())
-    address = parse_address(f"vcd:{quote(path, safe='')}" + (f"?{query}" if query else ""))
-    assert (address.path, address.options) == (path, options)
-
-
-@given(st.text())
-def test_any_text_is_an_address_or_a_usage_error(text: str) -> None:
-    with suppress(UsageError):
-        assert parse_address(text).written == text
-
-
-@given(st.sampled_from(["spi:", "sim:", "serial:", "i2c://"]), st.text("/?&=%+:ab\x00\t1", max_size=20))
-def test_any_text_after_a_scheme_is_an_address_or_a_usage_error(scheme: str, text: str) -> None:
+@given(st.sampled_from(["", "spi:", "sim:", "serial:", "i2c://"]), st.text() | st.text("/?&=%+:ab\x00\t1", max_size=20))
+def test_any_text_is_an_address_or_a_usage_error(scheme: str, text: str) -> None:
     with suppress(UsageError):
         assert parse_address(scheme + text).written == scheme + text

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -19,7 +17,6 @@ from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.bus.edges import Edge, unpack_edges
-from tiltcal.drivers.device import Sensor
 from tiltcal.errors import BusError, HardwareError, UsageError
 from tiltcal.files.journal import JournalWriter, read_journal
 
@@ -46,12 +43,6 @@ $dumpvars 0! x" b0 # $end
 
 def opened(path: Path, x: str = "D0", y: str = "D1"):
     return open_link(parse_address(f"vcd:{path}?x={x}&y={y}"), ADXL202)
-
-
-@contextmanager
-def sensor(path: Path, x: str, y: str) -> Iterator[Sensor]:
-    with closing(opened(path, x, y)) as link:
-        yield ADXL202.driver(link, VirtualClock())
 
 
 def pwm(periods: int, period: int, x: int, y: int) -> bytes:
@@ -82,71 +73,39 @@ def test_changes_are_edges_at_their_times_and_first_values_are_not(hand_written:
 
 
 @pytest.mark.skipif(shutil.which("sigrok-cli") is None, reason="sigrok-cli is not installed")
-@pytest.mark.parametrize("rate", [1_000_000, 8_000_000])
-def test_a_file_of_sigrok_gives_the_duty_cycle_that_was_generated(tmp_path: Path, rate: int) -> None:
-    samples, capture = tmp_path / "pwm.bin", tmp_path / "capture.vcd"
+def test_a_file_of_sigrok_gives_the_duty_cycle_that_was_generated(tmp_path: Path) -> None:
+    rate, samples, capture = 8_000_000, tmp_path / "pwm.bin", tmp_path / "capture.vcd"
     samples.write_bytes(pwm(20, 4000, 2250, 1500))
     source = ["-i", samples, "-I", f"binary:numchannels=2:samplerate={rate}"]
     with capture.open("wb") as output:
         subprocess.run(["sigrok-cli", *source, "-O", "vcd"], check=True, stdout=output)
-    with sensor(capture, "0", "1") as driver:
-        readings = [driver.read().values for _ in range(18)]
-        link_statistics = driver.link_statistics()
-    with sensor(capture, "0", "1") as driver:
-        said = driver.probe()
-
-    assert readings == [(0.5625, 0.375)] * 18
-    assert link_statistics["lost edges"] == 0
-    assert said["period"] == f"{4000 / rate * 1e3:g} ms"
+    with closing(opened(capture, "0", "1")) as link:
+        driver = ADXL202.driver(link, VirtualClock())
+        assert [driver.read().values for _ in range(18)] == [(0.5625, 0.375)] * 18
+        assert driver.link_statistics()["lost edges"] == 0
 
 
-def test_a_file_of_another_writer_with_scopes_and_picoseconds(tmp_path: Path) -> None:
-    from vcd import VCDWriter
-
-    text = io.StringIO()
-    with VCDWriter(text, timescale="100 ps", date="today") as writer:
-        x, y = (writer.register_var(scope, "out", "wire", size=1, init=0) for scope in ("board.x", "board.y"))
-        for period in range(4):
-            # Centred pulses of 1 ms: 0.6 and 0.2.
-            for part, variable, value in ((2, x, 1), (4, y, 1), (6, y, 0), (8, x, 0)):
-                writer.change(variable, period * 10_000_000 + part * 1_000_000, value)
-    path = tmp_path / "two.vcd"
-    path.write_text(text.getvalue())
-
-    with sensor(path, "x.out", "y.out") as driver:
-        assert driver.read().values == pytest.approx((0.6, 0.2))
-    with pytest.raises(BusError, match=r"'out' is in several scopes: name one of board\.x\.out, board\.y\.out"):
-        opened(path, "out", "y.out")
+def recorded(log: EventLog, capture: Path) -> RecordedLink:
+    return RecordedLink(log, lambda: opened(capture), "e", 0)
 
 
-def test_a_capture_that_is_written_anew_is_read_from_its_start(hand_written: Path) -> None:
-    link = opened(hand_written)
-    link.exchange(b"", 4096)
-    link.exchange(b"", 0)
-    with pytest.raises(BusError, match="at its end"):
-        link.exchange(b"", 4096)
-
-    replacement = hand_written.with_suffix(".new")
-    replacement.write_text(HAND_WRITTEN.replace("#100 1!", "#200 1!"))
-    os.replace(replacement, hand_written)
-    link.exchange(b"", 0)
-    *_, last = unpack_edges(link.exchange(b"", 4096))
-    assert last == Edge(2_000_000, 0, True, 5)
-    link.close()
+def numbers(records: bytes) -> list[int]:
+    return [edge.number for edge in unpack_edges(records)]
 
 
-def test_a_capture_at_its_end_does_not_start_again(hand_written: Path) -> None:
-    link = RecordedLink(EventLog(VirtualClock()), lambda: opened(hand_written), "e", 0)
-    with closing(link):
-        assert len(list(unpack_edges(link.exchange(b"", 4096)))) == 5
+def test_a_capture_at_its_end_starts_again_once_it_is_written_anew(hand_written: Path) -> None:
+    with closing(recorded(EventLog(VirtualClock()), hand_written)) as link:
+        assert numbers(link.exchange(b"", 4096)) == [1, 2, 3, 4, 5]
         for _ in range(2):
             with pytest.raises(BusError, match="at its end"):
                 link.exchange(b"", 4096)
             link.exchange(b"", 0)
-        hand_written.write_text(HAND_WRITTEN.replace("#100 1!", "#2000 1!"))
+        replacement = hand_written.with_suffix(".new")
+        replacement.write_text(HAND_WRITTEN.replace("#100 1!", "#200 1!"))
+        os.replace(replacement, hand_written)
         link.exchange(b"", 0)
         *_, last = unpack_edges(link.exchange(b"", 4096))
-        assert last == Edge(20_000_000, 0, True, 5)
+        assert last == Edge(2_000_000, 0, True, 5)
 
 
 @pytest.mark.parametrize("again", [HAND_WRITTEN, HAND_WRITTEN + "#150 0!\n"], ids=["the same", "a longer one"])
@@ -155,35 +114,18 @@ def test_a_session_that_is_resumed_goes_on_behind_the_edges_that_it_has(
 ) -> None:
     journal = tmp_path / "j.jsonl"
     writer = JournalWriter.create(journal, {})
-    taken = two_records(EventLog(VirtualClock(), None, writer), hand_written)
-    writer.close()
-    assert [edge.number for edge in unpack_edges(taken)] == [1, 2]
-
+    with closing(recorded(EventLog(VirtualClock(), None, writer), hand_written)) as link, closing(writer):
+        taken = link.exchange(b"", 28)
+    assert numbers(taken) == [1, 2]
     hand_written.write_text(again)
     captured = read_journal(journal)
     writer = JournalWriter.resume(captured)
-    log = EventLog(VirtualClock(), captured, writer)
-    link = RecordedLink(log, lambda: opened(hand_written), "e", 0)
-    with closing(link), closing(writer):
+    with closing(recorded(EventLog(VirtualClock(), captured, writer), hand_written)) as link, closing(writer):
         assert link.exchange(b"", 28) == taken
-        assert [edge.number for edge in unpack_edges(link.exchange(b"", 28))] == [3, 4]
+        assert numbers(link.exchange(b"", 28)) == [3, 4]
         # A link that is opened anew after an error goes on as well.
         link.close()
-        assert next(unpack_edges(link.exchange(b"", 14))).number == 5
-
-
-def test_another_capture_under_the_same_name_is_read_from_its_start(hand_written: Path) -> None:
-    link = RecordedLink(EventLog(VirtualClock()), lambda: opened(hand_written), "e", 0)
-    with closing(link):
-        for text in (HAND_WRITTEN, HAND_WRITTEN.replace("#50", "#49"), HAND_WRITTEN[: HAND_WRITTEN.index("#50")]):
-            hand_written.write_text(text)
-            assert next(unpack_edges(link.exchange(b"", 28))).number == 1
-            link.close()
-
-
-def two_records(log: EventLog, capture: Path) -> bytes:
-    with closing(RecordedLink(log, lambda: opened(capture), "e", 0)) as link:
-        return link.exchange(b"", 28)
+        assert numbers(link.exchange(b"", 14)) == [5]
 
 
 @pytest.mark.parametrize(
@@ -192,6 +134,12 @@ def two_records(log: EventLog, capture: Path) -> bytes:
         ("time,x,y\n1,2,3\n", "not a value change dump"),
         ("$timescale 1 ns $end $scope module m $end", "header does not end"),
         (HAND_WRITTEN.replace("D1", "CLK"), r"no signal is called 'D1' \(it has D0, CLK\)"),
+        (
+            HAND_WRITTEN.replace(
+                "module top $end", "module top $end $var wire 1 % D1 $end $upscope $end $scope module a $end"
+            ),
+            r"'D1' is in several scopes: name one of top\.D1, a\.D1",
+        ),
         ("", "not a value change dump"),
         (HAND_WRITTEN.replace("10 us", "0 ms"), "its time scale is 0"),
     ],
@@ -203,33 +151,25 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, why: str) -> No
         opened(path)
 
 
-@pytest.mark.parametrize(("time", "why"), [("&&&", "damaged"), ("#99999999999999999", "is its time scale right")])
-def test_damage_in_the_middle_is_an_error(hand_written: Path, time: str, why: str) -> None:
-    hand_written.write_text(HAND_WRITTEN.replace("#60", time))
-    with closing(opened(hand_written)) as link, pytest.raises(BusError, match=why):
-        link.exchange(b"", 4096)
-
-
-def test_a_pipe_is_no_capture(tmp_path: Path) -> None:
-    path = tmp_path / "capture.vcd"
-    os.mkfifo(path)
-    writer = os.open(path, os.O_RDWR)
+def test_damage_a_pipe_and_wrong_options_are_named(
+    hand_written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for time, why in (("&&&", "damaged"), ("#99999999999999999", "is its time scale right")):
+        hand_written.write_text(HAND_WRITTEN.replace("#60", time))
+        with closing(opened(hand_written)) as link, pytest.raises(BusError, match=why):
+            link.exchange(b"", 4096)
+    os.mkfifo(tmp_path / "pipe.vcd")
+    writer = os.open(tmp_path / "pipe.vcd", os.O_RDWR)
     try:
         os.write(writer, HAND_WRITTEN.encode())
         with pytest.raises(BusError, match="no file that can be read from its start"):
-            opened(path)
+            opened(tmp_path / "pipe.vcd")
     finally:
         os.close(writer)
-
-
-def test_no_such_file_and_wrong_options(tmp_path: Path) -> None:
     with pytest.raises(BusError, match=r"gone\.vcd cannot be read \(No such file"):
         opened(tmp_path / "gone.vcd")
     with pytest.raises(UsageError, match="both signal 'D0'"):
         opened(tmp_path / "gone.vcd", "D0", "D0")
-
-
-def test_without_pyvcd_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, hand_written: Path) -> None:
     monkeypatch.setitem(sys.modules, "vcd.reader", None)
     with pytest.raises(HardwareError, match=r"pip install 'tiltcal\[vcd\]'"):
         opened(hand_written)

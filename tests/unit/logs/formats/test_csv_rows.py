@@ -130,10 +130,21 @@ class TestRowsThatAreNone:
     def test_a_last_row_that_only_lacks_its_line_end(self, tail: bytes) -> None:
         assert column(b"time,x,y\n1,2,3\n" + tail) == [2.0, 2.5]
 
-    @pytest.mark.parametrize("tail", [b"\n", b"\n\n\n", b"\r\n\r\n"])
+    @pytest.mark.parametrize("tail", [b"\n\n\n", b"\r\n\r\n\r\n"])
     @pytest.mark.parametrize("block", [3, 1 << 20])
-    def test_empty_lines_at_the_very_end_are_nothing(self, tail: bytes, block: int) -> None:
-        assert column(b"time,x,y\n1,2,3" + tail, block=block) == [2.0]
+    def test_empty_lines_at_the_very_end_are_rows_as_elsewhere(self, tail: bytes, block: int) -> None:
+        assert complaint(b"time,x,y\n1,2,3" + tail) == "night.csv:3: the line is empty"
+        kept = column(b"time,x,y\n1,2,3" + tail, block=block, skip=True)
+        assert (kept[0], [value != value for value in kept]) == (2.0, [False, True, True])
+
+    @pytest.mark.parametrize("quoted", [b"", b'4,5,"6"\n'])
+    def test_a_byte_order_mark_is_one_at_the_beginning_of_the_log_alone(self, quoted: bytes) -> None:
+        """Each block of rows that began with one lost it."""
+        mark = b"\xef\xbb\xbf"
+        assert r"column 'x': '\ufeff1' is no number" in complaint(b"x,y,time\n" + mark + b"1,2,3\n" + quoted)
+        text = mark + b"note,x,y\n" + mark + b"a,2,3\n" + quoted
+        assert lines(text)[0] == "\ufeffa,2,3"
+        assert column(text)[0] == 2.0
 
     def test_the_earliest_wrong_row_is_named(self) -> None:
         assert "night.csv:3: column 'x'" in complaint(b"time,x,y\n1,2,3\n1,oops,3\n1,2\n")
@@ -256,7 +267,7 @@ class TestHeader:
             (b"\n\n", "night.csv: the log is empty"),
             (b"\xef\xbb\xbf", "night.csv: the log is empty"),
             (b"time,x,y", "night.csv:2: the log has a header and no rows"),
-            (b"time,x,y\n\n\n", "night.csv:2: the log has a header and no rows"),
+            (b"time,x,y\n\n\n", "night.csv:2: the line is empty"),
             (b"\n1,2,3\n", "night.csv:1: the first line is empty: it must name the columns"),
             (b"time,x,x\n1,2,3\n", "night.csv:1: the header names column 'x' twice: rename one of them"),
             ("time,x,y\n".encode("utf-16"), "night.csv:1: this is no CSV text: save the log as CSV in UTF-8"),

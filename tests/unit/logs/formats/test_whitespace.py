@@ -42,6 +42,11 @@ def table(content: bytes, block: int = 1 << 20, skip_bad_rows: bool = False) -> 
         ("0,1,2", None),
         ("1,2,3", None),
         ("0,1,2.0", ("1", "2", "3")),
+        # A first row may lack a cell; a table of pandas has no name above its index.
+        (",1024,1030,20", ("1", "2", "3", "4")),
+        ("7,,1030", ("1", "2", "3")),
+        (",0,1,2", None),
+        (",,", None),
     ],
 )
 def test_a_first_line_of_numbers_is_a_row(line: str, columns: tuple[str, ...] | None) -> None:
@@ -56,7 +61,7 @@ def test_a_first_line_of_numbers_is_a_row(line: str, columns: tuple[str, ...] | 
         b"  1.5   2\r\n3 4\r\n5 6\r\n",
         b"1.5 2\n3 4\n5 6",
         b"1.5,2\n3,4\n5,6\n",
-        b"\xef\xbb\xbf1.5 2\n3 4\n5 6\n\n\n",
+        b"\xef\xbb\xbf1.5 2\n3 4\n5 6\n",
     ],
 )
 def test_the_first_row_is_no_header(content: bytes, block: int) -> None:

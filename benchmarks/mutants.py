@@ -1,0 +1,163 @@
+"""Change one place of the drivers at a time, and count the changes that their tests find.
+
+::
+
+    .venv/bin/python benchmarks/mutants.py                 # the nine of the contract, against the contract and vectors
+    .venv/bin/python benchmarks/mutants.py --all           # and the others, against every test of the drivers
+
+A mutant that no test finds is printed; the exit code is their number.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+CONTRACT = ("tests/contract",)
+TESTS = (*CONTRACT, "tests/unit/drivers", "tests/unit/test_drivers.py")
+
+NINE = (
+    ("sca100t.py", "frame[1] << 3 | frame[2] >> 5", "frame[1] << 2 | frame[2] >> 5"),
+    ("adxl355.py", 'int.from_bytes(three, "big", signed=True)', 'int.from_bytes(three, "big", signed=False)'),
+    ("adxl355.py", "{1: 256_000.0,", "{1: 256_410.0,"),
+    ("polled.py", "ready, self._ready = self._ready, False", "ready = self._ready"),
+    ("registers.py", "if set(answers) == {0xFF}:", "if False:"),
+    ("sca100t.py", "if word < LOWEST_SANE_WORD:", "if word < 0:"),
+    ("converter.py", "before + slope * place", "before"),
+    ("bus/link.py", "if len(answer) != length:", "if len(answer) > length:"),
+    ("scl3300_frames.py", "self.intact and self.operation == request[0] >> 2 and not unlike", "self.intact"),
+)
+"""A shift, a sign, a constant, set-up after an error, a stuck line, a fault word, a supply, a short line, and an answer
+to another request of the SCL3300."""
+
+OTHERS = (
+    ("scl3300_frames.py", "and not unlike", ""),
+    ("scl3300_frames.py", "if self.data & 0x8000", "if self.data & 0x4000"),
+    ("scl3300_frames.py", "crc = 0xFF\n", "crc = 0x00\n"),
+    ("scl3300_frames.py", "-273.0 + data / 18.9", "-273.15 + data / 18.9"),
+    ("scl3300.py", "if list(raw[:-1]) == list(requests[1:]):", "if False:"),
+    ("scl3300.py", "GAP = 10e-6", "GAP = 1e-6"),
+    ("scl3300.py", "if not statuses <= {NORMAL, ERROR}:", "if False:"),
+    ("scl3300.py", "if flags & RESTARTED:", "if False:"),
+    ("scl3300.py", "and whoami.data != self._part.identity", "and False"),
+    ("scl3300.py", "high.data << 16 | low.data", "low.data << 16 | high.data"),
+    ("scl3300.py", "self._clock.sleep(self._range.settling)", "pass"),
+    ("scl3300.py", "known.count(flags) > 1", "known.count(flags) > 2"),
+    ("scl3300.py", "if flags & ~SATURATED:", "if False:"),
+    ("sca100t.py", "REFRESH = 150e-6", "REFRESH = 15e-6"),
+    ("sca100t.py", "self.deflected >= 0.95 * FULL_SCALE", "self.deflected >= 0.9 * FULL_SCALE"),
+    ("sca100t.py", "(frame[1] - 197) / -1.083", "(frame[1] - 197) / 1.083"),
+    ("sca100t.py", "        finally:\n            self._command(MEAS)", "        finally:\n            pass"),
+    ("sca103t.py", "(float(plus - minus),)", "(float(minus - plus),)"),
+    ("sca103t.py", "<= HIGHEST_SANE_WORD:", "<= 2047:"),
+    ("sca3000.py", "(pair[0] & 0x3F) << 3", "pair[0] << 3"),
+    ("sca3000.py", "if setting != before:", "if False:"),
+    ("sca3000.py", 'if status & FRAME_ERROR and self._link.letter == "s":', "if False:"),
+    ("sca3000.py", "z, y, x = (float", "x, y, z = (float"),
+    ("sca3000.py", "if status & CHECKSUM_ERROR:", "if False:"),
+    ("adxl355.py", "else again", "else temperature"),
+    ("adxl355.py", "== self._trim:", "!= b'':"),
+    ("adxl355.py", "AFTER_RESET | self._chosen.range", "self._chosen.range"),
+    ("iis2iclx.py", 'int.from_bytes(pair, "little"', 'int.from_bytes(pair, "big"'),
+    ("iis2iclx.py", "UNSETTLED = 3", "UNSETTLED = 0"),
+    ("polled.py", "if found != expected:", "if False:"),
+    ("polled.py", "        if wrong:\n            raise BusError", "        if False:\n            raise BusError"),
+    ("registers.py", "if set(answers) == {0x00}:", "if False:"),
+    ("ads1115.py", "/ 32768\n", "/ 32767\n"),
+    ("ads1115.py", "if held & DONE:", "if True:"),
+    ("ads1115.py", "if held & ~DONE == RESET & ~DONE != config & ~DONE:", "if False:"),
+    ("ads1115.py", "code in (-0x8000, 0x7FFF)", "code in (-0x8000,)"),
+    ("mcp3208.py", "answer[1] & 0x0F", "answer[1]"),
+    ("mcp3208.py", "CODES = 4096", "CODES = 4095"),
+    ("converter.py", "if not 0.99 * self.low <= volts", "if not 0.0 <= volts"),
+    ("converter.py", "/ self.volts for number", "/ NOMINAL for number"),
+    ("analog.py", "max(values) < LOWEST_SANE", "min(values) < LOWEST_SANE"),
+    ("analog.py", "_sca100t(sca100t.D02, 0.4)", "_sca100t(sca100t.D02, 0.5)"),
+    ("thermistor.py", "ratio if self.grounded else 1.0 / ratio", "1.0 / ratio if self.grounded else ratio"),
+    ("thermistor.py", "ZERO_CELSIUS = 273.15", "ZERO_CELSIUS = 273.0"),
+    ("columns.py", "            if not whole:\n                continue\n", ""),
+    ("columns.py", "if len(cells) != len(self.names):", "if len(cells) < len(self.names):"),
+    ("lines.py", "if now_ns - began_ns > PATIENCE * 1e9:", "if False:"),
+    ("lines.py", "> SILENCE * 1e9", "> 0"),
+    ("lines.py", "            self._restart()\n            raise\n", "            raise\n"),
+    ("sentences.py", "if stated == checksum(body[1:]) else None", ""),
+    ("sentences.py", "return now - before - 1\n", "return now - before\n"),
+    ("sentences.py", "0.0 < t2x >= t1x", "0.0 < t2x"),
+    ("adxl202.py", "if number == before:", "if False:"),
+    ("pulses.py", "if centres < rises", "if centres > rises"),
+    (
+        "pulses.py",
+        "                self.lost += gap\n                self._clear()",
+        "                self.lost += gap",
+    ),
+    ("pulses.py", "if abs(next_y.rise - y.rise - about) > MOST_APART * about:", "if False:"),
+    ("dfrobot.py", "reduce(xor, payload, 0) ^ 0xFF", "reduce(xor, payload, 0)"),
+    ("dfrobot.py", "if word < sca100t.LOWEST_SANE_WORD:", "if False:"),
+    ("modbus.py", "word[::-1] if swapped", "word if swapped"),
+    ("modbus.py", "if not isfinite(number):", "if False:"),
+    ("bus/modbus.py", "self._late.add(unit)", "pass"),
+    ("bus/modbus.py", "if fits and answer.function_code & ~FAILED == function:", "if fits:"),
+    ("bus/modbus.py", "fits = answer.isError() or len(answer.registers) == number", "fits = True"),
+    ("bus/address.py", "if high is not None and value > high:", "if False:"),
+    ("bus/edges.py", 'Struct("<', 'Struct(">'),
+    ("bus/spi.py", "mode not in", "False and mode not in"),
+    ("modbus.py", "if answer[:2] != head or len(answer)", "if len(answer)"),
+    ("modbus.py", "BUSY_REQUESTS, BUSY_SECONDS = 20", "BUSY_REQUESTS, BUSY_SECONDS = 1"),
+    ("modbus.py", "self._clock.sleep(BUSY_SECONDS)", "pass"),
+)
+
+
+def tree(root: Path, folder: str) -> None:
+    """Copy what the tests of the drivers need."""
+    for part in ("tiltcal", "drivers", "procedures", "tests", "pyproject.toml", "fixtures"):
+        source, goal = root / part, Path(folder) / part
+        if source.is_dir():
+            shutil.copytree(source, goal, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, goal)
+
+
+def is_found(folder: str, tests: tuple[str, ...]) -> bool:
+    """Return whether a test fails on the code in a folder."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *tests]
+    environment = {**os.environ, "PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True).returncode == 1
+
+
+def survivors(root: Path, mutants: tuple[tuple[str, str, str], ...], tests: tuple[str, ...]) -> int:
+    """Return the number of mutants that no test finds, and print them."""
+    with tempfile.TemporaryDirectory() as folder:
+        tree(root, folder)
+        if is_found(folder, tests):
+            raise SystemExit("a test fails on the code as it is")
+        missed = 0
+        for name, old, new in mutants:
+            path = Path(folder, "drivers", name)
+            text = path.read_text(encoding="utf-8")
+            if old not in text:
+                raise SystemExit(f"{name} has no {old!r}")
+            path.write_text(text.replace(old, new, 1), encoding="utf-8")
+            if not is_found(folder, tests):
+                print(f"not found: {name}: {old!r} -> {new!r}", flush=True)
+                missed += 1
+            path.write_text(text, encoding="utf-8")
+    return missed
+
+
+def main() -> int:
+    """Run the mutants and print those that survive."""
+    everything = "--all" in sys.argv
+    mutants, tests = (NINE + OTHERS, TESTS) if everything else (NINE, CONTRACT)
+    missed = survivors(ROOT, mutants, tests)
+    print(f"{len(mutants) - missed} of {len(mutants)} mutants found")
+    return missed
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,252 @@
+"""The length of gravity in every row of three axes, the sign of two axes on edge, and calibrations in doubt."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.support.command import tiltcal
+from tiltcal import read
+from tiltcal.core.angle_uncertainty import length_half_width
+from tiltcal.files.uncertainty import uncertainty_inputs
+
+NOTE = "|g| is"
+FREE = Path(__file__).parents[2] / "fixtures" / "free.yaml"
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def calibration(
+    name: str = "cal.yaml", *, unit: str = "g", scale: float = 1.0, fit: str = "", axes: str = "xyz"
+) -> str:
+    own = [f"    {a}: {{{', '.join(f'{b}: {scale if a == b else 0.0}' for b in axes)}}}" for a in axes]
+    Path(name).write_text(
+        "tiltcal: 1\nkind: tilt\n"
+        f"sensor: {{model: bench-built, serial: S-1, unit: {unit}, channels: [{', '.join(axes)}]}}\n"
+        f"calibration:\n  offset: {{{', '.join(f'{a}: 0.0' for a in axes)}}}\n  sensitivity:\n"
+        + "\n".join(own)
+        + f"\n{fit}"
+    )
+    return name
+
+
+def still(rows: int = 1000, tilt: float = 0.0, noise: float = 5e-4) -> np.ndarray:
+    """An independent simulation: a still SCL3300 whose x axis points up by some degrees, g."""
+    up = np.array([np.sin(np.radians(tilt)), 0.0, np.cos(np.radians(tilt))])
+    return up + np.random.default_rng(1).normal(0.0, noise, (rows, 3))
+
+
+def applied(
+    readings: np.ndarray, *options: str, name: str = "log.csv", cal: str = "cal.yaml"
+) -> tuple[pl.DataFrame, str]:
+    table = pl.DataFrame(dict(zip("xyz", readings.T, strict=False)))
+    (table.write_parquet if name.endswith("parquet") else table.write_csv)(name)
+    out = f"out-{name}"
+    done = tiltcal("apply", cal, name, "-o", out, *options)
+    assert done.returncode == 0, done.stderr
+    return (pl.read_parquet if name.endswith("parquet") else pl.read_csv)(out), done.stderr
+
+
+def test_a_level_still_sensor_passes_every_row() -> None:
+    calibration()
+    out, said = applied(still())
+    assert out["flag"].to_list() == [1] * 1000
+    assert out["reason"].to_list() == [0] * 1000
+    assert NOTE not in said
+
+
+def test_the_same_log_at_a_third_of_gravity_passes_no_row() -> None:
+    calibration()
+    out, said = applied(still() / 3.0)
+    assert set(zip(out["flag"], out["reason"], strict=True)) == {(4, 256)}
+    for name in ("tilt_x", "tilt_y", "tilt_z", "pitch", "roll", "inclination"):
+        assert out[name].is_nan().all()
+    assert "|g| is 0.333: supply, unit, place or zero differ from the calibration's" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "changed", "flag", "length"),
+    [
+        ("supply 3 % low", lambda g: 0.97 * g, 3, "0.97"),
+        ("broken z wire", lambda g: g * (1.0, 1.0, 0.0), 4, "0.48"),
+        ("broken z wire, tilted", lambda g: g * (1.6, 1.0, 0.0), 3, "0.77"),
+        ("m/s² under g", lambda g: 9.80665 * g, 4, "9.8"),
+        ("supply 1 % low, which a row may have", lambda g: 0.99 * g, 1, "0.99"),
+    ],
+)
+def test_what_a_tilt_does_not_show(name: str, changed: object, flag: int, length: str) -> None:
+    calibration()
+    out, said = applied(changed(still(tilt=29.0)))  # type: ignore[operator]
+    assert set(out["flag"]) == {flag}, name
+    assert set(out["reason"]) == {0 if flag == 1 else 256}
+    assert out["tilt_x"].is_nan().sum() == (1000 if flag == 4 else 0)
+    assert re.search(rf"\|g\| is {re.escape(length)}\d*: supply", said)
+    assert said.count(NOTE) == 1
+
+
+def test_a_log_in_g_under_a_calibration_in_metres_per_second() -> None:
+    calibration(unit="m/s2", scale=9.80665)
+    out, said = applied(still())
+    assert set(out["flag"]) == {4}
+    assert "|g| is 0.102" in said
+
+
+def test_the_library_says_the_same_of_a_parquet_log_and_of_a_frame() -> None:
+    calibration()
+    out, said = applied(0.97 * still(70_000), name="log.parquet")
+    assert (out.schema["flag"], out.schema["reason"]) == (pl.UInt8, pl.UInt16)
+    remarks: list[str] = []
+    found = read("cal.yaml").apply(pl.read_parquet("log.parquet"), say=remarks.append)
+    assert remarks == ["note: |g| is 0.97: supply, unit, place or zero differ from the calibration's"]
+    assert remarks[0] in said
+    assert found.equals(out)
+    assert set(found["reason"]) == {256}
+
+
+def test_the_uncertainty_of_the_length_is_that_of_a_simulation() -> None:
+    """Calibrations and readings drawn from the file's own covariance: at the worst attitude 95 % are within."""
+    known = read(FREE)
+    inputs = uncertainty_inputs(known.uncertainty, known.coefficients)
+    half = length_half_width(known.coefficients, known.limits, inputs)
+    draw = np.random.default_rng(5)
+    up = draw.normal(size=(60, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    names, size = inputs.names, 4000
+    error = draw.multivariate_normal(np.zeros(len(names)), inputs.covariance, size)
+    offset = np.stack([error[:, names.index(f"offset.{a}")] for a in "xyz"], axis=1)
+    wrong = np.array(
+        [
+            [error[:, names.index(n)] if (n := f"sensitivity.{a}.{b}") in names else np.zeros(size) for b in "xyz"]
+            for a in "xyz"
+        ]
+    )
+    inverse = np.linalg.inv(known.coefficients.sensitivity)
+    widths = []
+    for g in up:
+        readings = offset + np.einsum("abn,b->na", wrong, g) + draw.normal(size=(size, 3)) * inputs.readings
+        lengths = np.linalg.norm(g + readings @ inverse.T, axis=1)
+        widths.append(np.quantile(np.abs(lengths - 1.0), 0.95))
+    assert half == pytest.approx(max(widths), rel=0.12)
+    assert half < 0.02  # so 0.02 counts
+
+
+def test_an_uncertain_calibration_allows_more() -> None:
+    calibration(fit="uncertainty:\n  offset: {x: 0.02, y: 0.02, z: 0.02}\n")
+    out, _ = applied(np.array([[0.0, 0.0, 1.038], [0.0, 0.0, 1.041], [0.0, 0.0, 0.49]]))
+    assert out["flag"].to_list() == [1, 3, 4]  # 1.96 * 0.02 = 0.0392
+
+
+class TestMeans:
+    def test_the_readings_are_judged_not_their_mean(self) -> None:
+        """A mooring that sways by ±40°: each reading has 1 g, and their mean 0.77."""
+        calibration()
+        sway = np.radians(np.tile([-40.0, 40.0], 50))
+        out, said = applied(np.stack([np.sin(sway), np.zeros(100), np.cos(sway)], axis=1), "--average", "10")
+        assert out["flag"].to_list() == [1] * 10
+        assert NOTE not in said
+
+    def test_readings_that_are_wrong_on_both_sides(self) -> None:
+        calibration()
+        length = np.tile([0.9, 1.1], 50)
+        length[20] = 0.4
+        length[[41, 42]] = 1.0, np.nan
+        length[43:50] = 1.0
+        length[40] = 1.0
+        out, _ = applied(length[:, None] * [0.0, 0.0, 1.0], "--average", "10")
+        assert out["flag"].to_list() == [3, 3, 4, 3, 1, 3, 3, 3, 3, 3]
+        assert out["reason"].to_list() == [256, 256, 256, 256, 0, 256, 256, 256, 256, 256]
+        assert out["tilt_x"].is_nan().to_list() == [flag == 4 for flag in out["flag"]]
+        assert out["count"].to_list() == [10, 10, 10, 10, 9, 10, 10, 10, 10, 10]
+
+    def test_the_note_is_of_the_readings(self) -> None:
+        calibration()
+        _, said = applied(0.97 * still(), "--average", "10")
+        assert said.count("|g| is 0.97:") == 1
+
+
+class TestOnEdge:
+    def test_the_sign_that_nothing_shows(self) -> None:
+        """A meter that stands, its sensor on edge: 20, -20 and 30° read 20, 20 and 30°."""
+        calibration(axes="xy")
+        tilt = np.radians([20.0, -20.0, 30.0, 89.0, 60.0])  # of the meter's y axis; the sensor's y points down by them
+        own = np.stack([np.zeros(5), -np.cos(tilt)], axis=1)
+        out, said = applied(own, "--mounting", "roll=90")
+        assert out["flag"].to_list() == [4, 4, 4, 1, 1]
+        assert out["reason"].to_list() == [128, 128, 128, 0, 0]
+        assert out["tilt_x"].to_list() == pytest.approx([0.0] * 5)
+        assert out["tilt_y"].is_nan().to_list() == [True] * 3 + [False] * 2
+        assert out["tilt_y"].to_list()[3:] == pytest.approx([89.0, 60.0])
+        assert out["g_y"].is_nan().to_list() == [True] * 3 + [False] * 2
+        assert said.count("in 3 rows the sensor is more than 45° from level, mounted on edge") == 1
+
+    def test_upright_there_is_no_note(self) -> None:
+        calibration(axes="xy")
+        out, said = applied(np.array([[0.0, 0.9]]), "--mounting", "roll=30")
+        assert "on edge" not in said
+        assert out["flag"].to_list() == [1]
+
+
+def test_a_calibration_that_is_not_credible() -> None:
+    fit = "fit: {degrees_of_freedom: 8, chi_square: 363.0, p_value: 1.0e-73}\n"
+    calibration(fit=fit)
+    _, said = applied(still(10))
+    assert said.count("not credible") == 1
+    assert "S-1" in said
+    remarks: list[str] = []
+    read("cal.yaml").apply({"x": np.zeros(1), "y": np.zeros(1), "z": np.ones(1)}, say=remarks.append)
+    assert ["not credible" in remark for remark in remarks] == [True]
+    calibration(fit=fit.replace("1.0e-73", "0.002"))
+    assert "not credible" not in applied(still(10))[1]
+
+
+class TestFolders:
+    """Calibrations over time, and several sensors side by side, in one pass."""
+
+    @pytest.fixture
+    def season(self) -> Path:
+        folder = Path("season")
+        folder.mkdir()
+        for serial in ("S-1", "S-2"):
+            for month in (5, 9):
+                name = calibration(f"season/{serial}-{month}.yaml")
+                end = f"provenance: {{ended: '2026-0{month}-01T00:00:00Z'}}\n"
+                Path(name).write_text(Path(name).read_text().replace("serial: S-1", f"serial: {serial}") + end)
+        return folder
+
+    @pytest.mark.parametrize("options", [(), ("--average", "10")])
+    def test_each_sensor_has_its_own_note_and_flags(self, season: Path, options: tuple[str, ...]) -> None:
+        good, low = still(100), 0.97 * still(100)
+        low[50] *= 0.3
+        columns = {f"S-1_{a}": good[:, k] for k, a in enumerate("xyz")} | {
+            f"S-2_{a}": low[:, k] for k, a in enumerate("xyz")
+        }
+        start = 1782000000.0  # June 2026
+        pl.DataFrame({"time": start + 40000.0 * np.arange(100), **columns}).write_csv("log.csv")
+        done = tiltcal("apply", "--calibrations", season, "log.csv", "-o", "out.csv", *options)
+        assert done.returncode == 0, done.stderr
+        out, size = pl.read_csv("out.csv"), 10 if options else 100
+        assert out["S-1_flag"].to_list() == [1] * size
+        bad = 50 // (100 // size)
+        assert out["S-2_flag"].to_list() == [4 if row == bad else 3 for row in range(size)]
+        assert out["S-2_reason"].to_list() == [256] * size
+        assert out["S-2_tilt_x"].is_nan().to_list() == [row == bad for row in range(size)]
+        assert out["S-2_g_x"].is_nan().sum() == 0
+        assert done.stderr.count("|g| is") == done.stderr.count("S-2: |g| is 0.97:") == 1
+
+
+@pytest.mark.parametrize("written", [False, True])
+def test_the_report_of_a_log_counts_the_rows(*, written: bool) -> None:
+    """Raw, and as `apply` wrote it: 256 stays 256 where a cell is read back."""
+    calibration()
+    applied(0.97 * still())
+    done = tiltcal("report", "cal.yaml", "out-log.csv" if written else "log.csv", "-o", "page.html")
+    assert done.returncode == 0, done.stderr
+    page = re.sub(r"<[^>]*>|\s+", " ", Path("page.html").read_text())
+    assert re.search(r"256 +length of gravity is not 1 g +1[^0-9]?000 +100\.000", page)

@@ -1,0 +1,174 @@
+"""Numbers, dates, files and variables that no bench has: exit code 2 and what is wrong, never a traceback or a wait."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from zlib import crc32
+
+import numpy as np
+import polars as pl
+import pytest
+from support import FIXTURES
+from support.command import TILTCAL, tiltcal
+
+DIGITS = "9" * 310
+LOG = "time,x,y,temperature\n2000-01-02T00:00:00Z,1024,1030,20\n"
+SENSOR = ("--sensor", "sca100t-d02", "--address", "sim:")
+VERIFY = ("verify", FIXTURES / "plane.yaml", "--address", "sim:", "--operator", "sim")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("plan", "plane", "--sensor", "sca100t-d02", "--jig", DIGITS), "--jig takes 0 or a number from 1e-09 to"),
+        (("plan", "plane", "--sensor", "sca100t-d02", "--samples", DIGITS), "--samples takes a number of samples"),
+        (("apply", FIXTURES / "mavs.yaml", "log.csv", "--average", DIGITS), "--average takes a number of rows"),
+        (("apply", FIXTURES / "mavs.yaml", "log.csv", "--every", DIGITS), "--every takes a time such as 10s"),
+        (("noise", "log.csv", "--rate", DIGITS), "--rate takes a number from 1e-09 to 1e+09, not one beyond 1e308"),
+        (("record", *SENSOR, "--rate", "1e-308", "--rows", "2", "-o", "r.csv"), "--rate takes a number from 1e-09"),
+        ((*VERIFY, "--settle", "1e17"), "--settle takes a number from 1e-09 to 1e+09, not 1e+17"),
+        ((*VERIFY, "--limit", "1e308"), "--limit takes a number from 1e-09 to 1e+09, not 1e+308"),
+    ],
+)
+def test_a_number_beyond_those_of_any_bench(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(LOG)
+    done = tiltcal(*arguments, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert said in done.stderr
+
+
+def changed(pattern: str, replacement: str, name: str = "plane.yaml") -> str:
+    text, count = re.subn(pattern, replacement, (FIXTURES / name).read_text(), flags=re.MULTILINE)
+    assert count
+    return text
+
+
+@pytest.mark.parametrize("command", ["check", "report", "fit level log.csv --base"])
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "said"),
+    [
+        (r"^    x: \{x: \d+(\.\d+)?, y: [-\d.]+\}", "    x: {x: 0, y: 11.4}", "x does not sense axis x"),
+        (r'^  started: ".*"', '  started: "9999-12-31T23:59:59Z"', "is no date"),
+    ],
+)
+def test_a_calibration_that_no_bench_gives(
+    pattern: str, replacement: str, said: str, command: str, tmp_path: Path
+) -> None:
+    """A main sensitivity of 0 ended `level`, `verify` and `report` in a division by zero."""
+    (tmp_path / "log.csv").write_text(LOG)
+    (tmp_path / "S.yaml").write_text(changed(pattern, replacement))
+    output = () if command == "check" else ("-o", "out.html")
+    done = tiltcal(*command.split(), "S.yaml", *output, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("tiltcal: S.yaml:")
+    assert said in done.stderr
+
+
+def test_a_journal_that_begins_at_the_end_of_all_dates(tmp_path: Path) -> None:
+    """The header alone, with its check sum."""
+    text = changed(r'"started":"[^"]*"', '"started":"9999-12-31T23:59:59Z"', "verify.journal.jsonl")
+    body = text.partition("\n")[0].rpartition(',"check"')[0] + "}"
+    line = f'{body[:-1]},"check":"{crc32(body.encode()):08x}"}}\n'
+    (tmp_path / "v.journal.jsonl").write_text(line)
+    done = tiltcal("replay", "v.journal.jsonl", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "v.journal.jsonl:1: started: the header cannot be used: '9999-12-31T23:59:59Z' is no date" in done.stderr
+
+
+def test_a_single_time_of_a_pair_that_lies_far_away(tmp_path: Path) -> None:
+    time = np.arange(200) / 100.0
+    turn = 2.0 * np.pi * time / 0.4
+    time[100] = 1e17
+    wave = {"time": time, "a1": np.sin(turn), "a2": -np.sin(turn), "a4": -np.cos(turn)}
+    pl.DataFrame(wave).write_csv(tmp_path / "log.csv")
+    done = tiltcal("match", "log.csv", "--pair", "a1,a2", "--orthogonal", "a4", "-o", "p.yaml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "a time lies before its first or after its last" in done.stderr
+
+
+def started(*arguments: str | Path, cwd: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, **variables}
+    if "TILTCAL_TRACEBACK" not in variables:
+        del environment["TILTCAL_TRACEBACK"]
+    return subprocess.run(
+        [*TILTCAL, *map(str, arguments)],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+
+
+def test_an_error_that_nothing_foresees_names_its_input(tmp_path: Path) -> None:
+    """Chrono ends in the year 262142, and polars writes no date behind it."""
+    far = pl.Series("time", [9_200_000_000_000_000_000], dtype=pl.Int64).cast(pl.Datetime("us"))
+    pl.DataFrame({"x": [1024.0], "y": [1030.0], "time": far}).write_parquet(tmp_path / "log.parquet")
+    arguments = ("apply", FIXTURES / "mavs.yaml", "log.parquet", "-o", "out.csv")
+    done = started(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    said = done.stderr.splitlines()[-1]
+    assert said.startswith(f"tiltcal: {FIXTURES / 'mavs.yaml'}, log.parquet cannot be processed: PanicException: ")
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out.csv").exists()
+    assert "Traceback" in started(*arguments, cwd=tmp_path, TILTCAL_TRACEBACK="1").stderr
+
+
+def test_variables_of_the_environment_that_libraries_read(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(LOG + '"2000-01-02T00:00:01Z",1024,1030,20\n')
+    variables = {"POLARS_MAX_THREADS": "0", "MPLBACKEND": "nonsense"}
+    applied = started("apply", FIXTURES / "mavs.yaml", "log.csv", "-o", "out.csv", cwd=tmp_path, **variables)
+    assert (applied.returncode, "2 rows" in applied.stderr) == (0, True), applied.stderr
+    drawn = started("report", FIXTURES / "mavs.yaml", "log.csv", "-o", "r.html", cwd=tmp_path, **variables)
+    assert (drawn.returncode, drawn.stderr) == (0, "wrote r.html\n")
+
+
+# One odd file in a folder of calibrations
+
+
+def not_utf8(path: Path) -> None:
+    path.write_bytes((FIXTURES / "mavs.yaml").read_bytes().replace(b"\npositions:", b"\n# \xff\npositions:"))
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def holes(path: Path) -> None:
+    path.write_bytes((FIXTURES / "mavs.yaml").read_bytes())
+    os.truncate(path, 3_000_000_000)
+
+
+def device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="the system has no /dev/zero")
+@pytest.mark.parametrize("odd", [not_utf8, pipe, holes, device])
+def test_an_odd_file_among_calibrations_is_named_and_left_out(odd: Callable[[Path], None], tmp_path: Path) -> None:
+    folder = tmp_path / "calibrations"
+    folder.mkdir()
+    (folder / "good.yaml").write_bytes((FIXTURES / "plane.yaml").read_bytes())
+    odd(folder / "odd.yaml")
+    (tmp_path / "log.csv").write_text(LOG)
+    shown = tiltcal("history", folder, cwd=tmp_path)
+    assert (shown.returncode, "good.yaml" in shown.stdout) == (0, True)
+    assert f"{folder}/odd.yaml" in shown.stdout + shown.stderr
+    assert tiltcal("report", folder, "-o", "fleet.html", cwd=tmp_path).returncode == 0
+    assert "odd.yaml" in (tmp_path / "fleet.html").read_text()
+    applied = tiltcal("apply", "--calibrations", folder, "log.csv", "--serial", "SIM-42", cwd=tmp_path)
+    assert applied.returncode == 0
+    assert f"left out: {folder}/odd.yaml" in applied.stderr
+
+
+def test_sessions_without_a_common_range_of_readings_are_not_combined(tmp_path: Path) -> None:
+    (tmp_path / "other.yaml").write_text(changed(r"reading: \{x: \[101.0, 2047.0\]", "reading: {x: [10.0, 20.0]"))
+    done = tiltcal("combine", "other.yaml", FIXTURES / "plane.yaml", "-o", "both.yaml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "limits.reading.x" in done.stderr
+    assert not (tmp_path / "both.yaml").exists()

@@ -1,0 +1,121 @@
+"""Every driver against the bytes and figures of ``data_sheets.yaml``, through its public interface."""
+
+from __future__ import annotations
+
+from functools import reduce
+from math import radians
+from operator import xor
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from support.arriving_pieces import ArrivingPieces
+from support.scripted_link import Script
+
+from tiltcal import errors
+from tiltcal.drivers import find_model
+from tiltcal.drivers.ads1115 import RATES, Ads1115, config_word
+from tiltcal.drivers.bus import open_link
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import VirtualClock
+from tiltcal.drivers.device import Model
+
+SHEETS = yaml.load(Path(__file__).with_name("data_sheets.yaml").read_text(encoding="utf-8"), yaml.BaseLoader)
+LETTERS = {"spi": "s", "i2c": "i", "modbus": "m", "serial": "r"}
+
+
+def cases(key: str) -> list[Any]:
+    return [
+        pytest.param(sheet, row, id=f"{sheet['model']} {place}")
+        for sheet in SHEETS
+        for place, row in enumerate(sheet.get(key, ()))
+    ]
+
+
+def at(sheet: dict[str, Any], options: str = "") -> Model:
+    """The model at the address of a sheet, or at its place with other options."""
+    place, mark, own = sheet.get("address", "sim:").partition("?")
+    return find_model(sheet["model"]).at(parse_address(f"{place}?{options}" if options else place + mark + own))
+
+
+def filled(lines: list[str], row: dict[str, Any], given: dict[str, str]) -> list[str]:
+    """The transactions of one reading, with the bytes of its row."""
+    values = {**given, **row}
+    if "n" in row:
+        # The XOR of the characters between $ and *, as NMEA 0183 has it.
+        values["hh"] = f"{reduce(xor, b'PTCDC,' + row['n'].encode()):02X}"
+    return [line.format(**values) for line in lines]
+
+
+@pytest.mark.parametrize(("sheet", "row"), cases("rows"))
+def test_the_bytes_of_a_data_sheet_are_its_readings(sheet: dict[str, Any], row: Any) -> None:
+    model, clock, given = at(sheet), VirtualClock(), sheet.get("given", {})
+    readings = row if isinstance(row, list) else [row]
+    lines = [line for one in readings for line in filled(one.get("exchange", sheet["exchange"]), one, given)]
+    link: Any
+    if "lines" in sheet or "pieces" in sheet:
+        link = ArrivingPieces(*(line.encode() if "lines" in sheet else bytes.fromhex(line) for line in lines))
+    else:
+        bus = sheet["address"].partition(":")[0].rpartition("+")[2]
+        link = Script(LETTERS[bus], clock, *readings[0].get("setup", sheet.get("setup", ())), *lines)
+    sensor = model.driver(link, clock)
+    for expected in readings:
+        if "error" in expected:
+            kind, why = expected["error"]
+            with pytest.raises(getattr(errors, kind), match=why):
+                sensor.read()
+            continue
+        reading = sensor.read()
+        if "values" in expected:
+            assert reading.values == pytest.approx(tuple(map(float, expected["values"])), abs=1e-6)
+        if "g" in expected:
+            g = [(value - model.offset) / model.sensitivity for value in reading.values]
+            assert g == pytest.approx(list(map(float, expected["g"])), abs=5e-6)
+        if "celsius" in expected:
+            celsius = None if expected["celsius"] == "null" else pytest.approx(float(expected["celsius"]), abs=0.02)
+            assert reading.temperature == celsius
+        if "step" in expected:
+            assert reading.step == pytest.approx(float(expected["step"]))
+    if isinstance(link, Script):
+        assert min(link.rests) >= float(sheet.get("rest", 0)) - 1e-12
+        # A converter is asked for nothing more where an input is beyond its range.
+        if "error" not in readings[-1]:
+            link.close()
+    if "sent" in sheet:
+        assert link.heard == [bytes.fromhex(sheet["sent"])]
+
+
+@pytest.mark.parametrize(("sheet", "facts"), cases("facts"))
+def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any], facts: dict[str, Any]) -> None:
+    model = at(sheet, facts.get("at", ""))
+    for name, expected in facts.items():
+        if name in ("gain", "drift"):
+            unit = 0.01 if name == "gain" else model.sensitivity * radians(1.0)
+            assert getattr(model.population, name) == pytest.approx([unit * float(k) for k in expected]), name
+        elif name != "at":
+            value = model.default_truth(1).noise["x"] if name == "noise" else getattr(model, name)
+            if name == "channels":
+                assert list(value) == expected
+            elif isinstance(value, bool | str):
+                assert expected in (str(value), str(value).lower()), name
+            else:
+                figure = tuple(map(float, expected)) if isinstance(expected, list) else float(expected)
+                assert value == pytest.approx(figure, rel=2e-3 if name.endswith("spread") else 2e-5), name
+
+
+@pytest.mark.parametrize(
+    ("sheet", "options"), [pytest.param(s, o, id=f"{s['model']} {o}") for s in SHEETS for o in s.get("refused", ())]
+)
+def test_an_address_that_cannot_be_is_refused_with_the_reason(sheet: dict[str, Any], options: str) -> None:
+    with pytest.raises(errors.UsageError) as refusal:
+        open_link(parse_address(f"{sheet['address'].partition('?')[0]}?{options}"), at(sheet, options))
+    assert sheet["refused"][options] in str(refusal.value)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_it_waits_for_a_converter_that_is_10_percent_slow(rate: int) -> None:
+    word, clock = f"{config_word(0, 6.144, rate):04X}", VirtualClock()
+    script = Script("i", clock, f"01 {word} /", f"01 / {word}", "00 / 00 00")
+    Ads1115(script, clock, 6.144, rate).volts(0)
+    assert script.times[1] - script.times[0] >= 1.1 / rate - 1e-9

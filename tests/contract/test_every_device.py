@@ -1,0 +1,383 @@
+"""One contract over every device: what holds for each of them, on its virtual part and on lines that fail.
+
+A package of a third party can run it over a model of its own: the example package is one of the devices here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import hypot
+from random import Random
+from statistics import stdev
+from typing import Any
+
+import pytest
+from support.example_device.tiltcal_pendulum import PENDULUM
+
+from tiltcal.drivers import models
+from tiltcal.drivers.bus import link_letter, open_link
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import VirtualClock
+from tiltcal.drivers.bus.link import Recalling
+from tiltcal.drivers.device import Reading, Sensor
+from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.drivers.twin.truth import Fault
+from tiltcal.errors import DeviceFault, HardwareError, UsageError
+
+DEVICES = {model.name: model for model in (*models(), PENDULUM)}
+
+OPTIONS = {
+    "adxl202": ["wiring=edges"],
+    "adxl355": ["range=4g", "range=8g&rate=1000", "rate=3.90625"],
+    "iis2iclx": ["range=0.5&rate=833", "range=3g"],
+    "modbus-columns": [
+        "columns=x@0:int16*0.001,y@8:int32*0.0001,temperature@0x20:float64&order=cdab&table=input&measured_in=g",
+        "columns=x@0:float64,y@9:int32*1e-6,temperature@4:int16*0.1&order=dcba",
+    ],
+    "sca100t-d02-analog": [
+        *("vdd=4.9", "x=3&y=0&supply=1&rate=860", "adc=mcp3208", "adc=mcp3208&vref=5.2&vdd=4.9"),
+        "adc=mcp3208&vref=5.2&supply=7",
+    ],
+    "sca3000-i2c": ["counts_per_g=500&thermometer=yes&pointer=command"],
+    "sca3300-d01": ["range=6", "range=1.5g-10hz"],
+    "scl3300": ["range=low-noise", "range=2.4g"],
+    "serial-columns": ["columns=-,x,y,z,temperature&separator=semicolon&unit=V&offset=2.5&sensitivity=2"],
+    "thermistor": ["a=1.129e-3&b=2.341e-4&c=8.775e-8&to=supply", "adc=mcp3208", "vdd=4.9"],
+}
+
+TILTED = (0.2, -0.25, 0.8975**0.5)
+"""Within ±15°, the narrowest range."""
+
+NAMES_THE_REQUEST = ("scl3300", "sca3300-d01", "modbus-columns")
+"""Their answers say which request they belong to, or of what length it was."""
+HAS_A_CHECKSUM = ("scl3300", "sca3300-d01", "dfrobot-sca100t", "adxl202", "adxl202e", "adxl210")
+TELLS_A_RESET = ("scl3300", "sca3300-d01", "adxl355", "iis2iclx")
+HAS_A_SHAPE = (*HAS_A_CHECKSUM, "serial-columns", "gradiometer", "modbus-columns", "pendulum")
+
+
+class Line:
+    """The link to a virtual part; it changes answers on demand, and notes what passes."""
+
+    def __init__(self, link: Any, clock: VirtualClock) -> None:
+        self.link, self.letter, self.clock = link, link.letter, clock
+        self.sent: list[tuple[bytes, bytes, int]] = []
+        self.mend()
+
+    def mend(self) -> None:
+        self.change: Callable[[bytes, bytes], bytes] = lambda out, answer: answer
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        answer = self.change(out, self.link.exchange(out, count))
+        self.sent.append((out, answer, self.clock.now_ns()))
+        return answer
+
+
+class Bench:
+    """A virtual part with a supply of 4.9 V, level at 24 °C, one second after the session began, and its driver."""
+
+    def __init__(self, device: str, **truth: Any) -> None:
+        self.device = device
+        name, _, options = device.partition(" ")
+        self.model = DEVICES[name].at(parse_address(f"sim:{options}"))
+        self.channels = self.model.channels if self.model.senses_tilt else ()
+        self.clock = VirtualClock()
+        self.clock.seek(1_000_000_000)
+        self.truth = replace(self.model.default_truth(3), supply=4.9, **truth)
+        self.fixture = Fixture(self.clock, ambient=24.0)
+        self.line = Line(self.part(), self.clock)
+        self.sensor: Sensor = self.model.driver(self.line, self.clock)
+
+    def part(self) -> Any:
+        return self.model.twin(self.truth, self.fixture, self.clock)
+
+    @property
+    def tolerance(self) -> float:
+        ticks = 1e-5 if self.model.unit == "duty" else 0.0
+        noise = max(self.truth.noise.values(), default=0.0)
+        return 6 * noise + 1.5 * self.model.resolution + 1e-4 * abs(self.model.sensitivity) + ticks
+
+    def expected(self, channel: str) -> float:
+        return self.truth.reading(channel, self.fixture.gravity, self.fixture.temperature())
+
+    def fresh(self) -> Reading:
+        """A reading of what is there now."""
+        self.sensor.discard()
+        reading = self.sensor.read()
+        self.clock.sleep(max(self.model.interval, 1e-3))
+        return reading
+
+    def after_errors(self) -> Reading:
+        """A reading of a part that works again, after two errors at most."""
+        for _ in range(2):
+            try:
+                return self.fresh()
+            except HardwareError:
+                continue
+        return self.fresh()
+
+    def agrees(self, reading: Reading) -> None:
+        """Fail unless the reading is the truth, within noise and resolution."""
+        if self.channels:
+            assert reading.values == pytest.approx(list(map(self.expected, self.channels)), abs=self.tolerance)
+        if self.model.thermometer:
+            celsius = self.fixture.temperature() + self.truth.thermometer_error
+            assert reading.temperature == pytest.approx(celsius, abs=0.06 + 0.51 * self.model.thermometer_step)
+
+    def fails(self, kind: type[Exception] = HardwareError) -> None:
+        """Fail unless neither a reading nor a probe is given, and the reason is."""
+        for act in (self.sensor.read, self.sensor.probe, self.sensor.read):
+            with pytest.raises(kind) as failure:
+                act()
+            assert len(str(failure.value)) > 15
+
+
+EVERY = [f"{name} {options}" for name in DEVICES for options in ("", *OPTIONS.get(name, ()))]
+
+
+def every(applies: Callable[[Bench], bool] = lambda bench: True) -> Any:
+    """Run a test over each device that something applies to."""
+    return pytest.mark.parametrize("device", [device for device in EVERY if applies(Bench(device))])
+
+
+def named(names: tuple[str, ...]) -> Callable[[Bench], bool]:
+    """Whether a device has one of these names, and is not read edge by edge."""
+    return lambda bench: bench.device.partition(" ")[0] in names and bench.line.letter != "e"
+
+
+@every()
+def test_a_reading_is_the_truth(device: str) -> None:
+    """Either way up: an axis that points up reads more, where its sensitivity is positive."""
+    bench = Bench(device)
+    assert all(bench.sensor.probe().values())
+    for gravity, celsius in ((TILTED, 30.0), (tuple(-one for one in TILTED), -7.0)):
+        bench.fixture.move(gravity, celsius)
+        readings = [bench.fresh() for _ in range(16)]
+        bench.agrees(readings[-1])
+        assert len(readings[0].values) == len(bench.model.channels)
+        assert (readings[0].temperature is not None) == bench.model.thermometer
+        for place, channel in enumerate(bench.channels):
+            mean = sum(reading.values[place] for reading in readings) / 16
+            assert mean == pytest.approx(bench.expected(channel), abs=bench.tolerance / 2)
+            assert bench.model.rails[0] < mean < bench.model.rails[1]
+
+
+@every(lambda bench: bool(bench.channels and bench.truth.noise))
+def test_each_sample_is_new_and_has_the_noise_of_the_part(device: str) -> None:
+    bench = Bench(device)
+    for channel, column in zip(
+        bench.channels, zip(*(bench.fresh().values for _ in range(300)), strict=True), strict=True
+    ):
+        # Rounding adds the variance of an even distribution one step wide, or of two in a difference.
+        step, noise = max(bench.model.resolution, bench.sensor.read().step) / 12**0.5, bench.truth.noise[channel]
+        assert 0.8 * hypot(noise, 0.5 * step) <= stdev(column) <= 1.2 * hypot(noise, 1.5 * step)
+
+
+@every()
+def test_a_line_that_is_stuck_is_no_reading(device: str) -> None:
+    for byte in (b"\x00", b"\xff"):
+        bench = Bench(device)
+        bench.sensor.read()
+        bench.line.change = lambda out, answer, byte=byte: byte * len(answer)
+        bench.fails()
+        bench.line.mend()
+        bench.agrees(bench.after_errors())
+
+
+@every()
+def test_a_part_that_is_gone_is_said_and_comes_back(device: str) -> None:
+    for kind in ("unplugged", "silent"):
+        bench = Bench(device, faults=(Fault(kind, 10.0, 90.0),))
+        bench.sensor.read()
+        bench.clock.seek(20_000_000_000)
+        bench.fails()
+        bench.clock.seek(100_000_000_000)
+        bench.agrees(bench.after_errors())
+
+
+@every()
+def test_a_memory_fault_is_no_reading(device: str) -> None:
+    """And where the part has no such fault, ``not_modelled`` says so and nothing changes."""
+    bench = Bench(device, faults=(Fault("parity", 10.0, 90.0),))
+    bench.sensor.read()
+    bench.clock.seek(20_000_000_000)
+    if any("parity" in line for line in bench.model.not_modelled):
+        bench.agrees(bench.fresh())
+    else:
+        bench.fails(DeviceFault)
+
+
+@every()
+def test_a_stuck_reading_does_not_follow_the_jig(device: str) -> None:
+    bench, came = Bench(device, faults=(Fault("stuck", 0.0, 90.0),)), set()
+    for gravity in (TILTED, (0.0, 0.0, -1.0)):
+        bench.fixture.move(gravity)
+        came.add(bench.fresh().values)
+    assert len(came) == 1
+
+
+# A pulse ends before the next one begins, and a printed number has no rails.
+@every(lambda bench: bool(bench.channels) and bench.line.letter != "e" and bench.model.rails[1] < 1e9)
+def test_a_reading_beyond_the_range_is_at_a_rail_or_an_error(device: str) -> None:
+    for sign in (1, -1):
+        bench = Bench(device)
+        low, high = bench.model.rails
+        beyond = bench.model.offset + sign * 2 * (high - low)
+        bench.truth = replace(bench.truth, offset=dict.fromkeys(bench.channels, beyond))
+        bench.line.link = bench.part()
+        try:
+            values = bench.after_errors().values
+        except HardwareError:
+            continue
+        assert all(value >= high if sign > 0 else value <= low for value in values)
+
+
+@every(lambda bench: bench.line.letter not in "re")
+def test_an_answer_of_another_length_is_no_reading(device: str) -> None:
+    for cut in (slice(0), slice(1), slice(-1), None):
+        bench = Bench(device)
+        bench.sensor.read()
+        bench.line.change = lambda out, answer, cut=cut: answer and (answer + b"\x01" if cut is None else answer[cut])
+        with pytest.raises(HardwareError):
+            bench.sensor.read()
+        bench.line.mend()
+        bench.agrees(bench.after_errors())
+
+
+@every(named(NAMES_THE_REQUEST))
+def test_an_answer_to_another_request_is_no_reading(device: str) -> None:
+    """At one place after another the answer before comes once more, or from there on all come one request late."""
+    whole = Bench(device, noise={})
+    whole.fixture.move(TILTED, 30.0)
+    said, truth = whole.sensor.probe(), whole.sensor.read()
+    for place in range(len(whole.line.sent)):
+        for last in (place, len(whole.line.sent)):
+            bench, answers = Bench(device, noise={}), [b""]
+            bench.fixture.move(TILTED, 30.0)
+
+            def late(out: bytes, answer: bytes, answers: list = answers, first: int = place, last: int = last) -> bytes:
+                answers.append(answer)
+                return answers[-2] or answer if first <= len(answers) - 2 <= last else answer
+
+            bench.line.change = late
+            try:
+                assert {**bench.sensor.probe(), "link": ""} == {**said, "link": ""}
+                assert bench.sensor.read() == truth
+            except HardwareError:
+                continue
+
+
+@every(named(HAS_A_CHECKSUM))
+def test_a_damaged_answer_is_no_other_reading(device: str) -> None:
+    """One bit in each fifth answer; the truth does not change, so a wrong word is seen."""
+    bench, chance, came = Bench(device, noise={}), Random(7), []
+    bench.sensor.read()
+
+    def damaged(out: bytes, answer: bytes) -> bytes:
+        flipped = 1 << chance.randrange(8 * len(answer)) if answer and chance.random() < 0.2 else 0
+        return (int.from_bytes(answer, "big") ^ flipped).to_bytes(len(answer), "big")
+
+    bench.line.change = damaged
+    for _ in range(200):
+        try:
+            came.append(bench.sensor.read())
+        except HardwareError:
+            continue
+    assert len(came) > 100
+    for reading in came:
+        bench.agrees(reading)
+
+
+@every(named(HAS_A_SHAPE))
+def test_noise_on_the_line_is_no_reading(device: str) -> None:
+    bench, chance = Bench(device), Random(4)
+    bench.line.change = lambda out, answer: chance.randbytes(len(answer))
+    for _ in range(5):
+        bench.fails()
+
+
+@every()
+def test_a_driver_reads_the_same_from_the_bytes_of_a_journal(device: str) -> None:
+    bench, again = Bench(device), Bench(device)
+    said, readings = bench.sensor.probe(), [bench.sensor.read() for _ in range(3)]
+    again.line.exchange = journal(again, bench.line.sent)
+    assert (again.sensor.probe(), [again.sensor.read() for _ in range(3)]) == (said, readings)
+
+
+def journal(bench: Bench, played: list[tuple[bytes, bytes, int]]) -> Callable[..., bytes]:
+    """The exchanges of a journal, which the bench goes on with: its part is told what was sent to the one before it."""
+    left, part = iter(played), bench.line.link
+
+    def exchange(out: bytes, count: int = 0) -> bytes:
+        for sent, answer, now_ns in left:
+            assert sent == out
+            bench.clock.seek(now_ns)
+            if now_ns == played[-1][2] and isinstance(part, Recalling):
+                for before, _, then_ns in played:
+                    part.recall(before, then_ns)
+                assert bench.clock.now_ns() == now_ns
+            return answer
+        return part.exchange(out, count)
+
+    return exchange
+
+
+@every()
+def test_a_resumed_session_goes_on_with_the_readings_that_it_would_have_had(device: str) -> None:
+    """Wherever it was cut, and whatever the part was told before."""
+    whole = Bench(device)
+    whole.sensor.read()
+    begun = len(whole.line.sent)
+    readings = [whole.sensor.read() for _ in range(3)]
+    for cut in sorted({begun, begun + 1, (begun + len(whole.line.sent)) // 2, len(whole.line.sent) - 1}):
+        bench = Bench(device)
+        bench.line.exchange = journal(bench, whole.line.sent[:cut])
+        bench.sensor.read()
+        assert [bench.sensor.read() for _ in range(3)] == readings
+
+
+@every()
+def test_a_part_that_was_reset_is_set_up_again(device: str) -> None:
+    """Its settings are lost with its supply: no reading of another range, and right ones after an error or two."""
+    bench = Bench(device)
+    bench.sensor.read()
+    for _ in range(3):
+        bench.line.link = bench.part()
+        bench.clock.sleep(1.0)
+        if named(TELLS_A_RESET)(bench):
+            with pytest.raises(DeviceFault, match="was reset or its supply failed since it was set up"):
+                bench.sensor.read()
+        for _ in range(3):
+            bench.agrees(bench.after_errors())
+
+
+@every()
+def test_a_model_is_described_and_refuses_an_address_of_another(device: str) -> None:
+    model = DEVICES[device.partition(" ")[0]]
+    assert model.title
+    assert model.not_modelled
+    assert model.rails[0] < model.offset < model.rails[1]
+    for written in model.addresses:
+        address = parse_address(written)
+        assert link_letter(address, model.at(address)) in "sirem"
+        nonsense = parse_address(f"{written}{'&' if '?' in written else '?'}nonsense=1")
+        with pytest.raises(UsageError, match="unknown option 'nonsense'"):
+            open_link(nonsense, model.at(address))
+    foreign = "vcd:x.vcd?x=D0&y=D1" if "vcd" not in model.schemes else "modbus:/dev/x"
+    for written in (foreign, "sim:"):
+        with pytest.raises(UsageError, match="is reached by"):
+            open_link(parse_address(written), model)
+
+
+@every(lambda bench: bool(bench.channels) and not bench.device.startswith("pendulum"))
+def test_drawn_parts_differ_and_keep_their_tolerances(device: str) -> None:
+    model = Bench(device).model
+    parts = [model.default_truth(seed) for seed in range(60)]
+    assert parts[:30] == [model.default_truth(seed) for seed in range(30)]
+    for channel in model.channels:
+        offsets = [(part.offset[channel] - model.offset) / model.sensitivity for part in parts]
+        gains = [part.sensitivity[channel][channel] / model.sensitivity - 1.0 for part in parts]
+        for errors, spread in ((offsets, model.offset_spread), (gains, model.sensitivity_spread)):
+            assert len(set(errors)) == 60
+            # A rectangular distribution ends at 1.73 of its standard deviation.
+            assert max(map(abs, errors)) <= 1.74 * spread

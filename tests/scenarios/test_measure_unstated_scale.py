@@ -1,0 +1,73 @@
+"""What a session checks, and says that it cannot, of a device whose offset or sensitivity nobody states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.pty_device import printing
+
+import tiltcal
+from tiltcal.errors import Stopped
+
+
+class Table:
+    """Sets one position of a procedure the other way round, and what is refused once more; the last digit flickers."""
+
+    def __init__(self, wrong: str, offset: float, sensitivity: float) -> None:
+        self.wrong, self.offset, self.sensitivity = wrong, offset, sensitivity
+        self.gravity, self.lines = (0.0, 0.0, 1.0), 0
+        self.refusals: list[tuple[str, str]] = []
+
+    def position(self, ask: Mapping[str, Any]) -> Mapping[str, str]:
+        x, y, z = ask["gravity"]
+        self.gravity = (-x, -y, z) if ask["position"] == self.wrong else (x, y, z)
+        return {"answer": "quit" if self.refusals else "ready"}
+
+    def refused(self, event: Mapping[str, Any]) -> None:
+        self.refusals.append((event["position"], event["why"]))
+
+    def line(self) -> bytes:
+        self.lines += 1
+        flicker = 0.001 * (self.lines % 2)
+        return b"%.3f,%.3f\r\n" % tuple(self.offset + self.sensitivity * g + flicker for g in self.gravity[:2])
+
+
+def session(table: Table, options: str, folder: Path, *, stops: bool = True) -> list[str]:
+    """Return the remarks of a session of ``plane``."""
+    remarks: list[str] = []
+    with printing(table.line, 500.0, waits=False) as port:
+        address = f"serial:{port}?columns=x,y&{options}"
+        stated = {"sensor": "serial-columns", "address": address, "serial": "C-1", "output": folder / "C-1.yaml"}
+        if stops:
+            with pytest.raises(Stopped):
+                tiltcal.measure("plane", operator=table, samples=4, settle=0.05, remark=remarks.append, **stated)
+        else:
+            tiltcal.measure("plane", operator=table, samples=4, settle=0.05, remark=remarks.append, **stated)
+    return remarks
+
+
+@pytest.mark.parametrize("unit", ["m/s2", "m/s^2", "m/s²"])
+def test_a_wrong_position_is_refused_however_the_unit_is_written(unit: str, tmp_path: Path) -> None:
+    table = Table("x-tilt1", 0.1, 9.8)
+    remarks = session(table, f"unit={unit}", tmp_path)
+    assert table.refusals == [("x-tilt1", "this looks like x-tilt2: is the sensor turned round?")]
+    assert not any("is stated, so that" in remark for remark in remarks)
+
+
+@pytest.mark.parametrize(("wrong", "refused"), [("x-tilt1", "x-tilt2"), ("y-tilt1", "y-tilt1")])
+def test_a_stated_sensitivity_compares_positions_with_each_other(wrong: str, refused: str, tmp_path: Path) -> None:
+    """The first position can be compared with none: it is the second that contradicts it."""
+    table = Table(wrong, 2.5, 2.0)
+    remarks = session(table, "unit=V&sensitivity=2", tmp_path)
+    ((position, why),) = table.refusals
+    assert position == refused
+    assert "or was a position before it wrong (go back)?" in why
+    assert any("C-1: no offset= is stated, so that positions are compared with each other" in one for one in remarks)
+
+
+def test_what_is_off_without_a_sensitivity_is_said(tmp_path: Path) -> None:
+    remarks = session(Table("", 2.5, 2.0), "unit=V&offset=2.5", tmp_path, stops=False)
+    assert any("C-1: no sensitivity= is stated, so that neither a wrong position" in remark for remark in remarks)

@@ -1,0 +1,244 @@
+"""The fit of a three-axis sensor at rest in attitudes that nobody set: gravity is 1 g long in each.
+
+The attitudes drop out of the model of :mod:`tiltcal.core.model`, and each leaves one number, by how much the length of
+gravity is missed::
+
+    misfit_n = |S^-1 (u_n - offset)| - 1
+
+``S`` is upper triangular, because a turn of all attitudes together changes no length. The scatter of the misfits is the
+uncertainty. Sway of the hand turns gravity within a hold: it moves the readings and not their length, and makes their
+mean shorter by half of its variance.
+
+Source: D. Tedaldi, A. Pretto, E. Menegatti, *A robust and easy to implement method for IMU calibration without external
+equipments* (2014), which minimises the same misfits.
+"""
+
+from __future__ import annotations
+
+from math import cos, inf, radians, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor
+from tiltcal.core.estimation.identifiability import undetermined
+from tiltcal.core.estimation.joint_equations import NOISE
+from tiltcal.core.model import AXES, Array
+from tiltcal.core.uncertainty_budget import Budget
+from tiltcal.errors import EstimateError
+from tiltcal.frozen import frozen
+
+DIFFERENT_ATTITUDE = 5.0
+"""Attitudes closer than this are one attitude taken again, degrees."""
+
+STEPS = 50
+"""Most Gauss-Newton steps; a fit takes about five."""
+
+CLOSE = 1e-6
+"""A misfit up to this counts as this in the fit of least absolute misfits, and in their scatter, g."""
+
+FAR = 5.0
+"""An attitude whose studentised misfit exceeds this many scatters is left out; more where few misfits show it."""
+
+MOST_LEFT_OUT, FEWEST_LEFT = 0.2, 12
+"""The share of the attitudes that may be left out at most, and how many attitudes must remain."""
+
+MEDIAN_TO_SIGMA, MEDIAN_EFFICIENCY = 1.4826, 0.37
+"""A standard deviation over the median of absolute values, and its degrees of freedom for one of the mean square."""
+
+CHANCE = 0.01
+"""Misfits that are smaller than the noise with a probability below this show that the noise is sway of the attitude."""
+
+_UPPER = np.triu_indices(3)
+UNKNOWNS = 3 + len(_UPPER[0])
+_NAMES = [f"offset.{axis}" for axis in AXES]
+_NAMES += [f"sensitivity.{AXES[i]}.{AXES[j]}" for i, j in zip(*_UPPER, strict=True)]
+_PLACES = np.concatenate([4 * np.arange(3), 4 * _UPPER[0] + 1 + _UPPER[1]])  # among the twelve, channel by channel
+_ADVICE = (
+    "add positions that are spread over the whole sphere, each axis up and down among them; it takes at least nine "
+    "positions, and 12 to 18 show whether the result is right"
+)
+
+
+@frozen
+class FreeFit:
+    """Offset, unit, and upper-triangular sensitivity, unit/g, from the length of gravity in n attitudes.
+
+    ``attitudes`` are unit vectors that point up, (n, 3); ``misfit`` is in g, (n,); ``kept`` is False for the attitudes
+    that were left out, (n,); ``disagreeing`` are those that do not agree with the others and are too many to be left
+    out; ``jacobian`` has the derivatives of the kept misfits by the unknowns; ``noise`` is the root mean square of the
+    misfits that the uncertainties of the readings explain, g.
+    """
+
+    offset: Array
+    sensitivity: Array
+    attitudes: Array
+    misfit: Array
+    kept: NDArray[np.bool_]
+    disagreeing: NDArray[np.intp]
+    jacobian: Array
+    noise: float
+
+    @property
+    def distinct(self) -> int:
+        """Number of kept attitudes that differ from each other by at least :data:`DIFFERENT_ATTITUDE`."""
+        return count_distinct(self.attitudes[self.kept])
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom."""
+        return len(self.jacobian) - UNKNOWNS
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean squared misfit of the kept attitudes, g."""
+        return sqrt(float(np.mean(self.misfit[self.kept] ** 2)))
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of a misfit from the residuals, g; infinite where none is left over."""
+        return self.rms * sqrt(len(self.jacobian) / self.dof) if self.dof > 0 else inf
+
+    @property
+    def below_noise(self) -> bool:
+        """Whether the misfits are smaller than the noise by chance."""
+        return _below_noise(self.scatter, self.dof, self.noise)
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty (95 %) of the nine unknowns on average, g; infinite unless more attitudes differ.
+
+        The noise always counts in it: of many choices the one with the least misfits has them by chance.
+        """
+        if self.distinct <= UNKNOWNS:
+            return inf
+        inverse = np.linalg.pinv(self.jacobian * float(np.mean(np.diag(self.sensitivity))))
+        student = float(coverage_factor(np.array([float(self.dof)]))[0])
+        return student * max(self.noise, self.scatter) * sqrt(float(np.mean(np.sum(inverse**2, axis=1))))
+
+    def budget(self, noise_dof: float) -> Budget:
+        """Return the uncertainty of the twelve coefficients, channel by channel; the noise has so many dof."""
+        if self.dof == 0 or self.below_noise:
+            return _budget(self.jacobian, self.noise, noise_dof)
+        return _budget(self.jacobian, self.scatter, self.dof)
+
+
+def fit_free(mean: Array, u: Array, sway: Array | float = 0.0) -> FreeFit:
+    """Fit mean readings of x, y, z in free attitudes, and leave out attitudes that do not agree.
+
+    ``u`` are their standard uncertainties; ``sway`` is the standard deviation of the readings within each attitude that
+    is motion and not noise. All have the shape (n, 3) and one unit. An EstimateError where the unknowns stay unknown.
+    """
+    n, kept, sway = len(mean), np.ones(len(mean), dtype=bool), np.broadcast_to(sway, mean.shape)
+    if n < UNKNOWNS:
+        raise EstimateError(f"{n} free positions for {UNKNOWNS} unknowns: {_ADVICE}")
+    middle, half = (mean.max(axis=0) + mean.min(axis=0)) / 2.0, np.ptp(mean, axis=0) / 2.0
+    near = _minimum(mean, sway, middle, np.diag(half), absolute=True)
+    dof, limit = MEDIAN_EFFICIENCY * (n - UNKNOWNS), inf
+    if dof:
+        # As many misfits as there are unknowns vanish where the sum of absolute misfits is least.
+        scatter = MEDIAN_TO_SIGMA * float(np.median(np.sort(np.abs(near.misfit))[UNKNOWNS:]))
+        scatter = near.noise(u) if _below_noise(scatter, dof, near.noise(u)) else scatter
+        limit = FAR * max(scatter, CLOSE) * float(coverage_factor(np.array([dof]))[0]) / NORMAL_FACTOR
+    fewest = max(FEWEST_LEFT, n - int(MOST_LEFT_OUT * n))
+    while True:
+        near = _minimum(mean[kept], sway[kept], near.offset, near.sensitivity)
+        _require_determined(near.jacobian)
+        leverage = np.sum(np.linalg.qr(near.jacobian)[0] ** 2, axis=1)
+        studentised = np.abs(near.misfit) / np.sqrt(np.maximum(1.0 - leverage, 1e-6))
+        worst = int(np.argmax(studentised))
+        if studentised[worst] <= limit or kept.sum() <= fewest:
+            break
+        kept[np.flatnonzero(kept)[worst]] = False
+    beyond = np.flatnonzero(kept)[studentised > limit]
+    disagreeing = np.union1d(np.flatnonzero(~kept), beyond) if len(beyond) else beyond
+    every = _linearised(mean, sway, near.offset, near.sensitivity)
+    attitudes = every.gravity / np.linalg.norm(every.gravity, axis=1, keepdims=True)
+    return FreeFit(
+        near.offset, near.sensitivity, attitudes, every.misfit, kept, disagreeing, near.jacobian, every.noise(u)
+    )
+
+
+def planned_budget(attitudes: Array, noise: float, sensitivity: float) -> Budget:
+    """Return the uncertainty of the twelve coefficients that planned attitudes, (n, 3), leave; noise of means, unit."""
+    if len(attitudes) < UNKNOWNS:
+        raise EstimateError(f"{len(attitudes)} free positions for {UNKNOWNS} unknowns: {_ADVICE}")
+    readings = attitudes * sensitivity
+    jacobian = _linearised(readings, np.zeros_like(readings), np.zeros(3), np.eye(3) * sensitivity).jacobian
+    _require_determined(jacobian)
+    return _budget(jacobian, noise / sensitivity, inf)
+
+
+def count_distinct(attitudes: Array) -> int:
+    """Count the unit vectors, shape (n, 3), that differ by :data:`DIFFERENT_ATTITUDE` from each one counted before."""
+    count, left = 0, attitudes
+    while len(left):
+        count, left = count + 1, left[1:][left[1:] @ left[0] < cos(radians(DIFFERENT_ATTITUDE))]
+    return count
+
+
+@frozen
+class _Linearised:
+    """Gravity, g, its misfit, and the derivatives of that by the readings, shape (n, 3)."""
+
+    offset: Array
+    sensitivity: Array
+    gravity: Array
+    misfit: Array
+    by_reading: Array
+
+    @property
+    def jacobian(self) -> Array:
+        """Derivatives of the misfits by the offsets and the upper triangle, shape (n, 9)."""
+        rows, columns = _UPPER
+        return np.hstack([-self.by_reading, -self.by_reading[:, rows] * self.gravity[:, columns]])
+
+    def noise(self, u: Array) -> float:
+        """Return the root mean square of the misfits, g, that uncertainties of the readings explain, shape (n, 3)."""
+        return sqrt(float(np.mean(np.sum((self.by_reading * u) ** 2, axis=1))))
+
+
+def _minimum(mean: Array, sway: Array, offset: Array, sensitivity: Array, *, absolute: bool = False) -> _Linearised:
+    """Return where the sum of squared misfits, or of ``absolute`` ones, is least, by Gauss-Newton steps."""
+    near = _linearised(mean, sway, offset, sensitivity)
+    for _ in range(STEPS):
+        weight = 1.0 / np.sqrt(np.maximum(np.abs(near.misfit), CLOSE)) if absolute else np.ones(len(mean))
+        # All unknowns are counted in units of the first sensitivity, so that they are of one size.
+        size = near.sensitivity[0, 0]
+        change = np.linalg.lstsq(near.jacobian * (size * weight)[:, None], -near.misfit * weight, rcond=None)[0] * size
+        sensitivity = near.sensitivity.copy()
+        sensitivity[_UPPER] += change[3:]
+        near = _linearised(mean, sway, near.offset + change[:3], sensitivity)
+        if np.max(np.abs(change)) <= 1e-12 * size:
+            break
+    return near
+
+
+def _linearised(mean: Array, sway: Array, offset: Array, sensitivity: Array) -> _Linearised:
+    if not np.all(np.diag(sensitivity) > 0.0):
+        raise EstimateError(f"the readings lie on no ellipsoid: {_ADVICE}")
+    inverse = np.linalg.inv(sensitivity)
+    gravity = (mean - offset) @ inverse.T
+    # Gravity is 1 g at each instant; its mean over directions that sway is shorter, by their variance.
+    length = np.sqrt(np.sum(gravity**2, axis=1) + np.sum((sway / np.diag(sensitivity)) ** 2, axis=1))
+    return _Linearised(offset, sensitivity, gravity, length - 1.0, gravity / length[:, None] @ inverse)
+
+
+def _below_noise(scatter: float, dof: float, noise: float) -> bool:
+    """Return whether a scatter of misfits, g, is smaller than the noise, and is so by chance."""
+    from scipy.special import chdtr
+
+    return scatter < noise and float(chdtr(dof, dof * (scatter / noise) ** 2)) > CHANCE
+
+
+def _require_determined(jacobian: Array) -> None:
+    mixed = undetermined(jacobian, _NAMES)
+    if mixed:
+        raise EstimateError(f"the {len(jacobian)} free positions do not determine {', '.join(mixed[:4])}: {_ADVICE}")
+
+
+def _budget(jacobian: Array, scatter: float, dof: float) -> Budget:
+    """Return the uncertainty of the twelve coefficients, those below the diagonal exact; ``scatter`` in g."""
+    covariance = np.zeros((12, 12))
+    covariance[np.ix_(_PLACES, _PLACES)] = scatter**2 * np.linalg.inv(jacobian.T @ jacobian)
+    return Budget(covariance, {NOISE: np.diag(covariance)}, np.full(12, float(dof)))
