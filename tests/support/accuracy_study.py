@@ -22,13 +22,13 @@ from scipy.spatial.transform import Rotation
 from support.simulated_bench import BLOCK_DOF, FACES, POSITIONS, Part, Plan, design, fixture, measured, part, plan_of
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.estimation.covariance import stated_budgets
+from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.design import Design, Observation
-from tiltcal.core.estimation.elimination import linearised
-from tiltcal.core.estimation.equation_assembly import system_of
+from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.hysteresis import with_hysteresis
 from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, pooled
+from tiltcal.core.estimation.solve import solved_at
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.statistics import SampleSummary, summarise
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
@@ -344,8 +344,9 @@ def _bound(session: SimulatedSession) -> Array:
         [replace(one, u=np.full_like(one.u, noise), dof=inf, adc=0.0) for one in sensor]
         for sensor in session.observations
     ]
-    system = system_of(fixture(known, session.design))
-    z = np.zeros(system.unknowns)
-    z[: system.coefficients] = np.concatenate([one.truth for one in session.parts])
-    z[system.lean] = session.lean[: system.lean.stop - system.lean.start]
-    return np.array([np.diag(one.covariance) for one in stated_budgets(linearised(system, z))])
+    equations = Equations(fixture(known, session.design))
+    z = np.zeros(equations.unknowns)
+    z[: len(equations.names)] = np.concatenate([one.truth for one in session.parts])
+    lean = equations.errors["table"]
+    z[lean] = session.lean[: lean.stop - lean.start]
+    return np.array([np.diag(one.covariance) for one in budgets(solved_at(equations, z), {})])

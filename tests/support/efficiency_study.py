@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
-from tiltcal.core.estimation.covariance import stated_budgets
+from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.design import Observation
-from tiltcal.core.estimation.elimination import linearised
-from tiltcal.core.estimation.equation_assembly import system_of
+from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.free import fit_free
+from tiltcal.core.estimation.solve import solved_at
 
 Array = NDArray[np.float64]
 
@@ -82,10 +82,10 @@ def bound_of(plan: Plan, parts: list[Part]) -> Array:
     """The bound's variances at the truth, shape (sensors, 12)."""
     exact = measured(np.random.default_rng(0), replace(plan, jig=0.0, noise=0.0), parts)
     stated = [[replace(one, u=np.full(3, plan.noise)) for one in sensor] for sensor in exact]
-    system = system_of(fixture(stated, design(plan, jig=plan.jig)))
-    z = np.zeros(system.unknowns)
-    z[: system.coefficients] = np.concatenate([one.truth for one in parts])
-    return np.array([np.diag(budget.covariance) for budget in stated_budgets(linearised(system, z))])
+    equations = Equations(fixture(stated, design(plan, jig=plan.jig)))
+    z = np.zeros(equations.unknowns)
+    z[: len(equations.names)] = np.concatenate([one.truth for one in parts])
+    return np.array([np.diag(budget.covariance) for budget in budgets(solved_at(equations, z), {})])
 
 
 def beyond_bound(plan: Plan, parts: list[Part], seed: int) -> Array:

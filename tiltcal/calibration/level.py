@@ -26,7 +26,7 @@ from tiltcal.calibration.verdict import judge
 from tiltcal.core.coverage_factor import COVERAGE, coverage_factor
 from tiltcal.core.estimation.attitude import heading_rotations
 from tiltcal.core.estimation.design import Observation
-from tiltcal.core.estimation.joint_equations import ADC, JIG, NOISE, TABLE, THERMOMETER
+from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import CoefficientChange

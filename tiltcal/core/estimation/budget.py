@@ -15,19 +15,19 @@ The four add up to v² (1 - G sin t).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import isfinite
 
 import numpy as np
 
 from tiltcal.core.coverage_factor import welch_satterthwaite
-from tiltcal.core.estimation.equations import ADC, NOISE, PRIOR
+from tiltcal.core.estimation.equations import ADC, JIG, NOISE, PRIOR, Indices
 from tiltcal.core.estimation.solve import EstimatedVariance, Solution
 from tiltcal.core.model import Array
 from tiltcal.core.uncertainty_budget import Budget
 
 
-def budgets(solution: Solution, estimated: dict[str, EstimatedVariance]) -> list[Budget]:
+def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> list[Budget]:
     """Return the uncertainty of each sensor's coefficients.
 
     Parameters
@@ -37,20 +37,23 @@ def budgets(solution: Solution, estimated: dict[str, EstimatedVariance]) -> list
     """
     equations, errors, covariance = solution.equations, solution.errors, solution.covariance
     weights, n = equations.weights(errors), len(equations.names)
+    measured = solution.near.measured
     rounding = np.concatenate([channel.adc for channel in equations.channels]) / equations.u
-    rounding = np.clip(rounding**2 / errors.noise, 0.0, 1.0)
+    rounding = measured * np.minimum(rounding**2 / errors.noise, 1.0)
     groups, dofs = _pooled_noise(solution)
     found = []
     for own in _by_sensor(solution):
         by = solution.near.jacobian @ covariance[:, own]  # readings by coefficients
         squares = np.square(by)
-        noise = squares * (1.0 - rounding)[:, None]
-        variance = {NOISE: noise.sum(axis=0), ADC: squares.sum(axis=0) - noise.sum(axis=0)}
+        noise = squares * (measured - rounding)[:, None]
+        variance = {NOISE: noise.sum(axis=0), ADC: rounding @ squares}
         if weights[:n].any():
             variance[PRIOR] = np.sum((covariance[own, :n] * weights[:n]) ** 2, axis=1)
         for source, columns in equations.errors.items():
             if weights[columns].any():
                 variance[source] = np.sum((covariance[own, columns] * weights[columns]) ** 2, axis=1)
+        if errors.jig:
+            variance[JIG] = variance[JIG] + (1.0 - measured) @ squares
         parts: list[tuple[Array, float]] = []
         if ADC in estimated:
             parts.append((variance[NOISE] + variance[ADC], estimated[ADC].dof))
@@ -59,9 +62,15 @@ def budgets(solution: Solution, estimated: dict[str, EstimatedVariance]) -> list
             parts += [(share, dof) for share, dof in zip(shares, dofs.tolist(), strict=True) if isfinite(dof)]
         for source, shown in estimated.items():
             if source != ADC and shown.information:
-                parts.append((_by_variance(solution, source, own), shown.information))
-        total = np.diag(covariance)[own]
-        found.append(Budget(covariance[own, own], variance, welch_satterthwaite(total, parts)))
+                parts.append((np.sum(_by_error(solution, source, own) ** 2, axis=1), shown.information))
+        total = covariance[own, own]
+        jig = estimated.get(JIG)
+        if jig is not None and jig.value < 0.0:
+            # The noise, by chance, was less than measured: so is what it does to the coefficients.
+            by_angle = _by_error(solution, JIG, own)
+            total = total + jig.value * by_angle @ by_angle.T
+            variance[NOISE] = variance[NOISE] + jig.value * np.sum(by_angle**2, axis=1)
+        found.append(Budget(total, variance, welch_satterthwaite(np.diag(total), parts)))
     return found
 
 
@@ -73,24 +82,24 @@ def _by_sensor(solution: Solution) -> Iterator[slice]:
         start += len(sensor.design.names)
 
 
-def _pooled_noise(solution: Solution) -> tuple[Array, Array]:
+def _pooled_noise(solution: Solution) -> tuple[Indices, Array]:
     """Number the estimates of noise that the readings share, shape (readings,), and return their degrees of freedom.
 
     Readings of one channel with the same uncertainty have it from one pooled estimate.
     """
     channels = solution.equations.channels
     if all(np.isinf(channel.dof).all() for channel in channels):
-        return np.zeros(0), np.zeros(0)
+        return np.zeros(0, dtype=np.intp), np.zeros(0)
     keys = [np.stack([np.full(len(c.u), k), c.u, c.dof], axis=1) for k, c in enumerate(channels)]
     unique, groups = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
-    return groups.ravel(), unique[:, 2]
+    return np.asarray(groups.ravel(), dtype=np.intp), unique[:, 2]
 
 
-def _by_variance(solution: Solution, source: str, own: slice) -> Array:
-    """Return by how much the variance of each coefficient grows with that of the errors of a source."""
+def _by_error(solution: Solution, source: str, own: slice) -> Array:
+    """Return how the coefficients follow the errors of a source, shape (coefficients, errors)."""
     columns, covariance = solution.equations.errors[source], solution.covariance
     u = getattr(solution.errors, source)
     if u > 0.0:
-        return np.asarray(np.sum(covariance[own, columns] ** 2, axis=1) / u**4)
-    follows = covariance[own] @ (solution.near.jacobian.T @ solution.near.jacobian[:, columns]).toarray()
-    return np.asarray(np.sum(follows**2, axis=1))
+        return np.asarray(covariance[own, columns] / u**2)
+    near = solution.near
+    return np.asarray(covariance[own] @ (near.jacobian.T @ near.jacobian[:, columns]).toarray())

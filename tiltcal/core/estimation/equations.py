@@ -89,10 +89,17 @@ class ChannelReadings:
 
 @dataclass(frozen=True)
 class Linearised:
-    """The equations about some coefficients: residuals over their uncertainty, and minus their derivatives."""
+    """The equations about some unknowns: residuals over their uncertainty, and minus their derivatives.
+
+    Attributes
+    ----------
+    measured : ndarray, shape (readings,)
+        The share of noise and rounding in the variance of each reading; the rest is the square of uncertain attitudes.
+    """
 
     residual: Array
     jacobian: csr_matrix
+    measured: Array
 
 
 class Equations:
@@ -181,7 +188,7 @@ class Equations:
         moving[: len(self.names)] = self.prior_u > 0.0
         return moving
 
-    def at(self, z: Array, errors: BenchErrors, shortened: Array | float = 0.0) -> Linearised:
+    def at(self, z: Array, errors: BenchErrors, shortened: Array) -> Linearised:
         """Linearise about the unknowns.
 
         ``shortened`` is by how much the attitude angles that are left uncertain shorten gravity on average, shape
@@ -191,12 +198,14 @@ class Equations:
 
         up, by_angle, rotations, by_heading = self._directions(z, shortened)
         warmer = z[self.errors[THERMOMETER]]
-        residuals, values, columns = [], [], []
+        residuals, values, columns, bent = [], [], [], []
         for channel in self.channels:
             own, places = channel.coefficients, channel.places
             dt = channel.dt + warmer[channel.temperatures] if len(warmer) else channel.dt
             reading = channel.model.read(z[own], up[places] @ channel.orientation.T, dt)
             residuals.append(channel.mean - reading.value)
+            along = np.einsum("nj,nj->n", reading.by_gravity @ channel.orientation, self.gravity[places])
+            bent.append(along * shortened[channel.settings])
             angle = np.einsum("i,ij,njk->nk", reading.sensitivity, channel.orientation, by_angle[places])
             angle *= reading.by_signal[:, None]
             value = [reading.by_coefficient, angle]
@@ -214,13 +223,14 @@ class Equations:
                 column.append(self.errors[HEADING].start + channel.settings[:, None])
             values.append(np.hstack(value))
             columns.append(np.hstack(column))
-        sigma = self.u * errors.noise**0.5
+        # The square of an angle shortens gravity, and scatters by as much as it does so on average.
+        sigma = np.sqrt(errors.noise * self.u**2 + np.concatenate(bent) ** 2)
         counts = np.repeat([value.shape[1] for value in values], [len(value) for value in values])
         data = np.concatenate([value.ravel() for value in values]) / np.repeat(sigma, counts)
         where = np.concatenate([column.ravel() for column in columns])
         rows = np.concatenate([[0], np.cumsum(counts)])
         jacobian = csr_matrix((data, where, rows), shape=(len(sigma), self.unknowns))
-        return Linearised(np.concatenate(residuals) / sigma, jacobian)
+        return Linearised(np.concatenate(residuals) / sigma, jacobian, errors.noise * self.u**2 / sigma**2)
 
     def unexplained(self, z: Array) -> Array:
         """Return measured minus modelled readings in the positions as set, shape (readings,), in the sensors' units."""
@@ -231,7 +241,7 @@ class Equations:
             ]
         )
 
-    def _directions(self, z: Array, shortened: Array | float) -> tuple[Array, Array, Array | None, Array | None]:
+    def _directions(self, z: Array, shortened: Array) -> tuple[Array, Array, Array | None, Array | None]:
         """Return mean gravity and its derivative by the angles, and how lean and heading turn each place."""
         rotations, headings = self._rotations, z[self.errors[HEADING]]
         angles = z[self.errors[JIG]].reshape(-1, 2)[self.settings]
@@ -240,7 +250,7 @@ class Equations:
                 rotations = heading_rotations(headings[self.settings]) @ rotations
             angles = angles + rotations @ z[self.errors[TABLE]]
         up, by_angle = turned(self.gravity, self.basis, angles)
-        up *= 1.0 - np.broadcast_to(shortened, int(self.settings.max()) + 1)[self.settings, None]
+        up *= 1.0 - shortened[self.settings, None]
         if rotations is None or not len(headings):
             return up, by_angle, rotations, None
         return up, by_angle, rotations, (_PER_LEAN @ rotations) @ z[self.errors[TABLE]]
@@ -326,7 +336,10 @@ class Equations:
                         places,
                         self.settings[places],
                         temperatures[number],
-                        *(column[:, k] for column in (mean, u, adc, dof)),
+                        mean[:, k],
+                        u[:, k],
+                        adc[:, k],
+                        dof[:, k],
                         dt,
                     )
                 )

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor
+from tiltcal.core.estimation.equations import NOISE
 from tiltcal.core.estimation.identifiability import undetermined
-from tiltcal.core.estimation.joint_equations import NOISE
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.errors import EstimateError

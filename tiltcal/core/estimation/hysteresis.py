@@ -15,8 +15,8 @@ from math import hypot, radians, sqrt
 import numpy as np
 
 from tiltcal.core.estimation.design import Observation, SensorObservations
+from tiltcal.core.estimation.equations import HYSTERESIS
 from tiltcal.core.estimation.estimate import Estimate, estimate
-from tiltcal.core.estimation.joint_equations import HYSTERESIS
 from tiltcal.core.model import AXES, Array
 from tiltcal.frozen import frozen
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.linalg import svd
 from numpy.typing import NDArray
 
-from tiltcal.core.estimation.joint_equations import System
+from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.gravity_direction import Vector, gravity_from_tilt
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
@@ -37,7 +37,7 @@ CANDIDATES: dict[str, Vector] = {
 """Positions that may be proposed."""
 
 
-def require_determined(system: System, z: Array) -> None:
+def require_determined(equations: Equations, z: Array) -> None:
     """Refuse positions that leave a combination of coefficients free, whatever the jig.
 
     Parameters
@@ -50,11 +50,10 @@ def require_determined(system: System, z: Array) -> None:
     EstimateError
         Names the coefficients, and a position that would separate them.
     """
-    direction, _ = system.directions(system.as_set(z))
-    for block, sensor, channel in system.channels():
-        model, columns, dt = block.models[channel], block.columns[sensor, channel], block.dt[sensor]
-        gravity = direction[block.places[sensor]] @ system.orientations[block.sensors[sensor]].T
-        theta, prior_u = z[columns], system.prior_u[columns]
+    for channel in equations.channels:
+        model, dt = channel.model, channel.dt
+        gravity = equations.gravity[channel.places] @ channel.orientation.T
+        theta, prior_u = z[channel.coefficients], equations.prior_u[channel.coefficients]
         rows = _with_priors(model.read(theta, gravity, dt).by_coefficient, prior_u)
         moving = prior_u > 0.0
         mixed = undetermined(rows[:, moving], np.array(model.coefficients)[moving].tolist())

@@ -14,13 +14,12 @@ from operator import itemgetter
 
 import numpy as np
 
-from tiltcal.core.estimation.covariance import stated_budgets
+from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
-from tiltcal.core.estimation.elimination import linearised
-from tiltcal.core.estimation.equation_assembly import system_of
+from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.free import UNKNOWNS, planned_budget
 from tiltcal.core.estimation.identifiability import CANDIDATES, WARMER, require_determined
-from tiltcal.core.estimation.joint_equations import System
+from tiltcal.core.estimation.solve import solved_at
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.uncertainty_budget import Budget
@@ -136,22 +135,22 @@ def _budget(
     ]
     plan = [SensorObservations(stated, observations)] * sensors
     require_sound(plan)
-    system = system_of(plan)
-    z = _nominal(design, system, sensitivity, drift)
-    require_determined(system, z)
-    near = linearised(system, z)
-    return stated_budgets(near)[0], system.degrees_of_freedom(near.unobservable_leans)
+    equations = Equations(plan)
+    z = _nominal(design, equations, sensitivity, drift)
+    require_determined(equations, z)
+    solution = solved_at(equations, z)
+    return budgets(solution, {})[0], solution.dof
 
 
-def _nominal(design: Design, system: System, sensitivity: float, drift: float) -> Array:
+def _nominal(design: Design, equations: Equations, sensitivity: float, drift: float) -> Array:
     """Return the coefficients of a usual part: each channel senses its own axis alone."""
     nominal: Mapping[str, float] = {
         **{f"sensitivity.{channel}.{channel}": sensitivity for channel in design.channels},
         **{f"temperature.offset.{channel}.1": drift for channel in design.channels},
     }
-    z = system.start()
-    for column, name in enumerate(system.names):
-        if name in nominal and not np.isfinite(system.prior_u[column]):
+    z = equations.start()
+    for column, name in enumerate(equations.names):
+        if name in nominal and not np.isfinite(equations.prior_u[column]):
             z[column] = nominal[name]
     return z
 

@@ -1,7 +1,7 @@
 """Generalised least squares on the equations of a fixture, and the one variance that is not stated.
 
-The normal matrix of all unknowns is solved at once. It is linear but for the coefficients in the weights of the attitude
-angles and for products of coefficients, so a few rounds settle.
+The normal matrix of all unknowns is solved at once, a few times: the equations are linear but for the sensitivities by
+which the attitude angles act, and for products of coefficients.
 
 Where the jig is not stated, its variance is estimated by restricted maximum likelihood (REML): in the space that the
 coefficients leave, whitened by the noise, the directions that show the angles are independent with variances 1 + q d².
@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import sqrt
+from math import radians, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,17 @@ from tiltcal.core.estimation.equations import ADC, JIG, TABLE, BenchErrors, Equa
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
-_ROUNDS, _SETTLED = 50, 1e-8
-"""Solve again until no coefficient moves by this share of its standard uncertainty."""
+_ROUNDS, _SETTLED, _ARITHMETIC = 50, 1e-6, 1e-12
+"""Solve again until no coefficient moves by this share of its standard uncertainty, or by what rounding leaves."""
+
+LARGEST_JIG = radians(45.0)
+"""Standard deviation of a set angle above which the positions are not those that were set, radians."""
 
 _CLOSE = 1e-4
 """Estimate a variance again until it changes by this share."""
+
+_POSITIVE = 0.9
+"""Let a variance below 0 take away at most this share of the noise, where it takes away most."""
 
 _INSENSITIVE = 1e-12
 """A direction with less than this share of the largest sensitivity to the angles shows none."""
@@ -77,10 +83,14 @@ class EstimatedVariance:
     ----------
     information : float
         Half of it is the Fisher information of ``value``; 0 where the residuals show nothing of it.
+    rest, count : float and int
+        Sum of squares of the residuals that no such error explains, and in how many directions.
     """
 
     value: float
     information: float
+    rest: float = 0.0
+    count: int = 0
 
     @property
     def dof(self) -> float:
@@ -98,12 +108,15 @@ class ProjectedResiduals:
         Variance that errors of variance 1 give to each direction that shows them, and its square.
     rest, count : float and int
         Sum of squares of the residuals beside them, and in how many directions.
+    largest : float
+        The largest variance that errors of variance 1 give to the readings, over that of the noise.
     """
 
     d2: Array
     z2: Array
     rest: float
     count: int
+    largest: float
 
 
 def solved(equations: Equations, errors: BenchErrors, start: Array | None = None) -> Solution:
@@ -123,14 +136,29 @@ def solved(equations: Equations, errors: BenchErrors, start: Array | None = None
     if not errors.jig:
         z[equations.errors[JIG]] = 0.0
     moving = equations.moving(errors)
-    shortened: Array | float = 0.0
+    shortened = _shortened(equations, np.eye(equations.unknowns) * errors.jig**2)
     for _ in range(_ROUNDS):
-        near, z, step, covariance, chi_square = _round(equations, errors, z, moving, shortened)
-        shortened = np.diag(covariance)[equations.errors[JIG]].reshape(-1, 2).sum(axis=1) / 2.0
-        u = np.sqrt(np.diag(covariance))
-        if np.all(np.abs(step) <= _SETTLED * u[: len(step)] + 1e-14 * np.abs(z[: len(step)])):
+        before = shortened
+        near, z, step, covariance, chi_square = _round(equations, errors, z, moving, before)
+        shortened = _shortened(equations, covariance)
+        u = np.sqrt(np.maximum(np.diag(covariance), 0.0))[: len(step)]
+        settled = np.abs(step) <= np.maximum(_SETTLED * u, _ARITHMETIC * np.max(np.abs(z[: len(step)]), initial=0.0))
+        if np.all(settled) and np.max(np.abs(shortened - before)) <= _CLOSE * errors.jig**2:
             return Solution(equations, errors, z, near, covariance, chi_square)
     raise EstimateError("the estimate does not settle: are the positions named right, and the readings plausible?")
+
+
+def _shortened(equations: Equations, covariance: Array) -> Array:
+    """Return by how much uncertain attitude angles shorten gravity on average, shape (settings,)."""
+    return np.asarray(np.diag(covariance)[equations.errors[JIG]].reshape(-1, 2).sum(axis=1) / 2.0)
+
+
+def solved_at(equations: Equations, z: Array) -> Solution:
+    """Return the solution of equations whose readings are those of the unknowns ``z``, as a plan has them."""
+    errors = equations.stated
+    exact = np.zeros(int(equations.settings.max()) + 1)
+    near, _, _, covariance, _ = _round(equations, errors, z, equations.moving(errors), exact)
+    return Solution(equations, errors, z, near, covariance, 0.0)
 
 
 def start_as_set(equations: Equations) -> Array:
@@ -138,19 +166,21 @@ def start_as_set(equations: Equations) -> Array:
     perfect = BenchErrors(0.0, equations.stated.table, 0.0, 0.0)
     z = equations.start()
     # Gain and nonlinearity have no effect before a sensitivity is known: they join in the second round.
+    moving = equations.moving(perfect)
+    moving[: len(equations.names)] &= np.isinf(equations.prior_u)  # what is assumed stays as it is assumed
+    exact = np.zeros(int(equations.settings.max()) + 1)
     insensitive = np.zeros(equations.unknowns, dtype=bool)
     for channel in equations.channels:
         own = channel.coefficients
         up = equations.gravity[channel.places] @ channel.orientation.T
         insensitive[own] = ~np.any(channel.model.read(z[own], up, channel.dt).by_coefficient, axis=0)
-    moving = equations.moving(perfect)
-    for mask in (moving & ~insensitive, moving) if insensitive.any() else (moving,):
-        z = _round(equations, perfect, z, mask)[1]
+    for mask in (moving & ~insensitive, moving) if np.any(moving & insensitive) else (moving,):
+        z = _round(equations, perfect, z, mask, exact)[1]
     return z
 
 
 def _round(
-    equations: Equations, errors: BenchErrors, z: Array, moving: NDArray[np.bool_], shortened: Array | float = 0.0
+    equations: Equations, errors: BenchErrors, z: Array, moving: NDArray[np.bool_], shortened: Array
 ) -> tuple[Linearised, Array, Array, Array, float]:
     """Return the equations about ``z``, the next unknowns, the step of coefficients, covariance and chi-square."""
     near = equations.at(z, errors, shortened)
@@ -195,22 +225,30 @@ def projected(solution: Solution, source: str) -> ProjectedResiduals:
     normal, gradient, squares = _normal(near, weights, equations.start() - z)
     inverse = _inverse(normal[np.ix_(others, others)])
     across = normal[np.ix_(own, others)] @ inverse
-    values, vectors = np.linalg.eigh(normal[np.ix_(own, own)] - across @ normal[np.ix_(others, own)])
-    seen = values > _INSENSITIVE * max(float(np.max(np.diag(normal)[own], initial=0.0)), 1e-300)
+    direct = normal[np.ix_(own, own)]
+    largest = float(np.linalg.eigvalsh(direct).max(initial=1e-300))
+    values, vectors = np.linalg.eigh(direct - across @ normal[np.ix_(others, own)])
+    seen = values > _INSENSITIVE * largest
     z2 = (vectors.T @ (gradient[own] - across @ gradient[others]))[seen] ** 2 / values[seen]
     whole = squares - gradient[others] @ inverse @ gradient[others]
-    return ProjectedResiduals(
-        values[seen], z2, max(float(whole - z2.sum()), 0.0), solution.dof - int(np.count_nonzero(seen))
-    )
+    count = solution.dof - int(np.count_nonzero(seen))
+    return ProjectedResiduals(values[seen], z2, max(float(whole - z2.sum()), 0.0), count, largest)
 
 
 def estimated_variance(residuals: ProjectedResiduals) -> EstimatedVariance:
-    """Return the variance of the errors by restricted maximum likelihood, at least 0."""
+    """Return the variance of the errors by restricted maximum likelihood.
+
+    It is below 0 where the residuals are smaller than the noise by chance.
+    """
     d2, z2 = residuals.d2, residuals.z2
+    beside = residuals.rest, residuals.count
     if not len(d2):
-        return EstimatedVariance(0.0, 0.0)
-    value = _root(lambda q: float(np.sum(d2 * (1.0 + q * d2 - z2) / (1.0 + q * d2) ** 2)), float(np.max(z2 / d2)))
-    return EstimatedVariance(value, float(np.sum((d2 / (1.0 + value * d2)) ** 2)))
+        return EstimatedVariance(0.0, 0.0, *beside)
+    lowest = -_POSITIVE / residuals.largest
+    value = _root(
+        lambda q: float(np.sum(d2 * (1.0 + q * d2 - z2) / (1.0 + q * d2) ** 2)), lowest, float(np.max(z2 / d2))
+    )
+    return EstimatedVariance(value, float(np.sum((d2 / (1.0 + value * d2)) ** 2)), *beside)
 
 
 def estimated_noise(residuals: ProjectedResiduals, jig: float) -> EstimatedVariance:
@@ -221,19 +259,19 @@ def estimated_noise(residuals: ProjectedResiduals, jig: float) -> EstimatedVaria
         return float(np.sum((f + s2 - z2) / (f + s2) ** 2)) + count / f - rest / f**2
 
     largest = float(np.max(z2, initial=rest))
-    value = max(_root(lambda f: slope(max(f, 1e-300)), largest), 1e-12 * largest)
+    value = _root(slope, 1e-12 * largest, largest)
     return EstimatedVariance(value, float(np.sum(1.0 / (value + s2) ** 2)) + count / value**2)
 
 
-def _root(slope: Callable[[float], float], high: float) -> float:
-    """Return where a slope changes from below 0 to above it, from 0 up; 0 where it is above 0 there."""
+def _root(slope: Callable[[float], float], low: float, high: float) -> float:
+    """Return where a slope changes from below 0 to above it, from ``low`` up; that where it is above 0 there."""
     from scipy.optimize import brentq
 
-    if high <= 0.0 or slope(0.0) >= 0.0:
-        return 0.0
+    if slope(low) >= 0.0:
+        return low
     while slope(high) < 0.0:
         high *= 4.0
-    return float(brentq(slope, 0.0, high, xtol=1e-300, rtol=1e-10))
+    return float(brentq(slope, low, high, xtol=1e-300, rtol=1e-10))
 
 
 def with_estimated(solution: Solution, source: str) -> tuple[Solution, EstimatedVariance]:
@@ -244,7 +282,8 @@ def with_estimated(solution: Solution, source: str) -> tuple[Solution, Estimated
     solution : Solution
         With that source as it is stated, or at 0.
     source : str
-        JIG, THERMOMETER, or ADC for the noise of readings of which rounding alone is stated.
+        JIG, THERMOMETER, or ADC for the noise of readings of which rounding alone is stated. A jig above
+        :data:`LARGEST_JIG` is returned as it is, with the solution before.
     """
     found = EstimatedVariance(0.0, 0.0)
     for _ in range(_ROUNDS):
@@ -256,8 +295,10 @@ def with_estimated(solution: Solution, source: str) -> tuple[Solution, Estimated
             errors = replace(solution.errors, noise=max(found.value, 1e-24))
         else:
             found = estimated_variance(residuals)
-            errors = replace(solution.errors, **{source: sqrt(found.value)})
+            errors = replace(solution.errors, **{source: sqrt(max(found.value, 0.0))})
+        if errors.jig > LARGEST_JIG:
+            return replace(solution, errors=errors), found
         solution = solved(solution.equations, errors, solution.z)
-        if abs(found.value - before) <= _CLOSE * found.value:
+        if abs(found.value - before) <= _CLOSE * abs(found.value):
             break
     return solution, found

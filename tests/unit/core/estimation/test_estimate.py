@@ -229,7 +229,8 @@ def test_the_joint_minimum_is_scipys() -> None:
     observations = [observe(str(k), tuple(g), *mean[k], u=noise, t=temperature[k]) for k, g in enumerate(gravity)]
     wanted = Design(("x", "y"), ("x", "y", "z"), drift=1, reference=20.0, jig=0.4, thermometer=thermometer)
     found = estimate(observations, wanted)
-    assert found.chi_square == pytest.approx(2 * peer.cost, rel=1e-6)
+    # The peer has no mean of the squares of the attitudes: 0.4° squared is 5e-5 g, of noise of 2e-3.
+    assert found.chi_square == pytest.approx(2 * peer.cost, rel=1e-3)
     assert found.dof == 16 - 10
     known = found.coefficients
     theta = np.column_stack([known.offset, known.sensitivity, known.thermal.drift])
