@@ -115,6 +115,8 @@ class Equations:
         As set, in the fixture's frame.
     prior_value, prior_u : ndarray, shape (coefficients,)
         What is stated of them; infinite u for nothing, 0 for one that is held at its value.
+    exact : bool
+        Whether a reading has no uncertainty that is known: chi-square is then no test.
     errors : mapping of str to slice
         The unknowns that are errors of the bench, by their source.
 
@@ -134,6 +136,7 @@ class Equations:
         self.prior_value = np.array([prior.value if prior else 0.0 for prior in priors])
         self.prior_u = np.array([prior.u if prior else inf for prior in priors])
         temperatures, count = self._number_temperatures()
+        self.exact = False
         self.channels = self._channels(temperatures)
         self.table_stated = design.table is not None
         leans = design.table != 0.0 and (self.table_stated or len({round(h % 360.0, 9) for h in self.headings}) > 1)
@@ -319,11 +322,13 @@ class Equations:
                 np.array([np.broadcast_to(getattr(one, name), shape[1]) for one in observations], dtype=float)
                 for name in ("mean", "u", "adc", "dof")
             )
-            if all(one.noise_unknown for one in observations):
-                u = np.full(shape, u.max())
             # Far below the others, and above the rounding of the arithmetic.
             size = np.maximum(np.ptp(mean, axis=0), 1e-6 * np.max(np.abs(mean), axis=0))
-            u = np.maximum(u, 1e-9 * np.maximum(size, 1e-300))
+            least = 1e-9 * np.maximum(size, 1e-300)
+            self.exact |= bool(np.any(u < least))
+            u = np.maximum(u, least)
+            if all(one.noise_unknown for one in observations):
+                u = np.full(shape, u.max())
             for k, model in enumerate(design.models):
                 own = slice(start, start + len(model.coefficients))
                 start = own.stop

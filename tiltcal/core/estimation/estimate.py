@@ -19,7 +19,15 @@ from tiltcal.core.estimation.design import Design, Observation, SensorObservatio
 from tiltcal.core.estimation.equations import ADC, JIG, THERMOMETER, Equations
 from tiltcal.core.estimation.identifiability import require_determined
 from tiltcal.core.estimation.set_positions import LIKE_THE_REST, errors_as_set, require_positions, wrong_position
-from tiltcal.core.estimation.solve import LARGEST_JIG, EstimatedVariance, Solution, solved, start_as_set, with_estimated
+from tiltcal.core.estimation.solve import (
+    LARGEST_JIG,
+    EstimatedVariance,
+    Solution,
+    projected,
+    solved,
+    start_as_set,
+    with_estimated,
+)
 from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.errors import EstimateError
@@ -168,6 +176,8 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
 
 def _not_stated(solution: Solution) -> str:
     """Return the source of the variance that the residuals show; empty where all is stated, or nothing is left over."""
+    from scipy.special import chdtrc
+
     equations, design = solution.equations, solution.equations.sensors[0].design
     if solution.dof <= 0:
         return ""
@@ -176,7 +186,10 @@ def _not_stated(solution: Solution) -> str:
     if design.jig is None:
         return JIG
     thermal = any(sensor.design.thermal for sensor in equations.sensors)
-    return THERMOMETER if thermal and design.thermometer is None and solution.chi_square > solution.dof else ""
+    if not thermal or design.thermometer is not None or equations.exact or solution.chi_square <= solution.dof:
+        return ""
+    beside = projected(solution, THERMOMETER)
+    return THERMOMETER if not beside.count or chdtrc(beside.count, beside.rest) > IMPROBABLE else ""
 
 
 def _estimates(

@@ -12,7 +12,7 @@ from math import inf
 import numpy as np
 
 from tiltcal.core.estimation.design import SensorObservations
-from tiltcal.core.estimation.equations import Equations
+from tiltcal.core.estimation.equations import BenchErrors, Equations
 from tiltcal.core.estimation.identifiability import require_determined
 from tiltcal.core.estimation.solve import start_as_set
 from tiltcal.core.model import Array
@@ -61,7 +61,9 @@ def errors_as_set(equations: Equations, z: Array) -> dict[str, float]:
     Those of one setting are averaged, and those of one direction at several temperatures: what a reading changes with
     temperature is no error of a position.
     """
-    sensors, residuals, row = equations.sensors, equations.unexplained(z), 0
+    sensors, row = equations.sensors, 0
+    perfect, exact = BenchErrors(0.0, equations.stated.table, 0.0, 0.0), np.zeros(int(equations.settings.max()) + 1)
+    residuals = equations.at(z, perfect, exact).residual * equations.u  # a lean that the start shows is no error
     sizes = _sizes(sensors, z)
     nominal = [sensor.design.nominal or own.max(initial=0.0) or inf for sensor, own in zip(sensors, sizes, strict=True)]
     groups = equations.settings

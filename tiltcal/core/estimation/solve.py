@@ -24,7 +24,7 @@ from tiltcal.core.estimation.equations import ADC, JIG, TABLE, BenchErrors, Equa
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
-_ROUNDS, _SETTLED, _ARITHMETIC = 50, 1e-6, 1e-12
+_ROUNDS, _SETTLED, _ARITHMETIC = 50, 1e-6, 1e-9
 """Solve again until no coefficient moves by this share of its standard uncertainty, or by what rounding leaves."""
 
 LARGEST_JIG = radians(45.0)
@@ -142,7 +142,8 @@ def solved(equations: Equations, errors: BenchErrors, start: Array | None = None
         near, z, step, covariance, chi_square = _round(equations, errors, z, moving, before)
         shortened = _shortened(equations, covariance)
         u = np.sqrt(np.maximum(np.diag(covariance), 0.0))[: len(step)]
-        settled = np.abs(step) <= np.maximum(_SETTLED * u, _ARITHMETIC * np.max(np.abs(z[: len(step)]), initial=0.0))
+        size = np.abs(z[: len(step)])
+        settled = np.abs(step) <= np.maximum(_SETTLED * u, _ARITHMETIC * (size + 1e-3 * size.max(initial=0.0)))
         if np.all(settled) and np.max(np.abs(shortened - before)) <= _CLOSE * errors.jig**2:
             return Solution(equations, errors, z, near, covariance, chi_square)
     raise EstimateError("the estimate does not settle: are the positions named right, and the readings plausible?")
@@ -205,7 +206,8 @@ def _inverse(normal: Array) -> Array:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal * np.outer(scale, scale)
     try:
-        inverse = np.linalg.inv(scaled)
+        root = np.linalg.inv(np.linalg.cholesky(scaled))
+        inverse = root.T @ root
     except np.linalg.LinAlgError:
         inverse = np.linalg.pinv(scaled, hermitian=True)
     return np.asarray(inverse * np.outer(scale, scale))
@@ -251,15 +253,17 @@ def estimated_variance(residuals: ProjectedResiduals) -> EstimatedVariance:
     return EstimatedVariance(value, float(np.sum((d2 / (1.0 + value * d2)) ** 2)), *beside)
 
 
-def estimated_noise(residuals: ProjectedResiduals, jig: float) -> EstimatedVariance:
-    """Return the factor of the noise's variance by restricted maximum likelihood, beside a stated jig, radians."""
+def estimated_noise(residuals: ProjectedResiduals, jig: float, lowest: float) -> EstimatedVariance:
+    """Return the factor of the noise's variance by restricted maximum likelihood, beside a stated jig, radians.
+
+    No reading is better than its rounding: the factor is ``lowest`` at least.
+    """
     s2, z2, rest, count = jig**2 * residuals.d2, residuals.z2, residuals.rest, residuals.count
 
     def slope(f: float) -> float:
         return float(np.sum((f + s2 - z2) / (f + s2) ** 2)) + count / f - rest / f**2
 
-    largest = float(np.max(z2, initial=rest))
-    value = _root(slope, 1e-12 * largest, largest)
+    value = _root(slope, lowest, max(float(np.max(z2, initial=rest)), 2.0 * lowest))
     return EstimatedVariance(value, float(np.sum(1.0 / (value + s2) ** 2)) + count / value**2)
 
 
@@ -290,9 +294,9 @@ def with_estimated(solution: Solution, source: str) -> tuple[Solution, Estimated
         before = found.value
         residuals = projected(solution, JIG if source == ADC else source)
         if source == ADC:
-            noise = estimated_noise(residuals, solution.errors.jig)
+            noise = estimated_noise(residuals, solution.errors.jig, 1.0 / solution.errors.noise)
             found = EstimatedVariance(noise.value * solution.errors.noise, noise.information / solution.errors.noise**2)
-            errors = replace(solution.errors, noise=max(found.value, 1e-24))
+            errors = replace(solution.errors, noise=found.value)
         else:
             found = estimated_variance(residuals)
             errors = replace(solution.errors, **{source: sqrt(max(found.value, 0.0))})

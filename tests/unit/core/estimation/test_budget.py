@@ -79,7 +79,7 @@ class TestBudgetByHand:
         assert shares["thermometer"] == pytest.approx(by_warmth**2 / (by_noise**2 + by_warmth**2), rel=1e-6)
 
     def test_straight_up_an_angle_error_only_lowers(self) -> None:
-        """At ±90° the reading falls by S a²/2, on average S jig² for two angles, and scatters by as much: of two, half."""
+        """At ±90° the reading falls by S a²/2, on average S jig² for two angles, and scatters as much."""
         found = estimate(self.pair(90.0), Design(("x",), ("x",), jig=1.0))
         square = self.S * radians(1.0) ** 2
         assert found.coefficients.sensitivity[0, 0] == pytest.approx(self.S + square, rel=1e-6)
