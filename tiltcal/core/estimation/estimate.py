@@ -25,6 +25,7 @@ from tiltcal.core.estimation.solve import (
     Solution,
     projected,
     solved,
+    solved_at,
     start_as_set,
     with_estimated,
 )
@@ -156,7 +157,9 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     require_determined(equations, start)
     if jig is not None:
         require_positions(equations, start, jig)
-    solution = solved(equations, equations.stated, start)
+    solution = solved_at(equations, start)
+    if solution.dof <= 0 or not (jig is None or equations.noise_unknown):
+        solution = solved(equations, equations.stated, start)
     dof, chi_square = solution.dof, solution.chi_square
     estimated: dict[str, EstimatedVariance] = {}
     source = _not_stated(solution)

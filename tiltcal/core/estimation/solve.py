@@ -24,8 +24,9 @@ from tiltcal.core.estimation.equations import ADC, JIG, TABLE, BenchErrors, Equa
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
-_ROUNDS, _SETTLED, _ARITHMETIC = 50, 1e-6, 1e-9
-"""Solve again until no coefficient moves by this share of its standard uncertainty, or by what rounding leaves."""
+_ROUNDS, _SETTLED, _ARITHMETIC = 50, (1e-6, 1e-3), 1e-9
+"""Solve again until no coefficient moves by this share of its standard uncertainty, which grows behind ten rounds
+because readings without noise leave no better equations, or by what rounding leaves."""
 
 LARGEST_JIG = radians(45.0)
 """Standard deviation of a set angle above which the positions are not those that were set, radians."""
@@ -137,15 +138,19 @@ def solved(equations: Equations, errors: BenchErrors, start: Array | None = None
         z[equations.errors[JIG]] = 0.0
     moving = equations.moving(errors)
     shortened = _shortened(equations, np.eye(equations.unknowns) * errors.jig**2)
-    for _ in range(_ROUNDS):
+    n = len(equations.names)
+    for number in range(_ROUNDS):
         before = shortened
-        near, z, step, covariance, chi_square = _round(equations, errors, z, moving, before)
+        near, step, covariance, chi_square = _round(equations, errors, z, moving, before)
         shortened = _shortened(equations, covariance)
-        u = np.sqrt(np.maximum(np.diag(covariance), 0.0))[: len(step)]
-        size = np.abs(z[: len(step)])
-        settled = np.abs(step) <= np.maximum(_SETTLED * u, _ARITHMETIC * (size + 1e-3 * size.max(initial=0.0)))
-        if np.all(settled) and np.max(np.abs(shortened - before)) <= _CLOSE * errors.jig**2:
-            return Solution(equations, errors, z, near, covariance, chi_square)
+        size = np.abs(z[:n])
+        smallest = np.maximum(
+            _SETTLED[number > 10] * np.sqrt(np.diag(covariance))[:n], _ARITHMETIC * (size + 1e-3 * size.max())
+        )
+        steps = np.abs(step[:n]) / np.maximum(smallest, 1e-300)
+        if steps.max() <= 1.0 and np.max(np.abs(shortened - before)) <= _CLOSE * errors.jig**2:
+            return Solution(equations, errors, z + step, near, covariance, chi_square)
+        z = z + step
     raise EstimateError("the estimate does not settle: are the positions named right, and the readings plausible?")
 
 
@@ -155,18 +160,18 @@ def _shortened(equations: Equations, covariance: Array) -> Array:
 
 
 def solved_at(equations: Equations, z: Array) -> Solution:
-    """Return the solution of equations whose readings are those of the unknowns ``z``, as a plan has them."""
+    """Return the equations linearised at some unknowns: the solution of a plan, and where an estimate begins."""
     errors = equations.stated
     exact = np.zeros(int(equations.settings.max()) + 1)
-    near, _, _, covariance, _ = _round(equations, errors, z, equations.moving(errors), exact)
-    return Solution(equations, errors, z, near, covariance, 0.0)
+    near, _, covariance, chi_square = _round(equations, errors, z, equations.moving(errors), exact)
+    return Solution(equations, errors, z, near, covariance, chi_square)
 
 
 def start_as_set(equations: Equations) -> Array:
     """Return the coefficients with the attitudes as set and nothing stated of the bench, shape (unknowns,)."""
     perfect = BenchErrors(0.0, equations.stated.table, 0.0, 0.0)
     z = equations.start()
-    # Gain and nonlinearity have no effect before a sensitivity is known: they join in the second round.
+    # Gain, nonlinearity and lean have no effect before a sensitivity is known: they join in the second round.
     moving = equations.moving(perfect)
     moving[: len(equations.names)] &= np.isinf(equations.prior_u)  # what is assumed stays as it is assumed
     exact = np.zeros(int(equations.settings.max()) + 1)
@@ -175,23 +180,22 @@ def start_as_set(equations: Equations) -> Array:
         own = channel.coefficients
         up = equations.gravity[channel.places] @ channel.orientation.T
         insensitive[own] = ~np.any(channel.model.read(z[own], up, channel.dt).by_coefficient, axis=0)
-    for mask in (moving & ~insensitive, moving) if np.any(moving & insensitive) else (moving,):
-        z = _round(equations, perfect, z, mask, exact)[1]
+    for mask in (moving & ~insensitive, moving):
+        z = z + _round(equations, perfect, z, mask, exact)[1]
     return z
 
 
 def _round(
     equations: Equations, errors: BenchErrors, z: Array, moving: NDArray[np.bool_], shortened: Array
-) -> tuple[Linearised, Array, Array, Array, float]:
-    """Return the equations about ``z``, the next unknowns, the step of coefficients, covariance and chi-square."""
+) -> tuple[Linearised, Array, Array, float]:
+    """Return the equations about ``z``, the step of the unknowns, their covariance, and chi-square behind the step."""
     near = equations.at(z, errors, shortened)
     normal, gradient, squares = _normal(near, equations.weights(errors), equations.start() - z)
     some = np.flatnonzero(moving)
     covariance = np.zeros_like(normal)
     covariance[np.ix_(some, some)] = _inverse(normal[np.ix_(some, some)])
     step = covariance @ gradient
-    chi_square = float(squares - gradient @ step)
-    return near, z + step, step[: len(equations.names)], covariance, max(chi_square, 0.0)
+    return near, step, covariance, max(float(squares - gradient @ step), 0.0)
 
 
 def _normal(near: Linearised, weights: Array, missing: Array) -> tuple[Array, Array, float]:
