@@ -183,13 +183,7 @@ class SensorSet:
         return readings, reasons
 
     def discard(self) -> None:
-        """Drop what the sensors sent before now.
-
-        Raises
-        ------
-        SensorError
-            One of them failed.
-        """
+        """Drop what the sensors sent before now; SensorError where one of them failed."""
         for name, device in self._devices:
             with self._named(name):
                 device.discard()
