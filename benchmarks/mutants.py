@@ -113,7 +113,7 @@ OTHERS = (
 )
 
 
-def tree(root: Path, folder: str) -> None:
+def copy_code(root: Path, folder: str) -> None:
     """Copy what the tests of the drivers need."""
     for part in ("tiltcal", "drivers", "procedures", "tests", "pyproject.toml", "fixtures"):
         source, goal = root / part, Path(folder) / part
@@ -123,18 +123,18 @@ def tree(root: Path, folder: str) -> None:
             shutil.copy(source, goal)
 
 
-def is_found(folder: str, tests: tuple[str, ...]) -> bool:
-    """Return whether a test fails on the code in a folder."""
+def a_test_fails(folder: str, tests: tuple[str, ...]) -> bool:
+    """Return whether a test fails, or cannot even be collected, on the code in a folder."""
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *tests]
     environment = {**os.environ, "PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1"}
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True).returncode == 1
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True).returncode != 0
 
 
 def survivors(root: Path, mutants: tuple[tuple[str, str, str], ...], tests: tuple[str, ...]) -> int:
     """Return the number of mutants that no test finds, and print them."""
     with tempfile.TemporaryDirectory() as folder:
-        tree(root, folder)
-        if is_found(folder, tests):
+        copy_code(root, folder)
+        if a_test_fails(folder, tests):
             raise SystemExit("a test fails on the code as it is")
         missed = 0
         for name, old, new in mutants:
@@ -143,7 +143,7 @@ def survivors(root: Path, mutants: tuple[tuple[str, str, str], ...], tests: tupl
             if old not in text:
                 raise SystemExit(f"{name} has no {old!r}")
             path.write_text(text.replace(old, new, 1), encoding="utf-8")
-            if not is_found(folder, tests):
+            if not a_test_fails(folder, tests):
                 print(f"not found: {name}: {old!r} -> {new!r}", flush=True)
                 missed += 1
             path.write_text(text, encoding="utf-8")

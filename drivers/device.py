@@ -285,6 +285,15 @@ class StreamingSensor(Protocol):
         ...
 
 
+@runtime_checkable
+class IdentifiedSensor(Protocol):
+    """A driver of a sensor that states its own serial number."""
+
+    def serial_number(self) -> str:
+        """Return the serial number that the sensor states."""
+        ...
+
+
 def in_words(link_statistics: Mapping[str, int]) -> str:
     """Return link statistics as text: ``120 sentences, 3 damaged, 1 lost``."""
     return ", ".join(f"{number} {what}" for what, number in link_statistics.items())

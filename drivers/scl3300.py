@@ -157,15 +157,15 @@ class Scl3300:
         """
         self._ready = False
         reading = self.read()
-        # The last answer is fetched with the first request again, so the part ends in bank 0: no other has a reset.
-        _, _, low, high = self._answers_to((BANK_0, BANK_1, SERIAL1, SERIAL2))
-        said = {
-            "part": self._part.name,
-            "serial": f"{(high.data << 16 | low.data)}B33",
-            "range": str(self._range),
-        }
+        said = {"part": self._part.name, "serial": self.serial_number(), "range": str(self._range)}
         said |= in_counts(reading.values)
         return said | {"temperature": f"{reading.temperature:.1f} °C", "link": in_words(self.link_statistics())}
+
+    def serial_number(self) -> str:
+        """Return the serial number as it is printed on the part."""
+        # The last answer is fetched with the first request again, so the part ends in bank 0: no other has a reset.
+        _, _, low, high = self._answers_to((BANK_0, BANK_1, SERIAL1, SERIAL2))
+        return f"{(high.data << 16 | low.data)}B33"
 
     def read(self) -> Reading:
         """Take one sample: x, y and z in counts, -32768 to 32767, and the temperature in °C.

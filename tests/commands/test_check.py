@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
-from support import FIXTURES
+from support import FIXTURES, ROOT
 from support.command import tiltcal
 
 PLANE = (FIXTURES / "plane.yaml").read_text(encoding="utf-8")
@@ -109,3 +110,29 @@ def test_a_bench_that_is_measured_is_checked_with_its_lines(tmp_path: Path) -> N
     for command in (("measure", "plane", "--bench", "bench.yaml"), ("record", "--bench", "bench.yaml", "-o", "l.csv")):
         result = tiltcal(*command, cwd=tmp_path)
         assert (result.returncode, result.stderr.split(" no ")[0]) == (2, "tiltcal: bench.yaml:6: sensors[0]:")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "says"),
+    [
+        ("", "", 0, "calibration, plane.journal.jsonl gives other digits with this version, which agree within their"),
+        ("x: 817.2001, y: 11.4501", "x: 817.2001, y: 31.4501", 1, "plane.journal.jsonl does not give this file"),
+        ("sha256: ec9f17", "sha256: ec9f18", 1, "plane.journal.jsonl does not give this file"),
+        ("serial: SIM-42, unit", "serial: SIM-43, unit", 1, "plane.journal.jsonl does not give this file"),
+    ],
+)
+def test_a_calibration_of_an_earlier_version_beside_its_journal(
+    tmp_path: Path, old: str, new: str, code: int, says: str
+) -> None:
+    """Made before priors were counted: other keys and digits of the same coefficients, u = 0.34 count/g of x to y."""
+    data = ROOT / "tests" / "data"
+    text = (data / "plane-earlier.yaml").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / "plane.yaml").write_text(text.replace(old, new), encoding="utf-8")
+    shutil.copy(data / "plane-earlier.journal.jsonl", tmp_path / "plane.journal.jsonl")
+    result = tiltcal("check", "plane.yaml", cwd=tmp_path)
+    assert says in result.stdout
+    assert result.returncode == code, result.stdout
+    (tmp_path / "plane.yaml").unlink()
+    assert tiltcal("replay", "plane.journal.jsonl", "-o", "plane.yaml", cwd=tmp_path).returncode == 0
+    assert tiltcal("check", "plane.yaml", cwd=tmp_path).stdout == "plane.yaml: calibration, good\n"

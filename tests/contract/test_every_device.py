@@ -306,10 +306,10 @@ def test_a_driver_reads_the_same_from_the_bytes_of_a_journal(device: str) -> Non
 
 def journal(bench: Bench, played: list[tuple[bytes, bytes, int]]) -> Callable[..., bytes]:
     """The exchanges of a journal, which the bench goes on with: its part is told what was sent to the one before it."""
-    left, part = iter(played), bench.line.link
+    recorded, part = iter(played), bench.line.link
 
     def exchange(out: bytes, count: int = 0) -> bytes:
-        for sent, answer, now_ns in left:
+        for sent, answer, now_ns in recorded:
             assert sent == out
             bench.clock.seek(now_ns)
             if now_ns == played[-1][2] and isinstance(part, Recalling):

@@ -214,13 +214,7 @@ class PositionRunner:
         self._soaked = reached
 
     def _sampled(self, look: Callable[[Sample, str], None], *, thermometers: bool) -> tuple[list[Timed], int]:
-        """Return the samples of a position, and how many that were far off have been taken again.
-
-        Raises
-        ------
-        Unsettled
-            Too many are far off.
-        """
+        """Return the samples of a position, and how many far off were taken again; Unsettled where too many."""
         held: list[Timed] = []
         left_out, wanted = 0, self._settings.samples
         while True:
@@ -244,13 +238,7 @@ class PositionRunner:
         typed: float | None,
         expectations: Mapping[str, ExpectedReadings],
     ) -> PositionResult:
-        """Return what the samples of a position give.
-
-        Raises
-        ------
-        Unsettled
-            They moved, or are at a rail.
-        """
+        """Return what the samples of a position give; Unsettled where they moved, or are at a rail."""
         moved = movement(held, self._sensors.models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(held) > 2 else None
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
@@ -275,13 +263,7 @@ class PositionRunner:
     def _check(
         self, result: PositionResult, accepted: Sequence[PositionResult], expectations: Mapping[str, ExpectedReadings]
     ) -> None:
-        """Refuse a position whose temperature is absurd, whose sensor is stuck, or that is another position.
-
-        Raises
-        ------
-        Unsettled
-            With the reason.
-        """
+        """Raise Unsettled where the temperature is absurd, a sensor is stuck, or it is another position."""
         require_plausible_temperature(result, accepted)
         determines = self._procedure.determines
         if determines.level or determines.mounting:

@@ -82,13 +82,7 @@ class RampRunner(PositionRunner):
             self._fixture.move(position.gravity, position.temperature, self._ramp.pace)
 
     def _leg(self, position: Position) -> list[Sample]:
-        """Sample until the temperature of a position is reached, or changes no more.
-
-        Raises
-        ------
-        SensorError
-            A sensor fails several times in a row.
-        """
+        """Sample until the temperature of a position is reached, or changes no more; SensorError as in a position."""
         samples: list[Sample] = []
         wanted, since, before = position.temperature or 0.0, 0, np.nan
         while True:
@@ -122,13 +116,7 @@ class RampRunner(PositionRunner):
             self._rows[sensor.serial].append((now_ns / 1e9, seen, *reading.values))
 
     def _of_leg(self, position: Position, samples: Sequence[Sample]) -> PositionResult:
-        """Return a leg as a position: the means along its way.
-
-        Raises
-        ------
-        Unsettled
-            Too many readings are at a rail.
-        """
+        """Return a leg as a position, the means along its way; Unsettled where too many readings are at a rail."""
         measurements = {}
         when = {"time": self._now()}
         for index, sensor in enumerate(self._sensors.sensors):

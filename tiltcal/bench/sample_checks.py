@@ -51,13 +51,7 @@ def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: boo
 
 
 def require_few(count: int, wanted: int, why: str) -> None:
-    """Refuse a position of which too many samples had to be taken again.
-
-    Raises
-    ------
-    Unsettled
-        With the last reason.
-    """
+    """Raise Unsettled, with the last reason, where too many samples of a position had to be taken again."""
     if count > max(1, LEFT_OUT * wanted):
         raise Unsettled(f"{count} samples of a position of {wanted} are far off: {why}; look for a loose contact")
 
@@ -75,13 +69,7 @@ def at_rail(reading: Reading, model: Model) -> str:
 
 
 def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
-    """Refuse readings at a rail.
-
-    Raises
-    ------
-    Unsettled
-        With the channel.
-    """
+    """Raise Unsettled, with the channel, for readings at a rail."""
     for reading in readings:
         if why := at_rail(reading, model):
             raise Unsettled(why)

@@ -16,7 +16,7 @@ from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Interruption, Link
-from tiltcal.drivers.device import Model, Reading, Sensor, StreamingSensor
+from tiltcal.drivers.device import IdentifiedSensor, Model, Reading, Sensor, StreamingSensor
 from tiltcal.errors import BusError, HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.frozen import frozen
@@ -183,13 +183,7 @@ class SensorSet:
         return readings, reasons
 
     def discard(self) -> None:
-        """Drop what the sensors sent before now.
-
-        Raises
-        ------
-        SensorError
-            One of them failed.
-        """
+        """Drop what the sensors sent before now; SensorError where one of them failed."""
         for name, device in self._devices:
             with self._named(name):
                 device.discard()
@@ -275,6 +269,31 @@ def open_device(
     return virtual.twin(device) if address.simulated else open_link(address, device.model, lines)
 
 
+def _open_same(
+    device: DeviceSetup,
+    virtual: VirtualBench,
+    lines: MutableMapping[str, ModbusLine],
+    clock: Clock,
+    serials: MutableMapping[str, str],
+) -> Link:
+    """Open a device as :func:`open_device`, and refuse a part with another serial number than it stated before.
+
+    As with :func:`probe_devices` the journal has only the error.
+    """
+    link = open_device(device, virtual, lines)
+    driver = device.model.driver(link, clock)
+    if not isinstance(driver, IdentifiedSensor) or parse_address(device.address).simulated:
+        return link
+    try:
+        serial = driver.serial_number()
+        if serial != (first := serials.setdefault(device.serial, serial)):
+            raise BusError(f"another part answers: its serial number is {serial}, it was {first}; connect that one")
+    except HardwareError as error:
+        link.close()
+        raise BusError(str(error)) from error
+    return link
+
+
 def probe_devices(
     devices: Sequence[DeviceSetup], virtual: VirtualBench, clock: Clock, *, read: bool = False
 ) -> list[Reading]:
@@ -317,7 +336,7 @@ def connected(
     links = [
         RecordedLink(
             log,
-            partial(open_device, device, virtual, lines),
+            partial(_open_same, device, virtual, lines, clock, {}),
             link_letter(parse_address(device.address), device.model),
             number,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,7 +15,10 @@ from tiltcal.files.declaration import KINDS
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.node import Node
-from tiltcal.files.provenance_record import FileRecord
+
+if TYPE_CHECKING:
+    from tiltcal.calibration.calibration import Calibration
+    from tiltcal.calibration.pair_calibration import PairCalibration
 
 
 @click.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
@@ -25,8 +29,8 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     """Check calibration files, procedures, twins and journals.
 
     Exit code 2 if a file is wrong; the message names file, line and key, and the other files are checked too. Exit code
-    1 if a file is readable, but has a negative verdict: an interrupted journal, a calibration that the journal beside
-    it does not give, a fit whose chi-square is not credible, or positions that do not agree.
+    1 if a file is readable, but has a negative verdict: an interrupted journal, a calibration whose coefficients the
+    journal beside it does not give, a fit whose chi-square is not credible, or positions that do not agree.
     """
     if schema is not None:
         if paths:
@@ -105,19 +109,32 @@ def _of_calibration(path: Path, document: Node) -> tuple[str, list[str], list[st
     from tiltcal.calibration.summary import objections, remarks_on_chance
 
     found = calibration_in(document)
-    beside = _of_journal_beside(path, found.provenance.journal)
+    findings, remarks = _of_journal_beside(path, found)
     if isinstance(found, Calibration):
         wiring = remarks_on_wiring(found.record.coefficients, found.record.sensor.unit)
-        return "calibration", objections(found.record) + beside, [*wiring, *remarks_on_chance(found.fit)]
-    return "pair calibration", beside, []
+        return "calibration", objections(found.record) + findings, [*wiring, *remarks_on_chance(found.fit), *remarks]
+    return "pair calibration", findings, remarks
 
 
-def _of_journal_beside(path: Path, captured: FileRecord | None) -> list[str]:
-    """Replay the journal beside a calibration file, and compare."""
+def _of_journal_beside(path: Path, found: Calibration | PairCalibration) -> tuple[list[str], list[str]]:
+    """Replay the journal beside a calibration file; where its text differs, compare the coefficients."""
+    captured = found.provenance.journal
     if captured is None or not (os.path.isfile(path) and os.path.isfile(path.parent / captured.name)):
-        return []
+        return [], []
     from tiltcal.bench.session import Session
+    from tiltcal.calibration.comparison import compare_records
+    from tiltcal.calibration.verdict import judge
+    from tiltcal.files.calibration import CalibrationRecord, changes_between
 
     journal = path.parent / captured.name
-    texts = Session.of_journal(journal).replay().texts
-    return [] if path.read_text(encoding="utf-8") in texts.values() else [f"{journal} does not give this file"]
+    made = Session.of_journal(journal).replay()
+    if path.read_text(encoding="utf-8") in made.texts.values():
+        return [], []
+    for new in made.calibrations.values():
+        old = found.record
+        if isinstance(new, CalibrationRecord) and isinstance(old, CalibrationRecord) and new.sensor == old.sensor:
+            # Of the same positions also coefficients that hold a share of others agree within what is stated of it.
+            verdicts = compare_records(old, new).verdict, judge(changes_between(old, new, None))
+            if new.provenance.journal == captured and "unchanged" in [verdict.word for verdict in verdicts]:
+                return [], [f"{journal} gives other digits with this version, which agree within their uncertainty"]
+    return [f"{journal} does not give this file"], []

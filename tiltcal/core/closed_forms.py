@@ -12,9 +12,6 @@ from __future__ import annotations
 
 from math import asin, hypot, nan, pi, sin
 
-import numpy as np
-
-from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
 
@@ -136,32 +133,6 @@ def first_order_compensation_from_tilt(reading_x: float, tilt_y: float, sensitiv
     Cross-axis Compensation, eq. 5, with a MINUS as in eq. 6: ``u_X - S_XY sin(tilt_Y)``.
     """
     return reading_x - sensitivity_xy * sin(tilt_y)
-
-
-def full_compensation(readings: Array, offset: Array, sensitivity: Array) -> Array:
-    """Acceleration along every axis at once, by the inverse of the whole sensitivity matrix, g.
-
-    Parameters
-    ----------
-    readings : ndarray, shape (..., channels)
-    offset : ndarray, shape (channels,)
-    sensitivity : ndarray, shape (channels, channels)
-        Row = channel, column = axis.
-
-    Raises
-    ------
-    EstimateError
-        The matrix is singular.
-
-    Notes
-    -----
-    Eq. 6 is the first-order form of this solution: it leaves an error of S_XY S_YX / (S_XX S_YY), and this leaves none.
-    """
-    signal = np.asarray(readings, dtype=float) - offset
-    try:
-        return np.asarray(np.linalg.solve(sensitivity, signal[..., None])[..., 0], dtype=np.float64)
-    except np.linalg.LinAlgError:
-        raise EstimateError("the sensitivity matrix is singular: two channels measure the same axis") from None
 
 
 def scale_from_tilt(reading_tilted: float, reading_level: float, tilt: float) -> float:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
+import yaml
 from support import FIXTURES
 
 from tiltcal.errors import UsageError
@@ -13,6 +14,7 @@ from tiltcal.files.calibration import read_calibration
 from tiltcal.files.calibration_folder import index_folder
 
 MAVS = (FIXTURES / "mavs.yaml").read_text(encoding="utf-8")
+ENDED = datetime.fromisoformat(yaml.safe_load(MAVS)["provenance"]["ended"])
 
 
 def test_serial_model_and_date_are_those_that_the_whole_file_gives(tmp_path: Path) -> None:
@@ -20,14 +22,14 @@ def test_serial_model_and_date_are_those_that_the_whole_file_gives(tmp_path: Pat
     (tmp_path / "a.yaml").write_text(MAVS)
     (tmp_path / "b.yml").write_text("# of hand\n" + MAVS.replace("SIM-42", "0042").replace("2000-01-01", "2001-03-04"))
     (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "c.yaml").write_text(MAVS.replace("2000-01-01T00:04", "1999-12-31T23:04"))
+    (tmp_path / "old" / "c.yaml").write_text(MAVS.replace("2000-01-01T00", "1999-12-31T23"))
     index = index_folder(tmp_path)
     assert not index.problems
     found = [(one.serial, one.model, one.date, Path(one.path).name) for one in index.files]
     assert found == [
-        ("0042", "sca100t-d02", datetime(2001, 3, 4, 0, 4, 0, 446000, UTC), "b.yml"),
-        ("SIM-42", "sca100t-d02", datetime(1999, 12, 31, 23, 4, 0, 446000, UTC), "c.yaml"),
-        ("SIM-42", "sca100t-d02", datetime(2000, 1, 1, 0, 4, 0, 446000, UTC), "a.yaml"),
+        ("0042", "sca100t-d02", ENDED.replace(2001, 3, 4), "b.yml"),
+        ("SIM-42", "sca100t-d02", ENDED - timedelta(hours=1), "c.yaml"),
+        ("SIM-42", "sca100t-d02", ENDED, "a.yaml"),
     ]
 
 

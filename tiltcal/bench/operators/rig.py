@@ -108,13 +108,7 @@ class _Rig:
         self._repeat(about, why)
 
     def _repeat(self, about: str, why: str) -> None:
-        """Count that a position, or the stage, has to be asked for again.
-
-        Raises
-        ------
-        Stopped
-            Too often in a row: the rig does not do what it is asked for.
-        """
+        """Count that a position, or the stage, has to be asked for again; too often in a row raises Stopped."""
         self._repeats = self._repeats + 1 if about == self._repeated else 1
         self._repeated = about
         if self._repeats == REPEATS:
