@@ -16,8 +16,8 @@ from tiltcal.bench.rotation_samples import TOO_FEW, RotationSamples, SampleBlock
 from tiltcal.bench.sensor_set import RECOVERY, Sample, SensorSet
 from tiltcal.bench.session_calibration import SessionEnd, session_provenance
 from tiltcal.bench.session_plan import SessionPlan
-from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.matching import Matching, match
+from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.drivers.bus.link import Interruption
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import EstimateError, SensorError
@@ -123,8 +123,8 @@ class RotationRunner:
             why = self._take_block(collected)
             if self._stops(collected):
                 return STOPPED
-            if int(collected.turns) > made:
-                made = int(collected.turns)
+            if collected.turns > made:
+                made = collected.turns
                 ended = self._report_turn(collected, made)
                 if ended:
                     return ended
@@ -194,7 +194,7 @@ class RotationRunner:
             return False
         if collected.turns >= FEWEST_TURNS:
             return True
-        self._refuse(f"the stage has made {collected.turns:.2f} whole turns; {TOO_FEW}")
+        self._refuse(f"the stage has made {collected.turns} whole turns; {TOO_FEW}")
         return False
 
     def _report_turn(self, collected: RotationSamples, made: int) -> str:
@@ -218,16 +218,15 @@ class RotationRunner:
             Not one can be matched.
         """
         whole = collected.whole()
-        demodulation = whole.demodulator.result()
         matchings, unmatched = [], []
         for pair in self._channels.pairs:
             try:
-                matchings.append(match(demodulation, pair))
+                matchings.append(match(whole.demodulation, pair))
             except EstimateError as refusal:
                 unmatched.append(f"{pair.first} and {pair.second}: {refusal}")
         if not matchings:
             raise EstimateError("; ".join(unmatched))
-        for why in unmatched:
+        for why in (*whole.stuck, *unmatched):
             self._report_hold(why)
         self._log.report(self._operator.matched, whole.turns, matchings)
         return RotationResult(
@@ -235,7 +234,7 @@ class RotationRunner:
             whole.turns,
             whole.seconds,
             whole.samples,
-            collected.left_out + self._damaged,
+            whole.left_out + self._damaged,
             ended,
             tuple(unmatched),
         )

@@ -18,9 +18,9 @@ import numpy as np
 from tiltcal.core.flags import MISSING, NOT_A_NUMBER, PASS, Bytes
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import harmonic_columns
-from tiltcal.core.pair.encoder import AngleTracker
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import matched_sum
+from tiltcal.core.pair.turns import follow
 
 GRADIENT = "gradient"
 _HARMONICS = 2
@@ -87,7 +87,7 @@ class TurnByTurn:
     """Demodulates a signal at twice the turning: every row has the components of the last whole turn before its own."""
 
     def __init__(self) -> None:
-        self._stage = AngleTracker()
+        self._last: float | None = None
         self._turn: int | None = None
         self._whole = False
         self._products = np.zeros((0, 0))
@@ -104,7 +104,8 @@ class TurnByTurn:
         """
         found = np.full((2, len(theta)), np.nan)
         good = np.flatnonzero(np.isfinite(theta) & np.isfinite(signal))
-        angle = self._stage.follow(theta[good])
+        angle = follow(theta[good], self._last)
+        self._last = float(angle[-1]) if len(angle) else self._last
         turn = np.maximum.accumulate(np.floor(angle).astype(np.int64)) if len(angle) else np.zeros(0, np.int64)
         table = np.concatenate([harmonic_columns(angle, _HARMONICS), signal[good][None, :]])
         cuts = [0, *(np.flatnonzero(np.diff(turn)) + 1).tolist(), len(turn)]

@@ -1,4 +1,7 @@
-"""Matching a pair offline: p and q from the components of a record, in closed form, with their uncertainty."""
+"""Matching a pair offline: p and q from the components of a record, in closed form, with their uncertainty.
+
+Where p or q drift during the record, one value of each describes no part of it well, and that is said.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from math import hypot, sqrt
 import numpy as np
 
 from tiltcal.core.model import Array
-from tiltcal.core.pair.demodulate import Demodulation
+from tiltcal.core.pair.demodulate import COARSE_BLOCKS, Demodulation
 from tiltcal.core.pair.model import Pair, sum_weights
 from tiltcal.errors import EstimateError
 
@@ -24,6 +27,8 @@ _SMALLEST = 1e-140
 """Amplitude below which squares are lost in double precision."""
 _CLEAREST = 5.0
 """How many standard uncertainties the common acceleration must have."""
+_DRIFTS = 5.0
+"""Drift over its standard uncertainty, of eight degrees of freedom, that chance makes once in a thousand records."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +151,23 @@ def solve(demodulation: Demodulation, pair: Pair) -> PairCoefficients:
     inverse = np.linalg.inv(system)
     u_p, u_q = np.sqrt(np.diag(inverse @ demodulation.covariance(mix) @ inverse.T)).tolist()
     return PairCoefficients(1.0 - rest, q, u_p, u_q)
+
+
+def drifts(demodulation: Demodulation, pair: Pair, coefficients: PairCoefficients) -> dict[str, float]:
+    """Return by how much p and q change from the beginning of a record to its end, those that clearly do."""
+    if len(demodulation.scores) < 2 * COARSE_BLOCKS:
+        return {}
+    weights = dict(zip(pair.channels, (1.0 - coefficients.p, 1.0, coefficients.q), strict=True))
+    scores, products = demodulation.coarse(demodulation.mix(weights))
+    vectors = [demodulation.components(demodulation.mix({name: 1.0})) for name in (pair.first, pair.orthogonal)]
+    # What is left of each stretch, as what p and q of that stretch differ by.
+    away = np.linalg.solve(products, scores[..., None])[..., 0] @ np.linalg.inv(np.stack([vectors[0], -vectors[1]]))
+    time = np.linspace(-0.5, 0.5, len(away)) * len(away) / (len(away) - 1)
+    slopes = time @ away / (time @ time)
+    rest = away - away.mean(axis=0) - np.outer(time, slopes)
+    uncertainty = np.sqrt(np.sum(rest**2, axis=0) / (len(away) - 2) / (time @ time))
+    clear = zip("pq", slopes.tolist(), uncertainty.tolist(), strict=True)
+    return {name: slope for name, slope, u in clear if abs(slope) > _DRIFTS * u}
 
 
 def _components(demodulation: Demodulation, pair: Pair, p: float, q: float) -> Mapping[str, Mapping[str, Component]]:

@@ -26,6 +26,9 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
+FEWEST_TURNS = 2.0
+"""Of the stage, from which p and q can be determined."""
+
 
 @dataclass(frozen=True)
 class Pair:

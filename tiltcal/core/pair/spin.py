@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan2, pi
+from math import atan2, ceil, pi
 
 import numpy as np
 
 from tiltcal.core.model import Array
-from tiltcal.core.pair.encoder import FEWEST_TURNS
+from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.errors import EstimateError
 
 _STEPS = 20
@@ -20,6 +21,9 @@ _FOLLOWED = 1e-6
 _MOST_SLIP = 0.5
 """Turns, over some rows, by which their spin may differ from that before."""
 _FEWEST_ROWS = 16
+_ROWS_FOR_SPIN = 1 << 20
+"""Rows from whose beginning the spin is estimated."""
+_TURNS_TO_FOLLOW = 16
 _PIECE = 1 << 14
 """Rows whose columns are in memory together, and in the processor's cache."""
 _PADDING = 2
@@ -92,17 +96,7 @@ def estimate_spin(time: Array, readings: Array) -> Spin:
 def followed_spin(before: Spin, time: Array, readings: Array) -> Spin:
     """Return the spin of some rows, given that of the rows before: no stage keeps its speed for hours.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Finite.
-    readings : ndarray, shape (n, channels)
-        Finite.
-
-    Returns
-    -------
-    Spin
-        That of before, where the rows have less than two turns or do not say.
+    It is that of before where the rows have less than two turns or do not say; arguments as of :func:`estimate_spin`.
     """
     span = float(time[-1] - time[0]) if len(time) > _FEWEST_ROWS else 0.0
     expected = before.frequency * span
@@ -120,6 +114,42 @@ def followed_spin(before: Spin, time: Array, readings: Array) -> Spin:
             break
     phase = atan2(coefficients[1, 0], coefficients[0, 0]) / (2.0 * pi)
     return Spin(turns / span, (phase - turns / span * middle) % 1.0)
+
+
+def estimated_angle(time: Array, readings: Sequence[Array]) -> Array:
+    """Return the stage angle of a record without an encoder, degrees, shape (n,); NaN where the time is.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        NaN where it is missing.
+    readings : sequence of ndarray, shape (n,) each
+        NaN where a value is missing.
+
+    Raises
+    ------
+    EstimateError
+        There is no spin, or no row has a time and all readings.
+    """
+    if not np.isfinite(time).any():
+        raise EstimateError("no row has a time: write it in seconds, or in ISO 8601 such as 2026-05-01T12:00:00.5Z")
+
+    def timed(start: int, end: int) -> tuple[Array, Array]:
+        table = np.stack([time[start:end], *(column[start:end] for column in readings)])
+        table = table[:, np.isfinite(table).all(axis=0)]
+        return table[0], table[1:].T
+
+    theta = np.empty(len(time))
+    times, values = timed(0, _ROWS_FOR_SPIN)
+    if not len(times):
+        raise EstimateError("no row of the record has all readings: is every accelerometer connected?")
+    spin = estimate_spin(times, values)
+    turns = spin.frequency * float(times[-1] - times[0])
+    rows = max(ceil(_TURNS_TO_FOLLOW * len(times) / turns), _PIECE)
+    for start in range(0, len(time), rows):
+        spin = followed_spin(spin, *timed(start, start + rows))
+        theta[start : start + rows] = spin.theta(time[start : start + rows])
+    return theta
 
 
 def _strongest(centred: Array, readings: Array) -> float:
