@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,8 @@ import numpy as np
 
 import tiltcal
 from tiltcal.calibration.pair_calibration import PairCalibration
-from tiltcal.core.pair.demodulate import CHUNK
-from tiltcal.core.pair.matching import drifts, solve
+from tiltcal.core.pair.demodulate import CHUNK, Demodulation
+from tiltcal.core.pair.matching import PairCoefficients, drifts, solve
 from tiltcal.core.pair.matching import match as match_demodulated
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online, OnlineHistory
@@ -158,16 +159,20 @@ def match_log(
             say(line)
         demodulation = read.demodulation
         if online:
-            estimates = [each.coefficients(loops=loops) for each in estimators]
+            estimates = [
+                _with_rounding(each.coefficients(loops=loops), demodulation, pair)
+                for pair, each in zip(pairs, estimators, strict=True)
+            ]
         else:
             estimates = [solve(demodulation, pair) for pair in pairs]
         matchings = tuple(match_demodulated(demodulation, *each) for each in zip(pairs, estimates, strict=True))
     if not online:
         for pair, estimate in zip(pairs, estimates, strict=True):
-            for name, change in drifts(demodulation, pair, estimate).items():
+            changes = [f"{name} by {change:.2g}" for name, change in drifts(demodulation, pair, estimate).items()]
+            if changes:
                 say(
-                    f"{pair.first} and {pair.second}: {name} drifts by {change:.2g} during the record, and the result "
-                    "is its mean; match shorter parts of it, or find with --online what it is at the end"
+                    f"{pair.first} and {pair.second} drift, {' and '.join(changes)} over the record, and the result is "
+                    "the mean; match shorter parts of it, or find with --online what it is at the end"
                 )
     rows = read.rows + read.missing
     if read.missing:
@@ -187,6 +192,14 @@ def match_log(
         provenance=provenance,
     )
     return MatchedLog(PairCalibration(record), read, estimators[0].course if online else ())
+
+
+def _with_rounding(estimate: PairCoefficients, demodulation: Demodulation, pair: Pair) -> PairCoefficients:
+    """Return an online estimate whose uncertainty counts what all turns share by the rounding of the readings."""
+    if not demodulation.rounding.any():
+        return estimate
+    alone = solve(replace(demodulation, residual=np.zeros_like(demodulation.residual)), pair)
+    return replace(estimate, u_p=hypot(estimate.u_p, alone.u_p), u_q=hypot(estimate.u_q, alone.u_q))
 
 
 def _pushed(estimators: Sequence[Online], record: StageRecord) -> Iterator[str]:
