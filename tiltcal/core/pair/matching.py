@@ -162,7 +162,7 @@ def drifts(demodulation: Demodulation, pair: Pair, coefficients: PairCoefficient
     vectors = [demodulation.components(demodulation.mix({name: 1.0})) for name in (pair.first, pair.orthogonal)]
     # What is left of each stretch, as what p and q of that stretch differ by.
     away = np.linalg.solve(products, scores[..., None])[..., 0] @ np.linalg.inv(np.stack([vectors[0], -vectors[1]]))
-    time = np.linspace(-0.5, 0.5, len(away)) * len(away) / (len(away) - 1)
+    time = (np.arange(len(away)) + 0.5) / len(away) - 0.5
     slopes = time @ away / (time @ time)
     rest = away - away.mean(axis=0) - np.outer(time, slopes)
     uncertainty = np.sqrt(np.sum(rest**2, axis=0) / (len(away) - 2) / (time @ time))
