@@ -48,7 +48,7 @@ class Loop:
 
     def __init__(self) -> None:
         self.value, self._squares = 0.0, 1.0
-        self._latest: deque[float] = deque([inf], maxlen=2)
+        self._latest: deque[float] = deque([inf], maxlen=4)
         self.restart()
 
     def restart(self) -> None:
@@ -74,7 +74,7 @@ class Loop:
         Before it has settled, the latest corrections; infinite before the first.
         """
         count = len(self._each)
-        if count < 3:
+        if count < 6:
             return max(abs(correction) for correction in self._latest)
         each = np.array(self._each)
         variance, dof = float(each.var(ddof=1)), count - 1
@@ -83,7 +83,7 @@ class Loop:
             slow = size * float(each[-size * _GROUPS :].reshape(_GROUPS, size).mean(axis=1).var(ddof=1))
             # Chance makes that of ten groups twice as large once in thirty records.
             variance, dof = (slow, _GROUPS - 1) if slow > 2.0 * variance else (variance, dof)
-        return sqrt(self._squares * variance * (dof / (dof - 2.0) if dof > 2 else 4.0))
+        return sqrt(self._squares * variance * dof / (dof - 2.0))
 
 
 class TrimmingLoops:
