@@ -65,15 +65,8 @@ class PairCoefficients:
 class Matching:
     """The matching of a pair: p and q, and how far they suppress the common acceleration of a record.
 
-    Attributes
-    ----------
-    p, q : float
-        Pure numbers.
-    u_p, u_q : float
-        Their standard uncertainties (k = 1).
-    components : mapping of str to mapping of str to Component
-        ``before``, ``after_p`` and ``after_pq``: the three channels, and their sum. After p the second channel is
-        divided by 1 - p; after p and q the orthogonal one is added to it.
+    ``components`` has ``before``, ``after_p`` and ``after_pq``: the three channels, and their sum. After p the second
+    channel is divided by 1 - p; after p and q the orthogonal one is added to it.
     """
 
     pair: Pair
@@ -107,33 +100,15 @@ class Matching:
         return float((first + weights[1] * second - weights[2] * orthogonal) / (2.0 * first))
 
 
-def match(demodulation: Demodulation, pair: Pair, found: PairCoefficients | None = None) -> Matching:
-    """Match a pair, and return its effect on the record.
-
-    Parameters
-    ----------
-    demodulation : Demodulation
-        Of a record that has the pair's three channels.
-    found : PairCoefficients, optional
-        p and q; those of the record, in closed form, where they are left out.
-
-    Raises
-    ------
-    EstimateError
-        See :func:`solve`.
-    """
-    found = solve(demodulation, pair) if found is None else found
-    components = _components(demodulation, pair, found.p, found.q)
-    return Matching(pair, found.p, found.q, found.u_p, found.u_q, components)
+def match(demodulation: Demodulation, pair: Pair, coefficients: PairCoefficients | None = None) -> Matching:
+    """Match a pair, by :func:`solve` where its coefficients are left out, and return its effect on the record."""
+    known = coefficients or solve(demodulation, pair)
+    components = _components(demodulation, pair, known.p, known.q)
+    return Matching(pair, known.p, known.q, known.u_p, known.u_q, components)
 
 
 def solve(demodulation: Demodulation, pair: Pair) -> PairCoefficients:
     """p and q in closed form.
-
-    Parameters
-    ----------
-    demodulation : Demodulation
-        Of a record that has the pair's three channels.
 
     Raises
     ------
