@@ -74,16 +74,9 @@ def moved(products: Array, rows: Array | int) -> Array:
 def demodulate(
     channels: Sequence[str], angle: Array, readings: Sequence[Array] | Array, whole: Mask | None = None
 ) -> Demodulation:
-    """Return the regression over a record.
+    """Return the regression over the rows of a record that are whole, all of them where these are left out.
 
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Turns that do not wrap, see :func:`tiltcal.core.pair.turns.follow`.
-    readings : sequence of ndarray, shape (n,) each
-        Of each channel.
-    whole : ndarray of bool, shape (n,), optional
-        Rows that count, in which nothing is missing; all of them where it is left out.
+    The angle, shape (n,), is in turns that do not wrap; readings are of shape (n,) for each channel.
 
     Raises
     ------
@@ -124,31 +117,21 @@ def _rounding(demodulation: Demodulation, step: float, angle: Array) -> Array:
 class Demodulation:
     """The regression of all channels on the stage angle.
 
-    Attributes
-    ----------
-    coefficients : ndarray, shape (columns, channels)
-        Rows 0 and 1 are the sin θ and cos θ components, the last two the offset in the middle of the record and the
-        drift over all of it, in the unit of the readings.
-    residual : ndarray, shape (channels, channels)
-        Covariance of what is left, unit².
-    inverse : ndarray, shape (columns, columns)
-        Of the products of the columns: times a variance it is the coefficients' covariance in white noise.
-    scores : ndarray, shape (blocks, 2, channels)
-        Products of sin θ and cos θ with what is left, per block of turns.
-    weights : ndarray, shape (blocks, 2, 2)
-        Products of sin θ and cos θ with each other, per block of turns.
-    rounding : ndarray, shape (channels,)
-        Variance of each component from the rounding of the readings, which all turns share, unit².
+    The first two ``coefficients`` are the sin θ and cos θ components, the last two the offset in the middle of the
+    record and the drift over all of it, in the unit of the readings. ``inverse`` times a variance is their covariance
+    in white noise; ``residual`` is the covariance of what is left, and ``rounding`` the variance of each component
+    from the rounding of the readings, which all turns share, unit². ``scores`` are products of sin θ and cos θ with
+    what is left, and ``weights`` with each other, per block of turns.
     """
 
     channels: tuple[str, ...]
     rows: int
-    coefficients: Array
-    residual: Array
-    inverse: Array
-    scores: Array
-    weights: Array
-    rounding: Array
+    coefficients: Array  # (columns, channels)
+    residual: Array  # (channels, channels)
+    inverse: Array  # (columns, columns)
+    scores: Array  # (blocks, 2, channels)
+    weights: Array  # (blocks, 2, 2)
+    rounding: Array  # (channels,)
 
     def mix(self, weights: dict[str, float]) -> Array:
         """Weights by name as a row for all channels, shape (channels,)."""
@@ -197,15 +180,7 @@ class Demodulation:
 
 
 def regress(blocks: Array, channels: Sequence[str]) -> Demodulation:
-    """Return the regression from products of shape (blocks, size, size), without rounding.
-
-    Fewer harmonics are fitted where the rows of a turn are too few for all.
-
-    Raises
-    ------
-    EstimateError
-        Not even the first harmonic is determined.
-    """
+    """Return the regression from products of shape (blocks, size, size), with fewer harmonics where rows are few."""
     total = blocks.sum(axis=0)
     rows = round(float(total[ONE, ONE]))
     for used in range(HARMONICS, 0, -1):

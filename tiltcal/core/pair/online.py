@@ -194,15 +194,7 @@ class OnlineHistory:
 
 
 class Online:
-    """Both estimators of a pair.
-
-    Attributes
-    ----------
-    course : list of OnlineHistory
-        One entry for each turn.
-    refused : str
-        Why the last turn could not be used by the estimators; empty where it could.
-    """
+    """Both estimators of a pair; the course of each turn, and why the last one was refused, empty where it was not."""
 
     def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
         self.stream = TurnStream(len(channels))
@@ -223,11 +215,8 @@ class Online:
                     estimator.update(item)
                 except EstimateError as refusal:
                     why = str(refusal)
-            self.course.append(
-                OnlineHistory(
-                    len(self.course) + 1.0, (self.loops.p, self.loops.q), (self.recursive.p, self.recursive.q)
-                )
-            )
+            estimates = ((one.p, one.q) for one in (self.loops, self.recursive))
+            self.course.append(OnlineHistory(len(self.course) + 1.0, *estimates))
             if why != self.refused:
                 notices.append(Notice(item.end, why))
             self.refused = why

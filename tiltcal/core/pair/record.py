@@ -24,20 +24,9 @@ _STUCK = 0.25
 
 @dataclass(frozen=True)
 class StageRecord:
-    """The samples of a turning stage.
+    """The samples of a turning stage: its angle in degrees and in turns that do not wrap, and readings of channels.
 
-    Attributes
-    ----------
-    channels : tuple of str
-        Of the readings.
-    theta, angle : ndarray, shape (n,)
-        Stage angle, degrees and turns that do not wrap; NaN where it is missing.
-    readings : sequence of ndarray, shape (n,) each
-        NaN where a value is missing.
-    whole : ndarray of bool, shape (n,)
-        Rows in which nothing is missing or stuck.
-    stuck : tuple of str
-        Which channel is stuck, and from which row on.
+    All are of shape (n,), NaN where a value is missing; in ``whole`` rows nothing is missing or stuck.
     """
 
     channels: tuple[str, ...]

@@ -42,15 +42,9 @@ COARSE = (
 
 
 def follow(theta: Array, last: float | None = None) -> Array:
-    """Return angles in turns that do not wrap: the whole number is a count, the rest is the angle.
+    """Return angles in turns that do not wrap, shape (n,), from degrees, wrapped or not, and the turns before them.
 
-    Parameters
-    ----------
-    theta : ndarray, shape (n,)
-        Degrees, wrapped or not; finite. From one to the next it is less than an eighth of a turn back; more is taken
-        for a gap in which the stage went on.
-    last : float, optional
-        Turns of the angle before.
+    From one to the next it is less than an eighth of a turn back; more is taken for a gap in which the stage went on.
     """
     if not len(theta):
         return np.empty(0)
@@ -124,16 +118,8 @@ class Notice:
 class TurnStream:
     """Cuts a stream into whole turns.
 
-    Attributes
-    ----------
-    rows, left_out : int
-        That came in; and those of them in turns that were not handed on, or with a missing value.
-    turns : int
-        That were handed on.
-    turned : float
-        Turns from the first angle to the last.
-    why : str
-        Why the stream is held now; empty where it is not.
+    Of its ``rows``, ``left_out`` are those of turns that were not handed on, or with a missing value; ``turns`` were
+    handed on, and from the first angle to the last the stage has ``turned``. ``why`` is why the stream is held now.
     """
 
     def __init__(self, channels: int) -> None:
@@ -158,14 +144,8 @@ class TurnStream:
     def push(self, theta: Array, readings: Array, whole: Mask | None = None) -> list[Turn | Notice]:
         """Take samples, and return the turns that they end, and where the stream is held and goes on.
 
-        Parameters
-        ----------
-        theta : ndarray, shape (n,)
-            Degrees; NaN where it is missing.
-        readings : ndarray, shape (channels, n)
-            NaN where a value is missing.
-        whole : ndarray of bool, shape (n,), optional
-            Rows whose readings count; those that are finite where it is left out.
+        Angles, shape (n,), are in degrees, readings of shape (channels, n), both NaN where one is missing. Rows whose
+        readings count are ``whole``, those that are finite where it is left out.
         """
         whole = np.asarray(np.isfinite(readings).all(axis=0)) if whole is None else whole
         there = np.flatnonzero(np.isfinite(theta))
