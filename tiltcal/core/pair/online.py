@@ -43,7 +43,7 @@ _LATE = 200
 _GROUPS = 10
 
 
-class Loop:
+class TrimmingLoop:
     """An integral controller that averages once it has settled (Robbins and Monro, 1951): ``value`` is trimmed."""
 
     def __init__(self) -> None:
@@ -90,7 +90,7 @@ class TrimmingLoops:
     """The two loops of the source, on the channels of a stream: p first, then q."""
 
     def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
-        self._pair, self._p, self._q = pair, Loop(), Loop()
+        self._pair, self._p, self._q = pair, TrimmingLoop(), TrimmingLoop()
         self._where = [READINGS + channels.index(channel) for channel in pair.channels]
         self._turns = self._settled = 0
         self._trims_q = False
@@ -104,7 +104,7 @@ class TrimmingLoops:
         return self._q.value
 
     def coefficients(self) -> PairCoefficients:
-        """p and q as they are trimmed now; the uncertainties are infinite before they have settled."""
+        """p and q as they are trimmed now; the uncertainties are infinite before the first turn that trims them."""
         return PairCoefficients(self.p, self.q, self._p.uncertainty(), self._q.uncertainty())
 
     def update(self, turn: Turn) -> None:
