@@ -42,6 +42,16 @@ def test_both_pairs_find_the_truth_and_agree_with_a_regression() -> None:
     assert tuple(attendant.matchings) == found.matchings
 
 
+def test_a_channel_that_is_stuck_for_a_while_is_named_and_left_out() -> None:
+    stuck = disk.record(seconds=80.0, rate=50.0, spin=0.5)
+    stuck.readings[1000:1300, 1] = stuck.readings[1000, 1]
+    attendant = Attendant()
+    found = turned(lines(stuck), attendant, turns=30)
+    assert "a2 is stuck at" in attendant.told[-1]
+    assert near(found.matchings[0], disk.truth())
+    assert found.left_out == 300
+
+
 def test_every_turn_is_told_with_what_is_known_by_then() -> None:
     attendant = Attendant()
     turned(lines(RECORD), attendant, turns=6)
