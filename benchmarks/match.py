@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
+from tiltcal.core.pair.demodulate import CHUNK
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
 from tiltcal.logs.formats import open_log
-from tiltcal.logs.pair_matching import demodulate_log
-from tiltcal.logs.pair_rows import PairBlock
+from tiltcal.logs.pair_log import read_pair_log
 
 PAIR = Pair("a1", "a2", "a4")
 CHANNELS = ("a1", "a2", "a3", "a4")
@@ -51,17 +51,14 @@ def write_log(path: Path, rows: int, rate: float) -> None:
 
 def online_seconds(path: Path) -> float:
     """Time the estimators alone: a live stream brings its numbers itself."""
-    online, spent = Online(PAIR, CHANNELS), 0.0
-
-    def push(stretch: PairBlock) -> None:
-        nonlocal spent
-        begun = time.perf_counter()
-        online.push(stretch.theta, stretch.readings)
-        spent += time.perf_counter() - begun
-
+    online = Online(PAIR, CHANNELS)
     with open_log(path) as log:
-        demodulate_log(log, CHANNELS, "theta", observers=[push])
-    return spent
+        record = read_pair_log(log, CHANNELS, "theta").record
+    begun = time.perf_counter()
+    for start in range(0, len(record.theta), CHUNK):
+        rows = slice(start, start + CHUNK)
+        online.push(record.theta[rows], np.stack([column[rows] for column in record.readings]), record.whole[rows])
+    return time.perf_counter() - begun
 
 
 def main() -> int:

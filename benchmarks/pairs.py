@@ -19,11 +19,11 @@ from math import sqrt
 import numpy as np
 
 from tiltcal.core.model import Array
-from tiltcal.core.pair.demodulate import Demodulator
-from tiltcal.core.pair.encoder import AngleTracker
+from tiltcal.core.pair.demodulate import demodulate
 from tiltcal.core.pair.matching import solve
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
+from tiltcal.core.pair.turns import follow
 
 PAIR = Pair("a1", "a2", "a4")
 SCALE = np.array([3.383, 3.415, 3.390])
@@ -45,6 +45,7 @@ class Case:
     wander: float = 0.0
     encoder: float = 0.0
     online: bool = False
+    loops: bool = False
 
     @property
     def white(self) -> bool:
@@ -62,6 +63,8 @@ CASES = {
     "10 turns, 1/f": Case(turns=10.0, rate=10.0, corner=0.1),
     "2.3 turns": Case(turns=2.3, rate=50.0),
     "recursive, 25 turns, 1/f": Case(turns=25.0, rate=10.0, corner=0.1, online=True),
+    "loops, 25 turns": Case(turns=25.0, rate=10.0, online=True, loops=True),
+    "loops, 100 turns, 1/f": Case(rate=10.0, corner=0.1, online=True, loops=True),
 }
 
 
@@ -105,12 +108,10 @@ def estimate(case: Case, seed: int) -> tuple[float, float, float, float]:
     theta, readings = record(case, seed)
     if case.online:
         online = Online(PAIR, PAIR.channels)
-        online.push(theta, readings)
-        found = online.recursive
-        return found.p, found.q, *found.uncertainty()
-    demodulator = Demodulator(PAIR.channels)
-    demodulator.add(AngleTracker().follow(theta), readings)
-    solved = solve(demodulator.result(), PAIR)
+        online.push(theta, readings.T)
+        solved = online.coefficients(loops=case.loops)
+    else:
+        solved = solve(demodulate(PAIR.channels, follow(theta), readings.T), PAIR)
     return solved.p, solved.q, solved.u_p, solved.u_q
 
 

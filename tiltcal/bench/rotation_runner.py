@@ -12,12 +12,12 @@ from collections.abc import Mapping
 from tiltcal.bench.channel_map import ChannelMap
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
 from tiltcal.bench.operators.operator import RotationOperator, StageTurn
-from tiltcal.bench.rotation_samples import TOO_FEW, RotationSamples, SampleBlock
-from tiltcal.bench.sensor_set import RECOVERY, Sample, SensorSet
+from tiltcal.bench.rotation_samples import TOO_FEW, RotationSamples, SampleRow
+from tiltcal.bench.sensor_set import RECOVERY, SensorSet
 from tiltcal.bench.session_calibration import SessionEnd, session_provenance
 from tiltcal.bench.session_plan import SessionPlan
-from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.matching import Matching, match
+from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.drivers.bus.link import Interruption
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import EstimateError, SensorError
@@ -81,6 +81,7 @@ class RotationRunner:
     ) -> None:
         self._rotation = rotation
         self._channels = channels
+        self._refs = (channels.phase, *channels.readings)
         self._sensors = sensors
         self._operator = operator
         self._log = log
@@ -123,8 +124,8 @@ class RotationRunner:
             why = self._take_block(collected)
             if self._stops(collected):
                 return STOPPED
-            if int(collected.turns) > made:
-                made = int(collected.turns)
+            if collected.turns > made:
+                made = collected.turns
                 ended = self._report_turn(collected, made)
                 if ended:
                     return ended
@@ -153,15 +154,16 @@ class RotationRunner:
             lost = collected.interrupt()
             kept = f"{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out" if lost else KEPT
             self._report_hold(f"{why}; {kept}")
-        elif block.times:
+        elif block:
             self._report_hold(collected.holds)
             self._report_damage()
         return why
 
-    def _sampled(self) -> tuple[SampleBlock, str]:
+    def _sampled(self) -> tuple[list[SampleRow], str]:
         """Return the samples of a fraction of a second, and why they ended early, empty where they did not."""
-        block, begun_ns = SampleBlock(), self._log.now_ns()
-        while len(block.times) < LARGEST_BLOCK and self._log.now_ns() - begun_ns < BLOCK_NS:
+        block: list[SampleRow] = []
+        begun_ns = self._log.now_ns()
+        while len(block) < LARGEST_BLOCK and self._log.now_ns() - begun_ns < BLOCK_NS:
             try:
                 if self._stale:
                     self._sensors.discard()
@@ -177,15 +179,10 @@ class RotationRunner:
                 self._clock.sleep(RECOVERY)
                 return block, str(error)
             self._sensors.succeeded()
-            self._enter(block, sample)
+            self._samples += 1
+            block.append([self._log.now_ns() / 1e9, *(ref.value(sample) for ref in self._refs)])
             self._clock.sleep(self._interval)
         return block, ""
-
-    def _enter(self, block: SampleBlock, sample: Sample) -> None:
-        self._samples += 1
-        block.times.append(self._log.now_ns())
-        block.theta.append(self._channels.phase.value(sample))
-        block.readings.append([ref.value(sample) for ref in self._channels.readings])
 
     def _stops(self, collected: RotationSamples) -> bool:
         """Return whether the operator said stop, and enough turns are made."""
@@ -194,7 +191,7 @@ class RotationRunner:
             return False
         if collected.turns >= FEWEST_TURNS:
             return True
-        self._refuse(f"the stage has made {collected.turns:.2f} whole turns; {TOO_FEW}")
+        self._refuse(f"the stage has made {collected.turns} whole turns; {TOO_FEW}")
         return False
 
     def _report_turn(self, collected: RotationSamples, made: int) -> str:
@@ -218,16 +215,15 @@ class RotationRunner:
             Not one can be matched.
         """
         whole = collected.whole()
-        demodulation = whole.demodulator.result()
         matchings, unmatched = [], []
         for pair in self._channels.pairs:
             try:
-                matchings.append(match(demodulation, pair))
+                matchings.append(match(whole.demodulation, pair))
             except EstimateError as refusal:
                 unmatched.append(f"{pair.first} and {pair.second}: {refusal}")
         if not matchings:
             raise EstimateError("; ".join(unmatched))
-        for why in unmatched:
+        for why in (*whole.stuck, *unmatched):
             self._report_hold(why)
         self._log.report(self._operator.matched, whole.turns, matchings)
         return RotationResult(
@@ -235,7 +231,7 @@ class RotationRunner:
             whole.turns,
             whole.seconds,
             whole.samples,
-            collected.left_out + self._damaged,
+            whole.left_out + self._damaged,
             ended,
             tuple(unmatched),
         )

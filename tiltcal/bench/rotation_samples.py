@@ -1,7 +1,7 @@
-"""The samples of a turning stage, summed up as they come.
+"""The samples of a turning stage, kept as they come.
 
-Every sample goes to two estimators. The recursive ones estimate p and q so far; the regression over all that
-counts gives the result. What cannot be used (the stage stands or turns back, a gap, missing values) is held from both.
+While they come, the recursive estimators show p and q turn by turn; what the stage's standing or turning back, a gap or
+missing values make useless is held from them. The result is that of ``match`` on all samples in which the stage turns.
 
 An interruption begins a new span: the encoder may have lost its zero meanwhile, and the electronics their offsets.
 The spans are brought to one phase when they are used as a whole.
@@ -10,121 +10,65 @@ The spans are brought to one phase when they are used as a whole.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import deepcopy
-from dataclasses import dataclass, field, replace
-from math import isfinite
+from dataclasses import dataclass, replace
+from math import ceil, inf, pi
 
 import numpy as np
 
+from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
-from tiltcal.core.pair.demodulate import Demodulator
-from tiltcal.core.pair.encoder import FEWEST_TURNS, STANDSTILL, AngleTracker
+from tiltcal.core.pair.demodulate import Demodulation, demodulate
 from tiltcal.core.pair.matching import PairCoefficients, solve
-from tiltcal.core.pair.model import Pair
+from tiltcal.core.pair.model import FEWEST_TURNS, Pair
 from tiltcal.core.pair.online import Recursive
-from tiltcal.core.pair.sectors import Notice, Rows, Sector, SectorStream
+from tiltcal.core.pair.record import stage_record
+from tiltcal.core.pair.turns import STANDSTILL, Notice, TurnStream, turning
 from tiltcal.errors import EstimateError
 
 TOO_FEW = f"at least {FEWEST_TURNS:g} are needed before it can stop"
+_TO_SHOW = 2.25
+"""Turns after which a whole one must have been among them."""
+
+SampleRow = list[float]
+"""Seconds since the session began, stage angle in degrees, readings."""
 
 
-@dataclass
-class SampleBlock:
-    """Samples that came one after the other.
+@dataclass(frozen=True)
+class WholeRotation:
+    """All samples that count, demodulated; ``left_out`` are those that do not, since the stage began to turn."""
 
-    Attributes
-    ----------
-    times : list of int
-        Nanoseconds since the session began.
-    theta : list of float
-        Degrees.
-    """
-
-    times: list[int] = field(default_factory=list)
-    theta: list[float] = field(default_factory=list)
-    readings: list[list[float]] = field(default_factory=list)
-
-
-class SampleSpan:
-    """The samples between two interruptions that are used.
-
-    Attributes
-    ----------
-    turns, seconds : float
-        Gaps are not counted.
-    """
-
-    def __init__(self, channels: Sequence[str]) -> None:
-        self.samples = 0
-        self.turns = self.seconds = 0.0
-        self.demodulator = Demodulator(channels)
-        self._stage = AngleTracker()
-        self._last: tuple[float, int] | None = None
-
-    def add(self, theta: Array, readings: Array, times: Rows) -> None:
-        """Add samples, all complete; after a call without any, the next samples do not continue the ones before."""
-        if not len(theta):
-            self._last = None
-            return
-        angle = self._stage.follow(theta)
-        # The drift is one of time, in ms: it goes on while samples are held.
-        self.demodulator.add(angle, readings, times // 1_000_000)
-        first = self._last or (float(angle[0]), int(times[0]))
-        self._last = float(angle[-1]), int(times[-1])
-        self.samples += len(theta)
-        self.turns += self._last[0] - first[0]
-        self.seconds += (self._last[1] - first[1]) / 1e9
-
-    def with_more(self, later: SampleSpan) -> SampleSpan:
-        """Return this span and a later one as one; both stay as they are.
-
-        Raises
-        ------
-        EstimateError
-            They determine nothing.
-        """
-        both, more = deepcopy(self), deepcopy(later)
-        both.demodulator.join(more.demodulator)
-        both.samples += more.samples
-        both.turns += more.turns
-        both.seconds += more.seconds
-        return both
+    demodulation: Demodulation
+    turns: float
+    seconds: float
+    samples: int
+    left_out: int
+    stuck: tuple[str, ...]
 
 
 class RotationSamples:
-    """The samples of a turning stage so far, in memory that does not grow with the turns.
-
-    Parameters
-    ----------
-    channels : sequence of str
-        Of the readings, in their order.
-
-    Attributes
-    ----------
-    left_out : int
-        Samples that were held since the stage began to turn.
-    unknown : dict of str to str
-        Why the recursive estimators cannot go on with pairs, by their names.
-    """
+    """The samples of a turning stage so far; ``unknown`` is why estimators cannot go on with pairs, by their names."""
 
     def __init__(self, pairs: Sequence[Pair], channels: Sequence[str]) -> None:
-        self.left_out = 0
         self.unknown: dict[str, str] = {}
         self._pairs, self._channels = tuple(pairs), tuple(channels)
-        self._stream = SectorStream(len(channels))
-        self._before: SampleSpan | None = None
-        self._kept = 0.0
+        self._spans: list[list[Array]] = []
+        self._kept = self._lost = self._held = 0
         self._begin()
 
     def _begin(self) -> None:
-        self._now, self._seen = SampleSpan(self._channels), AngleTracker()
+        self._now: list[Array] = []
+        self._stream = TurnStream(len(self._channels))
         self._online = {pair: Recursive(pair, self._channels) for pair in self._pairs}
-        self._began = self._stream.turns
 
     @property
-    def turns(self) -> float:
+    def turns(self) -> int:
         """The whole turns that count."""
-        return self._kept + self._stream.turns - self._began
+        return self._kept + self._stream.turns
+
+    @property
+    def left_out(self) -> int:
+        """Samples that the recursive estimators were not given since the stage began to turn."""
+        return self._lost + self._held + self._stream.left_out
 
     @property
     def holds(self) -> str:
@@ -134,69 +78,50 @@ class RotationSamples:
     @property
     def idle(self) -> str:
         """The reason why waiting is of no use; empty where samples count since the start or the last interruption."""
-        turned = self._seen.turns
-        if self._stream.turns > self._began or STANDSTILL <= turned < 1.0:
+        turned = self._stream.turned
+        if self._stream.turns or STANDSTILL <= turned < _TO_SHOW:
             return ""
-        if turned >= 1.0:
+        if turned >= _TO_SHOW:
             return f"the stage turns, but no sample can be used: {self._stream.why}"
         if turned <= -STANDSTILL:
             return "the stage turns backwards: its angle is to count up; swap the tracks of the encoder"
         return "the stage does not turn: start it, and check that the encoder counts"
 
-    def take(self, block: SampleBlock) -> list[str]:
-        """Take a block.
-
-        Returns
-        -------
-        list of str
-            Why samples are held from here on, in order; empty text where they go on.
-        """
-        if not block.times:
+    def take(self, block: Sequence[SampleRow]) -> list[str]:
+        """Take a block; return why samples are held from here on, in order, empty where they go on."""
+        if not block:
             return []
-        theta, readings, times = np.array(block.theta), np.array(block.readings), np.array(block.times, np.int64)
-        self._seen.follow(theta[np.isfinite(theta)])
+        self._now.append(np.array(block))
         remarks = []
-        for item in self._stream.push(theta, readings):
+        for item in self._stream.push(self._now[-1][:, 1], self._now[-1][:, 2:].T):
             if isinstance(item, Notice):
                 remarks.append(item.why)
-            else:
-                self._update(item)
-        used = np.isfinite(theta) & np.isfinite(readings).all(axis=1) & (not self._stream.why)
-        self._now.add(theta[used], readings[used], times[used])
-        self.left_out += int(np.count_nonzero(~used)) if self._stream.turns else 0
+                continue
+            for pair, estimator in self._online.items():
+                self.unknown.pop(pair.name, None)
+                try:
+                    estimator.update(item)
+                except EstimateError as refusal:
+                    self.unknown[pair.name] = str(refusal)
         return remarks
 
     def interrupt(self) -> int:
-        """Begin a new span: after an interruption the zero of the angle and the offsets may be others.
-
-        What was collected since the last time is kept where it has turns enough to show its phase.
-
-        Returns
-        -------
-        int
-            Samples that are not kept.
-        """
-        whole, lost = self._whole(), 0
-        if whole is self._before:
-            lost = self._now.samples
+        """Begin a new span, and keep the one so far where its turns show its phase; return the samples not kept."""
+        lost = 0
+        if self._stream.turns < FEWEST_TURNS:
+            lost = sum(map(len, self._now))
         else:
-            self._kept += self._stream.turns - self._began
-        self.left_out += lost
-        self._before = whole
+            self._spans.append(self._now)
+            self._kept += self._stream.turns
+            self._held += self._stream.left_out
+        self._lost += lost
         self._begin()
         return lost
 
     def online(self) -> dict[str, PairCoefficients]:
         """Return p and q so far, by the name of the pair; pairs without an estimate are left out."""
-        found = {
-            pair.name: PairCoefficients(estimator.p, estimator.q, *estimator.uncertainty())
-            for pair, estimator in self._online.items()
-        }
-        return {
-            name: coefficients
-            for name, coefficients in found.items()
-            if isfinite(coefficients.u_p) and isfinite(coefficients.u_q)
-        }
+        estimates = {pair.name: estimator.coefficients() for pair, estimator in self._online.items()}
+        return {name: estimate for name, estimate in estimates.items() if max(estimate.u_p, estimate.u_q) < inf}
 
     def known_to(self, uncertainty: float) -> bool:
         """Return whether p and q of every pair are known with this standard uncertainty.
@@ -204,14 +129,12 @@ class RotationSamples:
         The recursive estimators propose it, unless they had to begin anew; the regression has to agree, by how the
         turns scatter and by the noise within them.
         """
-        online = self.online()
-        proposed = len(online) == len(self._pairs) and all(
-            _within(coefficients, uncertainty) for coefficients in online.values()
-        )
-        if not proposed and self._before is None:
+        online = self.online().values()
+        proposed = len(online) == len(self._pairs) and all(_within(estimate, uncertainty) for estimate in online)
+        if not proposed and not self._spans:
             return False
         try:
-            whole = self.whole().demodulator.result()
+            whole = self.whole().demodulation
             # A few turns scatter less than their noise allows by chance, so the noise has to agree as well.
             white = replace(whole, scores=whole.scores[:0], weights=whole.weights[:0])
             return all(
@@ -220,33 +143,73 @@ class RotationSamples:
         except EstimateError:
             return False
 
-    def whole(self) -> SampleSpan:
-        """Return all spans that count, as one.
+    def whole(self) -> WholeRotation:
+        """Demodulate all spans that count as one.
 
         Raises
         ------
         EstimateError
             Too little to determine anything.
         """
-        whole = self._whole()
-        if whole is None:
-            raise EstimateError(f"the stage has made {self.turns:.2f} whole turns; {TOO_FEW}")
-        return whole
-
-    def _whole(self) -> SampleSpan | None:
-        if self._stream.turns - self._began < FEWEST_TURNS:
-            return self._before
-        return self._now if self._before is None else self._before.with_more(self._now)
-
-    def _update(self, sector: Sector) -> None:
-        for pair, estimator in self._online.items():
-            try:
-                estimator.update(sector)
-            except EstimateError as refusal:
-                self.unknown[pair.name] = str(refusal)
-            else:
-                self.unknown.pop(pair.name, None)
+        kept = [*self._spans, self._now] if self._stream.turns >= FEWEST_TURNS else self._spans
+        if not kept:
+            raise EstimateError(f"the stage has made {self.turns} whole turns; {TOO_FEW}")
+        spans = [_span(self._channels, np.concatenate(rows)) for rows in kept]
+        angle, readings, counts = (
+            (spans[0].angle, spans[0].readings, spans[0].counts) if len(spans) == 1 else _brought(self._channels, spans)
+        )
+        return WholeRotation(
+            demodulate(self._channels, angle, readings, counts),
+            sum(span.turns for span in spans),
+            sum(span.seconds for span in spans),
+            int(counts.sum()),
+            self._lost + sum(int(np.count_nonzero(~span.counts[np.argmax(span.counts) :])) for span in spans),
+            tuple(line for span in spans for line in span.stuck),
+        )
 
 
-def _within(found: PairCoefficients, uncertainty: float) -> bool:
-    return max(found.u_p, found.u_q) <= uncertainty
+@dataclass(frozen=True)
+class _Span:
+    """The samples between two interruptions: angles in turns, readings of shape (channels, n), which of them count."""
+
+    angle: Array
+    readings: Array
+    counts: Mask
+    turns: float
+    seconds: float
+    stuck: tuple[str, ...]
+
+
+def _span(channels: Sequence[str], rows: Array) -> _Span:
+    """Return a span of sample rows, shape (n, 2 + channels)."""
+    record = stage_record(channels, rows[:, 1], rows[:, 2:].T)
+    counts = record.whole.copy()
+    counts[counts] = turning(record.angle[counts])
+    follows = counts[1:] & counts[:-1]
+    turns, seconds = (float(np.diff(column)[follows].sum()) for column in (record.angle, rows[:, 0]))
+    return _Span(record.angle, rows[:, 2:].T, counts, turns, seconds, record.stuck)
+
+
+def _brought(channels: Sequence[str], spans: Sequence[_Span]) -> tuple[Array, Array, Mask]:
+    """Return angles, readings and what counts of all spans, at the phase of the first, without offsets and drifts.
+
+    An angle that is off for all channels alike multiplies all components by one and the same matrix, so neither p nor q
+    of any pair depends on how well that is known.
+    """
+    signal, end = None, 0.0
+    angles, readings = [], []
+    for span in spans:
+        coefficients = demodulate(channels, span.angle, span.readings, span.counts).coefficients
+        its = coefficients[0] + 1j * coefficients[1]
+        signal = its if signal is None else signal
+        # S sin (θ + φ) + C cos (θ + φ) has the components S + iC times exp iφ.
+        off = float(np.angle(np.sum(its * np.conj(signal)))) / (2.0 * pi)
+        angles.append(span.angle + off + ceil(end - off - float(np.nanmin(span.angle))))
+        end = float(np.nanmax(angles[-1]))
+        place = np.arange(len(span.angle)) / len(span.angle) - 0.5
+        readings.append(span.readings - coefficients[-2][:, None] - np.outer(coefficients[-1], place))
+    return np.concatenate(angles), np.concatenate(readings, axis=1), np.concatenate([span.counts for span in spans])
+
+
+def _within(estimate: PairCoefficients, uncertainty: float) -> bool:
+    return max(estimate.u_p, estimate.u_q) <= uncertainty

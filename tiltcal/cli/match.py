@@ -14,9 +14,7 @@ from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
     from tiltcal.core.pair.matching import Matching
-    from tiltcal.logs.match import MatchedLog
-    from tiltcal.logs.pair_matching import Demodulated
-    from tiltcal.logs.pair_observers import SpectrumObserver
+    from tiltcal.logs.pair_log import PairLog
     from tiltcal.report.pair_figures import PairDrawing
 
 _EXAMPLES = """\b
@@ -46,7 +44,7 @@ Examples:
 @click.option(
     "--online",
     is_flag=True,
-    help="Estimate sample by sample, as on a live stream, and report a standing stage and gaps of the stream.",
+    help="Estimate once a turn, as on a live stream, and report a standing stage and gaps; needs --phase.",
 )
 @click.option(
     "--loops", is_flag=True, help="With --online: p and q from the two PID loops instead of the recursive estimator."
@@ -84,12 +82,13 @@ def command(
     for path in filter(None, (output, figure)):
         check_writable(path, log)
     with progress_bar("match") as progress:
-        found = match_log(log, wanted, spectra=figure is not None, say=remark, progress=progress, **settings)
-    drawing = _drawing(found)
+        found = match_log(log, wanted, say=remark, progress=progress, **settings)
+    first = found.calibration.matchings[0]
+    drawing = spectra_of(first, found.log) if figure else None
     if output:
         found.calibration.save(output)
     if figure and drawing:
-        draw_matching(figure, drawing)
+        draw_matching(figure, replace(drawing, course=found.course, uncertainty=max(first.u_p, first.u_q)))
     if as_json:
         shown = [_as_data(matching) for matching in found.calibration.matchings]
         click.echo(options.json_text(shown[0] if len(shown) == 1 else {"pairs": shown}))
@@ -97,19 +96,7 @@ def command(
         click.echo(str(found.calibration))
 
 
-def _drawing(matched: MatchedLog) -> PairDrawing | None:
-    """Return the figure of the first pair, if spectra were requested."""
-    if matched.spectra is None:
-        return None
-    matching = matched.calibration.matchings[0]
-    return replace(
-        spectra_of(matching, matched.demodulated, matched.spectra),
-        course=matched.online.course(matching.pair) if matched.online else (),
-        uncertainty=max(matching.u_p, matching.u_q),
-    )
-
-
-def spectra_of(matching: Matching, found: Demodulated, spectra: SpectrumObserver) -> PairDrawing:
+def spectra_of(matching: Matching, log: PairLog) -> PairDrawing:
     """Return the spectra of a pair in a log, before and after.
 
     Raises
@@ -119,9 +106,9 @@ def spectra_of(matching: Matching, found: Demodulated, spectra: SpectrumObserver
     """
     from tiltcal.report.pair_figures import PairDrawing
 
-    frequency, densities = spectra.densities(matching.pair, matching.p, matching.q, found)
-    turning = found.frequency or found.turns / (found.rows + found.missing)
-    return PairDrawing(frequency, densities, turning, "Hz" if found.rate else "1/row")
+    frequency, densities = log.densities(matching)
+    turning = log.frequency or log.turns / (log.rows + log.missing)
+    return PairDrawing(frequency, densities, turning, "Hz" if log.rate else "1/row")
 
 
 def _triples(pairs: tuple[str, ...], orthogonals: tuple[str, ...]) -> list[tuple[str, str, str]]:

@@ -143,15 +143,13 @@ def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[st
     """Return the name of a log, and the spectra of the first pair in it."""
     from tiltcal.cli.match import spectra_of
     from tiltcal.logs.formats import open_log
-    from tiltcal.logs.pair_matching import demodulate_log
-    from tiltcal.logs.pair_observers import SpectrumObserver
+    from tiltcal.logs.pair_log import read_pair_log
 
     matching = calibration.matchings[0]
-    observer = SpectrumObserver(matching.pair.channels)
     with progress_bar("report") as progress, open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows:
         try:
-            found = demodulate_log(rows, matching.pair.channels, calibration.spin.phase, observers=[observer])
-            return Path(rows.name).name, spectra_of(matching, found, observer)
+            read = read_pair_log(rows, matching.pair.channels, calibration.spin.phase)
+            return Path(rows.name).name, spectra_of(matching, read)
         except EstimateError as refusal:
             raise EstimateError(f"{rows.name}: {refusal}") from refusal
 

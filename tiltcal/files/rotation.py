@@ -17,8 +17,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tiltcal.core.pair.encoder import FEWEST_TURNS
-from tiltcal.core.pair.model import Pair
+from tiltcal.core.pair.model import FEWEST_TURNS, Pair
 from tiltcal.errors import UsageError
 from tiltcal.files.declaration import Context, Converted, ListOf, Section, entry
 from tiltcal.files.node import Node

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import hypot
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import tiltcal
 from tiltcal.calibration.pair_calibration import PairCalibration
+from tiltcal.core.pair.demodulate import CHUNK, Demodulation
+from tiltcal.core.pair.matching import PairCoefficients, drifts, solve
 from tiltcal.core.pair.matching import match as match_demodulated
 from tiltcal.core.pair.model import Pair
+from tiltcal.core.pair.online import Online, OnlineHistory
+from tiltcal.core.pair.record import StageRecord
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.provenance_record import LogRecord, PairProvenance
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
-from tiltcal.logs.pair_matching import Demodulated, demodulate_log
-from tiltcal.logs.pair_observers import PairObserver, SpectrumObserver
+from tiltcal.logs.pair_log import PairLog, read_pair_log
 from tiltcal.logs.streams import imported_meanwhile
 from tiltcal.stated_arguments import require_boolean, require_text_or_none
 
@@ -45,7 +51,7 @@ def match(
         The column of the stage angle, degrees. Without it the spin is estimated from the readings and the column
         ``time``.
     online : bool
-        Estimate sample by sample, as on a live stream.
+        Estimate turn by turn, as on a live stream; it takes the ``phase``.
     loops : bool
         With ``online``: by the two PID loops of the source, not the recursive estimator.
     skip_bad_rows : bool
@@ -77,12 +83,11 @@ def match(
 
 @dataclass(frozen=True)
 class MatchedLog:
-    """A matching with the data that a figure of it shows, as far as these were asked for."""
+    """A matching with the data that a figure of it shows: the log, and the course of the first pair's estimates."""
 
     calibration: PairCalibration
-    demodulated: Demodulated
-    spectra: SpectrumObserver | None
-    online: PairObserver | None
+    log: PairLog
+    course: Sequence[OnlineHistory]
 
 
 def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
@@ -123,12 +128,11 @@ def match_log(
     phase: str | None,
     online: bool = False,
     loops: bool = False,
-    spectra: bool = False,
     skip_bad_rows: bool = False,
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
 ) -> MatchedLog:
-    """Match pairs, and keep what a figure shows, spectra on request; the other arguments are those of :func:`match`.
+    """Match pairs, and keep what a figure shows; the arguments are those of :func:`match`.
 
     Raises
     ------
@@ -140,39 +144,71 @@ def match_log(
     require_boolean("--loops", loops)
     if loops and not online:
         raise UsageError("--loops needs --online")
+    if online and phase is None:
+        raise UsageError("--online needs --phase: without an encoder, p and q are matched from the whole record")
     channels = tuple(dict.fromkeys(channel for pair in pairs for channel in pair.channels))
-    watch = PairObserver(pairs, channels, say) if online else None
-    spectrum = SpectrumObserver(channels) if spectra else None
     is_file = isinstance(data, str | Path)
     with (
         open_log(data, skip_bad_rows=skip_bad_rows, digest=is_file, live=online, progress=progress) as log,
         _explained(log, phase),
         imported_meanwhile("scipy.special"),
     ):
-        observers = [observer for observer in (watch, spectrum) if observer is not None]
-        found = demodulate_log(log, channels, phase, observers=observers, say=say, live=online)
-        matchings = tuple(
-            match_demodulated(found.demodulation, pair, watch.coefficients(pair, loops=loops) if watch else None)
-            for pair in pairs
-        )
-    rows = found.rows + found.missing
-    if found.missing:
-        say(f"{found.missing} of {rows} rows have a missing value and are left out")
+        read = read_pair_log(log, channels, phase, say=say, online=online)
+        estimators = [Online(pair, channels) for pair in pairs] if online else []
+        for line in _pushed(estimators, read.record):
+            say(line)
+        demodulation = read.demodulation
+        if online:
+            estimates = [
+                _with_rounding(each.coefficients(loops=loops), demodulation, pair)
+                for pair, each in zip(pairs, estimators, strict=True)
+            ]
+        else:
+            estimates = [solve(demodulation, pair) for pair in pairs]
+        matchings = tuple(match_demodulated(demodulation, *each) for each in zip(pairs, estimates, strict=True))
+    if not online:
+        for pair, estimate in zip(pairs, estimates, strict=True):
+            changes = [f"{name} by {change:.2g}" for name, change in drifts(demodulation, pair, estimate).items()]
+            if changes:
+                say(
+                    f"{pair.first} and {pair.second} drift, {' and '.join(changes)} over the record, and the result is "
+                    "the mean; match shorter parts of it, or find with --online what it is at the end"
+                )
+    rows = read.rows + read.missing
+    if read.missing:
+        say(f"{read.missing} of {rows} rows have a missing value and are left out")
     provenance = PairProvenance(
         made_by="match of a recorded log",
         software=f"tiltcal {tiltcal.__version__}",
-        log=LogRecord(name=Path(log.name).name, sha256=log.sha256, rows=rows, missing=found.missing)
+        log=LogRecord(name=Path(log.name).name, sha256=log.sha256, rows=rows, missing=read.missing)
         if is_file
         else None,
-        stage_angle=None if found.spin is None else "estimated from the readings",
+        stage_angle=None if phase else "estimated from the readings",
     )
     record = PairRecord(
-        spin=SpinRecord(turns=found.turns, frequency=found.frequency, phase=phase),
+        spin=SpinRecord(turns=read.turns, frequency=read.frequency, phase=phase),
         online=online,
         matchings=matchings,
         provenance=provenance,
     )
-    return MatchedLog(PairCalibration(record), found, spectrum, watch)
+    return MatchedLog(PairCalibration(record), read, estimators[0].course if online else ())
+
+
+def _with_rounding(estimate: PairCoefficients, demodulation: Demodulation, pair: Pair) -> PairCoefficients:
+    """Return an online estimate whose uncertainty counts what all turns share by the rounding of the readings."""
+    if not demodulation.rounding.any():
+        return estimate
+    alone = solve(replace(demodulation, residual=np.zeros_like(demodulation.residual)), pair)
+    return replace(estimate, u_p=hypot(estimate.u_p, alone.u_p), u_q=hypot(estimate.u_q, alone.u_q))
+
+
+def _pushed(estimators: Sequence[Online], record: StageRecord) -> Iterator[str]:
+    """Push a record to the estimators; yield where they are held and go on, once what holds all pairs."""
+    for start in range(0, len(record.theta) if estimators else 0, CHUNK):
+        rows = slice(start, start + CHUNK)
+        readings = np.stack([column[rows] for column in record.readings])
+        notices = [each.push(record.theta[rows], readings, record.whole[rows]) for each in estimators]
+        yield from dict.fromkeys(str(notice) for of_pair in notices for notice in of_pair)
 
 
 @contextmanager

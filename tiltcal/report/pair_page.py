@@ -116,7 +116,7 @@ def _facts(calibration: PairRecord, source: FileRecord) -> list[Fact]:
         Fact("Turns of the stage", plain(spin.turns, 6)),
         Fact("Frequency of the spin", f"{plain(spin.frequency, 6)} Hz" if spin.frequency else ""),
         Fact("Column of the stage angle", spin.phase or ""),
-        Fact("Estimated", "sample by sample" if calibration.online else "from the whole record"),
+        Fact("Estimated", "turn by turn" if calibration.online else "from the whole record"),
     ]
     return [
         *(fact for fact in said if fact.value),

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiltcal.calibration.pair_calibration import pair_summary
-from tiltcal.core.pair.demodulate import Demodulator
+from tiltcal.core.pair.demodulate import Demodulation, demodulate
 from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import OnlineHistory
@@ -46,7 +46,7 @@ class TestBrackets:
         assert abs(float(number) - value) <= 0.51 * uncertainty * 2
 
 
-def table_1_record() -> Demodulator:
+def table_1_record() -> Demodulation:
     """Components of the "before matching" columns of Table 1, with noise that a1 and a2 have partly in common.
 
     In the table a1 and a2 are uncertain by 3e-4 and their sum by 2e-4 only: most of what moves them is the common
@@ -68,14 +68,12 @@ def table_1_record() -> Demodulator:
     a1 = 3.3830 * np.sin(phase) - 0.0747 * np.cos(phase) + common + noise(own)
     a2 = -3.4150 * np.sin(phase) + 0.0753 * np.cos(phase) - common + noise(own)
     a4 = 0.04 * np.sin(phase) - 3.39 * np.cos(phase) + noise(own)
-    demodulator = Demodulator(("a1", "a2", "a4"))
-    demodulator.add(angle, np.stack([a1, a2, a4], axis=1))
-    return demodulator
+    return demodulate(("a1", "a2", "a4"), angle, [a1, a2, a4])
 
 
 def test_a_record_of_table_1_reads_as_table_1_does() -> None:
     """The table's own sum, -0.0322, is not that of its a1 and a2, which is -0.0320: the authors fitted it apart."""
-    _, *lines, _, _ = pair_summary(match(table_1_record().result(), Pair("a1", "a2", "a4"))).splitlines()
+    _, *lines, _, _ = pair_summary(match(table_1_record(), Pair("a1", "a2", "a4"))).splitlines()
     before = {line[:9].strip(): line[9:].split()[:2] for line in lines[2:]}
     assert before["a1"] == ["3.3830(3)", "-0.0747(3)"]
     assert before["a2"] == ["-3.4150(3)", "0.0753(3)"]
@@ -84,7 +82,7 @@ def test_a_record_of_table_1_reads_as_table_1_does() -> None:
 
 
 def test_the_summary_names_the_noise_floor() -> None:
-    text = pair_summary(match(table_1_record().result(), Pair("a1", "a2", "a4")))
+    text = pair_summary(match(table_1_record(), Pair("a1", "a2", "a4")))
     assert "p = -0.0094" in text
     assert text.endswith("times after p and q (the noise floor)")
 

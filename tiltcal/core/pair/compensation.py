@@ -18,9 +18,9 @@ import numpy as np
 from tiltcal.core.flags import MISSING, NOT_A_NUMBER, PASS, Bytes, Reasons
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import harmonic_columns
-from tiltcal.core.pair.encoder import AngleTracker
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import matched_sum
+from tiltcal.core.pair.turns import follow
 
 GRADIENT = "gradient"
 _HARMONICS = 2
@@ -29,17 +29,8 @@ _HARMONICS = 2
 class PairCompensation:
     """One or two matched pairs, ready to be applied to the rows of a log, block after block in order.
 
-    Parameters
-    ----------
-    matchings : sequence of Matching
-        Two of them give the gradient.
-    phase : str or None
-        The column of the stage angle, degrees; without it the gradient is not demodulated.
-
-    Attributes
-    ----------
-    channels : tuple of str
-        What a row holds, in this order.
+    Two of them give the gradient; with ``phase``, the column of the stage angle in degrees, it is demodulated. A row
+    holds the ``channels``, in this order.
     """
 
     def __init__(self, matchings: Sequence[Matching], phase: str | None) -> None:
@@ -87,40 +78,30 @@ class TurnByTurn:
     """Demodulates a signal at twice the turning: every row has the components of the last whole turn before its own."""
 
     def __init__(self) -> None:
-        self._stage = AngleTracker()
+        self._last: float | None = None
         self._turn: int | None = None
         self._whole = False
         self._products = np.zeros((0, 0))
         self._latest = (np.nan, np.nan)
 
     def __call__(self, theta: Array, signal: Array) -> tuple[Array, Array]:
-        """sin 2θ and cos 2θ component for each row, in the unit of the signal; NaN before the first whole turn.
-
-        Parameters
-        ----------
-        theta : ndarray, shape (n,)
-            Degrees; a row with NaN here or in the signal is left out.
-        signal : ndarray, shape (n,)
-        """
-        found = np.full((2, len(theta)), np.nan)
+        """sin 2θ and cos 2θ component for each row, NaN before the first whole turn; θ in degrees, all shapes (n,)."""
+        components = np.full((2, len(theta)), np.nan)
         good = np.flatnonzero(np.isfinite(theta) & np.isfinite(signal))
-        angle = self._stage.follow(theta[good])
-        turn = np.maximum.accumulate(np.floor(angle).astype(np.int64)) if len(angle) else np.zeros(0, np.int64)
+        angle = follow(theta[good], self._last)
+        turn = np.maximum.accumulate(np.floor(angle).astype(np.int64))
         table = np.concatenate([harmonic_columns(angle, _HARMONICS), signal[good][None, :]])
-        cuts = [0, *(np.flatnonzero(np.diff(turn)) + 1).tolist(), len(turn)]
         begun = 0
-        for start, end in pairwise(cuts):
-            if start == end:
-                continue
-            row = int(good[start])
+        for start, end in pairwise([0, *(np.flatnonzero(np.diff(turn)) + 1).tolist(), len(turn)] if len(turn) else []):
             if int(turn[start]) != self._turn:
-                found[:, begun:row] = np.array(self._latest)[:, None]
-                begun = row
+                components[:, begun : good[start]] = np.array(self._latest)[:, None]
+                begun = int(good[start])
                 self._close(int(turn[start]), len(table))
             part = table[:, start:end]
             self._products = self._products + part @ part.T
-        found[:, begun:] = np.array(self._latest)[:, None]
-        return found[0], found[1]
+        components[:, begun:] = np.array(self._latest)[:, None]
+        self._last = float(angle[-1]) if len(angle) else self._last
+        return components[0], components[1]
 
     def _close(self, turn: int, size: int) -> None:
         """End a turn and begin the next; the very first one is not whole."""

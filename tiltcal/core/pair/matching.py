@@ -1,4 +1,7 @@
-"""Matching a pair offline: p and q from the components of a record, in closed form, with their uncertainty."""
+"""Matching a pair offline: p and q from the components of a record, in closed form, with their uncertainty.
+
+Where p or q drift during the record, one value of each describes no part of it well, and that is said.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from math import hypot, sqrt
 import numpy as np
 
 from tiltcal.core.model import Array
-from tiltcal.core.pair.demodulate import Demodulation
+from tiltcal.core.pair.demodulate import COARSE_BLOCKS, Demodulation
 from tiltcal.core.pair.model import Pair, sum_weights
 from tiltcal.errors import EstimateError
 
@@ -24,6 +27,8 @@ _SMALLEST = 1e-140
 """Amplitude below which squares are lost in double precision."""
 _CLEAREST = 5.0
 """How many standard uncertainties the common acceleration must have."""
+_DRIFTS = 5.0
+"""Drift over its standard uncertainty, of eight degrees of freedom, that chance makes once in a thousand records."""
 
 
 @dataclass(frozen=True)
@@ -60,15 +65,8 @@ class PairCoefficients:
 class Matching:
     """The matching of a pair: p and q, and how far they suppress the common acceleration of a record.
 
-    Attributes
-    ----------
-    p, q : float
-        Pure numbers.
-    u_p, u_q : float
-        Their standard uncertainties (k = 1).
-    components : mapping of str to mapping of str to Component
-        ``before``, ``after_p`` and ``after_pq``: the three channels, and their sum. After p the second channel is
-        divided by 1 - p; after p and q the orthogonal one is added to it.
+    ``components`` has ``before``, ``after_p`` and ``after_pq``: the three channels, and their sum. After p the second
+    channel is divided by 1 - p; after p and q the orthogonal one is added to it.
     """
 
     pair: Pair
@@ -102,33 +100,15 @@ class Matching:
         return float((first + weights[1] * second - weights[2] * orthogonal) / (2.0 * first))
 
 
-def match(demodulation: Demodulation, pair: Pair, found: PairCoefficients | None = None) -> Matching:
-    """Match a pair, and return its effect on the record.
-
-    Parameters
-    ----------
-    demodulation : Demodulation
-        Of a record that has the pair's three channels.
-    found : PairCoefficients, optional
-        p and q; those of the record, in closed form, where they are left out.
-
-    Raises
-    ------
-    EstimateError
-        See :func:`solve`.
-    """
-    found = solve(demodulation, pair) if found is None else found
-    components = _components(demodulation, pair, found.p, found.q)
-    return Matching(pair, found.p, found.q, found.u_p, found.u_q, components)
+def match(demodulation: Demodulation, pair: Pair, coefficients: PairCoefficients | None = None) -> Matching:
+    """Match a pair, by :func:`solve` where its coefficients are left out, and return its effect on the record."""
+    known = coefficients or solve(demodulation, pair)
+    components = _components(demodulation, pair, known.p, known.q)
+    return Matching(pair, known.p, known.q, known.u_p, known.u_q, components)
 
 
 def solve(demodulation: Demodulation, pair: Pair) -> PairCoefficients:
     """p and q in closed form.
-
-    Parameters
-    ----------
-    demodulation : Demodulation
-        Of a record that has the pair's three channels.
 
     Raises
     ------
@@ -146,6 +126,23 @@ def solve(demodulation: Demodulation, pair: Pair) -> PairCoefficients:
     inverse = np.linalg.inv(system)
     u_p, u_q = np.sqrt(np.diag(inverse @ demodulation.covariance(mix) @ inverse.T)).tolist()
     return PairCoefficients(1.0 - rest, q, u_p, u_q)
+
+
+def drifts(demodulation: Demodulation, pair: Pair, coefficients: PairCoefficients) -> dict[str, float]:
+    """Return by how much p and q change from the beginning of a record to its end, those that clearly do."""
+    if len(demodulation.scores) < 2 * COARSE_BLOCKS:
+        return {}
+    weights = dict(zip(pair.channels, (1.0 - coefficients.p, 1.0, coefficients.q), strict=True))
+    scores, products = demodulation.coarse(demodulation.mix(weights))
+    vectors = [demodulation.components(demodulation.mix({name: 1.0})) for name in (pair.first, pair.orthogonal)]
+    # What is left of each stretch, as what p and q of that stretch differ by.
+    away = np.linalg.solve(products, scores[..., None])[..., 0] @ np.linalg.inv(np.stack([vectors[0], -vectors[1]]))
+    time = (np.arange(len(away)) + 0.5) / len(away) - 0.5
+    slopes = time @ away / (time @ time)
+    rest = away - away.mean(axis=0) - np.outer(time, slopes)
+    uncertainty = np.sqrt(np.sum(rest**2, axis=0) / (len(away) - 2) / (time @ time))
+    clear = zip("pq", slopes.tolist(), uncertainty.tolist(), strict=True)
+    return {name: slope for name, slope, u in clear if abs(slope) > _DRIFTS * u}
 
 
 def _components(demodulation: Demodulation, pair: Pair, p: float, q: float) -> Mapping[str, Mapping[str, Component]]:

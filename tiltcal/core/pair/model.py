@@ -26,17 +26,15 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
+FEWEST_TURNS = 2.0
+"""Of the stage, from which p and q can be determined."""
+
 
 @dataclass(frozen=True)
 class Pair:
     """Which readings make a pair.
 
-    Attributes
-    ----------
-    first, second : str
-        Opposite each other on the disk; the second one is trimmed to the first.
-    orthogonal : str
-        A quarter turn away from both; it takes the misalignment out.
+    The second one, opposite the first on the disk, is trimmed to it; the orthogonal one takes the misalignment out.
     """
 
     first: str
@@ -55,15 +53,7 @@ class Pair:
 
 
 def matching_coefficients(scale: Array, misalignment: Array) -> tuple[float, float]:
-    """Return what p and q must be for known accelerometers (eq. 7).
-
-    Parameters
-    ----------
-    scale : array_like, shape (3,)
-        K of the first, the second and the orthogonal accelerometer, unit/g.
-    misalignment : array_like, shape (3,)
-        δP of the same, radians.
-    """
+    """Return what p and q must be for K, unit/g, and δP, rad, of first, second and orthogonal, shape (3,) (eq. 7)."""
     k1, k2, k4 = (float(value) for value in scale)
     d1, d2, d4 = (float(value) for value in misalignment)
     shared = 1.0 + d1 * d4

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan2, pi
+from math import atan2, ceil, pi
 
 import numpy as np
 
 from tiltcal.core.model import Array
-from tiltcal.core.pair.encoder import FEWEST_TURNS
+from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.errors import EstimateError
 
 _STEPS = 20
 _CONVERGED = 1e-12
 """Turns over the whole record."""
 _FOLLOWING_STEPS = 3
-_FOLLOWED = 1e-6
-"""Turns over some rows; the step behind one so small is smaller than that by far."""
 _MOST_SLIP = 0.5
 """Turns, over some rows, by which their spin may differ from that before."""
 _FEWEST_ROWS = 16
+_ROWS_FOR_SPIN = 1 << 20
+"""Rows from whose beginning the spin is estimated."""
+_TURNS_TO_FOLLOW = 16
 _PIECE = 1 << 14
 """Rows whose columns are in memory together, and in the processor's cache."""
 _PADDING = 2
@@ -31,15 +33,7 @@ _CLEAREST = 30.0
 
 @dataclass(frozen=True)
 class Spin:
-    """A steady turning.
-
-    Attributes
-    ----------
-    frequency : float
-        Turns per unit of the time that it was estimated with (Hz for seconds).
-    phase : float
-        Turns at time 0, so that the first channel is a pure sine.
-    """
+    """A steady turning: turns per unit of time (Hz for seconds), and turns at time 0; the first channel is a sine."""
 
     frequency: float
     phase: float
@@ -50,17 +44,10 @@ class Spin:
 
 
 def estimate_spin(time: Array, readings: Array) -> Spin:
-    """Find the spin that fits all channels best.
+    """Find the spin that fits all channels best; time (n,), with gaps and jitter, and readings (n, channels), finite.
 
     The strongest line of the spectrum is where Gauss's iteration begins; each of its steps fits amplitudes, offset and
     drift anew.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        With gaps, jitter and rates that change; finite.
-    readings : ndarray, shape (n, channels)
-        Finite.
 
     Raises
     ------
@@ -73,56 +60,67 @@ def estimate_spin(time: Array, readings: Array) -> Spin:
             "the record is too short, its time does not change, or a time lies before its first or after its last: the "
             "spin cannot be estimated"
         )
-    middle = 0.5 * float(time[0] + time[-1])
-    centred = (time - middle) / span
-    turns = _strongest(centred, readings)
-    for _ in range(_STEPS):
-        step, coefficients = _refined(centred, readings, turns)
-        turns += step
-        if abs(step) < _CONVERGED:
-            break
-    if turns < FEWEST_TURNS:
+    spin = _iterated(time, readings, _strongest((time - 0.5 * (time[0] + time[-1])) / span, readings), _STEPS)
+    if spin.frequency * span < FEWEST_TURNS:
         raise EstimateError(
-            f"the strongest line of the record turns {max(turns, 0.0):.2f} times in it: the stage is not turning, or "
-            f"less than {FEWEST_TURNS:g} turns were recorded"
+            f"the strongest line of the record turns {max(spin.frequency * span, 0.0):.2f} times in it: the stage is "
+            f"not turning, or less than {FEWEST_TURNS:g} turns were recorded"
         )
-    sine, cosine = coefficients[0, 0], coefficients[1, 0]
-    frequency = turns / span
-    phase = atan2(cosine, sine) / (2.0 * pi) - frequency * middle
-    return Spin(frequency, phase % 1.0)
+    return spin
 
 
 def followed_spin(before: Spin, time: Array, readings: Array) -> Spin:
     """Return the spin of some rows, given that of the rows before: no stage keeps its speed for hours.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Finite.
-    readings : ndarray, shape (n, channels)
-        Finite.
-
-    Returns
-    -------
-    Spin
-        That of before, where the rows have less than two turns or do not say.
+    It is that of before where the rows have less than two turns or do not say; arguments as of :func:`estimate_spin`.
     """
     span = float(time[-1] - time[0]) if len(time) > _FEWEST_ROWS else 0.0
-    expected = before.frequency * span
-    if expected < FEWEST_TURNS:
+    if before.frequency * span < FEWEST_TURNS:
         return before
-    middle = 0.5 * float(time[0] + time[-1])
-    centred = (time - middle) / span
-    turns, coefficients = expected, np.zeros((2, 1))
-    for _ in range(_FOLLOWING_STEPS):
+    spin = _iterated(time, readings, before.frequency * span, _FOLLOWING_STEPS)
+    return spin if abs(spin.frequency - before.frequency) * span < _MOST_SLIP else before
+
+
+def _iterated(time: Array, readings: Array, turns: float, steps: int) -> Spin:
+    """Return the spin to which so many turns lead."""
+    span, middle = float(time[-1] - time[0]), 0.5 * float(time[0] + time[-1])
+    centred, coefficients = (time - middle) / span, np.zeros((2, 1))
+    for _ in range(steps):
         step, coefficients = _refined(centred, readings, turns)
         turns += step
-        if not abs(turns - expected) < _MOST_SLIP:
-            return before
-        if abs(step) < _FOLLOWED:
+        if abs(step) < _CONVERGED:
             break
     phase = atan2(coefficients[1, 0], coefficients[0, 0]) / (2.0 * pi)
     return Spin(turns / span, (phase - turns / span * middle) % 1.0)
+
+
+def estimated_angle(time: Array, readings: Sequence[Array]) -> Array:
+    """Return the stage angle of a record without an encoder, degrees; all of shape (n,), NaN where one is missing.
+
+    Raises
+    ------
+    EstimateError
+        There is no spin, or no row has a time and all readings.
+    """
+    if not np.isfinite(time).any():
+        raise EstimateError("no row has a time: write it in seconds, or in ISO 8601 such as 2026-05-01T12:00:00.5Z")
+
+    def timed(start: int, end: int) -> tuple[Array, Array]:
+        table = np.stack([time[start:end], *(column[start:end] for column in readings)])
+        table = table[:, np.isfinite(table).all(axis=0)]
+        return table[0], table[1:].T
+
+    theta = np.empty(len(time))
+    times, values = timed(0, _ROWS_FOR_SPIN)
+    if not len(times):
+        raise EstimateError("no row of the record has all readings: is every accelerometer connected?")
+    spin = estimate_spin(times, values)
+    turns = spin.frequency * float(times[-1] - times[0])
+    rows = max(ceil(_TURNS_TO_FOLLOW * len(times) / turns), _PIECE)
+    for start in range(0, len(time), rows):
+        spin = followed_spin(spin, *timed(start, start + rows))
+        theta[start : start + rows] = spin.theta(time[start : start + rows])
+    return theta
 
 
 def _strongest(centred: Array, readings: Array) -> float:

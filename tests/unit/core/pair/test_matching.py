@@ -14,32 +14,27 @@ from hypothesis import strategies as st
 from support import accelerometer_disk as disk
 
 import tiltcal
-from tiltcal.core.pair.demodulate import MOST_BLOCKS, Demodulation, Demodulator
-from tiltcal.core.pair.encoder import AngleTracker
+from tiltcal.core.pair.demodulate import MOST_BLOCKS, Demodulation, demodulate
 from tiltcal.core.pair.matching import Matching, PairCoefficients, match, solve
 from tiltcal.core.pair.model import Pair, matched_sum, matching_coefficients
+from tiltcal.core.pair.turns import follow, require_turns
 from tiltcal.errors import EstimateError
 
 PAIR = Pair("a1", "a2", "a4")
 OTHER = Pair("a3", "a4", "a1")
 
 
-def demodulated(taken: disk.Record, block: int = 10_000) -> Demodulation:
-    stage, demodulator = AngleTracker(), Demodulator(disk.NAMES)
-    for start in range(0, len(taken.theta), block):
-        part = taken.rows(slice(start, start + block))
-        demodulator.add(stage.follow(part.theta), part.readings)
-    stage.require_turns()
-    return demodulator.result()
+def demodulated(taken: disk.Record) -> Demodulation:
+    angle = follow(taken.theta)
+    require_turns(angle)
+    return demodulate(disk.NAMES, angle, taken.readings.T)
 
 
 def solved(records: Iterable[disk.Record], together: int = 25) -> Iterator[PairCoefficients]:
     """p and q of each record; records of one stage are demodulated together, as channels of one record."""
     for some in batched(records, together):
         names = tuple(f"{name}/{number}" for number in range(len(some)) for name in disk.NAMES)
-        stage, demodulator = AngleTracker(), Demodulator(names)
-        demodulator.add(stage.follow(some[0].theta), np.concatenate([one.readings for one in some], axis=1))
-        found = demodulator.result()
+        found = demodulate(names, follow(some[0].theta), np.concatenate([one.readings.T for one in some]))
         for number in range(len(some)):
             yield solve(found, Pair(*(f"{name}/{number}" for name in PAIR.channels)))
 
@@ -131,11 +126,6 @@ class TestLaboratoryRecord:
             assert (one.sin, one.cos) == pytest.approx(disk.judged(LABORATORY, signal), abs=2e-6)
         before = found.components["before"]["a1"]
         assert (before.sin, before.cos) == pytest.approx(disk.judged(LABORATORY, a1), abs=2e-5)
-
-    def test_the_result_does_not_depend_on_how_the_rows_come(self) -> None:
-        a, b = (match(demodulated(LABORATORY, block=size), PAIR) for size in (777, 40_000))
-        assert (a.p, a.q) == pytest.approx((b.p, b.q), abs=1e-12)
-        assert a.u_p == pytest.approx(b.u_p, rel=1e-6)
 
 
 class TestWhatAllChannelsShare:
@@ -317,22 +307,18 @@ class TestStage:
         self, step: float, start: float, count: int, cut: int
     ) -> None:
         turns = start + step * np.arange(count)
-        stage = AngleTracker()
         theta = turns * 360.0 % 360.0
-        followed = np.concatenate([stage.follow(theta[:cut]), stage.follow(theta[cut:])])
+        first = follow(theta[:cut])
+        followed = np.concatenate([first, follow(theta[cut:], float(first[-1]))])
         assert followed - followed[0] == pytest.approx(turns - turns[0], abs=1e-9)
-        assert stage.turns == pytest.approx(step * (count - 1), abs=1e-9)
-        assert stage.backlash == pytest.approx(max(0.0, -step * (count - 1)), abs=1e-9)
 
     def test_a_jump_back_is_a_gap(self) -> None:
-        stage = AngleTracker()
-        assert stage.follow(np.array([0.0, 10.0, 20.0, 240.0, 250.0])) * 360.0 == pytest.approx([0, 10, 20, 240, 250])
-        assert stage.backlash == 0.0
+        angle = np.array([0.0, 10.0, 20.0, 240.0, 250.0])
+        assert follow(angle) * 360.0 == pytest.approx(angle)
 
     def test_after_a_million_turns_the_angle_is_as_exact_as_the_encoders(self) -> None:
-        stage = AngleTracker()
         theta = np.tile([0.0, 120.0, 240.0], 1_000_000)
-        assert float(np.max(np.abs(stage.follow(theta) % 1.0 - theta / 360.0))) < 1e-9
+        assert float(np.max(np.abs(follow(theta) % 1.0 - theta / 360.0))) < 1e-9
 
 
 def test_gain_for_a_gradient_is_what_eq_1_gives() -> None:

@@ -1,4 +1,4 @@
-"""A stage without an encoder, and the spectra of what is matched."""
+"""A stage without an encoder."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import tracemalloc
 
 import numpy as np
 import pytest
-import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from support import accelerometer_disk as disk
 
 from tiltcal.core.model import Array
-from tiltcal.core.pair.spectrum import Spectra
 from tiltcal.core.pair.spin import Spin, estimate_spin, followed_spin
 from tiltcal.errors import EstimateError
 
@@ -128,17 +126,3 @@ class TestSpin:
     def test_where_there_is_no_spin(self, taken: disk.Record, said: str) -> None:
         with pytest.raises(EstimateError, match=said):
             estimate_spin(taken.time, taken.readings)
-
-
-def test_spectra_are_those_of_welch_for_any_mix_and_any_blocks() -> None:
-    draw = np.random.default_rng(0)
-    readings = draw.standard_normal((5000, 3)) @ np.array([[1.0, 0.3, 0.0], [0.0, 2.0, 0.1], [0.5, 0.0, 1.0]])
-    spectra = Spectra(("a", "b", "c"), 512)
-    for start in range(0, 5000, 333):
-        spectra.add(readings[start : start + 333])
-    frequency, density = spectra.density({"a": 1.0, "c": -0.7}, rate=50.0)
-    expected_frequency, expected = scipy.signal.welch(
-        readings[:, 0] - 0.7 * readings[:, 2], 50.0, nperseg=512, noverlap=256, detrend="constant"
-    )
-    assert frequency == pytest.approx(expected_frequency)
-    assert density == pytest.approx(expected, rel=1e-9)
