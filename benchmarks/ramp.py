@@ -22,7 +22,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tiltcal.core.ramp.fit import fit_ramp
-from tiltcal.core.ramp.record import RecordAverager
+from tiltcal.core.ramp.record import ramp_record
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
 
@@ -115,9 +115,7 @@ def judged(kind: str, pace: float, legs: int, seed: int) -> dict[str, Any]:
     """Fit one record, and compare its curve with the true one."""
     draw = np.random.default_rng([seed, [*KINDS].index(kind), int(100 * pace), legs])
     time, thermometer, readings, exact, still = record(kind, pace, legs, draw)
-    averager = RecordAverager(2)
-    averager.add(time, thermometer, readings)
-    whole = averager.record()
+    whole = ramp_record(time, thermometer, readings.T)
     try:
         fit = fit_ramp(whole, reference=REFERENCE)
     except EstimateError as refusal:
