@@ -3,8 +3,8 @@
 The record is made here: a chamber goes from 5 to 45 °C and back at a steady pace, the element follows it by exact
 filters, and two channels read a cubic of the element's temperature with noise of 0.5 units. The curve is compared at
 ten temperatures within what the element reached: with the true one, which lies between the ways where there is
-hysteresis, and with what the sensor reads without noise on the last two ways. Writes a line of JSON for each record and
-goes on where it ended:
+hysteresis, and with what the sensor reads without noise on the last two ways. Records of two lags are to be refused.
+Writes a line of JSON for each record and goes on where it ended:
 
     python benchmarks/ramp.py --records 100 ramp.jsonl
     python benchmarks/ramp.py --records 0 ramp.jsonl      # the table alone
@@ -158,6 +158,9 @@ def table(lines: list[dict[str, Any]]) -> None:
     print(f"{'':58} °C/min legs    n  refused  curve %   ways %   lag used    lag s     error / alone")
     for (kind, pace, legs), all_ in sorted(groups.items(), key=lambda group: [*KINDS].index(group[0][0])):
         fits = [one for one in all_ if "held" in one]
+        if not fits:
+            print(f"{KINDS[kind]:58} {pace:5.2f} {legs:4} {len(all_):4} {len(all_):8}")
+            continue
         held, ways, lags = (np.array([one[key] for one in fits]) for key in ("held", "ways", "lag"))
         ratio, used = (
             np.median([one["error"] / one["alone"] for one in fits]),

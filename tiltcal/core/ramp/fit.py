@@ -172,8 +172,8 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     plain = {order: _left_out(means, order, lambda *_: 0.0) for order in orders}
     lagged = {order: _left_out(means, order, means.lag) for order in orders}
     order_alone, order = (min(errors, key=lambda one: float(np.mean(errors[one]))) for errors in (plain, lagged))
-    estimate = _with_lag(means, order)
-    found_lag, u_lag = estimate.lag, sqrt(estimate.covariance[-1, -1])
+    found_lag, *by_lag = _with_lag(means, order)
+    u_lag = sqrt(by_lag[1][-1, -1])
     _require_lag_resolved(means.legs, found_lag, u_lag)
     gained = np.mean(plain[order_alone] - lagged[order], axis=1) > 0.0
     used = bool(
@@ -186,19 +186,18 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     loops = [_loops(means, places, lag, order) for lag in (0.0, found_lag)]
     explained = 1.0 - np.mean(loops[1] ** 2, axis=0) / np.maximum(np.mean(loops[0] ** 2, axis=0), _TINY)
     u_element, lag = 0.0, found_lag if used else 0.0
-    beside_loop, loop_covariance = _beside_loop(means, lag, order if used else order_alone)
+    coefficients, covariance, loop_covariance = _beside_loop(means, lag, order if used else order_alone)
     if used:
+        coefficients, covariance = by_lag
         _require_one_lag(means, found_lag, order, record.step)
         if found_lag < 0.0:
             in_log = means.in_parts(ThermalLag(found_lag)(record.time, record.temperature)) - reference
             u_element = float(np.sqrt(np.mean((in_log - means.element(found_lag)) ** 2)))
-    else:
-        estimate = beside_loop
     return RampFit(
         reference=reference,
-        coefficients=estimate.coefficients,
+        coefficients=coefficients,
         lag=lag,
-        covariance=estimate.covariance + _of_noisy_temperature(means, lag, estimate.coefficients),
+        covariance=covariance + _of_rounded_temperature(means, coefficients),
         found_lag=found_lag,
         u_lag=u_lag,
         explained=explained,
@@ -257,6 +256,8 @@ class RampMeans:
         self._powers: dict[float, Array] = {}
         self.legs = legs
         self.leg: NDArray[np.intp] = of_legs[self._groups]
+        if len(np.unique(self.leg)) < len(legs):
+            raise EstimateError("a leg of the record has hardly any rows: let the temperature go all the way each time")
         self.rising = np.where(np.array([leg.rising for leg in legs])[self.leg], 1.0, -1.0)
         self.time = self.averaged(self.in_parts(record.time))
         self.readings = self.averaged(self.in_parts(record.readings))
@@ -353,24 +354,15 @@ class RampMeans:
         return np.asarray(CubicSpline(_means(time, knots), _means(temperature, knots))(time, 1))
 
 
-@frozen
-class _Estimate:
-    """Lag, coefficients of shape (channels, order + 1), and the covariance of :class:`RampFit`."""
-
-    lag: float
-    coefficients: Array
-    covariance: Array
-
-
-def _with_lag(means: RampMeans, order: int) -> _Estimate:
-    """Estimate polynomials and the lag that all channels share."""
+def _with_lag(means: RampMeans, order: int) -> tuple[float, Array, Array]:
+    """Return the lag that all channels share, polynomials of shape (channels, order + 1), and their covariance."""
     lag, noises = means.lag(order), list[Array]()
     for _ in range(2):
         designs = _lag_designs(means, lag, order)
         noises = noises or [noise_covariance(means, *one) for one in zip(designs, means.readings.T, strict=True)]
         solution, covariance = _joint_least_squares(designs, 1, means.readings, noises)
         lag += float(solution[-1])
-    return _Estimate(lag, solution[:-1].reshape(-1, order + 1), covariance)
+    return lag, solution[:-1].reshape(-1, order + 1), covariance
 
 
 def _lag_designs(means: RampMeans, lag: float, order: int) -> list[Array]:
@@ -380,8 +372,8 @@ def _lag_designs(means: RampMeans, lag: float, order: int) -> list[Array]:
     return [np.column_stack([x, slope]) for slope in slopes.T]
 
 
-def _beside_loop(means: RampMeans, lag: float, order: int) -> tuple[_Estimate, Array]:
-    """Estimate polynomials for a given lag that lie between the ways, and what the loop adds to their covariance.
+def _beside_loop(means: RampMeans, lag: float, order: int) -> tuple[Array, Array, Array]:
+    """Return polynomials for a given lag that lie between the ways, their covariance, and what the loop adds to it.
 
     A reading is on one way or the other: half of their difference is that of a rectangular distribution.
     """
@@ -407,7 +399,7 @@ def _beside_loop(means: RampMeans, lag: float, order: int) -> tuple[_Estimate, A
             solution, of_solution = _joint_least_squares([x], 0, values[:, None], [noise_covariance(means, x, values)])
         coefficients[c] = solution[:p]
         covariance[start : start + p, start : start + p] = of_solution[:p, :p]
-    return _Estimate(lag, coefficients, covariance), added
+    return coefficients, covariance, added
 
 
 def _with_turns(means: RampMeans, design: Array, values: Array) -> Array:
@@ -535,7 +527,8 @@ def noise_covariance(means: RampMeans, design: Array, values: Array) -> Array:
     x = np.linalg.qr(design)[0]
     off = values - x @ (x.T @ values)
     # A process that took up what lasts a few means, such as steps of the thermometer, would take up the drift with it.
-    least = min(max(_variance_between(off, k) for k in _DISTANCES if 2 * k < n), float(off @ off) / (n - p)) + _TINY
+    second = [off[2 * k :] - 2.0 * off[k:-k] + off[: -2 * k] for k in _DISTANCES if 2 * k < n]
+    least = min(max(float(np.mean(some**2)) / 6.0 for some in second), float(off @ off) / (n - p)) + _TINY
     likelihood, variances = [], []
     for _, eigenvalues, vectors in means.correlations:
         xr, yr = vectors.T @ x, vectors.T @ values
@@ -555,24 +548,12 @@ def noise_covariance(means: RampMeans, design: Array, values: Array) -> Array:
     return covariance
 
 
-def _of_noisy_temperature(means: RampMeans, lag: float, coefficients: Array) -> Array:
-    """Return what noise of the temperature adds to the covariance of polynomials, and of a lag.
+def _of_rounded_temperature(means: RampMeans, coefficients: Array) -> Array:
+    """Return what rounding of the thermometer, which does not average out at the turns, adds to the covariance."""
+    from scipy.linalg import block_diag
 
-    It flattens a fitted curve (W. A. Fuller, Measurement Error Models, 1987). By how much is known only where none of
-    it is rounding, so the whole of it is taken as a standard uncertainty. Rounding averages out over a step, but for
-    the turns: they shift the curve.
-    """
-    p, element = coefficients.shape[1], means.element(lag)
-    powers = np.vander(element, p, increasing=True)
-    by_temperature = np.pad(powers[:, :-1] * np.arange(1, p), ((0, 0), (1, 0)))
-    flattened = np.linalg.pinv(powers.T @ powers) @ by_temperature.T @ by_temperature @ coefficients.T
-    flattened *= _variance_between(means.temperature(lag), 1)
-    shifts = np.pad(coefficients[:, 1:] * np.arange(1, p), ((0, 0), (0, 1))) * means.shift
-    found = np.zeros((coefficients.size + 1, coefficients.size + 1))
-    for c, (flat, shifted) in enumerate(zip(flattened.T, shifts, strict=True)):
-        own = slice(c * p, (c + 1) * p)
-        found[own, own] = np.outer(flat, flat) + np.outer(shifted, shifted)
-    return found
+    slopes = np.pad(coefficients[:, 1:] * np.arange(1, coefficients.shape[1]), ((0, 0), (0, 1)))
+    return np.asarray(block_diag(*[np.outer(slope, slope) * means.shift**2 for slope in slopes], 0.0))
 
 
 def _joint_least_squares(
@@ -612,12 +593,6 @@ def _lowest(cost: Callable[[float], float], grid: Array) -> tuple[float, float]:
     options = {"xatol": 1e-5 * float(high - low)}
     found = minimize_scalar(cost, bounds=(float(low), float(high)), method="bounded", options=options)
     return (float(found.x), float(found.fun)) if found.fun < costs[best] else (float(grid[best]), costs[best])
-
-
-def _variance_between(values: Array, distance: int) -> float:
-    """Return the variance of white noise that second differences over a distance of some values show."""
-    second = values[2 * distance :] - 2.0 * values[distance:-distance] + values[: -2 * distance]
-    return float(np.mean(second**2)) / 6.0
 
 
 def _least_squares(x: Array, y: Array) -> Array:
