@@ -73,12 +73,17 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
         found = replace(found, notes=(*found.notes, record.jumps))
     made = record_of(found, design, replace(sensor, measurements=groups), procedure)
     _require_attitude(made, sensor)
-    made = _with_lag(made, fit)
+    coefficients, standard = made.coefficients, made.uncertainty.standard
+    if fit.uses_lag and coefficients.thermal is not None:
+        lagged = replace(coefficients.thermal, lag=round_to(fit.lag, fit.u_lag))
+        coefficients = replace(coefficients, thermal=lagged)
+        standard = {**standard, "temperature.lag": significant(fit.u_lag, 4)}
     uncertain = _u_temperature(fit, record, bench.thermometer, sensor.thermometer)
     reading = {**made.uncertainty.single_reading, **({"temperature": significant(uncertain, 4)} if uncertain else {})}
     return replace(
         made,
-        uncertainty=replace(made.uncertainty, single_reading=reading),
+        coefficients=coefficients,
+        uncertainty=replace(made.uncertainty, standard=standard, single_reading=reading),
         limits=replace(made.limits, temperature=temperatures),
         fit=replace(
             made.fit,
@@ -89,19 +94,6 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
             hysteresis=_hysteresis(fit, design.channels),
             ramp=_ramp_record(fit, design.channels),
         ),
-    )
-
-
-def _with_lag(calibration: CalibrationRecord, fit: RampFit) -> CalibrationRecord:
-    """Return a calibration with the thermal lag and its uncertainty, where one is used."""
-    coefficients, u = calibration.coefficients, calibration.uncertainty
-    if not fit.uses_lag or coefficients.thermal is None:
-        return calibration
-    lagged = replace(coefficients.thermal, lag=round_to(fit.lag, fit.u_lag))
-    return replace(
-        calibration,
-        coefficients=replace(coefficients, thermal=lagged),
-        uncertainty=replace(u, standard={**u.standard, "temperature.lag": significant(fit.u_lag, 4)}),
     )
 
 
