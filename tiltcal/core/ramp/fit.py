@@ -54,38 +54,19 @@ BEHIND_TURN = 0.1
 PLACES = 8
 """Temperatures at which the ways are compared."""
 
-_PARTS = 256
-"""Means of a record that are fitted."""
-
-_NOISE_SHARE = 0.02
-"""What noise of a thermometer that is later may add to a mean, in parts of the loop."""
-
-_FEWEST_MEANS = 12
-"""Of a leg, however noisy the thermometer."""
-
-_END_WEIGHT = 4.0
-"""The end of a line through n points has this weight over n (its leverage)."""
-
-_LAGS = 14
-
-_LOOP_TERMS = 3
-"""Of the polynomial of a loop: a play of a cubic, and Rayleigh's loop, have three."""
-
-_RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])
-"""Variance of noise that lasts over that of the white noise."""
-
-_PRIOR = np.concatenate([[0.5], np.full(len(_RATIOS) - 1, 0.5 / (len(_RATIOS) - 1))])
-"""Half of the weight is on white noise alone."""
-
-_LASTS = np.geomspace(1.0 / 64.0, 1.2, 8)
-"""How long it lasts, in times of the record; a random walk has about the distance that the longest one has."""
-
-_WIDER = 1.2
-"""The variance of noise that lasts is multiplied by this: 1.96 deviations of a mixture of sizes hold less than 95 %."""
-
-_DISTANCES = (1, 2, 4, 8)
-"""Means between which second differences are taken; a step of the thermometer may last several."""
-
+_PARTS = 256  # means of a record that are fitted
+_NOISE_SHARE = 0.02  # what noise of a thermometer that is later may add to a mean, in parts of the loop
+_FEWEST_MEANS = 12  # of a leg, however noisy the thermometer
+_END_WEIGHT = 4.0  # the end of a line through n points has this weight over n (its leverage)
+_LAGS = 14  # of either sign that are tried first
+_LOOP_TERMS = 3  # of the polynomial of a loop: a play of a cubic, and Rayleigh's loop, have three
+_RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])  # variance of noise that lasts over that of white noise
+_PRIOR = np.concatenate([[0.5], np.full(22, 0.5 / 22)])  # half of the weight is on white noise alone
+_LASTS = np.geomspace(
+    1.0 / 64.0, 1.2, 8
+)  # how long noise lasts, in times of the record; the longest like a random walk
+_WIDER = 1.2  # of the variance of noise that lasts: 1.96 deviations of a mixture of sizes hold less than 95 %
+_DISTANCES = (1, 2, 4, 8)  # of second differences, in means: a step of the thermometer may last several
 _TINY = np.finfo(float).tiny
 
 
@@ -262,7 +243,6 @@ class RampMeans:
         self.time = self.averaged(self.in_parts(record.time))
         self.readings = self.averaged(self.in_parts(record.readings))
         self.shift = min(_END_WEIGHT * len(legs) / steps, 1.0) * record.step / sqrt(12.0)
-        self.scale = np.ones(self.readings.shape[1])
         x = self.powers(0.0, highest)
         smallest = 1e-12 * np.max(np.abs(self.readings), axis=0) + _TINY
         self.scale = np.maximum(np.std(self.readings - x @ _least_squares(x, self.readings), axis=0), smallest)

@@ -32,17 +32,10 @@ FEWEST_STEPS = 8
 FEWEST_ROWS = 32
 """Rows of a record."""
 
-_STEPS = 4.0
-"""A ramp of few rows may change by so many of its usual steps from one row to the next."""
-
-_GAP = 10.0
-"""After so many usual intervals without a row, any temperature may follow."""
-
-_FIRST = 5
-"""Rows whose median is the temperature that a record begins with."""
-
-_SQUARE_OF_90_PERCENT = 2.706
-"""What the square of a normal variable of variance 1 is below in 90 % of cases."""
+_STEPS = 4.0  # usual steps by which a ramp of few rows may change from one row to the next
+_GAP = 10.0  # usual intervals without a row, after which any temperature may follow
+_FIRST = 5  # rows whose median is the temperature that a record begins with
+_SQUARE_OF_90_PERCENT = 2.706  # what the square of a normal variable of variance 1 is below in 90 % of cases
 
 
 @frozen
@@ -240,13 +233,10 @@ def _require_both_ways(legs: list[Leg], whole: float) -> None:
             f"the temperature goes only {legs[0].way}, and one way does not separate a thermal lag from drift: let it "
             f"come back over the same temperatures, at {pace} or slower"
         )
-    highest, lowest = (min(max(leg.high for leg in way) for way in (up, down)), max(_lowest(way) for way in (up, down)))
+    highest = min(max(leg.high for leg in way) for way in (up, down))
+    lowest = max(min(leg.low for leg in way) for way in (up, down))
     if highest - lowest < OVERLAP * whole:
         raise EstimateError(
             f"the ways up and down share {max(highest - lowest, 0.0):.2g} °C of {whole:.2g} °C, too little to separate "
             f"a thermal lag from drift: let the temperature come all the way back, at {pace} or slower"
         )
-
-
-def _lowest(way: list[Leg]) -> float:
-    return min(leg.low for leg in way)

@@ -243,6 +243,16 @@ def test_ways_that_share_too_little_are_refused():
         fit_ramp(cut, reference=REFERENCE)
 
 
+def test_a_leg_of_few_rows_is_refused():
+    """12 °C down and up again within six of 4,800 rows, in no mean of which a leg begins."""
+    seconds = np.arange(0.0, 4800.0)
+    thermometer = chamber(seconds, 1.0)
+    thermometer[1203:1209] -= [4.0, 8.0, 12.0, 12.0, 8.0, 4.0]
+    readings = read(thermometer) + 0.5 * np.random.default_rng(2).normal(size=(4800, 2))
+    with pytest.raises(EstimateError, match="hardly any rows: let the temperature go all the way"):
+        fit_ramp(recorded(seconds, thermometer, readings), reference=REFERENCE)
+
+
 def test_too_fast_a_pace_is_refused_with_the_pace_to_take():
     """Legs of 240 s against a lag of 120 s; eight lags are 40 °C at 2.5 °C/min."""
     with pytest.raises(EstimateError, match=r"a leg lasts 239 s.*change the temperature at 2\.5 °C/min or slower"):
