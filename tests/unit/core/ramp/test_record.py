@@ -1,4 +1,4 @@
-"""Temperatures that a thermometer did not convert, in the record of a ramp."""
+"""The rows of a ramp that count: temperatures that a thermometer did not convert do not."""
 
 from __future__ import annotations
 
