@@ -3,8 +3,8 @@
 The record is made here: a chamber goes from 5 to 45 °C and back at a steady pace, the element follows it by exact
 filters, and two channels read a cubic of the element's temperature with noise of 0.5 units. The curve is compared at
 ten temperatures within what the element reached: with the true one, which lies between the ways where there is
-hysteresis, and with what the sensor reads without noise on the last two ways. Writes a line of JSON for each record and
-goes on where it ended:
+hysteresis, and with what the sensor reads without noise on the last two ways. Records of two lags are to be refused.
+Writes a line of JSON for each record and goes on where it ended:
 
     python benchmarks/ramp.py --records 100 ramp.jsonl
     python benchmarks/ramp.py --records 0 ramp.jsonl      # the table alone
@@ -22,7 +22,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tiltcal.core.ramp.fit import fit_ramp
-from tiltcal.core.ramp.record import RecordAverager
+from tiltcal.core.ramp.record import ramp_record
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
 
@@ -115,9 +115,7 @@ def judged(kind: str, pace: float, legs: int, seed: int) -> dict[str, Any]:
     """Fit one record, and compare its curve with the true one."""
     draw = np.random.default_rng([seed, [*KINDS].index(kind), int(100 * pace), legs])
     time, thermometer, readings, exact, still = record(kind, pace, legs, draw)
-    averager = RecordAverager(2)
-    averager.add(time, thermometer, readings)
-    whole = averager.record()
+    whole = ramp_record(time, thermometer, readings.T)
     try:
         fit = fit_ramp(whole, reference=REFERENCE)
     except EstimateError as refusal:
@@ -160,6 +158,9 @@ def table(lines: list[dict[str, Any]]) -> None:
     print(f"{'':58} °C/min legs    n  refused  curve %   ways %   lag used    lag s     error / alone")
     for (kind, pace, legs), all_ in sorted(groups.items(), key=lambda group: [*KINDS].index(group[0][0])):
         fits = [one for one in all_ if "held" in one]
+        if not fits:
+            print(f"{KINDS[kind]:58} {pace:5.2f} {legs:4} {len(all_):4} {len(all_):8}")
+            continue
         held, ways, lags = (np.array([one[key] for one in fits]) for key in ("held", "ways", "lag"))
         ratio, used = (
             np.median([one["error"] / one["alone"] for one in fits]),

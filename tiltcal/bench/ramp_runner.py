@@ -19,7 +19,7 @@ from tiltcal.bench.sample_checks import ReadingSpans, at_rail, require_few
 from tiltcal.bench.sensor_set import RECOVERY, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Unsettled
-from tiltcal.core.ramp.record import RampRecord, RecordAverager
+from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.errors import SensorError, UsageError
 from tiltcal.files.procedure import Position, Ramp
@@ -54,9 +54,7 @@ class RampRunner(PositionRunner):
         found = {}
         for sensor in self._sensors.sensors:
             rows = np.array(self._rows[sensor.serial]).reshape(-1, 2 + len(sensor.model.channels))
-            averager = RecordAverager(len(sensor.model.channels))
-            averager.add(rows[:, 0], rows[:, 1], rows[:, 2:])
-            found[sensor.serial] = averager.record()
+            found[sensor.serial] = ramp_record(rows[:, 0], rows[:, 1], [*rows[:, 2:].T])
         return found
 
     def _attempt(self, position: Position, accepted: Sequence[PositionResult]) -> PositionResult | str:

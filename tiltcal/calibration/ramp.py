@@ -17,7 +17,7 @@ from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TAB
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.model import Array, Coefficients, Thermal, with_vector
 from tiltcal.core.ramp.fit import RESOLVED, RampFit, fit_ramp
-from tiltcal.core.ramp.record import RampRecord
+from tiltcal.core.ramp.record import RampRecord, row_noise
 from tiltcal.core.rounding import plus_minus, round_to, significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
@@ -31,7 +31,7 @@ GROUPS = 8
 """Parts of a leg that the file lists as positions."""
 
 NOTED = 0.05
-"""°C; a second lag that changes the temperature of the element by less is not worth a note."""
+"""°C; an error of the element's temperature behind turns that is less is not worth a note."""
 
 FAR = 0.5
 """g; an offset that differs by more from that of the base calibration belongs to another attitude."""
@@ -69,16 +69,21 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     design = replace(design, drift=fit.order, reference=reference)
     groups = _groups(fit, record, attitude)
     found = _estimate(fit, design, np.array(attitude.gravity), temperatures, groups, bench)
-    if record.jumps is not None:
-        found = replace(found, notes=(*found.notes, record.jumps.note))
+    if record.jumps:
+        found = replace(found, notes=(*found.notes, record.jumps))
     made = record_of(found, design, replace(sensor, measurements=groups), procedure)
     _require_attitude(made, sensor)
-    made = _with_lag(made, fit)
-    uncertain = _u_temperature(fit, design.thermometer or sensor.thermometer or record.step / sqrt(12.0))
+    coefficients, standard = made.coefficients, made.uncertainty.standard
+    if fit.uses_lag and coefficients.thermal is not None:
+        lagged = replace(coefficients.thermal, lag=round_to(fit.lag, fit.u_lag))
+        coefficients = replace(coefficients, thermal=lagged)
+        standard = {**standard, "temperature.lag": significant(fit.u_lag, 4)}
+    uncertain = _u_temperature(fit, record, bench.thermometer, sensor.thermometer)
     reading = {**made.uncertainty.single_reading, **({"temperature": significant(uncertain, 4)} if uncertain else {})}
     return replace(
         made,
-        uncertainty=replace(made.uncertainty, single_reading=reading),
+        coefficients=coefficients,
+        uncertainty=replace(made.uncertainty, standard=standard, single_reading=reading),
         limits=replace(made.limits, temperature=temperatures),
         fit=replace(
             made.fit,
@@ -92,26 +97,18 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     )
 
 
-def _with_lag(calibration: CalibrationRecord, fit: RampFit) -> CalibrationRecord:
-    """Return a calibration with the thermal lag and its uncertainty, where one is used."""
-    coefficients, u = calibration.coefficients, calibration.uncertainty
-    if not fit.uses_lag or coefficients.thermal is None:
-        return calibration
-    lagged = replace(coefficients.thermal, lag=round_to(fit.lag, fit.u_lag))
-    return replace(
-        calibration,
-        coefficients=replace(coefficients, thermal=lagged),
-        uncertainty=replace(u, standard={**u.standard, "temperature.lag": significant(fit.u_lag, 4)}),
-    )
+def _u_temperature(fit: RampFit, record: RampRecord, stated: float | None, own: float | None) -> float:
+    """Return the standard uncertainty of the element's temperature in a log, °C.
 
-
-def _u_temperature(fit: RampFit, thermometer: float) -> float:
-    """Return the standard uncertainty of the element's temperature in a log, from that of its thermometer, °C."""
+    The inverse filter of a thermometer that is later amplifies what is random in it, its step and its noise, and leaves
+    an error that all temperatures share as it is.
+    """
+    random = (not stated and own) or record.step / sqrt(12.0)
     if fit.lag < 0.0:
-        # The inverse filter amplifies what is random in the thermometer.
-        thermometer *= 1.0 + 1.0 / LOG_SMOOTHING
-    pace = max(held_out.leg.pace for held_out in fit.held_out) / 60.0
-    return hypot(thermometer, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
+        noise = row_noise(record.temperature) * sqrt(record.rows / len(record.time))
+        random = max(random, noise) * (1.0 + 1.0 / LOG_SMOOTHING)
+    pace = max(leg.pace for leg in fit.means.legs) / 60.0
+    return hypot(stated or 0.0, random, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
 
 
 def _require_temperatures(record: RampRecord) -> None:
@@ -176,7 +173,7 @@ def _estimate(
         budget=Budget.of(list(_sources(fit, design, coefficients, gravity, names, bench))),
         positions=tuple(group.position for group in groups),
         residuals=residuals,
-        dof=max(len(fit.means) - fit.order - 1, 0) * len(design.channels),
+        dof=max(len(fit.means.leg) - fit.order - 1, 0) * len(design.channels),
         chi_square=None,
         p=None,
         stated=False,
@@ -255,7 +252,7 @@ def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Mea
     means, groups = fit.means, []
     element = means.temperature(0.0)
     for name, part in _parts(fit):
-        n = max(round(record.rows / len(means) * len(part)), 1)
+        n = max(round(record.rows / len(means.leg) * len(part)), 1)
         summaries = {
             channel: SampleSummary(float(values.mean()), float(noise), n, float(noise) / sqrt(n))
             for channel, values, noise in zip(attitude.summaries, means.readings[part].T, record.noise, strict=True)
@@ -267,13 +264,13 @@ def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Mea
 
 def _hysteresis(fit: RampFit, channels: Sequence[str]) -> dict[str, Hysteresis]:
     """Return the largest loop that is left, per channel."""
-    at = np.argmax(np.abs(fit.loops.differences), axis=0)
+    at = np.argmax(np.abs(fit.loops), axis=0).tolist()
     return {
         channel: Hysteresis(
-            difference=significant(float(fit.loops.differences[k, c]), 4),
-            between=tuple(f"{way} at {fit.loops.temperatures[k] + fit.reference:.1f} °C" for way in ("down", "up")),
+            difference=significant(float(fit.loops[k, c]), 4),
+            between=tuple(f"{way} at {fit.places[k] + fit.reference:.1f} °C" for way in ("down", "up")),
         )
-        for c, (channel, k) in enumerate(zip(channels, at.tolist(), strict=True))
+        for c, (channel, k) in enumerate(zip(channels, at, strict=True))
     }
 
 
@@ -288,14 +285,14 @@ def _ramp_record(fit: RampFit, channels: Sequence[str]) -> RampFitRecord:
         explained_percent=by_channel(100.0 * fit.explained),
         legs=tuple(
             RampLeg(
-                way=held_out.leg.way,
-                temperature=(round(held_out.leg.low, 2), round(held_out.leg.high, 2)),
-                seconds=round(held_out.leg.seconds, 1),
-                pace=significant(held_out.leg.pace, 3),
-                polynomial=by_channel(held_out.polynomial),
-                lagged=by_channel(held_out.lagged),
+                way=leg.way,
+                temperature=(round(leg.low, 2), round(leg.high, 2)),
+                seconds=round(leg.seconds, 1),
+                pace=significant(leg.pace, 3),
+                polynomial=by_channel(polynomial),
+                lagged=by_channel(lagged),
             )
-            for held_out in fit.held_out
+            for leg, polynomial, lagged in zip(fit.means.legs, fit.polynomial, fit.lagged, strict=True)
         ),
     )
 
@@ -315,8 +312,10 @@ def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
         f"down: {explains})"
     ]
     if fit.u_element >= NOTED:
-        cause = "the turns show a second lag: one lag" if fit.lag > 0.0 else "behind turns the temperature in a log"
-        notes.append(f"{cause} is off by {fit.u_element:.2g} °C, which is in the uncertainty of a temperature")
+        notes.append(
+            f"behind turns the temperature in a log is off by {fit.u_element:.2g} °C, which is in the uncertainty of a "
+            "temperature"
+        )
     if not fit.uses_lag and abs(fit.found_lag) > RESOLVED * fit.u_lag:
         notes.append(
             "to separate a lag from hysteresis, record legs at two paces: the effect of a lag grows with the pace"

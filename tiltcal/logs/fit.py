@@ -33,7 +33,7 @@ from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.provenance_record import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.segments import Segment, SegmentRow, read_segments
-from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns, require_celsius, require_unit
+from tiltcal.logs.columns import named_columns, require_celsius, require_unit
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Rails, sampled
@@ -302,8 +302,8 @@ class FitSource:
                     "first row and the last of the whole ramp",
                     file=self._name,
                 )
-        with self._record(sensor, (TIME, TEMPERATURE)) as record:
-            found, missing = read_ramp(record, segment)
+        named = named_columns(self.columns, sensor.channels)
+        found, log = read_ramp(self.data, sensor, named, segment, self.progress)
         first = procedure.positions[0]
         known = {position.name: position.gravity for position in procedure.positions}
         gravity = first.gravity
@@ -317,10 +317,8 @@ class FitSource:
             dict.fromkeys(sensor.channels, SampleSummary(0.0, 0.0, 1, 0.0)),
         )
         segments = None if segment is None else _origin(self.segments, SegmentsRecord)
-        provenance = self._provenance(record, segments, [(found.time[0], found.time[-1])])
-        if provenance.log is not None:
-            provenance = replace(provenance, log=replace(provenance.log, missing=missing or None))
-        return FitPositions([attitude], provenance, found)
+        provenance = self._provenance(None, segments, [(found.time[0], found.time[-1])])
+        return FitPositions([attitude], replace(provenance, log=log), found)
 
     def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
         """Positions of a sensor of three channels whose directions the readings will show.
@@ -396,10 +394,10 @@ class FitSource:
             return (*sampled(record, segments, self.rails, soak), record)
 
     @contextmanager
-    def _record(self, sensor: SensorIdentity, others: Sequence[str] = ()) -> Iterator[RecordedReadings]:
+    def _record(self, sensor: SensorIdentity) -> Iterator[RecordedReadings]:
         named = named_columns(self.columns, sensor.channels)
         with (
-            recorded_readings(self.data, sensor.channels, named, sensor.unit, self.progress, others) as record,
+            recorded_readings(self.data, sensor.channels, named, sensor.unit, self.progress) as record,
             imported_meanwhile("scipy.special"),
         ):
             yield record

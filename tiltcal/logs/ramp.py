@@ -1,23 +1,37 @@
-"""The continuous record of a ramp from a log of any length, in bounded memory."""
+"""The continuous record of a ramp from a log of any length."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
-from tiltcal.core.ramp.record import RampRecord, RecordAverager
+from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.errors import InputError
+from tiltcal.files.calibration import SensorIdentity
+from tiltcal.files.provenance_record import LogRecord
 from tiltcal.files.segments import Segment
-from tiltcal.logs.interval_samples import TO_THE_END
-from tiltcal.logs.recorded_readings import RecordedReadings
+from tiltcal.logs.columns import TEMPERATURE, TIME, locate_readings
+from tiltcal.logs.formats import open_log
+from tiltcal.logs.log import Progress
+from tiltcal.logs.numbers import read_columns
 
 
-def read_ramp(record: RecordedReadings, segment: Segment | None = None) -> tuple[RampRecord, int]:
-    """Return the record of a ramp from a log with temperatures and times, and how many of its rows were left out.
+def read_ramp(
+    data: Any,
+    sensor: SensorIdentity,
+    named: Mapping[str, str],
+    segment: Segment | None = None,
+    progress: Progress | None = None,
+) -> tuple[RampRecord, LogRecord | None]:
+    """Return the record of a ramp, and the log that it is from; None of a frame.
 
-    These miss a value, or their temperature jumps.
+    Rows that miss a value, or whose temperature jumps, are left out.
 
     Parameters
     ----------
+    named : mapping of str to str
+        Column name by role, from ``--columns``.
     segment : Segment, optional
         The rows that count; without it all.
 
@@ -28,15 +42,18 @@ def read_ramp(record: RecordedReadings, segment: Segment | None = None) -> tuple
     EstimateError
         There are too few rows, or too many temperatures jump.
     """
-    first, end = (0, TO_THE_END) if segment is None else (segment.start, segment.end)
-    averager, used = RecordAverager(len(record.channels), first), 0
-    for start, values in record.blocks():
-        part = np.stack(values)[:, max(first - start, 0) : max(end - start, 0)]
-        averager.add(part[-1], part[-2], part[:-2].T)
-        used += part.shape[1]
-    if segment is not None and segment.end > record.rows:
-        raise InputError(
-            f"segment {segment.name} ends at row {segment.end}, and the log has {record.rows}", file=record.name
-        )
-    found = averager.record()
-    return found, used - found.rows
+    is_file = isinstance(data, str | Path)
+    with open_log(data, digest=is_file, progress=progress) as log:
+        where = locate_readings(log, sensor.channels, named, sensor.unit, (TIME, TEMPERATURE))
+        columns = [where[role] for role in (*sensor.channels, TEMPERATURE, TIME)]
+        numbers = read_columns(log, columns, where[TIME], needs_time=True)
+    rows = len(numbers)
+    first, end = (0, rows) if segment is None else (segment.start, segment.end)
+    if segment is not None and end > rows:
+        raise InputError(f"segment {segment.name} ends at row {end}, and the log has {rows}", file=log.name)
+    *readings, temperature, time = (column[first:end] for column in numbers.columns)
+    record = ramp_record(time, temperature, readings, first)
+    if not is_file or log.sha256 is None:
+        return record, None
+    missing = end - first - record.rows
+    return record, LogRecord(name=Path(data).name, sha256=log.sha256, rows=rows, missing=missing or None)

@@ -72,7 +72,6 @@ def recorded_readings(
     named: Mapping[str, str],
     unit: str,
     progress: Progress | None = None,
-    others: Sequence[str] = (),
 ) -> Iterator[RecordedReadings]:
     """Open a log for its readings.
 
@@ -84,9 +83,6 @@ def recorded_readings(
         Of the readings.
     progress : callable, optional
         Called with the bytes that have been read, after each block.
-    others : sequence of str
-        Further roles that are needed: time. Where it is not, the column of that name is read if the log has one, and
-        what is no time in it is missing.
 
     Raises
     ------
@@ -95,10 +91,8 @@ def recorded_readings(
     """
     is_file = isinstance(log, str | Path)
     with open_log(log, digest=is_file, progress=progress) as reader:
-        needs_time = TIME in named or TIME in others
-        if needs_time:
-            others = (*others, TIME)
-        where = locate_readings(reader, channels, named, unit, others)
+        needs_time = TIME in named
+        where = locate_readings(reader, channels, named, unit, (TIME,) if needs_time else ())
         if TIME not in where and reader.has_times(TIME, where[channels[0]]):
             where[TIME] = reader.names.index(TIME)
         columns = [where[role] for role in (*channels, TEMPERATURE, TIME) if role in where]

@@ -1,19 +1,21 @@
-"""A continuous record as means of consecutive rows, in bounded memory, and its legs."""
+"""A continuous record as means of consecutive rows, without temperatures that jump, and its legs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
+from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP
+from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.quantisation import StepFinder
-from tiltcal.core.ramp.temperature_jumps import JumpDetector, TemperatureJumps
 from tiltcal.errors import EstimateError
 from tiltcal.frozen import frozen
 
 MOST = 4096
-"""Means that are kept; from twice as many on, two by two become one."""
+"""Means that a record has at least, where it has so many rows."""
 
 TURN = 0.2
 """Part of the whole range of temperature by which it must come back for a leg to end."""
@@ -29,6 +31,11 @@ FEWEST_STEPS = 8
 
 FEWEST_ROWS = 32
 """Rows of a record."""
+
+_STEPS = 4.0  # usual steps by which a ramp of few rows may change from one row to the next
+_GAP = 10.0  # usual intervals without a row, after which any temperature may follow
+_FIRST = 5  # rows whose median is the temperature that a record begins with
+_SQUARE_OF_90_PERCENT = 2.706  # what the square of a normal variable of variance 1 is below in 90 % of cases
 
 
 @frozen
@@ -46,9 +53,9 @@ class RampRecord:
     noise : ndarray, shape (channels,)
         Standard deviation of a single reading about its neighbours, unit.
     rows : int
-        Rows of the record that have all values.
-    jumps : TemperatureJumps or None
-        Of the temperatures that were left out.
+        Rows of the record that count.
+    jumps : str
+        Which temperatures were left out, in words; empty where none was.
     step : float
         Of the thermometer's reading, °C; 0 where it is continuous.
     """
@@ -58,68 +65,81 @@ class RampRecord:
     readings: Array
     noise: Array
     rows: int
-    jumps: TemperatureJumps | None = None
+    jumps: str = ""
     step: float = 0.0
 
 
-class RecordAverager:
-    """Makes a record of rows as they come; the first one has the number ``row``."""
+def ramp_record(time: Array, temperature: Array, readings: Sequence[Array], first: int = 0) -> RampRecord:
+    """Return the means of the rows that have all values and whose temperature does not jump.
 
-    def __init__(self, channels: int, row: int = 0) -> None:
-        self._jumps = JumpDetector(row)
-        self._step = StepFinder()
-        self._sums = np.zeros((0, 2 + channels))
-        self._waiting = np.zeros((0, 2 + channels))
-        self._size = 1
-        self._squares = np.zeros(channels)
-        self._last = np.zeros((0, 2 + channels))
-        self._rows = 0
+    Parameters
+    ----------
+    time, temperature : ndarray, shape (n,)
+        s and °C; NaN where one is missing.
+    readings : sequence of ndarray, shape (n,)
+        Of each channel, unit.
+    first : int
+        The number of the first row.
 
-    def add(self, time: Array, temperature: Array, readings: Array) -> None:
-        """Take some more rows; those that miss a value, and temperatures that jump, are left out.
+    Raises
+    ------
+    EstimateError
+        There are too few rows, or too many temperatures jump.
+    """
+    columns = (time, temperature, *readings)
+    counts, jumps = _without_jumps(time, temperature, first)
+    for column in columns:
+        counts &= np.isfinite(column)
+    columns = tuple(column[counts] for column in columns)
+    rows = len(columns[0])
+    if rows < FEWEST_ROWS:
+        raise EstimateError(f"the record has {rows} rows with time, temperature and readings: too few")
+    step = StepFinder()
+    step.add(columns[1])
+    size = max(rows // MOST, 1)
+    means = [column[: rows // size * size].reshape(-1, size).mean(axis=1) for column in columns]
+    noise = np.array([np.sqrt(np.mean(np.diff(column) ** 2) / 2.0) for column in columns[2:]])
+    return RampRecord(means[0], means[1], np.stack(means[2:], axis=1), noise, rows, jumps, step.result())
 
-        Parameters
-        ----------
-        time, temperature : ndarray, shape (n,)
-            s and °C.
-        readings : ndarray, shape (n, channels)
-        """
-        rows = np.column_stack([time, temperature, readings])
-        rows = rows[np.isfinite(rows).all(axis=1) & ~self._jumps(time, temperature)]
-        self._rows += len(rows)
-        self._step.add(rows[:, 1])
-        self._squares += np.sum(np.diff(np.concatenate([self._last, rows])[:, 2:], axis=0) ** 2, axis=0)
-        self._last = rows[-1:] if len(rows) else self._last
-        waiting = np.concatenate([self._waiting, rows])
-        whole = len(waiting) // self._size * self._size
-        sums = waiting[:whole].reshape(-1, self._size, waiting.shape[1]).sum(axis=1)
-        self._sums, self._waiting = np.concatenate([self._sums, sums]), waiting[whole:]
-        while len(self._sums) >= 2 * MOST:
-            pairs = len(self._sums) // 2 * 2
-            if pairs < len(self._sums):
-                # The odd one waits as rows that have its mean.
-                odd = np.repeat(self._sums[pairs:] / self._size, self._size, axis=0)
-                self._waiting = np.concatenate([odd, self._waiting])
-            self._sums = self._sums[:pairs].reshape(-1, 2, self._sums.shape[1]).sum(axis=1)
-            self._size *= 2
 
-    def record(self) -> RampRecord:
-        """Return the means of the rows so far; the last rows that fill no mean are left out.
+def _without_jumps(time: Array, temperature: Array, first: int) -> tuple[Mask, str]:
+    """Return the rows whose temperature does not jump away from those before, and the others in words.
 
-        Raises
-        ------
-        EstimateError
-            There are too few rows, or too many temperatures jump.
-        """
-        if self._jumps.found is not None:
-            self._jumps.found.require_few(self._rows + self._jumps.found.count)
-        if self._rows < FEWEST_ROWS:
-            raise EstimateError(f"the record has {self._rows} rows with time, temperature and readings: too few")
-        means = self._sums / self._size
-        noise = np.sqrt(self._squares / (2.0 * max(self._rows - 1, 1)))
-        return RampRecord(
-            means[:, 0], means[:, 1], means[:, 2:], noise, self._rows, self._jumps.found, self._step.result()
+    A thermometer that converts nothing jumps and comes back.
+    """
+    counts = np.ones(len(time), dtype=bool)
+    rows = np.flatnonzero(np.isfinite(time) & np.isfinite(temperature))
+    if len(rows) < FEWEST_ROWS:
+        return counts, ""
+    values, intervals = temperature[rows], np.diff(time[rows])
+    steps = np.abs(np.diff(values))
+    limit = max(TEMPERATURE_JUMP, _STEPS * float(np.median(steps)))
+    fresh = np.append(True, intervals > _GAP * np.median(intervals))
+    starts = np.flatnonzero(fresh | np.append(False, steps > limit)).tolist()
+    before, example = 0.0, ""
+    for start, end in pairwise([*starts, len(rows)]):
+        if fresh[start]:
+            before = float(np.median(values[start : start + _FIRST]))
+        if abs(values[start] - before) > limit:
+            counts[rows[start:end]] = False
+            example = example or f"row {first + rows[start]}, {values[start]:g} °C beside {before:.4g} °C"
+        else:
+            before = float(values[end - 1])
+    jumping = int(np.count_nonzero(~counts))
+    where = f"{jumping}, the first in {example}"
+    if jumping > max(1, LEFT_OUT * len(rows)):
+        raise EstimateError(
+            f"of {len(rows)} temperatures too many jump by more than {TEMPERATURE_JUMP:g} °C ({where}): see to the "
+            "thermometer's wiring and supply (a DS18B20 that converts nothing reads 85 °C), or take these rows out of "
+            "the log"
         )
+    left_out = f"temperatures that jump by more than {TEMPERATURE_JUMP:g} °C are left out: {where}"
+    return counts, left_out if jumping else ""
+
+
+def row_noise(values: Array) -> float:
+    """Return the standard deviation of white noise in rows, by fourth differences: a ramp makes these at its turns."""
+    return float(np.sqrt(np.quantile(np.diff(values, 4) ** 2, 0.9) / (70.0 * _SQUARE_OF_90_PERCENT)))
 
 
 @frozen
@@ -213,13 +233,10 @@ def _require_both_ways(legs: list[Leg], whole: float) -> None:
             f"the temperature goes only {legs[0].way}, and one way does not separate a thermal lag from drift: let it "
             f"come back over the same temperatures, at {pace} or slower"
         )
-    highest, lowest = (min(max(leg.high for leg in way) for way in (up, down)), max(_lowest(way) for way in (up, down)))
+    highest = min(max(leg.high for leg in way) for way in (up, down))
+    lowest = max(min(leg.low for leg in way) for way in (up, down))
     if highest - lowest < OVERLAP * whole:
         raise EstimateError(
             f"the ways up and down share {max(highest - lowest, 0.0):.2g} °C of {whole:.2g} °C, too little to separate "
             f"a thermal lag from drift: let the temperature come all the way back, at {pace} or slower"
         )
-
-
-def _lowest(way: list[Leg]) -> float:
-    return min(leg.low for leg in way)
