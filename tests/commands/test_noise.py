@@ -195,6 +195,11 @@ class TestWhatIsWrongWithALog:
     def test_too_short(self, tmp_path: Path) -> None:
         assert "fewer than 64" in refused(noise(written(tmp_path / "l.csv", counts(63))), EstimateError)
 
+    def test_a_stated_rate_stands_over_the_times(self, tmp_path: Path) -> None:
+        path = tmp_path / "l.csv"
+        path.write_text("time,x\n" + "".join(f"{9 - k % 3},{x:.4f}\n" for k, x in enumerate(counts(100)[:, 0])))
+        assert as_json(path, "--rate", "20")["seconds"] == pytest.approx(5.0)
+
     def test_a_gap(self, tmp_path: Path) -> None:
         path = written(tmp_path / "l.csv", counts(4000))
         lines = path.read_text().splitlines()

@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.core.model import AXES
-from tiltcal.core.noise.scale import NoiseScale
+from tiltcal.core.disturbances import moved_rows, stuck_rows
+from tiltcal.core.model import AXES, Array
+from tiltcal.core.noise import FEWEST_SAMPLES, ChannelNoise, NoiseScale, characterise
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.columns import OF_G
 from tiltcal.drivers.device import Model
-from tiltcal.errors import UsageError
+from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import read_calibration
-from tiltcal.logs.columns import locate_readings, named_columns
+from tiltcal.logs.columns import TIME, locate_columns, locate_readings, named_columns
 from tiltcal.logs.formats import open_log
-from tiltcal.logs.log import Progress
-from tiltcal.logs.noise_log import characterise_log
+from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.noise_summary import NoiseTarget, SensorNoise
+from tiltcal.logs.numbers import read_columns
 from tiltcal.logs.streams import imported_meanwhile
-from tiltcal.logs.uniform_sampling import UniformLog
+from tiltcal.logs.uniform_sampling import SamplingInterval, evenly_spaced
 from tiltcal.stated_arguments import require_above_zero, require_text_or_none, require_whole
 
 
@@ -192,9 +198,65 @@ def characterise_readings(
         channels = asked or facts.channels or there or AXES[:1]
         if facts.unit is not None:
             locate_readings(log, channels, named, facts.unit)
-        with imported_meanwhile("scipy.special"):
-            found = characterise_log(UniformLog(log, channels, named, rate), channels, averages)
-    return SensorNoise(found, facts.scale(list(found.channels)), target)
+        with imported_meanwhile("scipy.optimize"):
+            samples, pace, faulty = _samples(log, channels, named, rate)
+        name = log.name
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        each = threads.map(partial(_noise, file=name, pace=pace, averages=averages), channels, samples)
+        noises = dict(zip(channels, each, strict=True))
+    missing = {channel: pace.rows - noises[channel].count for channel in channels}
+    return SensorNoise(
+        pace,
+        noises,
+        {channel: count for channel, count in missing.items() if count},
+        faulty,
+        moved_rows(samples, [noise.step for noise in noises.values()]),
+        stuck_rows(samples),
+        facts.scale(channels),
+        target,
+    )
+
+
+def _samples(
+    log: LogReader, channels: Sequence[str], named: Mapping[str, str], rate: float | None
+) -> tuple[Sequence[Array], SamplingInterval, int]:
+    """Read the channels, evenly spaced, shape (n,) each; return with them their pace and the rows not parsed."""
+    where = locate_columns(log, channels, named)
+    columns = [where[channel] for channel in channels]
+    if rate is not None:
+        numbers = read_columns(log, columns)
+        return numbers.columns, SamplingInterval(1.0 / rate, len(numbers)), numbers.faulty
+    time = named.get(TIME, TIME)
+    if time not in log.names:
+        raise InputError(
+            "its sample rate is unknown: there is no column 'time'; name it with --columns time=NAME, or state --rate "
+            "HZ",
+            file=log.name,
+            line=log.header_line,
+        )
+    index = log.names.index(time)
+    numbers = read_columns(log, [*columns, index], index)
+    return *evenly_spaced(numbers.columns[:-1], numbers.columns[-1], log.name), numbers.faulty
+
+
+def _noise(channel: str, samples: Array, file: str, pace: SamplingInterval, averages: Sequence[int]) -> ChannelNoise:
+    """Characterise one channel; refuse one that has no noise to characterise."""
+    there = np.isfinite(samples)
+    values = samples if there.all() else samples[there]
+    if not len(values):
+        raise InputError(f"column {channel!r} has no value in any row: is {channel} connected?", file=file)
+    if len(values) < FEWEST_SAMPLES:
+        raise EstimateError(
+            f"{file}: {channel} has {len(values)} samples; nothing is said of noise from fewer than {FEWEST_SAMPLES}"
+        )
+    if values.min() == values.max():
+        raise InputError(
+            f"{channel} reads {values[0]:g} in all {len(values)} samples: identical samples are not still, they are "
+            "stuck (or the noise is far below the step of the reading, and no averaging helps)",
+            file=file,
+        )
+    with np.errstate(over="ignore", invalid="ignore"):  # noise beyond any number is refused by its variance
+        return characterise(samples, pace.interval, averages)
 
 
 def _refuse_contradiction(model: Model | None, known: Calibration | None, unit: str | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
@@ -10,13 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.noise.allan_fit import FLICKER
-from tiltcal.core.noise.averages import RANGE_OF_100
-from tiltcal.core.noise.characterise import ChannelNoise
-from tiltcal.core.noise.sample_size import Limit, SampleSize, advise, uncertainty
-from tiltcal.core.noise.scale import NoiseScale
-from tiltcal.core.rounding import bracketed
-from tiltcal.logs.noise_log import NoiseLog
+from tiltcal.core.noise import FLICKER, RANGE_OF_100, ChannelNoise, Limit, NoiseScale, SampleSize, sample_size
+from tiltcal.core.rows import Span
+from tiltcal.logs.uniform_sampling import SamplingInterval
+from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_above_zero
 
 _SHOWS = 0.1
@@ -96,45 +93,89 @@ class SensorNoise:
 
     Attributes
     ----------
-    log : NoiseLog
-        How the readings follow each other, and what disturbed them.
+    pace : SamplingInterval
+        How the readings follow each other.
+    channels : mapping of str to ChannelNoise
+        Averages, Allan deviation and kinds of noise of each channel, in its unit.
+    missing : mapping of str to int
+        Values that are missing in the log's own rows, per channel that lacks some.
+    faulty : int
+        Rows that could not be parsed.
+    moved : sequence of (start, end)
+        Where the sensor was moved; rows at an even pace, missing ones counted.
+    stuck : (start, end) or None
+        Where no channel changed.
     scale : NoiseScale
-        How much of the readings' unit a g is, where that is known.
+        How much of the readings' unit a g is, where that is stated.
     target : NoiseTarget
         How good the mean of a position should be.
     """
 
-    log: NoiseLog
+    pace: SamplingInterval
+    channels: Mapping[str, ChannelNoise]
+    missing: Mapping[str, int]
+    faulty: int
+    moved: Sequence[Span]
+    stuck: Span | None
     scale: NoiseScale
     target: NoiseTarget
 
     @property
-    def channels(self) -> Mapping[str, ChannelNoise]:
-        """Averages, Allan deviation and kinds of noise of each channel, in its unit."""
-        return self.log.channels
-
-    @property
     def remarks(self) -> list[str]:
         """What limits the numbers, in words."""
-        return self.log.remarks()
+        remarks = []
+        if self.moved:
+            begin, end = self._seconds(self.moved[0])
+            more = f", and {len(self.moved) - 1} times more" if len(self.moved) > 1 else ""
+            remarks.append(
+                f"it was not still: moved or knocked from {begin:.4g} to {end:.4g} s{more}; the numbers are of noise "
+                "and motion together: take a record at rest, or its rows at rest"
+            )
+        if self.stuck is not None:
+            begin, end = self._seconds(self.stuck)
+            remarks.append(f"the readings were stuck from {begin:.4g} to {end:.4g} s: no channel changed")
+        if self.pace.gaps:
+            remarks.append(f"{counted(self.pace.gaps, 'gap')} in its times, {counted(self.pace.lost, 'row')} long")
+        remarks += [f"{channel} is missing in {counted(count, 'row')}" for channel, count in self.missing.items()]
+        remarks += [
+            f"{channel}: no sum of white noise, flicker noise, random walk and drift follows its Allan deviation; a "
+            "vibration may be in it, or a filter"
+            for channel, noise in self.channels.items()
+            if not noise.terms.follows
+        ]
+        return remarks
+
+    def _seconds(self, rows: Span) -> list[float]:
+        """Return the times at which rows begin and end, seconds from the beginning of the log."""
+        return [row * self.pace.interval for row in rows]
+
+    @property
+    def _span(self) -> float:
+        """The time from the beginning of the first row to the end of the last, seconds."""
+        return (self.pace.rows + self.pace.lost) * self.pace.interval
 
     @cached_property
     def positions(self) -> NoisePositions:
         """How many samples a position needs."""
-        interval = self.log.pace.interval
+        interval = self.pace.interval
         targets = {channel: self.scale.from_degrees(channel, self.target.degrees) for channel in self.channels}
-        advice = {channel: advise(noise, interval, targets[channel]) for channel, noise in self.channels.items()}
+        advice = {channel: sample_size(noise, interval, targets[channel]) for channel, noise in self.channels.items()}
         # A channel that misses the target is what settles it, whatever the others need.
         settles = max(advice, key=lambda channel: (advice[channel].met is False, advice[channel].samples))
         samples = max(_FEWEST_SAMPLES, advice[settles].samples)
         tau = np.array([samples * interval])
-        u = {channel: float(uncertainty(noise, tau)[0]) for channel, noise in self.channels.items()}
+        u = {channel: float(noise.uncertainty(tau)[0]) for channel, noise in self.channels.items()}
         met = {channel: u[channel] <= wanted for channel, wanted in targets.items() if wanted is not None}
         return NoisePositions(advice, settles, samples, u, met)
 
     def __str__(self) -> str:
         kinds = (line for channel, noise in self.channels.items() for line in _kinds(channel, noise, self.scale))
-        return "\n".join([self.log.as_text(), *_table(self.channels, self.scale), "", *kinds, "", *_advice(self)])
+        pace = self.pace
+        extent = (
+            f"{pace.rows} samples of {', '.join(self.channels)}, {pace.interval:.4g} s apart "
+            f"({1.0 / pace.interval:.4g} Hz), {self._span:.6g} s"
+        )
+        return "\n".join([extent, *_table(self.channels, self.scale), "", *kinds, "", *_advice(self)])
 
     __repr__ = __str__
 
@@ -142,13 +183,21 @@ class SensorNoise:
         """Everything as plain data, with the whole Allan deviation."""
         found, scale, target = self.positions, self.scale, self.target
         return {
-            **self.log.as_data(),
+            "samples": self.pace.rows,
+            "interval": self.pace.interval,
+            "seconds": self._span,
+            "gaps": {"count": self.pace.gaps, "rows": self.pace.lost},
+            "missing": dict(self.missing),
+            "bad_rows": self.faulty,
+            "moved": [self._seconds(rows) for rows in self.moved],
+            "hung": None if self.stuck is None else self._seconds(self.stuck),
+            "remarks": self.remarks,
             "unit": scale.unit,
             "sensitivity": {"source": scale.source, **scale.per_g} if scale.per_g else None,
             "channels": {channel: _channel_data(channel, noise, scale) for channel, noise in self.channels.items()},
             "recommendation": {
                 "samples": found.samples,
-                "seconds": found.samples * self.log.pace.interval,
+                "seconds": found.samples * self.pace.interval,
                 "channel": found.channel,
                 "limit": found.advice[found.channel].limit,
                 "target_degrees": target.uncertainty,
@@ -171,10 +220,10 @@ class SensorNoise:
 
 
 def _channel_data(channel: str, noise: ChannelNoise, scale: NoiseScale) -> dict[str, Any]:
-    value, u = noise.terms.value, noise.terms.u
+    value = noise.terms.value
     tau_lowest, lowest = noise.lowest
     named: dict[str, Any] = {
-        name: {"value": factor * value[term], "u": factor * u[term]} if term in value else None
+        name: {"value": factor * value[term]} if term in value else None
         for name, term, factor in (
             ("noise_density", "N", sqrt(2.0)),
             ("velocity_random_walk", "N", 1.0),
@@ -237,23 +286,20 @@ def _table(noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> Iterator[st
 
 
 def _kinds(channel: str, noise: ChannelNoise, scale: NoiseScale) -> Iterator[str]:
-    value, u, unit = noise.terms.value, noise.terms.u, scale.unit
+    value, unit = noise.terms.value, scale.unit
     lines = []
     if "N" in value:
-        density, sigma = sqrt(2.0) * value["N"], sqrt(2.0) * u["N"]
+        density = sqrt(2.0) * value["N"]
         lines.append(
-            f"white noise {bracketed(density, sigma)} {unit}/√Hz{_in_g(channel, density, scale, '/√Hz')}, "
-            f"which is {bracketed(value['N'], u['N'])} {unit} after 1 s"
+            f"white noise {density:.3g} {unit}/√Hz{_in_g(channel, density, scale, '/√Hz')}, "
+            f"which is {value['N']:.3g} {unit} after 1 s"
         )
     if "B" in value:
         flat = FLICKER * value["B"]
-        lines.append(
-            f"flicker noise {bracketed(flat, FLICKER * u['B'])} {unit}{_in_g(channel, flat, scale)} at any time"
-        )
-    if "K" in value:
-        lines.append(f"random walk {bracketed(value['K'], u['K'])} {unit}/√s{_in_g(channel, value['K'], scale, '/√s')}")
-    if "R" in value:
-        lines.append(f"drift {bracketed(value['R'], u['R'])} {unit}/s{_in_g(channel, value['R'], scale, '/s')}")
+        lines.append(f"flicker noise {flat:.3g} {unit}{_in_g(channel, flat, scale)} at any time")
+    for term, name, per in (("K", "random walk", "/√s"), ("R", "drift", "/s")):
+        if term in value:
+            lines.append(f"{name} {value[term]:.3g} {unit}{per}{_in_g(channel, value[term], scale, per)}")
     first = float(noise.tau[noise.terms.first])
     if not noise.terms.follows:
         lines.append("(the Allan deviation does not follow them: look at the --figure)")
@@ -283,7 +329,7 @@ def _in_g(channel: str, value: float, scale: NoiseScale, per: str = "") -> str:
 
 
 def _advice(noise: SensorNoise) -> Iterator[str]:
-    found, scale, interval = noise.positions, noise.scale, noise.log.pace.interval
+    found, scale, interval = noise.positions, noise.scale, noise.pace.interval
     uncertain, ranging = (
         ", ".join(_in_degrees(channel, factor * u, scale) for channel, u in found.uncertainty.items())
         for factor in (1.0, RANGE_OF_100)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiltcal.core.noise.characterise import ChannelNoise
-from tiltcal.core.noise.scale import NoiseScale
+from tiltcal.core.noise import ChannelNoise, NoiseScale
 from tiltcal.report.figure import BLUE, GREY, RED, write_figure
 
 if TYPE_CHECKING:

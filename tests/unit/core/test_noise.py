@@ -10,12 +10,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import coloured_noise as coloured
 
-from tiltcal.core.noise.allan import AllanVariance, Kind, Octaves, degrees_of_freedom, limits
-from tiltcal.core.noise.allan_fit import AllanFit
-from tiltcal.core.noise.averages import Averager, decades
-from tiltcal.core.noise.characterise import ChannelNoise, Characteriser
-from tiltcal.core.noise.disturbances import Disturbances, RowRange
-from tiltcal.core.noise.sample_size import advise
+import tiltcal
+from tiltcal.core.disturbances import moved_rows, stuck_rows
+from tiltcal.core.noise import (
+    AllanFit,
+    ChannelNoise,
+    Kind,
+    allan_variance,
+    average,
+    characterise,
+    degrees_of_freedom,
+    limits,
+    sample_size,
+)
 
 DT = 0.01
 """Seconds between samples."""
@@ -25,17 +32,8 @@ def rng(seed: int = 1) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def allan(samples: coloured.Samples, cuts: list[int] | None = None) -> AllanVariance:
-    octaves = Octaves(1)
-    for part in np.split(samples[:, None], cuts or []):
-        octaves.add(np.nan_to_num(part), np.isfinite(part))
-    return octaves.result()
-
-
 def noise_of(samples: coloured.Samples, *sizes: int) -> ChannelNoise:
-    found = Characteriser(1, sizes)
-    found.add(samples[:, None])
-    return found.channel(0, DT)
+    return characterise(samples, DT, sizes)
 
 
 class TestAllanDeviation:
@@ -43,12 +41,12 @@ class TestAllanDeviation:
         import allantools  # here, for it takes a second of every worker that collects this file
 
         samples = coloured.flicker(rng(), 20_000, 1.0) + 100.0
-        found = allan(samples - 100.0)
-        _, deviation, _, _ = allantools.oadev(samples, data_type="freq", taus=found.factor.astype(float))
-        ours = np.sqrt(found.variance[:, 0])
-        assert found.factor.tolist() == [2**k for k in range(13)]
+        factor, variance = allan_variance(samples)
+        _, deviation, _, _ = allantools.oadev(samples, data_type="freq", taus=factor.astype(float))
+        ours = np.sqrt(variance)
+        assert factor.tolist() == [2**k for k in range(13)]
         # Up to 32 samples every start counts; beyond, one in many, which changes less than the statistics leave open.
-        assert ours[:6] == pytest.approx(deviation[:6], rel=1e-12)
+        assert ours[:6] == pytest.approx(deviation[:6], rel=1e-9)
         assert ours[6:] == pytest.approx(deviation[6:], rel=0.02)
 
     def test_the_published_set_of_1000_numbers(self) -> None:
@@ -56,29 +54,41 @@ class TestAllanDeviation:
         numbers = [1234567890]
         while len(numbers) < 1000:
             numbers.append(16807 * numbers[-1] % 2147483647)
-        found = allan(np.array(numbers) / 2147483647)
-        assert sqrt(found.variance[0, 0]) == pytest.approx(2.922319e-1, rel=1e-6)
+        _, variance = allan_variance(np.array(numbers) / 2147483647)
+        assert sqrt(variance[0]) == pytest.approx(2.922319e-1, rel=1e-6)
 
-    @given(st.lists(st.integers(0, 700), max_size=8), st.integers(0, 50))
-    def test_it_does_not_matter_how_the_record_is_cut(self, cuts: list[int], seed: int) -> None:
-        samples = coloured.walk(rng(seed), 700, 1.0)
-        samples[rng(seed).integers(0, 700, 40)] = np.nan
-        assert allan(samples, sorted(cuts)).variance == pytest.approx(allan(samples).variance, rel=1e-9)
+    @given(st.integers(64, 900), st.integers(0, 50))
+    def test_every_octave_against_its_definition(self, rows: int, seed: int) -> None:
+        """Half of the mean squared difference of neighbouring means, of every start up to 32 samples."""
+        samples = coloured.walk(rng(seed), rows, 1.0)
+        samples[rng(seed).integers(0, rows, 10)] = np.nan
+        factor, variance = allan_variance(samples)
+        for size, ours in zip(factor.tolist(), variance.tolist(), strict=True):
+            starts = range(0, rows - 2 * size + 1, max(1, size // 32))
+            means = [[mean_of(samples[s + k * size : s + (k + 1) * size]) for k in (0, 1)] for s in starts]
+            expected = np.nanmean([(later - earlier) ** 2 for earlier, later in means]) / 2.0
+            assert ours == pytest.approx(expected, rel=1e-6)
+
+    @pytest.mark.parametrize("rows", [(1 << 16) + 3, (1 << 16) + 70, 200_000])
+    def test_a_record_longer_than_what_is_summed_at_once(self, rows: int) -> None:
+        samples = coloured.white(rng(), rows, 1.0)
+        _, variance = allan_variance(samples)
+        assert variance[0] == pytest.approx(float(np.mean(np.diff(samples) ** 2)) / 2.0, rel=1e-9)
 
     def test_a_gap_joins_nothing(self) -> None:
         """Two quiet stretches at different readings: the step between them is in no difference."""
         samples = coloured.white(rng(), 9000, 1.0)
         samples[6000:] += 1000.0
         samples[4000:6000] = np.nan
-        found = allan(samples)
-        short = found.factor <= 512
-        assert found.variance[short, 0] * found.factor[short] == pytest.approx(1.0, rel=0.5)
+        factor, variance = allan_variance(samples)
+        short = factor <= 512
+        assert variance[short] * factor[short] == pytest.approx(1.0, rel=0.5)
 
     def test_a_few_missing_values_change_little(self) -> None:
         samples = coloured.white(rng(), 20_000, 1.0)
         samples[rng(2).integers(0, 20_000, 1000)] = np.nan
-        found = allan(samples)
-        assert (found.variance[:8, 0] * found.factor[:8]).tolist() == pytest.approx([1.0] * 8, rel=0.12)
+        factor, variance = allan_variance(samples)
+        assert (variance[:8] * factor[:8]).tolist() == pytest.approx([1.0] * 8, rel=0.12)
 
     @pytest.mark.parametrize("kind", ["white", "flicker", "walk"])
     def test_degrees_of_freedom(self, kind: Kind) -> None:
@@ -87,7 +97,7 @@ class TestAllanDeviation:
 
         exponent = {"white": 0, "flicker": -1, "walk": -2}[kind]
         made = {"white": coloured.white, "flicker": coloured.flicker, "walk": coloured.walk}[kind]
-        many = np.array([allan(made(rng(seed), 1024, 1.0)).variance[:, 0] for seed in range(300)])
+        many = np.array([allan_variance(made(rng(seed), 1024, 1.0))[1] for seed in range(300)])
         shown = 2.0 * many.mean(axis=0) ** 2 / many.var(axis=0)
         for factor, dof in zip(2 ** np.arange(9), shown.tolist(), strict=True):
             ours = degrees_of_freedom(kind, 1024, float(factor))
@@ -100,10 +110,9 @@ class TestAllanDeviation:
         """95 % of 400 records, at every averaging time."""
         inside = np.zeros(8)
         for seed in range(400):
-            found = allan(coloured.white(rng(seed), 1024, 1.0))
-            dof = np.array([degrees_of_freedom("white", 1024, float(factor)) for factor in found.factor])
-            low, high = limits(found.variance[:, 0], dof)
-            truth = 1.0 / np.sqrt(found.factor)
+            factor, variance = allan_variance(coloured.white(rng(seed), 1024, 1.0))
+            low, high = limits(variance, np.array([degrees_of_freedom("white", 1024, m) for m in factor.tolist()]))
+            truth = 1.0 / np.sqrt(factor)
             inside += ((low <= truth) & (truth <= high))[:8]
         # Four standard deviations of a share of 95 % in 400 are 4.4 %.
         assert (inside / 400).tolist() == pytest.approx([0.95] * 8, abs=0.045)
@@ -120,8 +129,7 @@ class TestKindsOfNoise:
         """sigma/√m, and the one-sided density is 2 sigma² dt."""
         terms = noise_of(coloured.white(rng(), 100_000, 0.6)).terms
         assert set(terms.value) == {"N"}
-        assert terms.value["N"] == pytest.approx(0.6 * sqrt(DT), abs=4 * terms.u["N"])
-        assert terms.u["N"] < 0.02 * terms.value["N"]
+        assert terms.value["N"] == pytest.approx(0.6 * sqrt(DT), rel=0.03)
         assert terms.follows
         assert terms.first == 0
 
@@ -129,8 +137,7 @@ class TestKindsOfNoise:
         terms = noise_of(coloured.white(rng(), 400_000, 0.6) + coloured.flicker(rng(2), 400_000, 0.05)).terms
         assert set(terms.value) == {"N", "B"}
         # The deviation of both is √(2 ln 2 / π), times sigma and times B.
-        assert terms.value["B"] == pytest.approx(0.05, abs=4 * terms.u["B"])
-        assert terms.u["B"] < 0.1 * terms.value["B"]
+        assert terms.value["B"] == pytest.approx(0.05, rel=0.15)
 
     def test_random_walk(self) -> None:
         """A single record tells it to a tenth at best, and may look like a drift; many tell the factor 1/3 from 1/2."""
@@ -140,9 +147,6 @@ class TestKindsOfNoise:
         ]
         found = [terms for terms in records if set(terms.value) == {"N", "K"}]
         assert len(found) >= 13
-        for terms in found:
-            assert terms.value["K"] == pytest.approx(2e-3 / sqrt(DT), abs=4 * terms.u["K"])
-            assert terms.u["K"] < 0.15 * terms.value["K"]
         assert np.mean([terms.value["K"] for terms in found]) == pytest.approx(2e-3 / sqrt(DT), rel=0.07)
 
     def test_drift(self) -> None:
@@ -152,23 +156,6 @@ class TestKindsOfNoise:
 
     def test_what_is_not_there_is_seldom_found(self, fifty: list[AllanFit]) -> None:
         assert sum(set(terms.value) != {"N"} for terms in fifty[:40]) <= 3
-
-    def test_the_stated_uncertainty_is_the_scatter(self, fifty: list[AllanFit]) -> None:
-        scatter = np.std([one.value["N"] for one in fifty])
-        assert np.median([one.u["N"] for one in fifty]) == pytest.approx(scatter, rel=0.2)
-
-    def test_octaves_that_share_their_readings_are_not_independent(self) -> None:
-        """Standard uncertainty over the error of 100 records: of a walk 1, and 0.6 if taken for independent. A steady
-        drift is better known than the octaves show, which scatter by the noise.
-        """
-        draw = rng()
-        walks = [coloured.white(draw, 3000, 0.6) + coloured.walk(draw, 3000, 0.02) for _ in range(100)]
-        drifts = [coloured.white(draw, 3000, 0.6) + coloured.ramp(3000, 1e-3) for _ in range(100)]
-        for records, name, true, most in ((walks, "K", 0.02 / sqrt(DT), 1.35), (drifts, "R", 1e-3 / DT, 2.5)):
-            terms = [found for record in records if name in (found := noise_of(record).terms).value]
-            error = sqrt(np.mean([(one.value[name] - true) ** 2 for one in terms]))
-            assert len(terms) > 90
-            assert 0.75 < np.median([one.u[name] for one in terms]) / error < most, name
 
     def test_filtered_samples_are_not_taken_for_independent(self) -> None:
         """A mean over ten samples, running: white from some multiple of it on, with the density of its input."""
@@ -194,29 +181,19 @@ class TestKindsOfNoise:
 
 
 class TestAverages:
-    @given(st.integers(1, 9), st.lists(st.integers(0, 103), max_size=6))
-    def test_against_numpy(self, size: int, cuts: list[int]) -> None:
+    @given(st.integers(1, 9))
+    def test_against_numpy(self, size: int) -> None:
         samples = coloured.walk(rng(size), 103, 1.0)
-        averager = Averager(size, 1)
-        for part in np.split(samples[:, None], sorted(cuts)):
-            averager.add(part, np.isfinite(part))
-        found = averager.result(0)
+        found = average(samples, size)
         means = samples[: 103 // size * size].reshape(-1, size).mean(axis=1)
         assert found.count == len(means)
         assert found.std == pytest.approx(np.std(means, ddof=1), rel=1e-9)
         assert found.range == pytest.approx(np.ptp(means), rel=1e-9)
 
     def test_an_average_of_which_most_is_missing_does_not_count(self) -> None:
-        samples = np.array([[1.0], [3.0], [np.nan], [np.nan], [8.0], [np.nan], [5.0], [7.0]])
-        averager = Averager(2, 1)
-        averager.add(np.nan_to_num(samples), np.isfinite(samples))
-        found = averager.result(0)
+        found = average(np.array([1.0, 3.0, np.nan, np.nan, 8.0, np.nan, 5.0, 7.0]), 2)
         assert found.count == 3
         assert found.range == 6.0
-
-    def test_the_sizes_go_as_far_as_the_record(self) -> None:
-        assert decades(4999, 5) == [1, 10, 100]
-        assert decades(5000, 5) == [1, 10, 100, 1000]
 
     def test_white_noise_averages_by_the_root(self) -> None:
         noise = noise_of(coloured.white(rng(), 100_000, 2.0), 25)
@@ -228,64 +205,59 @@ class TestAverages:
 
 
 class TestUnrest:
-    def unrest(self, samples: coloured.Samples, chunk: int = 1000) -> Disturbances:
-        found = Disturbances(1)
-        for part in np.split(samples[:, None], range(chunk, len(samples), chunk)):
-            found.add(np.nan_to_num(part), np.isfinite(part))
-        return found
-
     def test_noise_is_still(self) -> None:
         for made in (coloured.white, coloured.flicker, coloured.walk):
             for seed in range(10):
-                assert self.unrest(made(rng(seed), 5000, 1.0)).moved(np.zeros(1)) == []
+                assert moved_rows([made(rng(seed), 5000, 1.0)], [0.0]) == []
 
     def test_a_turn_is_motion(self) -> None:
         samples = coloured.white(rng(), 5000, 1.0)
         samples[3000:] += 20.0
-        (moved,) = self.unrest(samples).moved(np.zeros(1))
-        assert moved.start <= 3000 < moved.end
-        assert moved.end - moved.start <= 48
+        ((start, end),) = moved_rows([samples], [0.0])
+        assert start <= 3000 < end
+        assert end - start <= 48
 
     def test_a_knock_is_motion(self) -> None:
         samples = coloured.white(rng(), 5000, 1.0)
         samples[2000:2010] += 30.0 * np.array([1, -1] * 5)
-        (moved,) = self.unrest(samples).moved(np.zeros(1))
-        assert moved.start <= 2000
-        assert moved.end >= 2010
+        ((start, end),) = moved_rows([samples], [0.0])
+        assert start <= 2000
+        assert end >= 2010
 
     def test_motion_in_a_long_record(self) -> None:
         """Longer than its blocks are kept singly."""
         samples = coloured.white(rng(), 3_000_000, 1.0)
         samples[2_000_000:] += 20.0
-        (moved,) = self.unrest(samples, 100_000).moved(np.zeros(1))
-        assert moved.start - 200 <= 2_000_000 <= moved.end + 200
+        ((start, end),) = moved_rows([samples], [0.0])
+        assert start - 200 <= 2_000_000 <= end + 200
 
     def test_a_rounded_reading_that_flips_is_still(self) -> None:
         samples = np.round(coloured.white(rng(), 5000, 0.18))
-        assert self.unrest(samples).moved(np.ones(1)) == []
+        assert moved_rows([samples], [1.0]) == []
 
     def test_a_reading_that_hangs(self) -> None:
         samples = np.round(coloured.white(rng(), 5000, 2.0))
         samples[1500:1700] = samples[1500]
-        stuck = self.unrest(samples, 77).stuck()
+        stuck = stuck_rows([samples])
         assert stuck is not None
-        assert stuck.start <= 1500 < 1700 <= stuck.end
-        assert stuck.end - stuck.start < 210
+        start, end = stuck
+        assert start <= 1500 < 1700 <= end
+        assert end - start < 210
 
     def test_coarse_rounding_does_not_hang(self) -> None:
-        assert self.unrest(np.round(coloured.white(rng(), 50_000, 0.25))).stuck() is None
-        assert self.unrest(coloured.white(rng(), 5000, 1.0)).stuck() is None
+        assert stuck_rows([np.round(coloured.white(rng(), 50_000, 0.25))]) is None
+        assert stuck_rows([coloured.white(rng(), 5000, 1.0)]) is None
 
-    def test_rows_are_counted_across_the_parts(self) -> None:
+    def test_stuck_rows_are_counted_from_the_first(self) -> None:
         samples = np.round(coloured.white(rng(3), 300, 50.0))
         samples[90:130] = 7.0
-        assert self.unrest(samples, 1).stuck() == RowRange(90, 130)
+        assert stuck_rows([samples]) == (90, 130)
 
 
 class TestAdvice:
     def test_white_noise_meets_a_target_by_the_root(self) -> None:
         noise = noise_of(coloured.white(rng(), 100_000, 1.0))
-        advice = advise(noise, DT, 0.1)
+        advice = sample_size(noise, DT, 0.1)
         assert advice.met
         assert advice.limit == "target"
         assert advice.samples == pytest.approx(100, rel=0.03)
@@ -293,7 +265,7 @@ class TestAdvice:
 
     def test_beyond_the_record_it_is_foretold_and_not_promised(self) -> None:
         noise = noise_of(coloured.white(rng(), 10_000, 1.0))
-        advice = advise(noise, DT, 0.002)
+        advice = sample_size(noise, DT, 0.002)
         assert advice.met is False
         assert advice.limit == "record"
         assert advice.useful is None
@@ -303,7 +275,7 @@ class TestAdvice:
         """White sigma/√n and flicker f make √(σ²/n + f²): twice n gains a tenth where σ²/n is f² 0.19/0.31."""
         noise = noise_of(coloured.white(rng(), 400_000, 1.0) + coloured.flicker(rng(2), 400_000, 0.08))
         floor = 0.08 * sqrt(2.0 * log(2.0) / pi)
-        advice = advise(noise, DT, 0.1 * floor)
+        advice = sample_size(noise, DT, 0.1 * floor)
         assert advice.met is False
         assert advice.limit == "flicker"
         assert advice.predicted is None
@@ -312,14 +284,14 @@ class TestAdvice:
 
     def test_drift_ends_it(self) -> None:
         noise = noise_of(coloured.white(rng(), 100_000, 1.0) + coloured.ramp(100_000, 1e-4))
-        assert advise(noise, DT).limit == "drift"
+        assert sample_size(noise, DT).limit == "drift"
 
     def test_rounding_ends_it(self) -> None:
         """Noise of 0.28 steps leaves step/√12 exp(-2 (π 0.28)²) however long it is averaged (Widrow)."""
         left = exp_widrow(0.28)
         noise = noise_of(np.round(coloured.white(rng(), 200_000, 0.28) + 0.25))
         assert noise.step == 1.0
-        advice = advise(noise, DT, 0.1 * left)
+        advice = sample_size(noise, DT, 0.1 * left)
         assert advice.limit == "rounding"
         assert advice.met is False
         assert advice.uncertainty > left * 0.7
@@ -329,13 +301,29 @@ class TestAdvice:
         from scipy.signal import lfilter
 
         samples = lfilter([1.0], [1.0, -0.999], coloured.white(rng(), 50_000, 1.0))
-        advice = advise(noise_of(samples), DT)
+        advice = sample_size(noise_of(samples), DT)
         assert advice.useful == 1
         assert advice.samples == 1
 
     def test_more_samples_than_help_are_not_taken_for_a_target(self) -> None:
         noise = noise_of(coloured.white(rng(), 100_000, 1.0))
-        assert advise(noise, DT, 5.0).samples == 1
+        assert sample_size(noise, DT, 5.0).samples == 1
+
+
+def test_noise_beyond_any_number_is_refused() -> None:
+    """The square of 1e300 is no double."""
+    readings = {"x": 1e300 * rng().normal(1.0, 1.0, 300)}
+    with (
+        np.errstate(all="ignore"),
+        pytest.raises(tiltcal.TiltcalError, match="the Allan variance is beyond any number"),
+    ):
+        tiltcal.noise(readings, rate=1.0, unit="count")
+
+
+def mean_of(stretch: coloured.Samples) -> float:
+    """The mean of what is there, if that is half of it."""
+    there = stretch[np.isfinite(stretch)]
+    return float(there.mean()) if 2 * len(there) >= len(stretch) else np.nan
 
 
 def exp_widrow(noise: float) -> float:

@@ -1,0 +1,499 @@
+"""The noise of a sensor at rest: averages, Allan deviation, kinds of noise, and the samples that a mean needs.
+
+The Allan deviation σ(τ) is the standard deviation, over √2, of the difference between the means of two neighbouring
+stretches of length τ: the standard uncertainty of a mean that took τ, of a reading whose zero wanders. It is the sum of
+four kinds of noise that are independent of each other (IEEE Std 952-1997, annex C, with τ in seconds)::
+
+    σ²(τ) = N²/τ + (2 ln 2 / π) B² + K² τ/3 + R² τ²/2
+
+N is white noise, B flicker noise (bias instability), K random walk, R a steady drift. Rounding of a reading that is
+noisy enough is white and part of N.
+
+Sources: NIST Special Publication 1065, eq. 11 and table 5; *A Solid State Tilt Meter for Current Meter Attitude
+Determination*, table I, for the averages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil, degrees, log, nan, pi, radians, sqrt
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.coverage_factor import COVERAGE
+from tiltcal.core.model import Array
+from tiltcal.core.quantisation import StepFinder, rounding_uncertainty
+from tiltcal.errors import EstimateError
+
+Kind = Literal["white", "flicker", "walk"]
+"""Noise whose deviation falls with the root of τ, does not change, or grows with the root of τ."""
+
+Limit = Literal["target", "record", "rounding", "flicker", "walk", "drift", "unknown"]
+"""What sets the number of samples: the target; the end of the record; or rounding, flicker noise, random walk, drift or
+an unknown cause, because of which more samples do not help."""
+
+FEWEST_SAMPLES = 64
+"""Samples of a channel below which nothing is said of its noise."""
+
+RANGE_OF_100 = 5.0152
+"""Mean range of 100 independent values of a normal distribution, in standard deviations (Tippett, 1925)."""
+
+TERMS = ("N", "B", "K", "R")
+
+FLICKER = sqrt(2.0 * log(2.0) / pi)
+"""Deviation of flicker noise over its coefficient B: 0.664."""
+
+_KINDS: tuple[Kind, ...] = ("white", "flicker", "walk", "walk")
+_LIMITS: Mapping[str, Limit] = {"B": "flicker", "K": "walk", "R": "drift"}
+_DECADES = tuple(10**power for power in range(8))
+
+_STARTS = 32
+"""Use so many starts of overlapping stretches in the length of one; more show no more."""
+
+_PRESENT = 0.5
+"""Use the mean of a stretch if this share of its samples is there."""
+
+_FEWEST_STRETCHES = 4
+"""Use an averaging time that fits so many times into the record."""
+
+_FEWEST_AVERAGES = 5
+"""Show a size of averages that nobody asked for if there are so many of them."""
+
+_FEWEST_OCTAVES = 6
+"""Set short octaves aside while so many remain."""
+
+_MOST_DOF = 1000.0
+"""Weight an octave by at most so many degrees of freedom: four terms describe no deviation to better than 2 %."""
+
+_WORTH = 8.0
+"""Accept a kind of noise that lowers the deviance by more than this; chance does it once in two hundred records."""
+
+_CREDIBLE = 1e-3
+"""Accept the kinds of noise if chance makes a worse deviance more often than this."""
+
+_GAIN = 0.1
+"""More samples help where twice as many lower the uncertainty by this share."""
+
+_CHUNK = 1 << 16
+
+
+@dataclass(frozen=True)
+class Average:
+    """The scatter of ``count`` averages of ``samples`` each, of one channel; mean, std and range in its unit."""
+
+    samples: int
+    count: int
+    mean: float
+    std: float
+    range: float
+
+
+@dataclass(frozen=True)
+class AllanFit:
+    """The kinds of noise that show in an Allan deviation.
+
+    Attributes
+    ----------
+    value : mapping of str to float
+        Coefficients: N in unit √s, B in unit, K in unit/√s, R in unit/s.
+    first : int
+        Index of the octave from which on they describe the deviation. Before it neighbouring samples are alike, or
+        opposite, by a filter or an interference.
+    dof : ndarray, shape (k,)
+        Equivalent degrees of freedom of every octave, by the kind of noise that dominates there.
+    follows : bool
+        Whether the deviation follows them to within its uncertainty.
+    """
+
+    value: Mapping[str, float]
+    first: int
+    dof: Array
+    follows: bool
+
+    def variance(self, tau: Array) -> Array:
+        """Allan variance that the terms make, shape of ``tau`` (seconds)."""
+        return np.asarray(_columns(tau) @ np.array([self.value.get(name, 0.0) ** 2 for name in TERMS]))
+
+    def parts(self, tau: Array) -> dict[str, Array]:
+        """Return the deviation that each term would make alone, shape of ``tau`` (seconds)."""
+        columns = np.sqrt(_columns(tau))
+        return {name: columns[:, TERMS.index(name)] * value for name, value in self.value.items()}
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """The noise of one channel.
+
+    Attributes
+    ----------
+    mean : float
+        Unit.
+    count : int
+        Samples that are there.
+    step : float
+        Of the reading, unit; 0 where it is continuous.
+    averages : sequence of Average
+        By rising size, of single samples first.
+    tau : ndarray, shape (k,)
+        Averaging times, seconds.
+    deviation, low, high : ndarray, shape (k,)
+        Allan deviation with its limits (95 %), unit.
+    """
+
+    mean: float
+    count: int
+    step: float
+    averages: Sequence[Average]
+    tau: Array
+    deviation: Array
+    low: Array
+    high: Array
+    terms: AllanFit
+
+    @property
+    def rounding(self) -> float:
+        """What rounding leaves in a mean, however many samples it has, unit."""
+        return rounding_uncertainty(float(self.deviation[0]), self.step)
+
+    @property
+    def lowest(self) -> tuple[float, float]:
+        """Averaging time, seconds, and lowest deviation: of the kinds of noise that show, or as measured without."""
+        if not self.terms.follows:
+            place = int(np.argmin(self.deviation))
+            return float(self.tau[place]), float(self.deviation[place])
+        tau = np.geomspace(self.tau[self.terms.first], self.tau[-1], 500)
+        variance = self.terms.variance(tau)
+        place = int(np.argmin(variance))
+        return float(tau[place]), float(np.sqrt(variance[place]))
+
+    @property
+    def settled(self) -> bool:
+        """Whether the deviation has stopped falling within the record."""
+        return any(name != "N" for name in self.terms.value)
+
+    def white(self, average: Average) -> float:
+        """Return the standard deviation of averages of independent samples, unit."""
+        return self.averages[0].std / sqrt(average.samples)
+
+    def uncertainty(self, tau: Array) -> Array:
+        """Return the standard uncertainty of a mean that takes ``tau`` seconds, within the record's averaging times.
+
+        The Allan deviation of the kinds of noise that show, where they describe it; else as measured.
+        """
+        measured = np.exp(np.interp(np.log(tau), np.log(self.tau), np.log(self.deviation**2)))
+        described = (tau >= self.tau[self.terms.first] * (1.0 - 1e-9)) & self.terms.follows
+        return np.asarray(np.sqrt(np.where(described, self.terms.variance(tau), measured) + self.rounding**2))
+
+
+@dataclass(frozen=True)
+class NoiseScale:
+    """The scale of a sensor's readings, by which their noise becomes degrees.
+
+    Attributes
+    ----------
+    per_g : mapping of str to float
+        Unit/g, of the channels of which it is stated; above 0.
+    source : str
+        Where that is from.
+    """
+
+    unit: str
+    per_g: Mapping[str, float]
+    source: str
+
+    def degrees(self, channel: str, value: float) -> float | None:
+        """Return a small difference of readings as degrees of an axis near level; None without a scale."""
+        return degrees(value / self.per_g[channel]) if channel in self.per_g else None
+
+    def from_degrees(self, channel: str, angle: float | None) -> float | None:
+        """Return the inverse of :meth:`degrees`."""
+        return None if angle is None or channel not in self.per_g else radians(angle) * self.per_g[channel]
+
+
+@dataclass(frozen=True)
+class SampleSize:
+    """A recommended number of samples, and why it is that one.
+
+    Attributes
+    ----------
+    uncertainty : float
+        Of their mean, unit.
+    limit : str
+        What sets the number.
+    met : bool or None
+        Whether the mean is as good as the target; None where there is no target.
+    useful : int or None
+        Samples beyond which twice as many gain less than a tenth; None where the record is too short to show it.
+    predicted : int or None
+        Samples that would meet the target if the noise stayed white for longer than the record could show.
+    """
+
+    samples: int
+    uncertainty: float
+    limit: Limit
+    met: bool | None
+    useful: int | None
+    predicted: int | None = None
+
+
+def characterise(samples: Array, interval: float, sizes: Sequence[int] = ()) -> ChannelNoise:
+    """Characterise the noise of one channel at rest.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n,)
+        Evenly spaced, in the unit of the reading; NaN where a value is missing.
+    interval : float
+        Seconds from sample to sample.
+    sizes : sequence of int
+        Sizes of averages for the table, beside 1, 10, 100, ...
+
+    Raises
+    ------
+    EstimateError
+        There are too few samples, or the noise is zero or beyond any number.
+    """
+    factor, variance = allan_variance(samples)
+    if not len(factor):
+        raise EstimateError("so much is missing that no two neighbouring averages are left")
+    averages = [average(samples, size) for size in sorted({*_DECADES, *sizes})]
+    shown = [one for one in averages if one.count >= (2 if one.samples in sizes else _FEWEST_AVERAGES)]
+    steps = StepFinder()
+    for some in _pieces(samples):
+        steps.add(some[np.isfinite(some)])
+    tau = np.asarray(factor * interval, dtype=np.float64)
+    terms = kinds_of_noise(tau, variance, factor, len(samples))
+    low, high = limits(variance, terms.dof)
+    single = averages[0]
+    deviation = np.asarray(np.sqrt(variance), dtype=np.float64)
+    return ChannelNoise(single.mean, single.count, steps.result(), shown, tau, deviation, low, high, terms)
+
+
+def average(samples: Array, size: int) -> Average:
+    """Return the scatter of averages of ``size`` samples each, one behind the other; samples of shape (n,)."""
+    means = [sums / np.where(counts >= _PRESENT * size, counts, nan) for sums, counts in _sums(samples, size)]
+    usable = np.concatenate([[], *(some[np.isfinite(some)] for some in means)])
+    if len(usable) < 2:
+        return Average(size, len(usable), float(usable.mean()) if len(usable) else nan, nan, nan)
+    return Average(size, len(usable), float(usable.mean()), float(usable.std(ddof=1)), float(np.ptp(usable)))
+
+
+def allan_variance(samples: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return the overlapping Allan variance by octaves.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n,)
+        NaN where a value is missing.
+
+    Returns
+    -------
+    factor : ndarray of int, shape (k,)
+        Samples per average: 1, 2, 4, ...
+    variance : ndarray, shape (k,)
+        Unit², above 0.
+    """
+    zero = next((some[np.isfinite(some)][0] for some in _pieces(samples) if np.isfinite(some).any()), 0.0)
+    variances: dict[int, float] = {}
+    size, widths = 1, [1, 2, 4, 8, 16, _STARTS]
+    sums, counts = samples, np.empty(0)
+    while len(samples) >= _FEWEST_STRETCHES * size * widths[0]:
+        widths = [width for width in widths if len(samples) >= _FEWEST_STRETCHES * size * width]
+        variances |= _variances(sums, counts, zero, size, widths)
+        pairs = list(_sums(samples, 2, zero)) if size == 1 else [_joined(sums, counts)]
+        sums, counts = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+        size, widths = 2 * size, [_STARTS]
+    usable = {factor: variance for factor, variance in sorted(variances.items()) if variance > 0.0}
+    return np.array(list(usable), dtype=np.int64), np.array(list(usable.values()))
+
+
+def _pieces(samples: Array, size: int = 1) -> Iterator[Array]:
+    """Yield the samples, shape (n,), in pieces of whole stretches of ``size``."""
+    length = max(_CHUNK // size, 1) * size
+    return (np.asarray(samples[start : start + length]) for start in range(0, len(samples), length))
+
+
+def _sums(samples: Array, size: int, zero: float = 0.0) -> Iterator[tuple[Array, Array]]:
+    """Yield sums, about ``zero``, and numbers of the samples of stretches that follow each other, shape (m,)."""
+    for piece in _pieces(samples[: len(samples) // size * size], size):
+        there = np.isfinite(piece).reshape(-1, size)
+        about = (piece - zero).reshape(-1, size)
+        yield np.sum(about, axis=1, where=there), there.sum(axis=1).astype(np.float64)
+
+
+def _joined(sums: Array, counts: Array) -> tuple[Array, Array]:
+    even = len(sums) // 2 * 2
+    return sums[:even:2] + sums[1:even:2], counts[:even:2] + counts[1:even:2]
+
+
+def _variances(sums: Array, counts: Array, zero: float, size: int, widths: Sequence[int]) -> dict[int, float]:
+    """Return the Allan variances of means over ``widths`` stretches of ``size`` samples; NaN where gaps leave none."""
+    squares, pairs = np.zeros((2, len(widths)))
+    for start in range(0, len(sums), _CHUNK):
+        stretches = slice(start, start + _CHUNK + 2 * widths[-1] - 1)
+        part, number = np.asarray(sums[stretches]), counts[stretches]
+        if size == 1:
+            number = np.isfinite(part).astype(np.float64)
+            part = np.where(number > 0.0, part - zero, 0.0)
+        total, there = (np.concatenate([[0.0], np.cumsum(values)]) for values in (part, number))
+        whole = there[-1] == len(part) * size
+        for place, width in enumerate(widths):
+            starts = min(_CHUNK, len(part) - 2 * width + 1)
+            if starts <= 0:
+                continue
+            last = starts + 2 * width
+            mean = total[width:last] - total[: last - width]
+            if whole:
+                mean /= width * size
+            else:
+                present = there[width:last] - there[: last - width]
+                mean /= np.where(present >= _PRESENT * width * size, present, nan)
+            change = mean[width:] - mean[:-width]
+            usable = change if whole else change[np.isfinite(change)]
+            squares[place] += usable @ usable
+            pairs[place] += len(usable)
+    variances = np.divide(squares, 2.0 * pairs, where=pairs > 0.0, out=np.full(len(widths), nan))
+    return {width * size: float(variance) for width, variance in zip(widths, variances, strict=True)}
+
+
+def degrees_of_freedom(kind: Kind, samples: float, factor: float) -> float:
+    """Return the equivalent degrees of freedom of an overlapping Allan variance of ``factor`` samples per average.
+
+    NIST Special Publication 1065, table 5; its N, the number of phases, is one more than that of the samples. For
+    flicker noise and single samples N - 2 is squared here, as the scatter of simulated records demands; without the
+    square, as allantools has it, there is less than one.
+    """
+    n, m = samples + 1.0, factor
+    if kind == "white":
+        dof = (3.0 * (n - 1.0) / (2.0 * m) - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+    elif kind == "flicker":
+        dof = 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9) if m < 2.0 else 5.0 * n**2 / (4.0 * m * (n + 3.0 * m))
+    else:
+        dof = (n - 2.0) / m * ((n - 1.0) ** 2 - 3.0 * m * (n - 1.0) + 4.0 * m**2) / (n - 3.0) ** 2
+    return max(dof, 1.0)
+
+
+def limits(variance: Array, dof: Array) -> tuple[Array, Array]:
+    """Return the ends of the 95 % interval of the Allan deviation, from variances and their dof; shape (k,) each."""
+    from scipy.special import chdtri
+
+    tail = (1.0 - COVERAGE) / 2.0
+    return np.sqrt(dof * variance / chdtri(dof, tail)), np.sqrt(dof * variance / chdtri(dof, 1.0 - tail))
+
+
+def kinds_of_noise(tau: Array, variance: Array, factor: NDArray[np.int64], samples: int) -> AllanFit:
+    """Return the fewest kinds of noise that make an Allan variance.
+
+    Parameters
+    ----------
+    tau, variance, factor : ndarray, shape (k,)
+        Averaging times in seconds, rising by octaves; overlapping Allan variance; samples per average.
+    samples : int
+        In the record.
+
+    Notes
+    -----
+    Non-negative least squares, each octave weighted with its degrees of freedom. A term is left out if the deviance of
+    the chi-square distributed variances rises by less than its price. Short octaves that no terms describe are set
+    aside one by one.
+    """
+    if not np.all(np.isfinite(variance)):
+        raise EstimateError("the Allan variance is beyond any number: give the readings in another unit")
+    fits = (_fitted(tau, variance, factor, samples, first) for first in range(max(1, len(tau) - _FEWEST_OCTAVES + 1)))
+    whole = next(fits)
+    return whole if whole.follows else next((fit for fit in fits if fit.follows), whole)
+
+
+def _fitted(tau: Array, variance: Array, factor: NDArray[np.int64], samples: int, first: int) -> AllanFit:
+    """Return the kinds of noise that make the Allan variance from the octave ``first`` on."""
+    from scipy.special import chdtrc
+
+    columns = _columns(tau)
+    table = np.array([[degrees_of_freedom(kind, samples, m) for kind in _KINDS] for m in factor.tolist()])
+    chosen = list(range(len(TERMS)))
+    squares, dof, deviance = _squares(columns, variance, table, first, chosen)
+    while len(chosen) > 1:
+        fits = [(_squares(columns, variance, table, first, fewer), fewer) for fewer in _without_one(chosen)]
+        (fewer_squares, fewer_dof, fewer_deviance), fewer = min(fits, key=lambda fit: fit[0][2])
+        if fewer_deviance > deviance + _WORTH and len(chosen) <= len(tau) - first:
+            break
+        chosen, squares, dof, deviance = fewer, fewer_squares, fewer_dof, fewer_deviance
+    value = {TERMS[term]: sqrt(squares[term]) for term in chosen if squares[term] > 0.0}
+    free = len(tau) - first - len(chosen)
+    return AllanFit(value, first, dof, free <= 0 or float(chdtrc(free, deviance)) > _CREDIBLE)
+
+
+def _squares(
+    columns: Array, variance: Array, table: Array, first: int, chosen: Sequence[int]
+) -> tuple[Array, Array, float]:
+    """Return the squares of all coefficients, the degrees of freedom of all octaves, and the deviance."""
+    from scipy.optimize import nnls
+
+    squares, made, dof = np.zeros(len(TERMS)), variance, table[:, chosen[0]]
+    for _ in range(8):  # the weights follow the model
+        root = np.sqrt(np.minimum(dof, _MOST_DOF)[first:]) / made[first:]
+        scale = np.linalg.norm(columns[first:, chosen] * root[:, None], axis=0)
+        squares[chosen] = nnls(columns[first:, chosen] * root[:, None] / scale, root * variance[first:])[0] / scale
+        parts = columns * squares
+        made = np.maximum(parts.sum(axis=1), 1e-3 * variance)
+        dof = table[np.arange(len(table)), np.argmax(parts, axis=1)]
+    ratio = (variance / made)[first:]
+    return squares, dof, float(np.sum(np.minimum(dof, _MOST_DOF)[first:] * (ratio - 1.0 - np.log(ratio))))
+
+
+def _without_one(chosen: Sequence[int]) -> Iterator[list[int]]:
+    return ([term for term in chosen if term != gone] for gone in chosen)
+
+
+def _columns(tau: Array) -> Array:
+    """Return the variance of a unit of each term at each averaging time, shape (k, terms)."""
+    return np.stack([1.0 / tau, np.full(len(tau), FLICKER**2), tau / 3.0, tau**2 / 2.0], axis=1)
+
+
+def sample_size(noise: ChannelNoise, interval: float, target: float | None = None) -> SampleSize:
+    """Return the smallest number of samples whose mean is good enough, or beyond which more do not help.
+
+    Parameters
+    ----------
+    interval : float
+        Seconds from sample to sample.
+    target : float, optional
+        Standard uncertainty that a mean should have, unit.
+    """
+    most = round(float(noise.tau[-1]) / interval)
+    count = 1000 + ceil(100 * log(max(most / 1000, 1.0)))
+    samples = (
+        np.arange(1, most + 1) if most <= 1000 else np.unique(np.geomspace(1, most, 6 * count).round().astype(int))
+    )
+    u = noise.uncertainty(np.asarray(samples * interval, dtype=np.float64))
+    useful, why = _useful(noise, samples, u)
+    if target is not None and np.any(u <= target):
+        first = int(np.argmax(u <= target))
+        return SampleSize(int(samples[first]), float(u[first]), "target", True, useful)
+    end = int(np.searchsorted(samples, useful if useful is not None else most))
+    predicted = None
+    if target is not None and useful is None and target > noise.rounding:
+        needed = noise.terms.variance(np.array([interval]))[0] / (target**2 - noise.rounding**2)
+        predicted = max(ceil(needed), most)
+    return SampleSize(int(samples[end]), float(u[end]), why, None if target is None else False, useful, predicted)
+
+
+def _useful(noise: ChannelNoise, samples: NDArray[np.int64], u: Array) -> tuple[int | None, Limit]:
+    """Return the number of samples from which twice as many stop to help, and the reason."""
+    twice = np.interp(2.0 * samples, samples, u, right=nan)
+    shorter = ~np.isnan(twice)
+    # What falls again behind a hump, as after a vibration, must come below what there was before it.
+    helps = np.flatnonzero(shorter & (twice <= (1.0 - _GAIN) * np.minimum.accumulate(u)))
+    if not shorter.any() or (len(helps) and helps[-1] == np.flatnonzero(shorter)[-1]):
+        return None, "record"
+    place = min(int(helps[-1]) + 1, len(samples) - 1) if len(helps) else 0
+    useful = int(samples[place])
+    if noise.rounding > float(u[place]) / sqrt(2.0):
+        return useful, "rounding"
+    rest = {name: part[0] for name, part in noise.terms.parts(noise.tau[-1:]).items() if name in _LIMITS}
+    if not noise.terms.follows or not rest:
+        return useful, "unknown"
+    return useful, _LIMITS[max(rest, key=lambda name: rest[name])]
