@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
@@ -13,10 +14,9 @@ from tiltcal.errors import UsageError
 from tiltcal.files.bench import BENCH, BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.journal_header import DeviceHeader
 from tiltcal.files.node import Node, require_printable
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class DeviceSetup:
     """One device of a session.
 

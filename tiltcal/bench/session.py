@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, BinaryIO, cast
@@ -29,14 +29,13 @@ from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
 from tiltcal.files.journal_header import HEADER
 from tiltcal.files.moments import moment_after
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.files.pair import PairRecord
     from tiltcal.files.rotation import Rotation
 
 
-@frozen
+@dataclass(frozen=True)
 class SessionResult:
     """The result of a session.
 
@@ -71,7 +70,7 @@ class SessionResult:
             raise HardwareError("no calibration file for " + "; ".join(self.ending.lost.values()))
 
 
-@frozen
+@dataclass(frozen=True)
 class _OpenSession:
     """The open devices of a session; every byte passes through its event log."""
 

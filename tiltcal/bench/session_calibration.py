@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from math import hypot
 from typing import Any
@@ -18,10 +19,9 @@ from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.moments import stamp
 from tiltcal.files.provenance_record import VIRTUAL, BenchRecord, FileRecord, Provenance
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class SessionEnd:
     """The end of a session.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 
@@ -22,11 +22,10 @@ from tiltcal.files.document import read_document
 from tiltcal.files.node import require_name
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_above_zero, require_from_zero, require_whole
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class StatedSession:
     """The parameters of :func:`tiltcal.measure`; None and False stand for what is not stated."""
 

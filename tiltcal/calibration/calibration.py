@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
@@ -30,11 +30,10 @@ from tiltcal.files.node import Node
 from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Uncertainty
-from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_boolean
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """The calibration of one tilt sensor.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 from itertools import product
@@ -23,13 +24,12 @@ from tiltcal.files.calibration import TILT, CalibrationRecord, dump_calibration
 from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.fit_record import NOISE_ALONE
 from tiltcal.files.uncertainty import stated_uncertainty
-from tiltcal.frozen import frozen
 
 KINDS = {"sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
 """The coefficients that ``derived.assumed`` names by their first word."""
 
 
-@frozen
+@dataclass(frozen=True)
 class CombinedSession:
     """One calibration, with what messages call it and the SHA-256 of its file."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from tiltcal.calibration.calibration import Calibration
@@ -12,7 +13,6 @@ from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
 from tiltcal.files.fit_record import NOISE_ALONE
-from tiltcal.frozen import frozen
 
 _INCOMPLETE = (
     "the uncertainty of the {which} file rests on noise alone and leaves out how well the positions were set: measure "
@@ -20,7 +20,7 @@ _INCOMPLETE = (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class Comparison:
     """The comparison of an older and a newer calibration of one sensor.
 

@@ -11,7 +11,7 @@ the mean, and the file states by how much. A unit's own run always wins.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -31,13 +31,12 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.fit_record import CrossValidation, Hysteresis
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.uncertainty import Covariance
-from tiltcal.frozen import frozen
 
 ROOM = 25.0
 """Reference temperature where none was measured, °C."""
 
 
-@frozen
+@dataclass(frozen=True)
 class OrderChoice:
     """The order that was chosen, and why.
 

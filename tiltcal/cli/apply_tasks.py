@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.cli.talk import progress_bar
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.files.atomic import require_apart
-from tiltcal.frozen import frozen
 from tiltcal.logs.apply import apply_log
 from tiltcal.logs.apply_summary import ApplySummary
 from tiltcal.logs.log import Progress
@@ -29,7 +28,7 @@ _PATIENCE = "10s"
 """Timeout for the connection to the scheduler."""
 
 
-@frozen
+@dataclass(frozen=True)
 class ApplyTask:
     """One log with its options and output, each a file or ``-``; ``columns`` is the text of ``--columns``."""
 
@@ -70,7 +69,7 @@ class ApplyTask:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class UpToDate:
     """A result that was there already, made of the same log and calibration with the same options and version."""
 

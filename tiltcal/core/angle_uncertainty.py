@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,10 +11,9 @@ from tiltcal.core.compensation import Compensated, Compensation
 from tiltcal.core.model import Array, Coefficients
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.core.uncertainty_propagation import Propagation
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class AngleUncertainty:
     """What the kernel makes of n rows, and how uncertain its angles are.
 

@@ -17,6 +17,7 @@ the sensor upside down.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from math import pi, radians, sin
 
 import numpy as np
@@ -42,7 +43,6 @@ from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, polyn
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, inclination, pitch, roll, tilt
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 from tiltcal.printable import counted
 
 CLIP_LIMIT = 1.02
@@ -57,7 +57,7 @@ _TILT_SLACK = radians(1e-9)
 _LARGEST_CONDITION = 1e12
 
 
-@frozen
+@dataclass(frozen=True)
 class Compensated:
     """What the kernel makes of n rows; every array is NaN where the flag is 9.
 
@@ -101,7 +101,7 @@ class Compensated:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class KernelChunk:
     """Some rows on their way through the kernel, for callers that need more than the result.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -14,11 +15,10 @@ from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.provenance_record import FileRecord
 from tiltcal.files.scalars import Text
-from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_path
 
 
-@frozen
+@dataclass(frozen=True)
 class BaseFile:
     """A calibration file that a session builds on, whole: the session's journal keeps it."""
 

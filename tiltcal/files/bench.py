@@ -15,12 +15,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
 from tiltcal.files.declaration import Context, Converted, ListOf, Section, entry
 from tiltcal.files.node import Node
 from tiltcal.files.scalars import FROM_ZERO, Text
-from tiltcal.frozen import frozen
 
 _SERIAL = re.compile(r"[\w.+-][\w.+ -]*")
 _SIGNED_AXES = {"items": {"type": "string", "pattern": "^[+-]?[xyz]$"}, "minItems": 2, "maxItems": 3}
@@ -32,7 +32,7 @@ def _file_name(serial: str, node: Node, context: Context) -> str:
     return serial
 
 
-@frozen
+@dataclass(frozen=True)
 class BenchSensor:
     """One sensor of a bench."""
 
@@ -52,7 +52,7 @@ class BenchSensor:
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class BenchThermometer:
     """The thermometer of a bench: any device that reports a temperature."""
 
@@ -69,7 +69,7 @@ def _unique(sensors: tuple[BenchSensor, ...], node: Node, context: Context) -> t
     return sensors
 
 
-@frozen
+@dataclass(frozen=True)
 class BenchFile:
     """The content of a bench file."""
 

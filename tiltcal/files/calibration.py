@@ -7,6 +7,7 @@ positions, provenance) are records for people and later questions. Every key and
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from math import hypot, radians
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,6 @@ from tiltcal.files.position_record import PositionRecord, ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.scalars import Choice, Range, Text
 from tiltcal.files.uncertainty import UNCERTAINTY, Uncertainty, known_coefficients, known_turns
-from tiltcal.frozen import frozen
 
 
 def _channels(found: tuple[str, ...], node: Node, context: Context) -> tuple[str, ...]:
@@ -43,7 +43,7 @@ UNKNOWN_MODEL = "recorded"
 """The model in a file of `fit`, where the user named none."""
 
 
-@frozen
+@dataclass(frozen=True)
 class SensorIdentity:
     """The sensor that a calibration belongs to."""
 
@@ -56,7 +56,7 @@ class SensorIdentity:
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class Ranges(ByChannel[tuple[float, float]]):
     """A range for each of some channels or axes, or one for all of them."""
 
@@ -71,7 +71,7 @@ class Ranges(ByChannel[tuple[float, float]]):
         return {"anyOf": [self.item.schema(), super().schema()]}
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class LimitsSection:
     """The section ``limits`` as it stands in a file."""
 
@@ -94,7 +94,7 @@ def _limits_section(limits: Limits) -> LimitsSection:
     return LimitsSection(tilt=tilt, temperature=limits.temperature, reading=limits.reading)
 
 
-@frozen
+@dataclass(frozen=True)
 class CalibrationRecord:
     """The content of a calibration file; angles of the coefficients and the limits are in radians."""
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from operator import itemgetter
 from pathlib import Path
@@ -19,7 +20,6 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import TILT, CalibrationRecord
 from tiltcal.files.document import read_document
 from tiltcal.files.moments import moment
-from tiltcal.frozen import frozen
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -51,7 +51,7 @@ class CalibrationFile(NamedTuple):
     path: str
 
 
-@frozen
+@dataclass(frozen=True)
 class FolderIndex:
     """The calibrations of a folder.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import degrees, radians
 
 import numpy as np
@@ -12,7 +13,6 @@ from tiltcal.core.rounding import significant
 from tiltcal.files.declaration import ByChannel, Context, Converted, ListOf, Section, entry
 from tiltcal.files.node import Node
 from tiltcal.files.scalars import Number, Range
-from tiltcal.frozen import frozen
 
 ORDER_LIMIT = 6
 CHANNELS = ByChannel(Number())
@@ -57,7 +57,7 @@ def polynomials(item: Number = Number(), *, complete: bool = False) -> ByChannel
     return ByChannel(ListOf(item, most=ORDER_LIMIT, says=says), of="channels", complete=complete)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ThermalSection:
     """``calibration.temperature`` as it stands in a file."""
 
@@ -83,7 +83,7 @@ def _angle(name: str) -> Number:
     return Number(minimum=-largest, maximum=largest, says=f"{{found}} is too large; it must be at most {largest:g}")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class MountingSection:
     """``calibration.mounting`` as it stands in a file."""
 
@@ -92,7 +92,7 @@ class MountingSection:
     yaw: float = entry(_angle("yaw"), "degrees, -180 to 180", default=0.0, kept=True)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CoefficientsSection:
     """The section ``calibration`` as it stands in a file."""
 

@@ -2,7 +2,7 @@
 
 A section of a file is a frozen dataclass whose fields are made by :func:`entry`::
 
-    @frozen(kw_only=True)
+    @dataclass(frozen=True, kw_only=True)
     class Spin:
         turns: float = entry(Number(above=0.0), "turns of the stage in the record")
         frequency: float | None = entry(Number(above=0.0, unit="Hz"), "of the spin", default=None)
@@ -17,13 +17,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from copy import copy
-from dataclasses import MISSING, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from importlib import import_module
 from typing import Any, Generic, Literal, TypeVar, overload
 
 from tiltcal.core.model import AXES
 from tiltcal.files.node import Node
-from tiltcal.frozen import frozen
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -43,7 +42,7 @@ KINDS = {
 _ENTRY = "entry"
 
 
-@frozen
+@dataclass(frozen=True)
 class Context:
     """What earlier parts of a file, and the user, determine for later parts.
 
@@ -93,7 +92,7 @@ class Format(ABC, Generic[T]):
         """Return the JSON Schema of the value."""
 
 
-@frozen
+@dataclass(frozen=True)
 class KeyDeclaration:
     """One key of a section.
 
@@ -161,7 +160,7 @@ def entries_of(record: type[Any]) -> dict[str, KeyDeclaration]:
     return {name: replace(declaration, key=declaration.key or name) for name, declaration in found.items()}
 
 
-@frozen
+@dataclass(frozen=True)
 class ListOf(Format[tuple[T, ...]]):
     """A list of values of one kind, of a bounded length.
 
@@ -195,7 +194,7 @@ class ListOf(Format[tuple[T, ...]]):
         return {"type": "array", "items": self.item.schema(), **kept}
 
 
-@frozen
+@dataclass(frozen=True)
 class ByName(Format[Mapping[str, T]]):
     """A mapping whose keys are free, such as the names of positions."""
 
@@ -211,7 +210,7 @@ class ByName(Format[Mapping[str, T]]):
         return {"type": "object", "additionalProperties": self.item.schema()}
 
 
-@frozen
+@dataclass(frozen=True)
 class ByCoefficient(ByName[T]):
     """A mapping whose keys are dotted names of the file's coefficients."""
 
@@ -220,7 +219,7 @@ class ByCoefficient(ByName[T]):
         return {name: self.item.read(value, context) for name, value in known.items()}
 
 
-@frozen
+@dataclass(frozen=True)
 class ByKey(ByName[T]):
     """A mapping with a few fixed keys, whose values are of one kind; where ``complete``, none may be left out."""
 
@@ -244,7 +243,7 @@ class ByKey(ByName[T]):
         return {name: self.item.read(value, context) for name, value in known.items()}
 
 
-@frozen
+@dataclass(frozen=True)
 class ByChannel(ByKey[T]):
     """A value for each channel, or for each axis, of the sensor.
 
@@ -268,7 +267,7 @@ class ByChannel(ByKey[T]):
         return {**super().schema(), "required": []}
 
 
-@frozen
+@dataclass(frozen=True)
 class Converted(Format[T], Generic[S, T]):
     """A value that is checked, or converted to another one, after it was read.
 
@@ -299,7 +298,7 @@ class Converted(Format[T], Generic[S, T]):
         return {**self.form.schema(), **self.more}
 
 
-@frozen
+@dataclass(frozen=True)
 class Either(Format[T]):
     """One of two kinds of section, distinguished by a key that the second one has."""
 
@@ -314,7 +313,7 @@ class Either(Format[T]):
         return {"anyOf": [self.usual.schema(), self.other.schema()]}
 
 
-@frozen
+@dataclass(frozen=True)
 class Imported(Format[T]):
     """A format whose module is imported only where a file has it."""
 
@@ -332,7 +331,7 @@ class Imported(Format[T]):
         return found
 
 
-@frozen
+@dataclass(frozen=True)
 class Anything(Format[Any]):
     """A mapping that another declaration reads."""
 
@@ -345,7 +344,7 @@ class Anything(Format[Any]):
         return {"type": "object"}
 
 
-@frozen
+@dataclass(frozen=True)
 class Section(Format[T]):
     """A mapping whose keys a dataclass declares.
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from tiltcal.files.coefficients import CHANNELS
 from tiltcal.files.declaration import ByChannel, ByName, ListOf, Section, entry
 from tiltcal.files.scalars import FROM_ZERO, Flag, Number, Text
-from tiltcal.frozen import frozen
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class DerivedCoverage:
     """Coverage factors of derived quantities, for intervals of 95 %."""
 
@@ -18,7 +18,7 @@ class DerivedCoverage:
     misalignment_degrees: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel", default={})
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class DerivedUncertainty:
     """Standard uncertainties of derived quantities."""
 
@@ -29,7 +29,7 @@ class DerivedUncertainty:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class IntrinsicCoverage:
     """Coverage factors of the intrinsic parameters, for intervals of 95 %."""
 
@@ -39,7 +39,7 @@ class IntrinsicCoverage:
     rotation_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "roll, pitch, yaw", default={})
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class IntrinsicUncertainty:
     """Standard uncertainties of the intrinsic parameters."""
 
@@ -52,7 +52,7 @@ class IntrinsicUncertainty:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class IntrinsicRecord:
     """The parameters of a three-channel sensor that do not change with its mounting."""
 
@@ -76,7 +76,7 @@ class IntrinsicRecord:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class DerivedRecord:
     """Quantities derived from the coefficients."""
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from tiltcal.files.coefficients import CHANNELS
 from tiltcal.files.declaration import ByChannel, ByCoefficient, ByName, ListOf, Section, entry
 from tiltcal.files.scalars import FROM_ZERO, Flag, Integer, Number, Range, Text
-from tiltcal.frozen import frozen
 
 NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
 """Where an uncertainty comes from that leaves out how well the positions were set."""
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class WorstResidual:
     """The largest residual of a fit."""
 
@@ -22,7 +22,7 @@ class WorstResidual:
     residual: float = entry(Number(), "measured − modelled, unit")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class SuspectPosition:
     """A position that is further off than the stated jig allows."""
 
@@ -30,7 +30,7 @@ class SuspectPosition:
     chi_square: float | None = entry(FROM_ZERO, "its share of chi-square", default=None)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CrossValidation:
     """The choice of the order of the drift."""
 
@@ -45,7 +45,7 @@ class CrossValidation:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Hysteresis:
     """The largest difference between two visits to one temperature."""
 
@@ -53,7 +53,7 @@ class Hysteresis:
     between: tuple[str, ...] = entry(ListOf(Text(), 2, 2), "the two positions")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class RampLeg:
     """A leg of a ramp, and how well it is predicted from the others."""
 
@@ -67,7 +67,7 @@ class RampLeg:
     lagged: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "the same with a lag")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class RampFitRecord:
     """The thermal lag that a ramp shows."""
 
@@ -80,7 +80,7 @@ class RampFitRecord:
     legs: tuple[RampLeg, ...] = entry(ListOf(Section(RampLeg)), "the legs of the record")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class MountingFit:
     """The quality of the fit of a mounting."""
 
@@ -95,7 +95,7 @@ class MountingFit:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class LevelFit:
     """The offset that a level position has renewed, against the one before."""
 
@@ -113,7 +113,7 @@ class LevelFit:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class FitRecord:
     """The quality of a fit, and the sources of its uncertainty."""
 

@@ -35,7 +35,6 @@ from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.atomic import append_whole, write_all
 from tiltcal.files.journal_header import HEADER, Header
 from tiltcal.files.node import document_of
-from tiltcal.frozen import frozen
 
 VERSION = 1
 HARDWARE_ERROR = "!"
@@ -138,7 +137,7 @@ class Events(Sequence[Event]):
         return lines
 
 
-@frozen
+@dataclass(frozen=True)
 class Journal:
     """A journal that was read and found sound.
 

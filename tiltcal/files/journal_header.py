@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -10,10 +11,9 @@ from typing import Any
 from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.declaration import Anything, ByName, ListOf, Section, entry
 from tiltcal.files.scalars import FROM_ZERO, Flag, Integer, Number, Text
-from tiltcal.frozen import frozen
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class DeviceHeader:
     """A sensor or the thermometer in the header."""
 
@@ -26,7 +26,7 @@ class DeviceHeader:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class SettingsHeader:
     """The settings of a session: how it measures."""
 
@@ -41,7 +41,7 @@ class SettingsHeader:
     turns: int | None = entry(Integer(minimum=1), "the most turns of a rotation", default=None)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Header:
     """The plan of a session, the first line of its journal."""
 

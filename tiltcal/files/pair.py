@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.core.pair.model import Pair
@@ -12,7 +13,6 @@ from tiltcal.files.emitter import yaml_text
 from tiltcal.files.node import Node
 from tiltcal.files.provenance_record import PairProvenance
 from tiltcal.files.scalars import FROM_ZERO, Flag, Number, Text
-from tiltcal.frozen import frozen
 
 _DIGITS = 4
 
@@ -21,7 +21,7 @@ _NINE_DIGITS = Converted(Number(above=0.0), lambda value, node, context: value, 
 """A number above 0, written with nine digits."""
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class SpinRecord:
     """The spin of the stage."""
 
@@ -35,7 +35,7 @@ class SpinRecord:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CoefficientUncertainty:
     """Standard uncertainties of p and q."""
 
@@ -43,7 +43,7 @@ class CoefficientUncertainty:
     q: float = entry(FROM_ZERO, "of q")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Suppression:
     """The suppression of the common acceleration."""
 
@@ -57,7 +57,7 @@ def _by_stage(item: Number) -> ByKey[Mapping[str, tuple[float, ...]]]:
     return ByKey(ByName(components), STAGES, complete=True)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PairEntry:
     """One of ``pairs`` as it stands in a file."""
 
@@ -135,7 +135,7 @@ def _distinct(found: tuple[Matching, ...], node: Node, context: Context) -> tupl
     return found
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PairRecord:
     """The content of a pair file."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from tiltcal.files.coefficients import CHANNELS
@@ -10,10 +11,9 @@ from tiltcal.files.declaration import ANY, ByChannel, ByName, Context, Format, L
 from tiltcal.files.moments import MOMENT
 from tiltcal.files.node import Node
 from tiltcal.files.scalars import FROM_ZERO, Integer, Number, Text
-from tiltcal.frozen import frozen
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PositionSet:
     """The attitude of a position as it was set."""
 
@@ -26,7 +26,7 @@ class PositionSet:
     temperature: float | None = entry(Number(), "°C", default=None)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CompletingRun:
     """A procedure that completes a calibration, as run."""
 
@@ -35,7 +35,7 @@ class CompletingRun:
     positions: tuple[str, ...] = entry(ListOf(Text()), "their names", default=())
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ProcedureRecord:
     """The procedure as run."""
 
@@ -53,7 +53,7 @@ class ProcedureRecord:
     level: CompletingRun | None = entry(Section(CompletingRun), "likewise of `level`", default=None)
 
 
-@frozen
+@dataclass(frozen=True)
 class RowRanges(Format[tuple[tuple[int, int], ...]]):
     """Rows of a log: ``[first, end]``, or a list of such where the position was interrupted."""
 
@@ -78,7 +78,7 @@ class RowRanges(Format[tuple[tuple[int, int], ...]]):
         return rows[0], rows[1]
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PositionRecord:
     """The readings of one position."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from tiltcal.core.gravity_direction import Vector
@@ -14,10 +15,9 @@ from tiltcal.files.node import Node
 from tiltcal.files.procedure import TEMPERATURE
 from tiltcal.files.scalars import Integer, Number, Text
 from tiltcal.files.segments import Direction
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class TabledPosition:
     """One row of a table of positions.
 
@@ -51,7 +51,7 @@ class TabledPosition:
 _U = Number(above=0.0)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class TabledRow(Direction):
     """One row of a table of positions, as it stands in its file."""
 

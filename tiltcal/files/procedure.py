@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.core.gravity_direction import Vector, gravity_from_tilt, normalised
@@ -14,7 +14,6 @@ from tiltcal.files.coefficients import ORDER_LIMIT
 from tiltcal.files.declaration import ANY, ByKey, Context, Converted, Format, ListOf, Section, entry
 from tiltcal.files.node import Node
 from tiltcal.files.scalars import FROM_ZERO, Choice, Flag, Integer, Number, Text
-from tiltcal.frozen import frozen
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import is_number, require_whole, shown
 
@@ -43,7 +42,7 @@ TEMPERATURE = Number(
 """°C, of a position."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Determines:
     """What the positions of a procedure determine besides the offset."""
 
@@ -97,7 +96,7 @@ def _consistent(found: Determines, node: Node, context: Context) -> Determines:
     return found
 
 
-@frozen
+@dataclass(frozen=True)
 class Position:
     """One position that the sensor is brought to.
 
@@ -137,7 +136,7 @@ def _name(name: str, node: Node, context: Context) -> str:
 IDENTIFIER = Converted(Text(), _name, more={"pattern": f"^{_NAME.pattern}$"})
 
 
-@frozen
+@dataclass(frozen=True)
 class SetAngle(Format[float]):
     """An angle in degrees, or ``angle`` and ``-angle`` for the one of the procedure."""
 
@@ -152,7 +151,7 @@ class SetAngle(Format[float]):
         return {"anyOf": [{"type": "number"}, {"enum": ["angle", "-angle"]}]}
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PositionSection:
     """One of ``positions`` as it stands in a file."""
 
@@ -214,7 +213,7 @@ def _filled_in(prompt: str, node: Node, values: Mapping[str, float | None]) -> s
     return _PLACEHOLDER.sub(value_of, prompt)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Soak:
     """The conditions for a new temperature to count as settled."""
 
@@ -222,7 +221,7 @@ class Soak:
     drift: float = entry(Number(above=0.0), "the largest drift in it, °C")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Ramp:
     """How the temperature changes between the positions, which are the turning points of a ramp."""
 
@@ -236,7 +235,7 @@ class Ramp:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Procedure:
     """A procedure: the positions to measure in order, or the rotation of a stage.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -22,7 +22,6 @@ from tiltcal.files.procedure import (
     chosen_angle,
 )
 from tiltcal.files.scalars import Text
-from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_path
 
 if TYPE_CHECKING:
@@ -102,7 +101,7 @@ def _require_ramp(found: Procedure, node: Node) -> None:
             raise item.error("the positions of a ramp have one attitude, and each a temperature at which it turns")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class RotationProcedure:
     """A procedure of a stage that turns, as it stands in a file."""
 

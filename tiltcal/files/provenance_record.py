@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from hashlib import sha256
 
 from tiltcal.files.declaration import ByName, ListOf, Section, entry
 from tiltcal.files.moments import MOMENT
 from tiltcal.files.scalars import FROM_ZERO, Integer, Text
-from tiltcal.frozen import frozen
 
 VIRTUAL = "the virtual bench: no real sensor was measured"
 """``made_by`` of a file that no real sensor made."""
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class FileRecord:
     """A file that was read."""
 
@@ -27,7 +27,7 @@ class FileRecord:
         return cls(name=name, sha256=sha256(text.encode()).hexdigest())
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class LogRecord(FileRecord):
     """A log that was read."""
 
@@ -35,7 +35,7 @@ class LogRecord(FileRecord):
     missing: int | None = entry(Integer(minimum=0), "how many of them were left out", default=None)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class SegmentsRecord:
     """The origin of the still segments of a log: a file, or how they were found."""
 
@@ -47,7 +47,7 @@ class SegmentsRecord:
     times_noise: float | None = entry(FROM_ZERO, "the threshold over the noise", default=None)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class BenchSensorRecord:
     """One sensor on the stage of a pair calibration."""
 
@@ -56,7 +56,7 @@ class BenchSensorRecord:
     address: str | None = entry(Text(), "its address", default=None)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class BenchRecord:
     """The bench that measured."""
 
@@ -70,7 +70,7 @@ class BenchRecord:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Provenance:
     """The provenance of a tilt calibration."""
 
@@ -100,7 +100,7 @@ class Provenance:
     )
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class SamplesRecord:
     """The numbers of samples of a rotation."""
 
@@ -108,7 +108,7 @@ class SamplesRecord:
     left_out: int = entry(Integer(minimum=0), "samples that were left out")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PairProvenance:
     """The provenance of a pair calibration."""
 

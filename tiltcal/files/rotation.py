@@ -15,7 +15,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.model import Pair
@@ -23,7 +23,6 @@ from tiltcal.errors import UsageError
 from tiltcal.files.declaration import Context, Converted, ListOf, Section, entry
 from tiltcal.files.node import Node
 from tiltcal.files.scalars import Integer, Number, Text
-from tiltcal.frozen import frozen
 
 FEWEST_WHOLE_TURNS = int(FEWEST_TURNS)
 MOST = 1_000_000
@@ -32,7 +31,7 @@ MOST = 1_000_000
 _FOUR = "pair, orthogonal and phase are four different channels"
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class PairSelection:
     """One of ``pairs`` as it stands in a file."""
 
@@ -56,7 +55,7 @@ def _distinct(pairs: tuple[Pair, ...], node: Node, context: Context) -> tuple[Pa
     return pairs
 
 
-@frozen
+@dataclass(frozen=True)
 class Rotation:
     """The pairs that are matched while a stage turns, and when it ends."""
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from tiltcal.files.declaration import ANY, Context, Format
 from tiltcal.files.node import Node
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class Text(Format[str]):
     """A text; an empty one only where it may be ``blank``."""
 
@@ -23,7 +23,7 @@ class Text(Format[str]):
         return {"type": "string"}
 
 
-@frozen
+@dataclass(frozen=True)
 class Choice(Format[str]):
     """One of a few words."""
 
@@ -36,7 +36,7 @@ class Choice(Format[str]):
         return {"enum": list(self.options)}
 
 
-@frozen
+@dataclass(frozen=True)
 class Flag(Format[bool]):
     """``true`` or ``false``."""
 
@@ -47,7 +47,7 @@ class Flag(Format[bool]):
         return {"type": "boolean"}
 
 
-@frozen
+@dataclass(frozen=True)
 class Number(Format[float]):
     """A finite number, at least ``minimum``, more than ``above``, and at most ``maximum``.
 
@@ -72,7 +72,7 @@ class Number(Format[float]):
 FROM_ZERO = Number(minimum=0.0)
 
 
-@frozen
+@dataclass(frozen=True)
 class Integer(Format[int]):
     """A whole number, at least ``minimum`` and at most ``maximum``; ``says`` is as in :class:`Number`."""
 
@@ -95,7 +95,7 @@ def _require_at_most(found: float, maximum: float | None, says: str, node: Node)
         raise node.error(says.format(found=found))
 
 
-@frozen
+@dataclass(frozen=True)
 class Range(Format[tuple[float, float]]):
     """Two numbers ``[low, high]`` in that order."""
 

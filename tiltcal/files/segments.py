@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,10 +13,9 @@ from tiltcal.files.csv_tables import Table, table_rows
 from tiltcal.files.declaration import Context, Converted, Section, entry
 from tiltcal.files.node import Node
 from tiltcal.files.scalars import Integer, Number, Text
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class Segment:
     """Rows of a log during which the sensor was held still.
 
@@ -38,7 +38,7 @@ class Segment:
     line: int | None
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Direction:
     """The direction that points up, as a row of a table gives it."""
 
@@ -68,7 +68,7 @@ class Direction:
         return row.converted(normalised, given)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class SegmentRow(Direction):
     """One row of a segments file."""
 

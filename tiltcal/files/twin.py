@@ -43,7 +43,7 @@ Of a ``gradiometer`` the truth is a disk instead::
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from math import radians
 from pathlib import Path
@@ -58,7 +58,6 @@ from tiltcal.files.declaration import ByChannel, ByKey, Context, Converted, Eith
 from tiltcal.files.document import read_document
 from tiltcal.files.node import Node
 from tiltcal.files.scalars import FROM_ZERO, Choice, Integer, Number, Text
-from tiltcal.frozen import frozen
 
 FAULTS = ("parity", "stuck", "silent", "unplugged")
 
@@ -71,7 +70,7 @@ def _fault_of(found: FaultSection, node: Node, context: Context) -> Fault:
     return Fault(found.kind, found.start, found.end)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class FaultSection:
     """One of ``faults`` as it stands in a file."""
 
@@ -114,7 +113,7 @@ def _own_axis(
     return rows
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ThermalTruth:
     """``truth.temperature`` as it stands in a file."""
 
@@ -123,7 +122,7 @@ class ThermalTruth:
     sensitivity: Mapping[str, Polynomial] = entry(polynomials(), "as in a calibration file", default={})
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class TruthSection:
     """The section ``truth`` of a tilt sensor as it stands in a file."""
 
@@ -198,7 +197,7 @@ def _channels(key: str, found: Mapping[str, Any], context: Context) -> Context:
 _ANGLE = Converted(Number(), lambda degrees, node, context: radians(degrees))
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Gradient:
     """``disk.gradient`` as it stands in a file."""
 
@@ -206,7 +205,7 @@ class Gradient:
     cross: float = entry(Number(), "R Γxy, g")
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class AccelerometerSection:
     """One of ``disk.accelerometers`` as it stands in a file."""
 
@@ -218,7 +217,7 @@ class AccelerometerSection:
     second_order: float = entry(Number(), "1/g", default=0.0)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class DiskSection:
     """``truth.disk`` as it stands in a file."""
 
@@ -256,7 +255,7 @@ def _disk_of(found: DiskSection, node: Node, context: Context) -> Disk:
     return Disk(**given)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class StageSection:
     """The section ``truth`` of a ``gradiometer`` as it stands in a file."""
 
@@ -271,7 +270,7 @@ def _stage_of(found: StageSection, node: Node, context: Context) -> Truth:
     return replace(StageTruth.of(found.disk, Truth.seed), faults=found.faults)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class TwinFile:
     """The content of a twin file."""
 

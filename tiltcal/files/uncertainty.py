@@ -8,7 +8,7 @@ dotted names; and what a ``single_reading`` of a log is uncertain by.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from math import isclose, radians, sqrt
 from typing import Any
 
@@ -24,7 +24,6 @@ from tiltcal.files.coefficients import ANGLES, polynomials
 from tiltcal.files.declaration import ByChannel, ByKey, ByName, Context, Converted, ListOf, Section, entry
 from tiltcal.files.node import Node
 from tiltcal.files.scalars import FROM_ZERO, Number, Text
-from tiltcal.frozen import frozen
 
 SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
 """What has the shape of the ``calibration`` section."""
@@ -38,7 +37,7 @@ _POLYNOMIALS = polynomials(FROM_ZERO)
 _ROUNDED = 0.01  # an eigenvalue of the correlations below zero, or a difference, that is larger is no matter of digits
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Covariance:
     """The covariance of the uncertain coefficients."""
 
@@ -60,7 +59,7 @@ class Covariance:
         return Covariance(parameters=tuple(self.parameters[k] for k in kept), matrix=tuple(map(tuple, matrix.tolist())))
 
 
-@frozen
+@dataclass(frozen=True)
 class Uncertainty(Mapping[str, float]):
     """The uncertainty of a calibration: standard uncertainties (k = 1) by the dotted names of the coefficients.
 
@@ -105,7 +104,7 @@ class Uncertainty(Mapping[str, float]):
         return replace(self, standard=standard, coverage_factor=factors, covariance=covariance)
 
 
-@frozen
+@dataclass(frozen=True)
 class StatedUncertainty:
     """The uncertainty that a file states, as the inputs of an angle's uncertainty, and remarks on what it assumes."""
 
@@ -113,7 +112,7 @@ class StatedUncertainty:
     remarks: tuple[str, ...]
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ThermalUncertainty:
     """Standard uncertainties in the shape of ``calibration.temperature``."""
 
@@ -150,7 +149,7 @@ def _checked_covariance(found: Covariance, node: Node, context: Context) -> Cova
     return found
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class UncertaintySection:
     """The section as it stands in a file."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -13,7 +13,6 @@ from tiltcal.core.flags import MISSING, NO_TEMPERATURE, SUSPECT, Mask, mark
 from tiltcal.core.model import Array
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.core.uncertainty_columns import uncertainty_columns, with_shares
-from tiltcal.frozen import frozen
 from tiltcal.logs.log import Table
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from tiltcal.core.uncertainty_propagation import Propagation
 
 
-@frozen
+@dataclass(frozen=True)
 class RoleValues:
     """The values of some rows of a log, by role; NaN where one is missing.
 

@@ -16,6 +16,7 @@ equipments* (2014), which minimises the same misfits.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import cos, inf, radians, sqrt
 
 import numpy as np
@@ -23,7 +24,6 @@ import numpy as np
 from tiltcal.core.coverage_factor import coverage_factor
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 DIFFERENT_ATTITUDE = 5.0
 """Attitudes closer than this are one attitude taken again, degrees."""
@@ -35,7 +35,7 @@ _UPPER = tuple((row, column) for row in range(3) for column in range(row, 3))
 UNKNOWNS = 3 + len(_UPPER)
 
 
-@frozen
+@dataclass(frozen=True)
 class Ellipsoid:
     """Ellipsoid through the readings of free positions.
 
