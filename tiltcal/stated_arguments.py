@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from math import inf
 from numbers import Integral, Real
 from os import PathLike
 from typing import Any
 
-from tiltcal.errors import UsageError
+from tiltcal.errors import InputError, UsageError
+
+LEAST, MOST = 1e-9, 1e9
+"""Bounds of the size of a number that is stated, in a file or an option, and is not 0."""
+
+CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+_NO_TEXT = re.compile("[\ud800-\udfff]")  # what Python makes of bytes that are not UTF-8
 
 
 def of_python(value: Any) -> Any:
@@ -68,3 +75,29 @@ def require_path(what: str, value: object) -> None:
     """Refuse a value that is no name of a file, with a UsageError; ``what`` says which file, for the message."""
     if not isinstance(value, str | PathLike):
         raise UsageError(f"{what} is named by a text or a Path, not {value!r}")
+
+
+def require_printable(
+    text: str, key: str | None = None, file: str | PathLike[str] | None = None, line: int | None = None
+) -> None:
+    """Refuse control characters, which can command a terminal, and what is no text, with an InputError.
+
+    Line feed and tab are allowed.
+    """
+    if _NO_TEXT.search(text):
+        raise InputError(f"{text!r} is not UTF-8", file=file, line=line, key=key)
+    control = CONTROL.search(text)
+    if control:
+        raise InputError(
+            f"the control character {control.group()!r} is not allowed in a text", file=file, line=line, key=key
+        )
+
+
+def require_name(text: object, what: str) -> None:
+    """Refuse what cannot stand in a file as a name: no text, an empty one, or one with a control character.
+
+    The error is a UsageError, or of a control character an InputError.
+    """
+    if not isinstance(text, str) or not text.strip():
+        raise UsageError(f"{what} is {text!r}: write a text")
+    require_printable(text, what)

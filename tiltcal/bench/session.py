@@ -27,8 +27,8 @@ from tiltcal.errors import HardwareError, Stopped, TiltcalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
-from tiltcal.files.journal_header import HEADER
 from tiltcal.files.moments import moment_after
+from tiltcal.files.record import plain
 
 if TYPE_CHECKING:
     from tiltcal.files.pair import PairRecord
@@ -295,7 +295,7 @@ class Session:
             yield None
             return
         if self.journal is None:
-            writer = JournalWriter.create(self.path, HEADER.write(self.plan.header()))
+            writer = JournalWriter.create(self.path, plain(self.plan.header()))
             self._captured = True
         else:
             writer = JournalWriter.resume(self.journal)

@@ -22,9 +22,9 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.journal import Journal
 from tiltcal.files.journal_header import Header, SettingsHeader
 from tiltcal.files.moments import stamp
-from tiltcal.files.node import require_printable
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure, procedure_from_record, shipped_procedures
+from tiltcal.stated_arguments import require_printable
 
 if TYPE_CHECKING:
     from tiltcal.bench.channel_map import ChannelMap
@@ -280,7 +280,7 @@ def plan_session(
     """
     scale = 1.0 if settle is None else settle / procedure.settle
     for path in filter(None, (journal, *outputs)):
-        require_printable(str(path), None, None, "the name of a file")
+        require_printable(str(path), "the name of a file")
     sensors, thermometer = devices_of(bench)
     plan = SessionPlan(
         procedure=procedure,

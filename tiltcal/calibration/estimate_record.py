@@ -139,8 +139,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
             f"the positions agree better than a jig of {design.jig:g}° lets them: it is better than stated, or the "
             "noise is, and the uncertainty is larger than it need be",
         )
-    return replace(
-        record,
+    return record.replaced(
         notes=notes,
         chi_square=significant(found.chi_square, 4),
         p_value=significant(found.p, SHARE_DIGITS),

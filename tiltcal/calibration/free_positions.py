@@ -90,13 +90,13 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
     coefficients = calibration.coefficients
     attitudes = np.array([measurement.gravity for measurement in measurements])
     distinct = count_distinct(attitudes)
-    fit = replace(calibration.fit, distinct_attitudes=distinct)
+    fit = calibration.fit.replaced(distinct_attitudes=distinct)
     if len(coefficients.channels) == len(coefficients.axes) == len(AXES):
         mean = np.array(
             [[measurement.summaries[channel].mean for channel in coefficients.channels] for measurement in measurements]
         )
         misfit = misfits(mean, coefficients.offset, coefficients.sensitivity)
-        fit = replace(fit, misfit_rms_mg=significant(1e3 * float(np.sqrt(np.mean(misfit**2))), 3))
+        fit = fit.replaced(misfit_rms_mg=significant(1e3 * float(np.sqrt(np.mean(misfit**2))), 3))
     warnings = []
     if distinct <= UNKNOWNS:
         warnings.append(
@@ -114,8 +114,8 @@ def with_verdict(calibration: CalibrationRecord, measurements: Sequence[Measurem
     if expanded > UNCERTAIN:
         warnings.append(f"{worst} has an expanded uncertainty of {expanded:.2g} mg: {advice}")
     if warnings:
-        fit = replace(fit, warning="; ".join(warnings))
-    return replace(calibration, derived=replace(calibration.derived, mounting=UNDETERMINED), fit=fit)
+        fit = fit.replaced(warning="; ".join(warnings))
+    return replace(calibration, derived=calibration.derived.replaced(mounting=UNDETERMINED), fit=fit)
 
 
 def _worst(calibration: CalibrationRecord) -> tuple[str, float]:

@@ -99,15 +99,13 @@ def level(
         base,
         coefficients=coefficients,
         uncertainty=found.uncertainty(procedure.alignment),
-        fit=replace(
-            base.fit,
+        fit=base.fit.replaced(
             uncertainty_from=base.fit.uncertainty_from if stated else NOISE_ALONE,
             budget={**base.fit.budget, **budget_record(found.budget, found.names[: len(found.offset)])},
             notes=tuple(notes),
             level=found.record(bench),
         ),
-        procedure=replace(
-            base.procedure,
+        procedure=base.procedure.replaced(
             level=CompletingRun(positions=tuple(measurement.position for measurement in measurements)),
         ),
         positions=base.positions_with(
@@ -118,7 +116,7 @@ def level(
     if before is None:
         return record
     renewed = intrinsic_record(coefficients, found.inputs.without_turn, mounted=bool(before.rotation_degrees))
-    return replace(record, derived=replace(base.derived, intrinsic=renewed))
+    return replace(record, derived=base.derived.replaced(intrinsic=renewed))
 
 
 def _with_noise(measurement: Measurement, single: Mapping[str, float]) -> Measurement:

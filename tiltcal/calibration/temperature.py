@@ -101,7 +101,7 @@ def _deviance(error: float, variance: Array) -> float:
 
 def with_order(procedure: Procedure, order: int) -> Procedure:
     """Return the procedure with one order of the drift."""
-    return replace(procedure, determines=replace(procedure.determines, drift=order, cross_validated=False))
+    return replace(procedure, determines=procedure.determines.replaced(drift=order, cross_validated=False))
 
 
 def swept(
@@ -113,7 +113,7 @@ def swept(
         error_by_order={str(order): significant(error, 4) for order, error in choice.errors.items()},
     )
     loops = _hysteresis(calibration, measurements)
-    return replace(calibration, fit=replace(calibration.fit, cross_validation=validation, hysteresis=loops))
+    return replace(calibration, fit=calibration.fit.replaced(cross_validation=validation, hysteresis=loops))
 
 
 def with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) -> CalibrationRecord:
@@ -130,7 +130,7 @@ def with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) 
         calibration,
         coefficients=replace(calibration.coefficients, thermal=replace(thermal, drift=drift)),
         uncertainty=highest.uncertainty,
-        fit=replace(calibration.fit, budget=highest.fit.budget),
+        fit=calibration.fit.replaced(budget=highest.fit.budget),
     )
 
 
@@ -233,7 +233,7 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
         calibration,
         coefficients=replace(coefficients, thermal=thermal),
         uncertainty=replace(u, standard={**u.standard, **typical}, covariance=_extended(u.covariance, typical)),
-        derived=replace(derived, assumed=assumed),
+        derived=derived.replaced(assumed=assumed),
     )
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration import TILT, CalibrationRecord
+from tiltcal.files.calibration import CalibrationRecord, tilt_record
 from tiltcal.files.document import read_document
 from tiltcal.files.moments import moment
 
@@ -159,9 +159,8 @@ def _read(path: str) -> CalibrationFile | None:
     if not _TILT.search(content) and _KIND.search(content):
         return None
     document = read_document(path)
-    kind = document.entries().get("kind") if isinstance(document.content, dict) else None
-    if kind is None or not kind.names("tilt"):
+    if not isinstance(document.data, dict) or document.kind != "tilt":
         return None
-    record = TILT.read(document)
+    record = tilt_record(document)
     started, ended = date_of(record, path)
     return CalibrationFile(record.sensor.serial, ended, started, record.sensor.model, path)

@@ -15,7 +15,7 @@ from numbers import Integral, Real
 from typing import Any
 
 from tiltcal.errors import InputError
-from tiltcal.files.node import require_printable
+from tiltcal.stated_arguments import require_printable
 
 WIDTH = 120
 _COMMENT_COLUMN = 46
@@ -137,7 +137,7 @@ def _is_collection(value: Any) -> bool:
 def _key(name: Any, key: str) -> str:
     if not isinstance(name, str) or len(name) > _KEY_LIMIT:
         raise InputError(f"cannot be written: a key is a text of at most {_KEY_LIMIT} characters", key=key[:_KEY_LIMIT])
-    require_printable(name, None, None, None)
+    require_printable(name)
     return _scalar(name, key)
 
 

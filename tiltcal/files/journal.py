@@ -33,8 +33,8 @@ from zlib import crc32
 
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.atomic import append_whole, write_all
-from tiltcal.files.journal_header import HEADER, Header
-from tiltcal.files.node import document_of
+from tiltcal.files.document import document_of
+from tiltcal.files.journal_header import Header
 
 VERSION = 1
 HARDWARE_ERROR = "!"
@@ -169,7 +169,7 @@ class Journal:
     def plan(self) -> Header:
         """Return the session's plan, from the header; a JournalError where it is none."""
         try:
-            return HEADER.read(document_of(self.header, str(self.path), 1))
+            return document_of(self.header, str(self.path), 1).read(Header)
         except InputError as error:
             raise JournalError(
                 f"the header cannot be used: {error.message}", file=self.path, line=1, key=error.key

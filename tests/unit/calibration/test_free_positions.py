@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -53,7 +51,7 @@ def measured(up: Directions, noise: float, rng: np.random.Generator, channels: s
         )
         for number, row in enumerate(mean)
     ]
-    return MeasuredSensor(replace(SENSOR, serial=channels, channels=tuple(channels)), measurements)
+    return MeasuredSensor(SENSOR.replaced(serial=channels, channels=tuple(channels)), measurements)
 
 
 def calibrated(up: Directions, noise: float, rng: np.random.Generator) -> CalibrationRecord:

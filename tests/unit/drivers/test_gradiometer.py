@@ -103,7 +103,7 @@ def test_it_can_be_unplugged() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line", "key", "about"),
     [
-        ("rate: 20", "rate: 500", 9, "truth.disk.rate", "do not fit on the virtual line"),
+        ("rate: 20", "rate: 500", 9, "truth.disk.rate", "at most 400"),
         ("rate: 20", "rate: 0", 9, "truth.disk.rate", "at least 0.001"),
         ("spin: 0.25", "spins: 0.25", 8, "truth.disk.spins", "did you mean 'spin'"),
         ("a2: {scale: 3.1}", "a2: {}", 13, "truth.disk.accelerometers.a2", "'scale' is missing"),
