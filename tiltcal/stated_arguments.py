@@ -22,21 +22,26 @@ def of_python(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-def is_number(value: object, least: float = -inf) -> bool:
-    """Return whether a value is a finite number, not below the least one."""
-    return isinstance(value, Real) and least <= float(value) and -inf < float(value) < inf
+def is_number(value: object, least: float = -MOST) -> bool:
+    """Return whether a value is a number, 0 or of a size between LEAST and MOST, and not below the least one."""
+    return isinstance(value, Real) and least <= float(value) and (not value or LEAST <= abs(float(value)) <= MOST)
 
 
 def require_above_zero(option: str, value: object) -> None:
     """Refuse a value that is no number above 0, with a UsageError; None is not stated."""
     if value is not None and not (is_number(value, 0.0) and value):
-        raise UsageError(f"{option} takes a number above 0, not {shown(value)}")
+        raise UsageError(f"{option} takes a number above 0{_bounds(value)}, not {shown(value)}")
 
 
 def require_from_zero(option: str, value: object) -> None:
     """Refuse a value that is no number from 0, with a UsageError; None is not stated."""
     if value is not None and not is_number(value, 0.0):
-        raise UsageError(f"{option} takes a number from 0, not {shown(value)}")
+        raise UsageError(f"{option} takes a number from 0{_bounds(value)}, not {shown(value)}")
+
+
+def _bounds(value: object) -> str:
+    """Return the bounds that a positive number is beyond."""
+    return f", {LEAST:g} to {MOST:g}" if isinstance(value, Real) and 0.0 < float(value) < inf else ""
 
 
 def require_whole(option: str, value: object, least: int, what: str) -> None:

@@ -42,19 +42,8 @@ def _record_of(text: str, name: str) -> CalibrationRecord:
 def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str]) -> dict[str, BaseFile]:
     """Read the calibrations that sensors bring with them, by serial number; empty where none is named.
 
-    Parameters
-    ----------
-    path : str or Path or None
-        A file, or a folder with a file ``SERIAL.yaml`` for every sensor.
-    serials : sequence of str
-        Of the sensors that are measured.
-
-    Raises
-    ------
-    UsageError
-        It is missing, the procedure takes none, or it is of another sensor.
-    InputError
-        Anything in it is wrong.
+    ``path`` is a file, or a folder with a file ``SERIAL.yaml`` for every sensor. A UsageError where it is missing, the
+    procedure takes none, or it is of another sensor; an InputError where anything in it is wrong.
     """
     if path is not None:
         require_path("--base", path)

@@ -1,16 +1,4 @@
-"""The bench file: the sensors on one fixture, the thermometer beside them, and the operator's name.
-
-::
-
-    tiltcal: 1
-    kind: bench
-    operator: A. Technician
-    jig: 0.1                                   # standard uncertainty of a set angle, degrees
-    thermometer: {model: thermistor, address: "ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&...", uncertainty: 0.1}
-    sensors:
-      - {serial: A-1005, model: adxl202, address: "serial:///dev/ttyUSB0"}
-      - {serial: A-1006, model: adxl202, address: "serial:///dev/ttyUSB1", axes: [-y, x]}
-"""
+"""The bench file: the sensors on one fixture, the thermometer beside them, and the operator's name."""
 
 from __future__ import annotations
 

@@ -32,17 +32,7 @@ _DATES = re.compile(rb'\n  started: "([^"\n]+)"\n  ended: "([^"\n]+)"\n')
 
 
 class CalibrationFile(NamedTuple):
-    """A calibration file of a folder.
-
-    Attributes
-    ----------
-    serial : str
-        Of the sensor.
-    date : datetime
-        When the calibration ended, UTC.
-    started : str
-        When it began, as it stands in the file.
-    """
+    """A calibration file of a folder: when it ended (UTC), and when it began, as it stands in the file."""
 
     serial: str
     date: datetime
@@ -53,15 +43,7 @@ class CalibrationFile(NamedTuple):
 
 @dataclass(frozen=True)
 class FolderIndex:
-    """The calibrations of a folder.
-
-    Attributes
-    ----------
-    files : tuple of CalibrationFile
-        By serial number and date.
-    problems : tuple of InputError
-        Files that are or may be calibrations and cannot be used, and why.
-    """
+    """The calibrations of a folder by serial number and date, and files that may be ones and cannot be used."""
 
     files: tuple[CalibrationFile, ...]
     problems: tuple[InputError, ...]

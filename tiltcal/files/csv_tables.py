@@ -22,18 +22,8 @@ Table = str | Path | Sequence[Mapping[str, Any]]
 def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iterator[Document]:
     """Read a small table and yield its rows, each with its line; a blank field of CSV is an absent one.
 
-    Parameters
-    ----------
-    file : str or Path
-        What messages call it.
-    keys : mapping of str to bool
-        The columns, and whether each is needed.
-
-    Raises
-    ------
-    InputError
-        The header has an unknown column, one twice, or lacks one; a row has another number of fields; or the text is
-        neither CSV nor JSON.
+    ``file`` is what messages call it; ``keys`` are the columns, and whether each is needed. An InputError where the
+    header or a row does not fit them, or the text is neither CSV nor JSON.
     """
     if not isinstance(table, str | Path):
         rows: Iterable[Document] = document_of(list(table), str(file)).items()

@@ -42,12 +42,7 @@ _OTHER_THAN_TEXT = re.compile("|".join([_NULL.pattern, *_TRUTH, WHOLE.pattern, F
 class Document:
     """The data of a document, or of a part of it: mappings, lists, texts, None; numbers where it came from a program.
 
-    Attributes
-    ----------
-    lines : mapping of tuple to int
-        The lines of keys and of items, counted from 1, by their place in the whole document.
-    place : tuple
-        Where the part stands.
+    ``lines`` are those of keys and of items by their place in the whole document; ``place`` is that of the part.
     """
 
     data: Any
@@ -75,9 +70,8 @@ class Document:
     @property
     def line(self) -> int | None:
         """The line of the part."""
-        return next(
-            (self.lines[self.place[:k]] for k in range(len(self.place), -1, -1) if self.place[:k] in self.lines), None
-        )
+        around = (self.place[:k] for k in range(len(self.place), -1, -1))
+        return next((self.lines[place] for place in around if place in self.lines), None)
 
     @property
     def key(self) -> str | None:
@@ -135,22 +129,12 @@ class Document:
                     moment(text)
 
     def read(self, record: type[T]) -> T:
-        """Return the document as a record.
-
-        Raises
-        ------
-        InputError
-            A key or a value is wrong; the message names file, line and key.
-        """
+        """Return the document as a record; an InputError names file, line and key of what is wrong."""
         self._require_texts(self.data, self.place)
         try:
             return msgspec.convert(self.data, record, strict=False)
         except msgspec.ValidationError:
             return msgspec.convert(repaired(self.data, record, self.error), record, strict=False)
-
-    def read_file(self, kind: str, record: type[T]) -> T:
-        """Return a whole file of a kind as a record; the keys ``tiltcal`` and ``kind`` are checked first."""
-        return self.body(kind).read(record)
 
     def body(self, kind: str) -> Document:
         """Return a file without the keys ``tiltcal`` and ``kind``, which are checked."""
@@ -172,7 +156,17 @@ class Document:
 
     def plain(self) -> Any:
         """Return the document as plain data, by the core schema of YAML 1.2; an InputError where it has NaN."""
-        return _resolved(self)
+        data = self.data
+        if isinstance(data, dict):
+            return {name: self.at(name).plain() for name in data}
+        if isinstance(data, list):
+            return [item.plain() for item in self.items()]
+        if not isinstance(data, str) or isinstance(data, Quoted):
+            return str(data) if isinstance(data, Quoted) else data
+        number = numeral(data, int if WHOLE.fullmatch(data) else float)
+        if NOT_FINITE.fullmatch(data) or (number is not None and not isfinite(number)):
+            raise self.error(f"{data[:40]} is no finite number")
+        return _TRUTH.get(data, data) if number is None else number
 
     def _require_texts(self, data: Any, place: Place) -> None:
         """Refuse control characters in keys and texts."""
@@ -185,42 +179,13 @@ class Document:
                 self._require_texts(member, (*place, step))
 
 
-def _resolved(part: Document) -> Any:
-    data = part.data
-    if isinstance(data, dict):
-        return {name: _resolved(part.at(name)) for name in data}
-    if isinstance(data, list):
-        return [_resolved(item) for item in part.items()]
-    if type(data) is not str:
-        return str(data) if isinstance(data, Quoted) else data
-    if data in _TRUTH:
-        return _TRUTH[data]
-    kind = int if WHOLE.fullmatch(data) else float
-    number = numeral(data, kind)
-    if NOT_FINITE.fullmatch(data) or (number is not None and not isfinite(number)):
-        raise part.error(f"{data[:40]} is no finite number")
-    return data if number is None else number
-
-
 def read_document(path: str | Path) -> Document:
-    """Read one YAML document from a file.
-
-    Raises
-    ------
-    InputError
-        The file is not there, is too large, is not UTF-8, is not YAML, or uses what is refused here.
-    """
+    """Read one YAML document from a file; an InputError where it cannot be read, or uses what is refused here."""
     return parse_document(read_text(path), file=str(path))
 
 
 def read_text(path: str | Path) -> str:
-    """Return the text of a small file in UTF-8.
-
-    Raises
-    ------
-    InputError
-        No such file, a folder, no permission, more than ``SIZE_LIMIT`` bytes, or not UTF-8.
-    """
+    """Return the text of a file of at most ``SIZE_LIMIT`` bytes of UTF-8; an InputError where it cannot be read."""
     require_path("a file", path)
     try:
         with open(path, "rb") as stream:
@@ -245,13 +210,7 @@ def read_text(path: str | Path) -> str:
 
 
 def parse_document(text: str, file: str | None = None, language: str = "YAML") -> Document:
-    """Parse one YAML document; an InputError names ``file`` and line of what is not YAML, or is refused here.
-
-    Parameters
-    ----------
-    language : str
-        What the document is called in messages: JSON is YAML, too.
-    """
+    """Parse one YAML document, or JSON, which is YAML; an InputError names ``file`` and line of what is refused."""
     return _Composer(file, language).compose(text)
 
 

@@ -70,7 +70,7 @@ class PositionRecord(Record, kw_only=True):
     def row_ranges(self) -> tuple[tuple[int, int], ...]:
         """Its rows of the log, part by part; empty where it was not measured in a log, or they are no such pairs."""
         match self.rows:
-            case (int(first), int(end)) if 0 <= first and 0 <= end:
+            case (int(first), int(end)) if min(first, end) >= 0:
                 return ((first, end),)
             case rows:
                 return tuple(part for part in rows or () if isinstance(part, tuple))

@@ -21,22 +21,8 @@ from tiltcal.files.segments import Direction
 class TabledPosition:
     """One row of a table of positions.
 
-    Attributes
-    ----------
-    name : str
-        Of the position.
-    gravity : tuple of float or None
-        Up in the sensor frame, a unit vector; None where the position's name gives it by the procedure.
-    mean : dict of str to float
-        Per channel, in the sensor's unit.
-    u : dict of str to float or None
-        Standard uncertainty of each mean, same unit; None where the table does not state it.
-    n : int or None
-        Number of samples behind the mean; None where the table does not state it.
-    temperature : float or None
-        °C.
-    line : int or None
-        Where the row stands in its file.
+    Up is a unit vector in the sensor frame, None where the position's name gives it; means and their standard
+    uncertainties are by channel, in the sensor's unit; what the table does not state is None.
     """
 
     name: str
@@ -70,17 +56,9 @@ class TabledRow(Direction, kw_only=True):
 def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition]:
     """Read and check a table of positions, in the order of the file.
 
-    Parameters
-    ----------
-    table : str, Path or sequence of mapping
-        CSV with the columns ``position``, a mean for each channel (``x``, ...), and optionally a direction (``gx``,
-        ``gy``, ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``; or a JSON list of
-        objects with these keys; or such rows.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and column.
+    ``table`` is CSV with the columns ``position``, a mean for each channel (``x``, ...), and optionally a direction
+    (``gx``, ``gy``, ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``; or a JSON
+    list of objects with these keys; or such rows. An InputError names file, line and column.
     """
     absent = [f"{lead}{axis}" for axis in AXES if axis not in channels for lead in ("", "u")]
     keys = {key: needed or key in channels for key, needed in keys_of(TabledRow).items() if key not in absent}

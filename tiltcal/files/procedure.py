@@ -82,24 +82,9 @@ class Determines(Record):
 
 @dataclass(frozen=True)
 class Position:
-    """One position that the sensor is brought to.
+    """A position that the sensor is brought to, with the operator's sentence and up in the sensor frame, a unit vector.
 
-    Attributes
-    ----------
-    name : str
-        Unique in its procedure.
-    prompt : str
-        What the operator is asked to do.
-    gravity : tuple of float
-        Up in the sensor frame, a unit vector.
-    tilt : mapping of str to float or None
-        Per axis, degrees; None where the position is given by its direction of gravity.
-    heading : float or None
-        How far the fixture is turned about the vertical, degrees.
-    temperature : float or None
-        °C.
-    stage : float or None
-        Angle of the rotary stage, degrees.
+    ``tilt`` is per axis, None where the direction is given; angles are degrees.
     """
 
     name: str
@@ -198,13 +183,7 @@ class Procedure:
             )
 
     def with_turns(self, turns: int | None) -> Procedure:
-        """Return this procedure with another limit of turns; None leaves it as it is.
-
-        Raises
-        ------
-        UsageError
-            No stage turns in it, or the number cannot be.
-        """
+        """Return this procedure with another limit of turns; None leaves it. A UsageError where no stage turns."""
         if turns is None:
             return self
         if self.rotation is None:
@@ -213,12 +192,9 @@ class Procedure:
         return replace(self, rotation=self.rotation.with_turns(turns))
 
     def with_alignment(self, alignment: float | None) -> Procedure:
-        """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it as it is.
+        """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it.
 
-        Raises
-        ------
-        UsageError
-            It renews no offset, or the angle cannot be.
+        A UsageError where it renews no offset, or the angle cannot be.
         """
         if alignment is None:
             return self
@@ -236,12 +212,8 @@ class Procedure:
     def with_closing(self, closing: bool) -> Procedure:
         """Return this procedure with its first position once more at the end, which shows what has changed meanwhile.
 
-        One that ends where it began stays as it is, and so does every one without ``closing``.
-
-        Raises
-        ------
-        UsageError
-            There are no positions, or they are free.
+        One that ends where it began stays as it is, and so does every one without ``closing``. A UsageError where there
+        are no positions, or they are free.
         """
         if not closing:
             return self
@@ -303,10 +275,7 @@ class ProcedureFile(Record, kw_only=True):
 def procedure_of(file: ProcedureFile, document: Document, given: float | None) -> Procedure:
     """Return the procedure of a file, with an angle that the user gives in place of the file's, degrees.
 
-    Raises
-    ------
-    InputError
-        One key contradicts another; the message names file, line and key.
+    An InputError where one key contradicts another.
     """
     _check_determines(file.determines, document.child("determines"))
     angle = chosen_angle(file.name, file.angle, given)
@@ -386,10 +355,7 @@ def _setting(position: Position) -> tuple[object, ...]:
 def chosen_angle(name: str, free: float | None, angle: float | None) -> float | None:
     """Return the angle that a procedure leaves free, or the one that the user gives in its place, degrees.
 
-    Raises
-    ------
-    UsageError
-        The procedure leaves none free, or the angle is beyond 90°.
+    A UsageError where it leaves none free, or the angle is beyond 90°.
     """
     if angle is None:
         return free

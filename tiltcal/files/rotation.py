@@ -1,17 +1,4 @@
-"""The section ``rotation`` of a procedure: which pairs are matched while a stage turns, and how long it turns.
-
-::
-
-    rotation:
-      phase: theta                                # the channel of the stage angle, degrees
-      pairs:
-        - {pair: [a1, a2], orthogonal: a4}        # the second is trimmed to the first
-        - {pair: [a3, a4], orthogonal: a1}
-      turns: 100                                  # the most that are made
-      converged: 1e-5                             # standard uncertainty of p and q at which it stops earlier
-      patience: 60                                # seconds for the stage to begin to turn
-      prompt: Let the stage turn steadily.
-"""
+"""The section ``rotation`` of a procedure: which pairs are matched while a stage turns, and how long it turns."""
 
 from __future__ import annotations
 

@@ -17,18 +17,9 @@ from tiltcal.files.record import Count, Number, Record, Text, about, keys_of
 
 @dataclass(frozen=True)
 class Segment:
-    """Rows of a log during which the sensor was held still.
+    """Rows of a log during which the sensor was held still, from 0 after the header, the end exclusive.
 
-    Attributes
-    ----------
-    name : str
-        Of the position.
-    start, end : int
-        Row numbers counted from 0 after the header; the end is exclusive.
-    gravity : tuple of float or None
-        Up in the sensor frame, a unit vector; None where the position's name gives it by the procedure.
-    line : int or None
-        Where the segment stands in its file.
+    Up is a unit vector in the sensor frame, None where the position's name gives it by the procedure.
     """
 
     name: str
@@ -49,13 +40,7 @@ class Direction(Record, kw_only=True):
     gz: Annotated[Number | None, about("likewise")] = None
 
     def vector(self, row: Document) -> Vector | None:
-        """Return the direction as a unit vector; None where the row gives none.
-
-        Raises
-        ------
-        InputError
-            One or two of the three, or all zero.
-        """
+        """Return the direction as a unit vector, None where the row has none; an InputError where it is incomplete."""
         parts = {"gx": self.gx, "gy": self.gy, "gz": self.gz}
         given = [value for value in parts.values() if value is not None]
         if not given:
@@ -86,22 +71,9 @@ def _segment_of(document: Document) -> Segment:
 def read_segments(segments: Table) -> list[Segment]:
     """Read and check a segments file.
 
-    Parameters
-    ----------
-    segments : str, Path or sequence of mapping
-        CSV with the columns ``position,start,end`` and, all three or none, ``gx,gy,gz``; or a JSON list of objects with
-        these keys; or such rows.
-
-    Returns
-    -------
-    list of Segment
-        In the order of the file. A position may come more than once: in consecutive rows they are parts of one
-        placement that was interrupted, elsewhere the sensor was put there again.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and column.
+    ``segments`` are CSV with the columns ``position,start,end`` and, all three or none, ``gx,gy,gz``; or a JSON list of
+    objects with these keys; or such rows. A position may come more than once: in consecutive rows they are parts of one
+    placement that was interrupted, elsewhere the sensor was put there again. An InputError names file, line and column.
     """
     path = segments if isinstance(segments, str | Path) else "the segments"
     found = [_segment_of(row) for row in table_rows(segments, path, keys_of(SegmentRow))]

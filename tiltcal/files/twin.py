@@ -1,44 +1,4 @@
-"""The twin file, ``kind: twin``: the true coefficients of a virtual sensor.
-
-::
-
-    tiltcal: 1
-    kind: twin
-    model: sca100t-d02
-    seed: 7
-    truth:
-      offset: {x: 1024.6, y: 1021.9}          # offset, sensitivity and temperature as in a calibration file
-      sensitivity:
-        x: {x: 818.2, y: 9.1, z: 2.0}
-        y: {x: -6.4, y: 820.7, z: -1.5}
-      temperature: {reference: 24.0, offset: {x: [0.21], y: [-0.05]}}
-      nonlinearity: {x: [0.002, -0.004]}      # coefficients of a², a³, ... where a is the signal in g
-      noise: {x: 0.6, y: 0.6}                 # standard deviation of one sample, unit
-      thermometer_error: 0.5                  # °C
-      supply: 4.9                             # of an analog sensor, V
-      jig: 0.01                               # standard deviation of a set angle, degrees
-      ambient: 24.0                           # °C
-      time_constant: 300                      # of the chamber, seconds
-      mounting: {roll: 90, pitch: 0, yaw: 0}  # how it sits on the fixture, degrees
-      faults:
-        - {kind: parity, start: 12.0, end: 12.5}   # seconds after the session began
-
-Of a ``gradiometer`` the truth is a disk instead::
-
-    truth:
-      disk:
-        inclination: 0.086                    # of the spin axis, degrees
-        spin: 0.125                           # Hz
-        rate: 50                              # lines a second
-        wander: 0.01                          # of the common acceleration, relative
-        gradient: {differential: 0, cross: 0} # R (Γxx - Γyy) and R Γxy, g
-        noise: 1.5e-7                         # one-sided amplitude density, g/√Hz
-        corner: 0.05                          # where 1/f noise is as large, Hz
-        encoder_noise: 0.002                  # standard deviation, degrees
-        accelerometers:
-          a1: {scale: 3.383, misalignment: -1.27, phase_error: 0, offset: 0, drift: 0, second_order: 0}
-          a2: {scale: 3.415}                  # unit/g; degrees; degrees; unit; unit/s; 1/g
-"""
+"""The twin file, ``kind: twin``: the true coefficients of a virtual sensor, or the truth of a stage that turns."""
 
 from __future__ import annotations
 

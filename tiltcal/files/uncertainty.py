@@ -234,23 +234,10 @@ def uncertainty_section(uncertainty: Uncertainty) -> UncertaintySection:
 def stated_uncertainty(
     uncertainty: Uncertainty, coefficients: Coefficients, *, reading_noise: float | None = None
 ) -> StatedUncertainty:
-    """Return the inputs for the uncertainty of angles.
+    """Return the inputs for the uncertainty of angles; ``reading_noise`` (unit) replaces that of a reading of the file.
 
-    Parameters
-    ----------
-    reading_noise : float, optional
-        Standard uncertainty of a reading, unit, in place of the one that the file states.
-
-    Returns
-    -------
-    StatedUncertainty
-        Without a covariance the coefficients count as uncorrelated; what is not stated counts as exact. The remarks
-        state both.
-
-    Raises
-    ------
-    EstimateError
-        No uncertainty of any coefficient is stated.
+    Without a covariance the coefficients count as uncorrelated; what is not stated counts as exact: the remarks say
+    both. An EstimateError where no uncertainty of any coefficient is stated.
     """
     names, covariance = _joint(uncertainty)
     if not names:
