@@ -17,7 +17,9 @@ from tiltcal.files.provenance_record import PairProvenance
 from tiltcal.files.record import AboveZero, Finite, FiniteFromZero, Record, Text, about, file_data, one_of
 
 T = TypeVar("T")
-ByStage = Mapping[Annotated[str, one_of(*STAGES)], Mapping[str, T]]
+ByStage = Annotated[
+    Mapping[Annotated[str, one_of(*STAGES)], Mapping[str, T]], Meta(extra_json_schema={"required": list(STAGES)})
+]
 """Two components at the turning for each channel before and after the matching."""
 
 _DIGITS = 4

@@ -13,7 +13,7 @@ from tiltcal.core.gravity_direction import LEVEL, Vector, gravity_from_tilt, nor
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import ORDER_LIMIT
 from tiltcal.files.document import Document
-from tiltcal.files.record import AboveZero, Axis, FromZero, Number, Record, Text, about, one_of
+from tiltcal.files.record import AboveZero, Axis, FromZero, Identifier, Number, Record, Text, about, one_of
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import is_number, require_whole, shown
 
@@ -28,10 +28,6 @@ MOST_ASKEW = 10.0
 Temperature = Annotated[float, Meta(ge=ABSOLUTE_ZERO, le=HOTTEST)]
 """°C, of a position."""
 Order = Annotated[int, Meta(ge=0, le=ORDER_LIMIT)]
-Identifier = Annotated[
-    str,
-    Meta(pattern=r"^[^\W\d_][\w.-]*$", extra={"says": "a letter followed by letters, digits, '-', '_' and '.'"}),
-]
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 

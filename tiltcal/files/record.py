@@ -41,10 +41,15 @@ Number = Annotated[float, Meta(ge=-MOST, le=MOST)]
 FromZero = Annotated[float, Meta(ge=0.0, le=MOST)]
 AboveZero = Annotated[float, Meta(ge=LEAST, le=MOST)]
 Finite = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
+FiniteAboveZero = Annotated[float, Meta(gt=0.0, le=_LARGEST)]
 FiniteFromZero = Annotated[float, Meta(ge=0.0, le=_LARGEST)]
 Count = Annotated[int, Meta(ge=0)]
 FromOne = Annotated[int, Meta(ge=1)]
 Text = Annotated[str, Meta(pattern=r"\S")]
+Identifier = Annotated[
+    str,
+    Meta(pattern=r"^[^\W\d_][\w.-]*$", extra={"says": "a letter followed by letters, digits, '-', '_' and '.'"}),
+]
 
 
 def about(text: str, *, formerly: str = "", usual: str = "") -> Meta:

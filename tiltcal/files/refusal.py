@@ -8,6 +8,7 @@ place, also in a mapping with free keys, and converts what YAML allows and msgsp
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from difflib import get_close_matches
@@ -48,7 +49,9 @@ def repaired(value: Any, kind: Any, error: Callable[..., InputError], *place: st
         return _mapping(value, base, error, *place)
     if shape is list:
         return _list(value, base, metas, error, *place)
-    literals = [word for one, _ in alternatives if get_origin(one) is Literal for word in get_args(one)]
+    literals = [
+        word for one, _ in alternatives if getattr(one, "__origin__", None) is Literal for word in get_args(one)
+    ]
     return value if value in literals else _scalar(value, base, metas, error, *place)
 
 
@@ -129,24 +132,20 @@ def _scalar(
 
 
 def numeral(value: Any, base: Any) -> float | None:
-    """Return the number that a value is, a whole one where the type is int; None where it is none."""
+    """Return the number that a value is, a whole one where the type is int; infinity above 200 digits; None if none."""
+    number: float | None = None
     if isinstance(value, int | float) and not isinstance(value, bool):
-        number: float = value
+        number = value
     elif isinstance(value, Quoted):
         with suppress(msgspec.ValidationError):
-            return msgspec.convert(value, base, strict=False)  # type: ignore[no-any-return]
-        return None
-    elif not isinstance(value, str):
-        return None
-    elif WHOLE.fullmatch(value):
-        number = inf if len(value) > _DIGIT_LIMIT else int(value, 0 if value[1:2] in ("o", "x") else 10)
-    elif FLOAT.fullmatch(value):
-        number = float(value)
-    else:
-        return None
-    if base is float:
-        return float(number)
-    return None if isfinite(number) and number != int(number) else number if number == inf else int(number)
+            number = msgspec.convert(value, base, strict=False)
+    elif isinstance(value, str) and WHOLE.fullmatch(value) and len(value) <= _DIGIT_LIMIT:
+        number = int(value, 0 if value[1:2] in ("o", "x") else 10)
+    elif isinstance(value, str) and (WHOLE.fullmatch(value) or FLOAT.fullmatch(value)):
+        number = inf if value[1:2] in ("o", "x") else float(value)
+    if number is None or not abs(number) <= sys.float_info.max:
+        return None if number is None else inf
+    return float(number) if base is float else int(number) if number == int(number) else None
 
 
 def refusal(value: Any, needed: Any) -> str:

@@ -11,8 +11,7 @@ from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import UsageError
 from tiltcal.files.document import Document
-from tiltcal.files.procedure import Identifier
-from tiltcal.files.record import AboveZero, Record, Text, about
+from tiltcal.files.record import AboveZero, Identifier, Record, Text, about
 
 FEWEST_WHOLE_TURNS = int(FEWEST_TURNS)
 MOST = 1_000_000

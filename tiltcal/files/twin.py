@@ -120,7 +120,11 @@ class DiskSection(Record, kw_only=True):
     corner: Annotated[FromZero, about("where 1/f noise is as large, Hz")] = Disk.corner
     encoder_noise: Annotated[FromZero, about("standard deviation of the angle, degrees")] = Disk.encoder_noise
     accelerometers: Annotated[
-        Mapping[Annotated[str, one_of(*CHANNELS)], AccelerometerSection] | None,
+        Annotated[
+            Mapping[Annotated[str, one_of(*CHANNELS)], AccelerometerSection],
+            Meta(extra_json_schema={"required": list(CHANNELS)}),
+        ]
+        | None,
         about(
             "`a1` to `a4`, each with `scale` (unit/g) and, 0 where left out, `misalignment` and `phase_error` "
             "(degrees), `offset` (unit), `drift` (unit/s), `second_order` (1/g)",

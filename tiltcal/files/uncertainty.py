@@ -24,7 +24,7 @@ from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, wi
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.document import Document
-from tiltcal.files.record import AboveZero, ByAxis, Finite, FiniteFromZero, Record, Text, about, one_of, plain
+from tiltcal.files.record import ByAxis, Finite, FiniteAboveZero, FiniteFromZero, Record, Text, about, one_of, plain
 from tiltcal.files.refusal import refusal
 
 SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
@@ -172,7 +172,7 @@ class UncertaintySection(Record, kw_only=True):
         ),
     ] = 0.0
     coverage_factor: Annotated[
-        Mapping[str, AboveZero],
+        Mapping[str, FiniteAboveZero],
         about(
             "per coefficient, by its dotted name such as `sensitivity.x.y`, what its standard uncertainty is "
             "multiplied with for an interval of 95 %; 1.96 where it is not named"
