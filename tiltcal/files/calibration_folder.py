@@ -55,10 +55,7 @@ def index_folder(folder: str | Path) -> FolderIndex:
     Other files, of pairs, benches, procedures and twins as well, are passed over; a file that is empty or no YAML may
     have been a calibration.
 
-    Raises
-    ------
-    UsageError
-        It is no folder, or cannot be read.
+    UsageError: it is no folder, or cannot be read.
     """
     files: list[CalibrationFile] = []
     problems: list[InputError] = []
@@ -80,10 +77,7 @@ def date_of(record: CalibrationRecord, path: str | Path) -> tuple[str, datetime]
 
     The keys are ``provenance.started`` and ``provenance.ended``; without them, the times of its positions.
 
-    Raises
-    ------
-    InputError
-        The file has neither.
+    InputError: the file has neither.
     """
     times = [position.time for position in record.positions if position.time]
     ended = record.provenance.ended or max(times, default=None)

@@ -153,10 +153,7 @@ class Journal:
 def read_journal(path: str | Path) -> Journal:
     """Read a journal and check every line of it; memory stays small whatever the file's size.
 
-    Raises
-    ------
-    JournalError
-        The file cannot be read, is no journal, or a line is damaged (named).
+    JournalError: the file cannot be read, is no journal, or a line is damaged (named).
     """
     path = Path(path)
     try:
@@ -217,10 +214,7 @@ class JournalWriter:
     def create(cls, path: str | Path, header: Mapping[str, Any]) -> JournalWriter:
         """Start a journal. It appears with its whole header or not at all.
 
-        Raises
-        ------
-        UsageError
-            The file exists, or cannot be made.
+        UsageError: the file exists, or cannot be made.
         """
         path = Path(path)
         if os.path.lexists(path):
@@ -244,10 +238,8 @@ class JournalWriter:
     def resume(cls, journal: Journal) -> JournalWriter:
         """Append to a journal after its last whole line; a torn line is cut off.
 
-        Raises
-        ------
-        JournalError
-            Another process writes it, or has written to it since it was read, or it cannot be opened for writing.
+        JournalError: another process writes it, or has written to it since it was read, or it cannot be opened
+            for writing.
         """
         try:
             descriptor = os.open(journal.path, os.O_RDWR | os.O_APPEND | os.O_CLOEXEC)
@@ -265,10 +257,7 @@ class JournalWriter:
     def append(self, dt_ns: int, kind: str, *payload: Any) -> None:
         """Write one event, whole or not at all.
 
-        Raises
-        ------
-        JournalError
-            The disk is full or fails; the journal ends with the event before.
+        JournalError: the disk is full or fails; the journal ends with the event before.
         """
         body = _dumps([dt_ns, kind, *payload]).encode()
         crc = crc32(body, self._crc)

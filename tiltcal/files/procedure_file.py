@@ -32,12 +32,8 @@ def find_procedure(name_or_path: str | Path, angle: float | None = None) -> Proc
     angle : float, optional
         In place of the angle that the procedure leaves free, degrees.
 
-    Raises
-    ------
-    UsageError
-        No such procedure, or an angle that it cannot take.
-    InputError
-        The file is wrong; the message names file, line and key.
+    UsageError: no such procedure, or an angle that it cannot take.
+    InputError: the file is wrong; the message names file, line and key.
     """
     require_path("PROCEDURE", name_or_path)
     shipped = shipped_procedures()
