@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -130,11 +130,10 @@ class Document:
 
     def read(self, record: type[T]) -> T:
         """Return the document as a record; an InputError names file, line and key of what is wrong."""
-        self._require_texts(self.data, self.place)
-        try:
-            return msgspec.convert(self.data, record, strict=False)
-        except msgspec.ValidationError:
-            return msgspec.convert(repaired(self.data, record, self.error), record, strict=False)
+        if not self._has_quoted_values(self.data, self.place):
+            with suppress(msgspec.ValidationError):
+                return msgspec.convert(self.data, record, strict=False)
+        return msgspec.convert(repaired(self.data, record, self.error), record, strict=False)
 
     def body(self, kind: str) -> Document:
         """Return a file without the keys ``tiltcal`` and ``kind``, which are checked."""
@@ -168,15 +167,18 @@ class Document:
             raise self.error(f"{data[:40]} is no finite number")
         return _TRUTH.get(data, data) if number is None else number
 
-    def _require_texts(self, data: Any, place: Place) -> None:
-        """Refuse control characters in keys and texts."""
+    def _has_quoted_values(self, data: Any, place: Place) -> bool:
+        """Return whether a text in quotes looks like a number or a truth; refuse control characters."""
         if isinstance(data, str):
             if CONTROL_OR_NO_TEXT.search(data):
                 part = Document(data, self.lines, self.file, place)
                 require_printable(data, part.key, part.file, part.line)
-        elif isinstance(data, dict | list):
-            for step, member in data.items() if isinstance(data, dict) else enumerate(data):
-                self._require_texts(member, (*place, step))
+            return isinstance(data, Quoted) and _OTHER_THAN_TEXT.fullmatch(data.lower()) is not None
+        if isinstance(data, dict | list):
+            members = data.items() if isinstance(data, dict) else enumerate(data)
+            # Every member is looked at.
+            return sum(self._has_quoted_values(member, (*place, step)) for step, member in members) > 0
+        return False
 
 
 def read_document(path: str | Path) -> Document:
@@ -211,7 +213,7 @@ def read_text(path: str | Path) -> str:
 
 def parse_document(text: str, file: str | None = None, language: str = "YAML") -> Document:
     """Parse one YAML document, or JSON, which is YAML; an InputError names ``file`` and line of what is refused."""
-    return _Composer(file, language).compose(text)
+    return _Composer(file, language).compose(str(text))
 
 
 @dataclass

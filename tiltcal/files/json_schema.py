@@ -33,6 +33,12 @@ def json_schema(kind: str) -> dict[str, Any]:
         definition["properties"] = stated | definition["properties"]
         definition["required"] = [*stated, *definition["required"]]
     dialect = "https://json-schema.org/draft/2020-12/schema"
-    schema = {"$schema": dialect, "title": f"tiltcal {kind}", "anyOf": list(files), "$defs": definitions}
+    schema = {
+        "$schema": dialect,
+        "title": f"tiltcal {kind}",
+        "type": "object",
+        "anyOf": list(files),
+        "$defs": definitions,
+    }
     plain: dict[str, Any] = decode(encode(schema))
     return plain

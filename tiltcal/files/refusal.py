@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Collection, Mapping
-from contextlib import suppress
 from difflib import get_close_matches
 from math import inf, isfinite
 from types import NoneType, UnionType
@@ -34,7 +33,7 @@ Alternative = tuple[Any, tuple[msgspec.Meta, ...]]
 
 
 class Quoted(str):
-    """A scalar in quotes: a text, or a number as JSON writes it."""
+    """A scalar in quotes, which is a text; msgspec alone would take a number in quotes."""
 
     __slots__ = ()
 
@@ -43,6 +42,8 @@ def repaired(value: Any, kind: Any, error: Callable[..., InputError], *place: st
     """Return data as msgspec takes them; an InputError names the first place that a type refuses."""
     alternatives, shape = _alternatives(kind), _shape_of(value)
     base, metas = next((one for one in alternatives if _shape(one[0]) is shape), alternatives[0])
+    if base is Any:
+        return value
     if _shape(base) != shape:
         raise error(refusal(value, _shape(base) or base), *place)
     if shape is dict:
@@ -120,6 +121,8 @@ def _scalar(
     if number is None:
         raise error(refusal(value, base), *place)
     try:
+        if base is bool and isinstance(value, Quoted):
+            raise msgspec.ValidationError
         msgspec.convert(number, Annotated[(base, *metas)] if metas else base, strict=False)
     except msgspec.ValidationError:
         if base in (float, int):
@@ -136,12 +139,9 @@ def numeral(value: Any, base: Any) -> float | None:
     number: float | None = None
     if isinstance(value, int | float) and not isinstance(value, bool):
         number = value
-    elif isinstance(value, Quoted):
-        with suppress(msgspec.ValidationError):
-            number = msgspec.convert(value, base, strict=False)
-    elif isinstance(value, str) and WHOLE.fullmatch(value) and len(value) <= _DIGIT_LIMIT:
+    elif type(value) is str and WHOLE.fullmatch(value) and len(value) <= _DIGIT_LIMIT:
         number = int(value, 0 if value[1:2] in ("o", "x") else 10)
-    elif isinstance(value, str) and (WHOLE.fullmatch(value) or FLOAT.fullmatch(value)):
+    elif type(value) is str and (WHOLE.fullmatch(value) or FLOAT.fullmatch(value)):
         number = inf if value[1:2] in ("o", "x") else float(value)
     if number is None or not abs(number) <= sys.float_info.max:
         return None if number is None else inf

@@ -81,7 +81,7 @@ def test_number_is_read_by_the_core_schema_of_yaml_1_2(written: str, meant: floa
 
 
 @pytest.mark.parametrize(
-    "written", ["12:30", "1_000", "yes", "1,5", "0b11", "[1]", "{a: 1}", "+0x1d", "१", "nan", "inf"]
+    "written", ["12:30", "1_000", '"1.5"', "yes", "1,5", "0b11", "[1]", "{a: 1}", "+0x1d", "१", "nan", "inf"]
 )
 def test_what_is_no_number_is_refused_and_shown(written: str) -> None:
     error = told(f"number: {written}")
@@ -125,7 +125,7 @@ def test_a_needed_text_is_never_nothing() -> None:
         assert (error.key, error.message) == ("sensor.model", "text is needed here, found nothing")
 
 
-@pytest.mark.parametrize("written", ["1.5", "one", "true", "1"])
+@pytest.mark.parametrize("written", ["1.5", "one", "true", "1", '"2"'])
 def test_a_whole_number_has_no_fraction_and_its_bounds(written: str) -> None:
     told(f"whole: {written}")
 
@@ -133,7 +133,8 @@ def test_a_whole_number_has_no_fraction_and_its_bounds(written: str) -> None:
 def test_flag_is_true_or_false() -> None:
     assert value("flag", "true") is True
     assert value("flag", "False") is False
-    assert "true or false is needed here" in told("flag: yes").message
+    for written in ("yes", '"true"', '"1"'):
+        assert "true or false is needed here" in told(f"flag: {written}").message
 
 
 @pytest.mark.parametrize(

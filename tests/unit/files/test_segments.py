@@ -58,7 +58,7 @@ def test_real_session() -> None:
         ("position,start,end,gx,gy,gz\na,0,1,0,0,0\n", 2, None, "no direction"),
         ("position,start,end,gx\na,0,1,1\n", 2, None, "gy, gz is missing"),
         ('position,start,end\n"a,0,1\n', 2, None, "not CSV"),
-        ('[{"position": "a", "start": "one", "end": 1}]', 1, "[0].start", "found the text 'one'"),
+        ('[{"position": "a", "start": "0", "end": 1}]', 1, "[0].start", "found the text '0'"),
         ('[\n{"position": "a", "start": 0}]', 2, "[0]", "'end' is missing"),
         ('{"position": "a"}', 1, None, "a list is needed"),
         ("[1", 1, None, "not JSON"),
