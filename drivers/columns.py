@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, partial
 from math import isfinite
@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.device import Model, Reading, from_twin, in_words
 from tiltcal.drivers.lines import UNUSABLE, LineBuffer, shown
 from tiltcal.errors import BusError
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -69,7 +68,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
 _NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
 
 
-@frozen
+@dataclass(frozen=True)
 class ColumnLayout:
     """The meaning of the numbers of a line.
 

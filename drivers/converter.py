@@ -14,7 +14,6 @@ from math import inf
 from typing import TYPE_CHECKING, Protocol
 
 from tiltcal.errors import DeviceFault
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -48,7 +47,7 @@ class Converter(Protocol):
         ...
 
 
-@frozen
+@dataclass(frozen=True)
 class FrontEnd:
     """A converter with the settings of an address.
 

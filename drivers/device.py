@@ -9,8 +9,6 @@ from importlib import import_module
 from math import sqrt
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from tiltcal.frozen import frozen
-
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
@@ -125,7 +123,7 @@ class Population:
     source: str
 
 
-@frozen
+@dataclass(frozen=True)
 class Model:
     """The facts of one sensor model, with its driver and its twin.
 

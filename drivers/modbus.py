@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -35,7 +35,6 @@ from tiltcal.drivers.columns import (
 )
 from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import BusError, DeviceFault
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -79,7 +78,7 @@ EXCEPTIONS = {
 _COLUMN = re.compile(r"([^@:*]+)@(0[xX][0-9a-fA-F]{1,8}|[0-9]{1,9})(?::([a-z0-9]+))?(?:\*([-+0-9.eE]+))?")
 
 
-@frozen
+@dataclass(frozen=True)
 class RegisterColumn:
     """One number in registers.
 
@@ -107,7 +106,7 @@ class RegisterColumn:
         return 0.0 if self.code in "fd" else abs(self.scale)
 
 
-@frozen
+@dataclass(frozen=True)
 class RegisterLayout:
     """The numbers and their registers.
 

@@ -39,7 +39,6 @@ from tiltcal.drivers.converter import (
 )
 from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import DeviceFault
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -106,7 +105,7 @@ class Curve:
         return exp(first - p / (3.0 * first))
 
 
-@frozen
+@dataclass(frozen=True)
 class Divider:
     """A thermistor and a fixed resistor across a supply.
 
@@ -145,7 +144,7 @@ class Divider:
         return self.curve.celsius(self.fixed * (ratio if self.grounded else 1.0 / ratio))
 
 
-@frozen
+@dataclass(frozen=True)
 class WiredThermistor:
     """The wiring of a thermistor to a converter.
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from math import isfinite
 from typing import NoReturn, TypeVar
@@ -27,7 +27,6 @@ from urllib.parse import unquote
 
 from tiltcal.drivers.bus import BUSES
 from tiltcal.errors import UsageError
-from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_text
 
 R = TypeVar("R")
@@ -40,7 +39,7 @@ SCHEMES = (*BUSES, "sim")
 """Last part of every known scheme."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Address:
     """One parsed address.
 

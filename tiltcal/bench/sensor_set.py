@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,6 @@ from tiltcal.drivers.bus.link import Interruption, Link
 from tiltcal.drivers.device import Model, Reading, Sensor, StreamingSensor
 from tiltcal.errors import BusError, HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.modbus import ModbusLine
@@ -37,7 +36,7 @@ RECOVERY = 1.0
 """Seconds that a bus is left alone after an error."""
 
 
-@frozen
+@dataclass(frozen=True)
 class ConnectedSensor:
     """One sensor at the bench.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, BinaryIO, cast
@@ -30,16 +30,15 @@ from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
-from tiltcal.files.journal_header import HEADER
 from tiltcal.files.moments import moment_after
-from tiltcal.frozen import frozen
+from tiltcal.files.record import plain
 
 if TYPE_CHECKING:
     from tiltcal.files.pair import PairRecord
     from tiltcal.files.rotation import Rotation
 
 
-@frozen
+@dataclass(frozen=True)
 class SessionResult:
     """The result of a session.
 
@@ -74,7 +73,7 @@ class SessionResult:
             raise HardwareError("no calibration file for " + "; ".join(self.ending.lost.values()))
 
 
-@frozen
+@dataclass(frozen=True)
 class _OpenSession:
     """The open devices of a session; every byte passes through its event log."""
 
@@ -332,7 +331,7 @@ class Session:
             yield None
             return
         if self.journal is None:
-            writer = JournalWriter.create(self.path, HEADER.write(self.plan.header()))
+            writer = JournalWriter.create(self.path, plain(self.plan.header()))
             self._captured = True
         else:
             writer = JournalWriter.resume(self.journal)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from math import hypot
 from typing import Any
@@ -20,10 +20,9 @@ from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.moments import stamp
 from tiltcal.files.provenance_record import VIRTUAL, BenchRecord, FileRecord, Provenance
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class SessionEnd:
     """The end of a session.
 
@@ -97,7 +96,7 @@ def tilt_calibrations(
     calibrations = {}
     for sensor, record in zip(sensors, found, strict=True):
         notes = [f"{channel} {NOT_FOLLOWED}" for channel in unseen.get(sensor.serial, ())]
-        calibrations[sensor.serial] = replace(record, fit=replace(record.fit, notes=(*record.fit.notes, *notes)))
+        calibrations[sensor.serial] = replace(record, fit=record.fit.replaced(notes=(*record.fit.notes, *notes)))
     return calibrations
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,17 +22,16 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.journal import Journal
 from tiltcal.files.journal_header import Header, SettingsHeader
 from tiltcal.files.moments import stamp
-from tiltcal.files.node import require_printable
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure, procedure_from_record, shipped_procedures
-from tiltcal.frozen import frozen
+from tiltcal.stated_arguments import require_printable
 
 if TYPE_CHECKING:
     from tiltcal.bench.channel_map import ChannelMap
     from tiltcal.files.rotation import Rotation
 
 
-@frozen
+@dataclass(frozen=True)
 class SessionSettings:
     """The settings of a procedure that a session may change.
 
@@ -49,7 +48,7 @@ class SessionSettings:
     soak: float
 
 
-@frozen
+@dataclass(frozen=True)
 class SessionPlan:
     """Everything that is decided before the first prompt.
 
@@ -281,7 +280,7 @@ def plan_session(
     """
     scale = 1.0 if settle is None else settle / procedure.settle
     for path in filter(None, (journal, *outputs)):
-        require_printable(str(path), None, None, "the name of a file")
+        require_printable(str(path), "the name of a file")
     sensors, thermometer = devices_of(bench)
     plan = SessionPlan(
         procedure=procedure,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from operator import mul
 
@@ -12,7 +13,6 @@ from tiltcal.core.detection import is_still
 from tiltcal.core.statistics import drift
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Model
-from tiltcal.frozen import frozen
 
 LOOKS, SOAK_LOOKS = 40, 200
 """Readings in one window: to see a movement, and to show that a slow drift is not there."""
@@ -66,7 +66,7 @@ class Unsettled(Exception):
     """The sensors did not come to rest, or were moved."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Window:
     """The time over which readings must stand still.
 

@@ -94,7 +94,7 @@ def _require_one_sensor(sessions: Sequence[CombinedSession]) -> None:
     for session, other in combinations(sessions, 2):
         one, another = session.record.sensor, other.record.sensor
         if UNKNOWN_MODEL in (one.model, another.model):
-            another = replace(another, model=one.model)
+            another = another.replaced(model=one.model)
         require_same_sensor(session.record, replace(other.record, sensor=another), (session.label, other.label))
 
 

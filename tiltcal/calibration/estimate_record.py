@@ -137,8 +137,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
     )
     if found.chi_square is None or found.p is None or not found.stated:
         return record
-    return replace(
-        record,
+    return record.replaced(
         chi_square=significant(found.chi_square, 4),
         p_value=significant(found.p, SHARE_DIGITS),
         suspect_positions={

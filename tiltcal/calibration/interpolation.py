@@ -12,7 +12,7 @@ the nearest calibration, and the walk adds to its variance.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from math import cos, degrees, radians
 
 import numpy as np
@@ -30,7 +30,6 @@ from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.position_record import ProcedureRecord
 from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertainty_inputs
-from tiltcal.frozen import frozen
 
 FARTHEST_TURN = 5.0
 """Degrees by which two mountings may differ to have others between them."""
@@ -39,7 +38,7 @@ LARGEST_CHANGE = 0.5
 """Share by which the sensitivity of a channel may differ between two calibrations."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Stability:
     """The stability of a sensor: how far its coefficients wander.
 
@@ -58,7 +57,7 @@ class Stability:
     source: str = ""
 
 
-@frozen
+@dataclass(frozen=True)
 class Interval:
     """The time between two calibrations of a sensor; what no time in it changes is computed once.
 
@@ -157,7 +156,7 @@ def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | 
     return _at(nearest, nearest.coefficients, nearest.limits, uncertainty)
 
 
-@frozen
+@dataclass(frozen=True)
 class _End:
     """A calibration at an end of an interval: its coefficients at the common reference, and their covariance."""
 

@@ -61,7 +61,7 @@ def fit_jointly(
         remarks = () if design.assumes_sensitivity else judge_channels(sensor, estimated)
         estimate = _with_remarks(with_hysteresis(estimated, seen), sensor, design)
         found = record_of(estimate, design, sensor, procedure)
-        calibrations.append(replace(found, fit=replace(found.fit, notes=(*found.fit.notes, *remarks))))
+        calibrations.append(replace(found, fit=found.fit.replaced(notes=(*found.fit.notes, *remarks))))
     return calibrations
 
 
@@ -71,7 +71,7 @@ def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure
     The measurements of the sensor are those of the estimate.
     """
     return CalibrationRecord(
-        sensor=replace(sensor.sensor, channels=design.channels),
+        sensor=sensor.sensor.replaced(channels=design.channels),
         coefficients=rounded(found),
         uncertainty=uncertainty_of(found, _reading(sensor.measurements, design, found.estimated_thermometer)),
         limits=_limits(design, sensor, found.coefficients.thermal is not None),
@@ -337,5 +337,5 @@ def _set(measurement: Measurement) -> PositionSet:
     """Return what was actually set in a position."""
     turned = PositionSet(heading=measurement.heading, stage=measurement.stage)
     if measurement.tilt is not None:
-        return replace(turned, tilt={axis: float(angle) for axis, angle in measurement.tilt.items()})
-    return replace(turned, gravity=tuple(significant(component, 9) for component in measurement.gravity))
+        return turned.replaced(tilt={axis: float(angle) for axis, angle in measurement.tilt.items()})
+    return turned.replaced(gravity=tuple(significant(component, 9) for component in measurement.gravity))

@@ -70,13 +70,12 @@ def mount(
         base,
         coefficients=replace(base.coefficients, mounting=mounting),
         uncertainty=_uncertainty(base.uncertainty, joint, mounting, u, locked=locked),
-        derived=replace(base.derived, gimbal_lock=base.derived.gimbal_lock or locked),
-        fit=replace(base.fit, mounting=_record(found, measurements, jig, p)),
-        procedure=replace(
-            base.procedure,
+        derived=base.derived.replaced(gimbal_lock=base.derived.gimbal_lock or locked),
+        fit=base.fit.replaced(mounting=_record(found, measurements, jig, p)),
+        procedure=base.procedure.replaced(
             mounting=CompletingRun(positions=tuple(m.position for m in measurements)),
         ),
-        positions=base.positions_with(mounting=[replace(m.record(list(m.summaries)), u=None) for m in measurements]),
+        positions=base.positions_with(mounting=[m.record(list(m.summaries)).replaced(u=None) for m in measurements]),
     )
 
 

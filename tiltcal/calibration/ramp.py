@@ -80,8 +80,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
         made,
         uncertainty=replace(made.uncertainty, single_reading=reading),
         limits=replace(made.limits, temperature=temperatures),
-        fit=replace(
-            made.fit,
+        fit=made.fit.replaced(
             cross_validation=CrossValidation(
                 order=fit.order,
                 error_by_order={str(order): significant(error, 4) for order, error in fit.error_by_order.items()},
@@ -267,11 +266,11 @@ def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Mea
 
 def _hysteresis(fit: RampFit, channels: Sequence[str]) -> dict[str, Hysteresis]:
     """Return the largest loop that is left, per channel."""
-    at = np.argmax(np.abs(fit.loops.differences), axis=0)
+    at, middle = np.argmax(np.abs(fit.loops.differences), axis=0), np.asarray(fit.loops.temperatures) + fit.reference
     return {
         channel: Hysteresis(
             difference=significant(float(fit.loops.differences[k, c]), 4),
-            between=tuple(f"{way} at {fit.loops.temperatures[k] + fit.reference:.1f} °C" for way in ("down", "up")),
+            between=(f"down at {middle[k]:.1f} °C", f"up at {middle[k]:.1f} °C"),
         )
         for c, (channel, k) in enumerate(zip(channels, at.tolist(), strict=True))
     }

@@ -39,9 +39,9 @@ def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> Calibra
         calibration,
         coefficients=replace(calibration.coefficients, mounting=mounting),
         uncertainty=calibration.uncertainty.without_mounting(),
-        derived=replace(calibration.derived, gimbal_lock=False),
-        fit=replace(calibration.fit, mounting=None),
-        procedure=replace(calibration.procedure, mounting=None),
+        derived=calibration.derived.replaced(gimbal_lock=False),
+        fit=calibration.fit.replaced(mounting=None),
+        procedure=calibration.procedure.replaced(mounting=None),
         positions=calibration.positions_with(mounting=()),
     )
 

@@ -12,7 +12,7 @@ triangular form that unit gravity alone determines.)
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import degrees, radians
 
@@ -23,10 +23,9 @@ from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, UNKNOWN_FACTOR, is_locked, mounting_angles
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class Intrinsic:
     """A sensor of three channels, apart from its mounting.
 

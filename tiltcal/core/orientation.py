@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.errors import InputError
-from tiltcal.frozen import frozen
 
 _UNIT: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
-@frozen
+@dataclass(frozen=True)
 class Orientation:
     """A turn by right angles from the fixture's frame to a sensor's.
 

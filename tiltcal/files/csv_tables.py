@@ -10,65 +10,57 @@ from pathlib import Path
 from typing import Any
 
 from tiltcal.errors import InputError
-from tiltcal.files.document import parse_document, read_text
-from tiltcal.files.node import Node, Scalar, document_of
+from tiltcal.files.document import Document, document_of, parse_document, read_text
+from tiltcal.files.refusal import Quoted
 
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]+)?)([eE][-+]?[0-9]+)?")
-
 
 Table = str | Path | Sequence[Mapping[str, Any]]
 """A file of CSV, or of a JSON list of objects; or such rows."""
 
 
-def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iterator[Node]:
-    """Read a small table; a blank field of CSV is an absent one.
+def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iterator[Document]:
+    """Read a small table and yield its rows, each with its line; a blank field of CSV is an absent one.
 
-    Parameters
-    ----------
-    file : str or Path
-        What messages call it.
-    keys : mapping of str to bool
-        The columns, and whether each is needed.
-
-    Yields
-    ------
-    Node
-        A mapping, with its line.
-
-    Raises
-    ------
-    InputError
-        The header has an unknown column, one twice, or lacks one; a row has another number of fields; or the text is
-        neither CSV nor JSON.
+    ``file`` is what messages call it; ``keys`` are the columns, and whether each is needed. An InputError where the
+    header or a row does not fit them, or the text is neither CSV nor JSON.
     """
-    required = [key for key, needed in keys.items() if needed]
-    optional = [key for key, needed in keys.items() if not needed]
     if not isinstance(table, str | Path):
-        rows: Iterable[Node] = document_of(list(table), str(file)).items()
+        rows: Iterable[Document] = document_of(list(table), str(file)).items()
     elif (text := read_text(table)).lstrip().startswith(("[", "{")):  # a CSV header begins with a name
         rows = parse_document(text, str(file), "JSON").items()
     else:
-        rows = _csv_rows(text, str(file), required, optional)
+        rows = _csv_rows(text, str(file), keys)
     for row in rows:
-        row.mapping(required=required, optional=optional)
+        _require_columns(row, keys)
         yield row
 
 
-def _csv_rows(text: str, file: str, required: Sequence[str], optional: Sequence[str]) -> Iterator[Node]:
+def _require_columns(row: Document, keys: Mapping[str, bool]) -> None:
+    row.require_keys(row.members(), [*sorted(keys, key=lambda name: not keys[name])])
+    needed = [name for name, is_needed in keys.items() if is_needed]
+    row.require_keys([name for name in needed if row.data.get(name) is not None], needed, complete=True)
+
+
+def _csv_rows(text: str, file: str, keys: Mapping[str, bool]) -> Iterator[Document]:
     rows = csv.reader(StringIO(text, newline=""), strict=True)
     try:
         header = [name.strip() for name in next(rows, [])]
-        _check_header(header, file, required, optional)
+        _check_header(header, file, keys)
         line = rows.line_num + 1
         for row in rows:
+            if row and len(row) != len(header):
+                raise InputError(f"the row has {len(row)} fields, the header {len(header)}", file=file, line=line)
             if row:
-                yield _record(header, row, file, line)
+                fields = {name: field.strip() for name, field in zip(header, row, strict=True) if field.strip()}
+                data = {name: field if _NUMBER.fullmatch(field) else Quoted(field) for name, field in fields.items()}
+                yield Document(data, {(): line}, file)
             line = rows.line_num + 1
     except csv.Error as failure:
         raise InputError(f"not CSV: {failure}", file=file, line=rows.line_num) from None
 
 
-def _check_header(header: list[str], file: str, required: Sequence[str], optional: Sequence[str]) -> None:
+def _check_header(header: list[str], file: str, keys: Mapping[str, bool]) -> None:
     if not header:
         raise InputError("the file is empty", file=file)
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
@@ -77,17 +69,4 @@ def _check_header(header: list[str], file: str, required: Sequence[str], optiona
     twice = [name for name in header if header.count(name) > 1]
     if twice:
         raise InputError(f"the column {twice[0]!r} is there twice", file=file, line=1)
-    Node({name: Node(Scalar("", True), file, 1, name) for name in header}, file, 1, None).mapping(
-        required=required, optional=optional
-    )
-
-
-def _record(header: list[str], row: list[str], file: str, line: int) -> Node:
-    if len(row) != len(header):
-        raise InputError(f"the row has {len(row)} fields, the header {len(header)}", file=file, line=line)
-    fields = {
-        name: Node(Scalar(field.strip(), plain=_NUMBER.fullmatch(field.strip()) is not None), file, line, name)
-        for name, field in zip(header, row, strict=True)
-        if field.strip()
-    }
-    return Node(fields, file, line, None)
+    _require_columns(Document(dict.fromkeys(header, ""), {(): 1}, file), keys)

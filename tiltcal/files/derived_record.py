@@ -3,104 +3,85 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Annotated
 
-from tiltcal.files.coefficients import CHANNELS
-from tiltcal.files.declaration import ByChannel, ByName, ListOf, Section, entry
-from tiltcal.files.scalars import FROM_ZERO, Flag, Number, Text
-from tiltcal.frozen import frozen
+from tiltcal.files.record import AboveZero, ByAxis, Finite, FiniteFromZero, Record, Text, about
 
 
-@frozen(kw_only=True)
-class DerivedCoverage:
+class DerivedCoverage(Record, kw_only=True):
     """Coverage factors of derived quantities, for intervals of 95 %."""
 
-    cross_axis_percent: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel", default={})
-    misalignment_degrees: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel", default={})
+    cross_axis_percent: Annotated[ByAxis[FiniteFromZero], about("per channel")] = {}
+    misalignment_degrees: Annotated[ByAxis[FiniteFromZero], about("per channel")] = {}
 
 
-@frozen(kw_only=True)
-class DerivedUncertainty:
+class DerivedUncertainty(Record, kw_only=True):
     """Standard uncertainties of derived quantities."""
 
-    cross_axis_percent: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel, %", default={})
-    misalignment_degrees: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel, degrees", default={})
-    coverage_factor: DerivedCoverage | None = entry(
-        Section(DerivedCoverage), "what each is multiplied with for an interval of 95 %", default=None
-    )
+    cross_axis_percent: Annotated[ByAxis[FiniteFromZero], about("per channel, %")] = {}
+    misalignment_degrees: Annotated[ByAxis[FiniteFromZero], about("per channel, degrees")] = {}
+    coverage_factor: Annotated[
+        DerivedCoverage | None, about("what each is multiplied with for an interval of 95 %")
+    ] = None
 
 
-@frozen(kw_only=True)
-class IntrinsicCoverage:
+class IntrinsicCoverage(Record, kw_only=True):
     """Coverage factors of the intrinsic parameters, for intervals of 95 %."""
 
-    offset: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel", default={})
-    sensitivity: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel", default={})
-    angle_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "per pair of channels", default={})
-    rotation_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "roll, pitch, yaw", default={})
+    offset: Annotated[ByAxis[FiniteFromZero], about("per channel")] = {}
+    sensitivity: Annotated[ByAxis[FiniteFromZero], about("per channel")] = {}
+    angle_degrees: Annotated[Mapping[str, FiniteFromZero], about("per pair of channels")] = {}
+    rotation_degrees: Annotated[Mapping[str, FiniteFromZero], about("roll, pitch, yaw")] = {}
 
 
-@frozen(kw_only=True)
-class IntrinsicUncertainty:
+class IntrinsicUncertainty(Record, kw_only=True):
     """Standard uncertainties of the intrinsic parameters."""
 
-    offset: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel, unit", default={})
-    sensitivity: Mapping[str, float] = entry(ByChannel(FROM_ZERO), "per channel, unit/g", default={})
-    angle_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "per pair of channels, degrees", default={})
-    rotation_degrees: Mapping[str, float] = entry(ByName(FROM_ZERO), "roll, pitch, yaw, degrees", default={})
-    coverage_factor: IntrinsicCoverage | None = entry(
-        Section(IntrinsicCoverage), "what each is multiplied with for an interval of 95 %", default=None
-    )
+    offset: Annotated[ByAxis[FiniteFromZero], about("per channel, unit")] = {}
+    sensitivity: Annotated[ByAxis[FiniteFromZero], about("per channel, unit/g")] = {}
+    angle_degrees: Annotated[Mapping[str, FiniteFromZero], about("per pair of channels, degrees")] = {}
+    rotation_degrees: Annotated[Mapping[str, FiniteFromZero], about("roll, pitch, yaw, degrees")] = {}
+    coverage_factor: Annotated[
+        IntrinsicCoverage | None, about("what each is multiplied with for an interval of 95 %")
+    ] = None
 
 
-@frozen(kw_only=True)
-class IntrinsicRecord:
+class IntrinsicRecord(Record, kw_only=True):
     """The parameters of a three-channel sensor that do not change with its mounting."""
 
-    offset: Mapping[str, float] = entry(CHANNELS, "per channel, unit", default={})
-    sensitivity: Mapping[str, float] = entry(CHANNELS, "per channel along its own direction, unit/g", default={})
-    angle_degrees: Mapping[str, float] = entry(
-        ByName(Number()), "between the directions of two channels, `xy`, `xz`, `yz`, degrees", default={}
-    )
-    rotation_degrees: Mapping[str, float] = entry(
-        ByName(Number()), "where positions were set: roll, pitch, yaw of the sensor in their frame, degrees", default={}
-    )
-    uncertainty: IntrinsicUncertainty | None = entry(
-        Section(IntrinsicUncertainty), "standard uncertainties (k = 1) of the above", default=None
-    )
-    gimbal_lock: bool = entry(Flag(), "`true` where roll and yaw cannot be separated", default=False)
-    left_handed: str | None = entry(
-        Text(),
-        "why there is no rotation: the channels form a left-handed frame",
-        default=None,
-        formerly="not_separated",
-    )
+    offset: Annotated[ByAxis[Finite], about("per channel, unit")] = {}
+    sensitivity: Annotated[ByAxis[Finite], about("per channel along its own direction, unit/g")] = {}
+    angle_degrees: Annotated[
+        Mapping[str, Finite], about("between the directions of two channels, `xy`, `xz`, `yz`, degrees")
+    ] = {}
+    rotation_degrees: Annotated[
+        Mapping[str, Finite], about("where positions were set: roll, pitch, yaw of the sensor in their frame, degrees")
+    ] = {}
+    uncertainty: Annotated[IntrinsicUncertainty | None, about("standard uncertainties (k = 1) of the above")] = None
+    gimbal_lock: Annotated[bool, about("`true` where roll and yaw cannot be separated")] = False
+    left_handed: Annotated[
+        Text | None, about("why there is no rotation: the channels form a left-handed frame", formerly="not_separated")
+    ] = None
 
 
-@frozen(kw_only=True)
-class DerivedRecord:
+class DerivedRecord(Record, kw_only=True):
     """Quantities derived from the coefficients."""
 
-    cross_axis_percent: Mapping[str, float] = entry(
-        CHANNELS, "per channel, % (Cross-axis Compensation, eq. 1)", default={}
+    cross_axis_percent: Annotated[ByAxis[Finite], about("per channel, % (Cross-axis Compensation, eq. 1)")] = {}
+    misalignment_degrees: Annotated[
+        ByAxis[Finite], about("per channel, between its direction and its axis, degrees")
+    ] = {}
+    uncertainty: Annotated[DerivedUncertainty | None, about("standard uncertainties (k = 1) of the above")] = None
+    intrinsic: Annotated[IntrinsicRecord | None, about("of three channels, what does not change with the mounting")] = (
+        None
     )
-    misalignment_degrees: Mapping[str, float] = entry(
-        CHANNELS, "per channel, between its direction and its axis, degrees", default={}
-    )
-    uncertainty: DerivedUncertainty | None = entry(
-        Section(DerivedUncertainty), "standard uncertainties (k = 1) of the above", default=None
-    )
-    intrinsic: IntrinsicRecord | None = entry(
-        Section(IntrinsicRecord), "of three channels, what does not change with the mounting", default=None
-    )
-    assumed: tuple[str, ...] = entry(ListOf(Text()), "which coefficients were not measured", default=())
-    mounting: str | None = entry(Text(), "from free positions: what can be said of the mounting", default=None)
-    gimbal_lock: bool = entry(Flag(), "`true` where roll and yaw of the mounting cannot be separated", default=False)
-    gravity_m_s2: float | None = entry(
-        Number(above=0.0), "with `fit --gravity`: gravity where the calibration was made, m/s²", default=None
-    )
-    sensitivity_per_m_s2: Mapping[str, float] = entry(
-        CHANNELS, "with `fit --gravity`: per channel, unit/(m/s²)", default={}
-    )
-    scale_error_percent: Mapping[str, float] = entry(
-        CHANNELS, "with `fit --gravity`, of readings in m/s²: per channel, %", default={}
-    )
+    assumed: Annotated[tuple[Text, ...], about("which coefficients were not measured")] = ()
+    mounting: Annotated[Text | None, about("from free positions: what can be said of the mounting")] = None
+    gimbal_lock: Annotated[bool, about("`true` where roll and yaw of the mounting cannot be separated")] = False
+    gravity_m_s2: Annotated[
+        AboveZero | None, about("with `fit --gravity`: gravity where the calibration was made, m/s²")
+    ] = None
+    sensitivity_per_m_s2: Annotated[ByAxis[Finite], about("with `fit --gravity`: per channel, unit/(m/s²)")] = {}
+    scale_error_percent: Annotated[
+        ByAxis[Finite], about("with `fit --gravity`, of readings in m/s²: per channel, %")
+    ] = {}

@@ -3,100 +3,74 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated
 
-from tiltcal.files.coefficients import CHANNELS
-from tiltcal.files.declaration import ANY, ByChannel, ByName, Context, Format, ListOf, Section, entry
-from tiltcal.files.moments import MOMENT
-from tiltcal.files.node import Node
-from tiltcal.files.scalars import FROM_ZERO, Integer, Number, Text
-from tiltcal.frozen import frozen
+from msgspec import Meta
+
+from tiltcal.files.record import ByAxis, Count, Finite, FiniteFromZero, FromOne, Record, Text, about
 
 
-@frozen(kw_only=True)
-class PositionSet:
+class PositionSet(Record, kw_only=True):
     """The attitude of a position as it was set."""
 
-    tilt: Mapping[str, float] | None = entry(ByChannel(Number()), "angles, degrees", default=None)
-    gravity: tuple[float, ...] | None = entry(
-        ListOf(Number(), 3, 3), "the direction that points up, in the sensor frame", default=None
-    )
-    heading: float | None = entry(Number(), "how far the fixture was turned about the vertical, degrees", default=None)
-    stage: float | None = entry(Number(), "angle of the rotary stage, degrees", default=None)
-    temperature: float | None = entry(Number(), "°C", default=None)
+    tilt: Annotated[ByAxis[Finite] | None, about("angles, degrees")] = None
+    gravity: Annotated[
+        Annotated[tuple[Finite, ...], Meta(min_length=3, max_length=3)] | None,
+        about("the direction that points up, in the sensor frame"),
+    ] = None
+    heading: Annotated[Finite | None, about("how far the fixture was turned about the vertical, degrees")] = None
+    stage: Annotated[Finite | None, about("angle of the rotary stage, degrees")] = None
+    temperature: Annotated[Finite | None, about("°C")] = None
 
 
-@frozen(kw_only=True)
-class CompletingRun:
+class CompletingRun(Record, kw_only=True):
     """A procedure that completes a calibration, as run."""
 
-    samples: int | None = entry(Integer(minimum=1), "per position", default=None)
-    settle_seconds: float | None = entry(FROM_ZERO, "over which the reading held still", default=None)
-    positions: tuple[str, ...] = entry(ListOf(Text()), "their names", default=())
+    samples: Annotated[FromOne | None, about("per position")] = None
+    settle_seconds: Annotated[FiniteFromZero | None, about("over which the reading held still")] = None
+    positions: Annotated[tuple[Text, ...], about("their names")] = ()
 
 
-@frozen(kw_only=True)
-class ProcedureRecord:
+class ProcedureRecord(Record, kw_only=True):
     """The procedure as run."""
 
-    name: str | None = entry(Text(), "its name", default=None)
-    title: str | None = entry(Text(), "its title", default=None)
-    source: str | None = entry(Text(), "the document it comes from", default=None)
-    samples: int | None = entry(Integer(minimum=1), "samples per position", default=None)
-    settle_seconds: float | None = entry(FROM_ZERO, "seconds over which the reading held still", default=None)
-    set: Mapping[str, PositionSet] = entry(
-        ByName(Section(PositionSet)), "per position `tilt` or `gravity` as it was set", default={}
-    )
-    mounting: CompletingRun | None = entry(
-        Section(CompletingRun), "`samples`, `settle_seconds` and `positions` of the mounting procedure", default=None
-    )
-    level: CompletingRun | None = entry(Section(CompletingRun), "likewise of `level`", default=None)
+    name: Annotated[Text | None, about("its name")] = None
+    title: Annotated[Text | None, about("its title")] = None
+    source: Annotated[Text | None, about("the document it comes from")] = None
+    samples: Annotated[FromOne | None, about("samples per position")] = None
+    settle_seconds: Annotated[FiniteFromZero | None, about("seconds over which the reading held still")] = None
+    set: Annotated[Mapping[str, PositionSet], about("per position `tilt` or `gravity` as it was set")] = {}
+    mounting: Annotated[
+        CompletingRun | None, about("`samples`, `settle_seconds` and `positions` of the mounting procedure")
+    ] = None
+    level: Annotated[CompletingRun | None, about("likewise of `level`")] = None
 
 
-@frozen
-class RowRanges(Format[tuple[tuple[int, int], ...]]):
-    """Rows of a log: ``[first, end]``, or a list of such where the position was interrupted."""
-
-    def read(self, node: Node, context: Context = ANY) -> tuple[tuple[int, int], ...]:
-        items = node.items()
-        parts = items if any(isinstance(item.content, list) for item in items) else [node]
-        return tuple(self._part(part) for part in parts)
-
-    def write(self, value: tuple[tuple[int, int], ...]) -> list[Any]:
-        parts = [list(part) for part in value]
-        return parts[0] if len(parts) == 1 else parts
-
-    def schema(self) -> dict[str, Any]:
-        part = {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 2, "maxItems": 2}
-        return {"anyOf": [part, {"type": "array", "items": part}]}
-
-    @staticmethod
-    def _part(node: Node) -> tuple[int, int]:
-        rows = [item.integer(minimum=0) for item in node.items()]
-        if len(rows) != 2:
-            raise node.error(f"rows are two numbers [first, end], found {len(rows)}")
-        return rows[0], rows[1]
-
-
-@frozen(kw_only=True)
-class PositionRecord:
+# A constrained number beside a tuple of two in a union makes msgspec 0.22 crash: the rows are not bounded here.
+class PositionRecord(Record, kw_only=True):
     """The readings of one position."""
 
-    position: str = entry(Text(), "its name")
-    mean: Mapping[str, float] = entry(CHANNELS, "mean readings, unit", default={})
-    std: Mapping[str, float] | None = entry(
-        ByChannel(FROM_ZERO), "standard deviations of the samples, unit", default=None
-    )
-    u: Mapping[str, float] | None = entry(
-        ByChannel(FROM_ZERO), "standard uncertainties of the means, unit", default=None
-    )
-    n: int | None = entry(Integer(minimum=0), "number of samples", default=None)
-    left_out: int | None = entry(
-        Integer(minimum=0), "samples that were far off the others, and were left out or taken again", default=None
-    )
-    temperature: float | None = entry(Number(), "°C", default=None)
-    time: str | None = entry(MOMENT, "when it was measured, UTC", default=None)
-    rows: tuple[tuple[int, int], ...] | None = entry(
-        RowRanges(), "its rows `[first, end]` of the log, the end exclusive", default=None
-    )
-    line: int | None = entry(Integer(minimum=1), "its line of the table", default=None)
+    position: Annotated[Text, about("its name")]
+    mean: Annotated[ByAxis[Finite], about("mean readings, unit")] = {}
+    std: Annotated[ByAxis[FiniteFromZero] | None, about("standard deviations of the samples, unit")] = None
+    u: Annotated[ByAxis[FiniteFromZero] | None, about("standard uncertainties of the means, unit")] = None
+    n: Annotated[Count | None, about("number of samples")] = None
+    left_out: Annotated[
+        Count | None, about("samples that were far off the others, and were left out or taken again")
+    ] = None
+    temperature: Annotated[Finite | None, about("°C")] = None
+    time: Annotated[Text | None, about("when it was measured, UTC")] = None
+    rows: Annotated[
+        tuple[int | tuple[Count, Count], ...] | None,
+        about("its rows `[first, end]` of the log, the end exclusive"),
+    ] = None
+    line: Annotated[FromOne | None, about("its line of the table")] = None
+
+    @property
+    def row_ranges(self) -> tuple[tuple[int, int], ...]:
+        """Its rows of the log, part by part; empty where it was not measured in a log, or they are no such pairs."""
+        match self.rows:
+            case (int(first), int(end)) if min(first, end) >= 0:
+                return ((first, end),)
+            case rows:
+                return tuple(part for part in rows or () if isinstance(part, tuple))

@@ -3,40 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES
 from tiltcal.errors import InputError
 from tiltcal.files.csv_tables import Table, table_rows
-from tiltcal.files.declaration import Section, entry
-from tiltcal.files.node import Node
-from tiltcal.files.procedure import TEMPERATURE
-from tiltcal.files.scalars import Integer, Number, Text
+from tiltcal.files.document import Document
+from tiltcal.files.procedure import Temperature
+from tiltcal.files.record import AboveZero, FromOne, Number, Text, about, keys_of
 from tiltcal.files.segments import Direction
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class TabledPosition:
     """One row of a table of positions.
 
-    Attributes
-    ----------
-    name : str
-        Of the position.
-    gravity : tuple of float or None
-        Up in the sensor frame, a unit vector; None where the position's name gives it by the procedure.
-    mean : dict of str to float
-        Per channel, in the sensor's unit.
-    u : dict of str to float or None
-        Standard uncertainty of each mean, same unit; None where the table does not state it.
-    n : int or None
-        Number of samples behind the mean; None where the table does not state it.
-    temperature : float or None
-        °C.
-    line : int or None
-        Where the row stands in its file.
+    Up is a unit vector in the sensor frame, None where the position's name gives it; means and their standard
+    uncertainties are by channel, in the sensor's unit; what the table does not state is None.
     """
 
     name: str
@@ -48,49 +34,34 @@ class TabledPosition:
     line: int | None
 
 
-_U = Number(above=0.0)
-
-
-@frozen(kw_only=True)
-class TabledRow(Direction):
+class TabledRow(Direction, kw_only=True):
     """One row of a table of positions, as it stands in its file."""
 
-    position: str = entry(Text(), "its name")
-    x: float | None = entry(Number(), "mean reading, unit; needed where the sensor has the channel", default=None)
-    y: float | None = entry(Number(), "likewise", default=None)
-    z: float | None = entry(Number(), "likewise", default=None)
-    ux: float | None = entry(
-        _U,
-        "standard uncertainty of the mean, unit; in every row or in none, where rounding to the last digit counts",
-        default=None,
-    )
-    uy: float | None = entry(_U, "likewise", default=None)
-    uz: float | None = entry(_U, "likewise", default=None)
-    n: int | None = entry(Integer(minimum=1), "number of samples behind the means", default=None)
-    temperature: float | None = entry(TEMPERATURE, "°C", default=None)
-
-
-ROW = Section(TabledRow)
-"""One row of a table of positions."""
+    position: Annotated[Text, about("its name")]
+    x: Annotated[Number | None, about("mean reading, unit; needed where the sensor has the channel")] = None
+    y: Annotated[Number | None, about("likewise")] = None
+    z: Annotated[Number | None, about("likewise")] = None
+    ux: Annotated[
+        AboveZero | None,
+        about(
+            "standard uncertainty of the mean, unit; in every row or in none, where rounding to the last digit counts"
+        ),
+    ] = None
+    uy: Annotated[AboveZero | None, about("likewise")] = None
+    uz: Annotated[AboveZero | None, about("likewise")] = None
+    n: Annotated[FromOne | None, about("number of samples behind the means")] = None
+    temperature: Annotated[Temperature | None, about("°C")] = None
 
 
 def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition]:
     """Read and check a table of positions, in the order of the file.
 
-    Parameters
-    ----------
-    table : str, Path or sequence of mapping
-        CSV with the columns ``position``, a mean for each channel (``x``, ...), and optionally a direction (``gx``,
-        ``gy``, ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``; or a JSON list of
-        objects with these keys; or such rows.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and column.
+    ``table`` is CSV with the columns ``position``, a mean for each channel (``x``, ...), and optionally a direction
+    (``gx``, ``gy``, ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``; or a JSON
+    list of objects with these keys; or such rows. An InputError names file, line and column.
     """
     absent = [f"{lead}{axis}" for axis in AXES if axis not in channels for lead in ("", "u")]
-    keys = {key: needed or key in channels for key, needed in ROW.keys().items() if key not in absent}
+    keys = {key: needed or key in channels for key, needed in keys_of(TabledRow).items() if key not in absent}
     path = table if isinstance(table, str | Path) else "the table"
     positions = [_position(row, channels) for row in table_rows(table, path, keys)]
     if not positions:
@@ -109,12 +80,12 @@ def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition
 def tabled_channels(table: Table, axes: Sequence[str]) -> tuple[str, ...]:
     """Return those of some axes that a table has a reading of."""
     path = table if isinstance(table, str | Path) else "the table"
-    rows = [ROW.read(row) for row in table_rows(table, path, ROW.keys())]
+    rows = [row.read(TabledRow) for row in table_rows(table, path, keys_of(TabledRow))]
     return tuple(axis for axis in axes if any(getattr(row, axis) is not None for row in rows))
 
 
-def _position(node: Node, channels: Sequence[str]) -> TabledPosition:
-    row = ROW.read(node)
+def _position(node: Document, channels: Sequence[str]) -> TabledPosition:
+    row = node.read(TabledRow)
     return TabledPosition(
         row.position,
         row.vector(node),
@@ -126,7 +97,7 @@ def _position(node: Node, channels: Sequence[str]) -> TabledPosition:
     )
 
 
-def _uncertainty(row: TabledRow, node: Node, channels: Sequence[str]) -> dict[str, float] | None:
+def _uncertainty(row: TabledRow, node: Document, channels: Sequence[str]) -> dict[str, float] | None:
     u = {channel: getattr(row, f"u{channel}") for channel in channels}
     missing = [f"u{channel}" for channel, value in u.items() if value is None]
     if len(missing) == len(channels):

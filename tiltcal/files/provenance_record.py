@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from hashlib import sha256
+from typing import Annotated
 
-from tiltcal.files.declaration import ByName, ListOf, Section, entry
-from tiltcal.files.moments import MOMENT
-from tiltcal.files.scalars import FROM_ZERO, Integer, Text
-from tiltcal.frozen import frozen
+from tiltcal.files.record import Count, FiniteFromZero, FromOne, Record, Text, about
 
 VIRTUAL = "the virtual bench: no real sensor was measured"
 """``made_by`` of a file that no real sensor made."""
 
 
-@frozen(kw_only=True)
-class FileRecord:
+class FileRecord(Record, kw_only=True):
     """A file that was read."""
 
-    name: str = entry(Text(), "its name")
-    sha256: str | None = entry(Text(), "the SHA-256 of its bytes", default=None)
+    name: Annotated[Text, about("its name")]
+    sha256: Annotated[Text | None, about("the SHA-256 of its bytes")] = None
 
     @classmethod
     def of_text(cls, name: str, text: str) -> FileRecord:
@@ -27,109 +24,95 @@ class FileRecord:
         return cls(name=name, sha256=sha256(text.encode()).hexdigest())
 
 
-@frozen(kw_only=True)
-class LogRecord(FileRecord):
+class LogRecord(FileRecord, kw_only=True):
     """A log that was read."""
 
-    rows: int | None = entry(Integer(minimum=0), "how many rows it has", default=None)
-    missing: int | None = entry(Integer(minimum=0), "how many of them were left out", default=None)
+    rows: Annotated[Count | None, about("how many rows it has")] = None
+    missing: Annotated[Count | None, about("how many of them were left out")] = None
 
 
-@frozen(kw_only=True)
-class SegmentsRecord:
+class SegmentsRecord(Record, kw_only=True):
     """The origin of the still segments of a log: a file, or how they were found."""
 
-    name: str | None = entry(Text(), "of their file", default=None)
-    sha256: str | None = entry(Text(), "the SHA-256 of their file", default=None)
-    found: str | None = entry(Text(), "by what they were found", default=None)
-    window_rows: int | None = entry(Integer(minimum=1), "rows in which the sensor held still", default=None)
-    threshold: float | None = entry(FROM_ZERO, "the largest standard deviation, unit", default=None)
-    times_noise: float | None = entry(FROM_ZERO, "the threshold over the noise", default=None)
+    name: Annotated[Text | None, about("of their file")] = None
+    sha256: Annotated[Text | None, about("the SHA-256 of their file")] = None
+    found: Annotated[Text | None, about("by what they were found")] = None
+    window_rows: Annotated[FromOne | None, about("rows in which the sensor held still")] = None
+    threshold: Annotated[FiniteFromZero | None, about("the largest standard deviation, unit")] = None
+    times_noise: Annotated[FiniteFromZero | None, about("the threshold over the noise")] = None
 
 
-@frozen(kw_only=True)
-class BenchSensorRecord:
+class BenchSensorRecord(Record, kw_only=True):
     """One sensor on the stage of a pair calibration."""
 
-    serial: str = entry(Text(), "its serial number")
-    model: str | None = entry(Text(), "its model", default=None)
-    address: str | None = entry(Text(), "its address", default=None)
+    serial: Annotated[Text, about("its serial number")]
+    model: Annotated[Text | None, about("its model")] = None
+    address: Annotated[Text | None, about("its address")] = None
 
 
-@frozen(kw_only=True)
-class BenchRecord:
+class BenchRecord(Record, kw_only=True):
     """The bench that measured."""
 
-    address: str | None = entry(Text(), "of the sensor", default=None)
-    axes: tuple[str, ...] = entry(
-        ListOf(Text()), "of the fixture that the sensor's axes point along, where it does not sit straight", default=()
-    )
-    thermometer: str | None = entry(Text(), "address of the thermometer", default=None)
-    sensors: tuple[BenchSensorRecord, ...] = entry(
-        ListOf(Section(BenchSensorRecord)), "of a pair: the sensors on the stage", default=()
-    )
+    address: Annotated[Text | None, about("of the sensor")] = None
+    axes: Annotated[
+        tuple[Text, ...], about("of the fixture that the sensor's axes point along, where it does not sit straight")
+    ] = ()
+    thermometer: Annotated[Text | None, about("address of the thermometer")] = None
+    sensors: Annotated[tuple[BenchSensorRecord, ...], about("of a pair: the sensors on the stage")] = ()
 
 
-@frozen(kw_only=True)
-class Provenance:
+class Provenance(Record, kw_only=True):
     """The provenance of a tilt calibration."""
 
-    made_by: str | None = entry(Text(), "`measurement`, `the virtual bench …`, `fit of …`", default=None)
-    operator: str | None = entry(Text(), "who led the session", default=None)
-    bench: BenchRecord | None = entry(Section(BenchRecord), "`address`, `axes` and `thermometer`", default=None)
-    base: FileRecord | None = entry(
-        Section(FileRecord), "the calibration that it builds on (`--base`): `name`, `sha256`", default=None
+    made_by: Annotated[Text | None, about("`measurement`, `the virtual bench …`, `fit of …`")] = None
+    operator: Annotated[Text | None, about("who led the session")] = None
+    bench: Annotated[BenchRecord | None, about("`address`, `axes` and `thermometer`")] = None
+    base: Annotated[FileRecord | None, about("the calibration that it builds on (`--base`): `name`, `sha256`")] = None
+    sources: Annotated[
+        tuple[FileRecord, ...], about("the calibrations that `combine` put together: `name`, `sha256`")
+    ] = ()
+    log: Annotated[LogRecord | None, about("the log: `name`, `rows`, `missing`, `sha256`")] = None
+    table: Annotated[FileRecord | None, about("the table of positions: `name`, `sha256`")] = None
+    segments: Annotated[SegmentsRecord | None, about("the segments: `name` and `sha256`, or how they were `found`")] = (
+        None
     )
-    sources: tuple[FileRecord, ...] = entry(
-        ListOf(Section(FileRecord)), "the calibrations that `combine` put together: `name`, `sha256`", default=()
-    )
-    log: LogRecord | None = entry(Section(LogRecord), "the log: `name`, `rows`, `missing`, `sha256`", default=None)
-    table: FileRecord | None = entry(Section(FileRecord), "the table of positions: `name`, `sha256`", default=None)
-    segments: SegmentsRecord | None = entry(
-        Section(SegmentsRecord), "the segments: `name` and `sha256`, or how they were `found`", default=None
-    )
-    software: str | None = entry(Text(), "program and version", default=None)
-    started: str | None = entry(MOMENT, "when the session began, UTC", default=None)
-    ended: str | None = entry(MOMENT, "when the session ended, UTC", default=None)
-    journal: FileRecord | None = entry(Section(FileRecord), "the journal: `name`, `sha256`", default=None)
-    link_statistics: Mapping[str, int] | None = entry(
-        ByName(Integer(minimum=0)),
-        "[what became of what a sensor said](../explanation.md#lost-and-damaged)",
-        default=None,
-        formerly="reception",
-    )
+    software: Annotated[Text | None, about("program and version")] = None
+    started: Annotated[Text | None, about("when the session began, UTC")] = None
+    ended: Annotated[Text | None, about("when the session ended, UTC")] = None
+    journal: Annotated[FileRecord | None, about("the journal: `name`, `sha256`")] = None
+    link_statistics: Annotated[
+        Mapping[str, Count] | None,
+        about("[what became of what a sensor said](../explanation.md#lost-and-damaged)", formerly="reception"),
+    ] = None
 
 
-@frozen(kw_only=True)
-class SamplesRecord:
+class SamplesRecord(Record, kw_only=True):
     """The numbers of samples of a rotation."""
 
-    used: int = entry(Integer(minimum=0), "samples that were used")
-    left_out: int = entry(Integer(minimum=0), "samples that were left out")
+    used: Annotated[Count, about("samples that were used")]
+    left_out: Annotated[Count, about("samples that were left out")]
 
 
-@frozen(kw_only=True)
-class PairProvenance:
+class PairProvenance(Record, kw_only=True):
     """The provenance of a pair calibration."""
 
-    made_by: str | None = entry(Text(), "`measurement`, `the virtual bench …`, `match of …`", default=None)
-    operator: str | None = entry(Text(), "who led the session", default=None)
-    bench: BenchRecord | None = entry(
-        Section(BenchRecord), "`sensors`: `serial`, `model` and `address` of each", default=None
-    )
-    software: str | None = entry(Text(), "program and version", default=None)
-    log: LogRecord | None = entry(Section(LogRecord), "the log: `name`, `rows`, `missing`, `sha256`", default=None)
-    stage_angle: str | None = entry(Text(), "how the stage angle was found, where it was estimated", default=None)
-    started: str | None = entry(MOMENT, "when the session began, UTC", default=None)
-    ended: str | None = entry(MOMENT, "when the session ended, UTC", default=None)
-    journal: FileRecord | None = entry(Section(FileRecord), "the journal: `name`, `sha256`", default=None)
-    link_statistics: Mapping[str, Mapping[str, int]] | None = entry(
-        ByName(ByName(Integer(minimum=0))),
-        "per serial number, [what became of what the sensors said](../explanation.md#lost-and-damaged)",
-        default=None,
-        formerly="reception",
-    )
-    procedure: str | None = entry(Text(), "the name of the rotation procedure", default=None)
-    samples: SamplesRecord | None = entry(Section(SamplesRecord), "`used` and `left_out`", default=None)
-    stopped: str | None = entry(Text(), "why the rotation ended", default=None)
-    not_matched: tuple[str, ...] = entry(ListOf(Text()), "pairs that could not be matched, and why", default=())
+    made_by: Annotated[Text | None, about("`measurement`, `the virtual bench …`, `match of …`")] = None
+    operator: Annotated[Text | None, about("who led the session")] = None
+    bench: Annotated[BenchRecord | None, about("`sensors`: `serial`, `model` and `address` of each")] = None
+    software: Annotated[Text | None, about("program and version")] = None
+    log: Annotated[LogRecord | None, about("the log: `name`, `rows`, `missing`, `sha256`")] = None
+    stage_angle: Annotated[Text | None, about("how the stage angle was found, where it was estimated")] = None
+    started: Annotated[Text | None, about("when the session began, UTC")] = None
+    ended: Annotated[Text | None, about("when the session ended, UTC")] = None
+    journal: Annotated[FileRecord | None, about("the journal: `name`, `sha256`")] = None
+    link_statistics: Annotated[
+        Mapping[str, Mapping[str, Count]] | None,
+        about(
+            "per serial number, [what became of what the sensors said](../explanation.md#lost-and-damaged)",
+            formerly="reception",
+        ),
+    ] = None
+    procedure: Annotated[Text | None, about("the name of the rotation procedure")] = None
+    samples: Annotated[SamplesRecord | None, about("`used` and `left_out`")] = None
+    stopped: Annotated[Text | None, about("why the rotation ended")] = None
+    not_matched: Annotated[tuple[Text, ...], about("pairs that could not be matched, and why")] = ()

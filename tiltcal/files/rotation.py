@@ -1,98 +1,33 @@
-"""The section ``rotation`` of a procedure: which pairs are matched while a stage turns, and how long it turns.
-
-::
-
-    rotation:
-      phase: theta                                # the channel of the stage angle, degrees
-      pairs:
-        - {pair: [a1, a2], orthogonal: a4}        # the second is trimmed to the first
-        - {pair: [a3, a4], orthogonal: a1}
-      turns: 100                                  # the most that are made
-      converged: 1e-5                             # standard uncertainty of p and q at which it stops earlier
-      patience: 60                                # seconds for the stage to begin to turn
-      prompt: Let the stage turn steadily.
-"""
+"""The section ``rotation`` of a procedure: which pairs are matched while a stage turns, and how long it turns."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+from msgspec import Meta
 
 from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import UsageError
-from tiltcal.files.declaration import Context, Converted, ListOf, Section, entry
-from tiltcal.files.node import Node
-from tiltcal.files.scalars import Integer, Number, Text
-from tiltcal.frozen import frozen
+from tiltcal.files.document import Document
+from tiltcal.files.record import AboveZero, Identifier, Record, Text, about
 
 FEWEST_WHOLE_TURNS = int(FEWEST_TURNS)
 MOST = 1_000_000
 """Turns."""
 
-_FOUR = "pair, orthogonal and phase are four different channels"
 
-
-@frozen(kw_only=True)
-class PairSelection:
-    """One of ``pairs`` as it stands in a file."""
-
-    pair: tuple[str, ...] = entry(
-        ListOf(Text(), 2, 2, says="a pair has two channels, found {found}"),
-        "`[first, second]`, two channels opposite each other; the second is trimmed to the first",
-    )
-    orthogonal: str = entry(Text(), "a channel a quarter turn away")
-
-
-def _pair_of(found: PairSelection, node: Node, context: Context) -> Pair:
-    channels = (found.pair[0], found.pair[1], found.orthogonal)
-    if len(set(channels)) < len(channels):
-        raise node.error(_FOUR)
-    return Pair(*channels)
-
-
-def _distinct(pairs: tuple[Pair, ...], node: Node, context: Context) -> tuple[Pair, ...]:
-    if len({pair.name for pair in pairs}) < len(pairs):
-        raise node.error("the same pair is there twice")
-    return pairs
-
-
-@frozen
+@dataclass(frozen=True)
 class Rotation:
-    """The pairs that are matched while a stage turns, and when it ends."""
+    """The pairs that are matched while a stage turns, and when it ends; the keys are those of the file."""
 
-    phase: str = entry(Text(), "the channel of the stage angle, degrees")
-    pairs: tuple[Pair, ...] = entry(
-        Converted(
-            ListOf(
-                Converted(Section(PairSelection), _pair_of),
-                1,
-                2,
-                says="one or two pairs can be matched at once, those of one stage; found {found}",
-            ),
-            _distinct,
-        ),
-        "one or two of `{pair: [first, second], orthogonal: third}`; the second is trimmed to the first, the third "
-        "stands a quarter turn away",
-    )
-    prompt: str = entry(
-        Text(), "the operator's sentence", default="Let the stage turn steadily, with its axis inclined."
-    )
-    turns: int = entry(
-        Converted(
-            Integer(),
-            lambda turns, node, _: node.converted(require_turns, turns),
-            more={"minimum": FEWEST_WHOLE_TURNS, "maximum": MOST},
-        ),
-        "the most that are made; `--turns` takes its place",
-        default=100,
-    )
-    converged: float | None = entry(
-        Number(above=0.0),
-        "the standard uncertainty of p and q, relative to a scale factor, at which it ends earlier; not before the "
-        "fifth turn",
-        default=None,
-    )
-    patience: float = entry(Number(above=0.0), "seconds in which the stage must begin to turn", default=60.0)
+    phase: str
+    pairs: tuple[Pair, ...]
+    prompt: str = "Let the stage turn steadily, with its axis inclined."
+    turns: int = 100
+    converged: float | None = None
+    patience: float = 60.0
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -113,12 +48,59 @@ def require_turns(turns: int) -> int:
     return turns
 
 
-def _apart(rotation: Rotation, node: Node, context: Context) -> Rotation:
-    for pair, item in zip(rotation.pairs, node.entries()["pairs"].items(), strict=True):
-        if rotation.phase in pair.channels:
-            raise item.error(_FOUR)
-    return rotation
+class PairSelection(Record, kw_only=True):
+    """One of ``pairs`` as it stands in a file."""
+
+    pair: Annotated[
+        tuple[Text, Text],
+        about("`[first, second]`, two channels opposite each other; the second is trimmed to the first"),
+    ]
+    orthogonal: Annotated[Text, about("a channel a quarter turn away")]
 
 
-ROTATION = Converted(Section(Rotation), _apart)
-"""The section ``rotation``."""
+class RotationSection(Record, kw_only=True):
+    """The section ``rotation`` as it stands in a file."""
+
+    phase: Annotated[Text, about("the channel of the stage angle, degrees")]
+    pairs: Annotated[
+        tuple[PairSelection, ...],
+        Meta(min_length=1, max_length=2),
+        about(
+            "one or two of `{pair: [first, second], orthogonal: third}`; the second is trimmed to the first, the third "
+            "stands a quarter turn away"
+        ),
+    ]
+    prompt: Annotated[Text, about("the operator's sentence")] = Rotation.prompt
+    turns: Annotated[
+        int,
+        Meta(ge=FEWEST_WHOLE_TURNS, le=MOST),
+        about("the most that are made; `--turns` takes its place"),
+    ] = Rotation.turns
+    converged: Annotated[
+        AboveZero | None,
+        about(
+            "the standard uncertainty of p and q, relative to a scale factor, at which it ends earlier; not before the "
+            "fifth turn"
+        ),
+    ] = None
+    patience: Annotated[AboveZero, about("seconds in which the stage must begin to turn")] = Rotation.patience
+
+
+class RotationFile(Record, kw_only=True):
+    """The procedure file of a stage that turns."""
+
+    name: Annotated[Identifier, about("a letter, then letters, digits, `-`, `_`, `.`")]
+    title: Annotated[Text, about("what it is for, in one line")]
+    source: Annotated[Text, about("the document it comes from")] = ""
+    rotation: Annotated[RotationSection, about("which pairs are matched while the stage turns")]
+
+
+def rotation_of(section: RotationSection, place: Document) -> Rotation:
+    """Return a rotation; an InputError where its channels are not different ones, or one pair is there twice."""
+    pairs = tuple(Pair(*selection.pair, selection.orthogonal) for selection in section.pairs)
+    for number, pair in enumerate(pairs):
+        if len({*pair.channels, section.phase}) < len(pair.channels) + 1:
+            raise place.error("pair, orthogonal and phase are four different channels", "pairs", number)
+    if len({pair.name for pair in pairs}) < len(pairs):
+        raise place.error("the same pair is there twice", "pairs")
+    return Rotation(section.phase, pairs, section.prompt, section.turns, section.converged, section.patience)

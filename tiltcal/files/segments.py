@@ -3,32 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
 from tiltcal.core.gravity_direction import Vector, normalised
 from tiltcal.errors import InputError
 from tiltcal.files.csv_tables import Table, table_rows
-from tiltcal.files.declaration import Context, Converted, Section, entry
-from tiltcal.files.node import Node
-from tiltcal.files.scalars import Integer, Number, Text
-from tiltcal.frozen import frozen
+from tiltcal.files.document import Document
+from tiltcal.files.record import Count, Number, Record, Text, about, keys_of
 
 
-@frozen
+@dataclass(frozen=True)
 class Segment:
-    """Rows of a log during which the sensor was held still.
+    """Rows of a log during which the sensor was held still, from 0 after the header, the end exclusive.
 
-    Attributes
-    ----------
-    name : str
-        Of the position.
-    start, end : int
-        Row numbers counted from 0 after the header; the end is exclusive.
-    gravity : tuple of float or None
-        Up in the sensor frame, a unit vector; None where the position's name gives it by the procedure.
-    line : int or None
-        Where the segment stands in its file.
+    Up is a unit vector in the sensor frame, None where the position's name gives it by the procedure.
     """
 
     name: str
@@ -38,26 +29,18 @@ class Segment:
     line: int | None
 
 
-@frozen(kw_only=True)
-class Direction:
+class Direction(Record, kw_only=True):
     """The direction that points up, as a row of a table gives it."""
 
-    gx: float | None = entry(
-        Number(),
-        "with `gy` and `gz` the direction that points up, where the position is not the procedure's",
-        default=None,
-    )
-    gy: float | None = entry(Number(), "likewise", default=None)
-    gz: float | None = entry(Number(), "likewise", default=None)
+    gx: Annotated[
+        Number | None,
+        about("with `gy` and `gz` the direction that points up, where the position is not the procedure's"),
+    ] = None
+    gy: Annotated[Number | None, about("likewise")] = None
+    gz: Annotated[Number | None, about("likewise")] = None
 
-    def vector(self, row: Node) -> Vector | None:
-        """Return the direction as a unit vector; None where the row gives none.
-
-        Raises
-        ------
-        InputError
-            One or two of the three, or all zero.
-        """
+    def vector(self, row: Document) -> Vector | None:
+        """Return the direction as a unit vector, None where the row has none; an InputError where it is incomplete."""
         parts = {"gx": self.gx, "gy": self.gy, "gz": self.gz}
         given = [value for value in parts.values() if value is not None]
         if not given:
@@ -65,50 +48,35 @@ class Direction:
         if len(given) < len(parts):
             missing = ", ".join(name for name, value in parts.items() if value is None)
             raise row.error(f"{missing} is missing; a direction has all of gx, gy and gz")
-        return row.converted(normalised, given)
+        with row.locating():
+            return normalised(given)
 
 
-@frozen(kw_only=True)
-class SegmentRow(Direction):
+class SegmentRow(Direction, kw_only=True):
     """One row of a segments file."""
 
-    position: str = entry(Text(), "its name, the procedure's or another one")
-    start: int = entry(Integer(minimum=0), "first row of the log, counted from 0 after its header")
-    end: int = entry(Integer(minimum=0), "the row after the last one")
+    position: Annotated[Text, about("its name, the procedure's or another one")]
+    start: Annotated[Count, about("first row of the log, counted from 0 after its header")]
+    end: Annotated[Count, about("the row after the last one")]
 
 
-def _segment_of(row: SegmentRow, node: Node, context: Context) -> Segment:
+def _segment_of(document: Document) -> Segment:
+    row = document.read(SegmentRow)
     if row.start >= row.end:
-        raise node.entries()["end"].error(f"the end {row.end} is not after the start {row.start}; the end is exclusive")
-    return Segment(row.position, row.start, row.end, row.vector(node), node.line)
-
-
-SEGMENT = Converted(Section(SegmentRow), _segment_of)
-"""One row of a segments file."""
+        why = f"the end {row.end} is not after the start {row.start}; the end is exclusive"
+        raise document.error(why, "end")
+    return Segment(row.position, row.start, row.end, row.vector(document), document.line)
 
 
 def read_segments(segments: Table) -> list[Segment]:
     """Read and check a segments file.
 
-    Parameters
-    ----------
-    segments : str, Path or sequence of mapping
-        CSV with the columns ``position,start,end`` and, all three or none, ``gx,gy,gz``; or a JSON list of objects with
-        these keys; or such rows.
-
-    Returns
-    -------
-    list of Segment
-        In the order of the file. A position may come more than once: in consecutive rows they are parts of one
-        placement that was interrupted, elsewhere the sensor was put there again.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and column.
+    ``segments`` are CSV with the columns ``position,start,end`` and, all three or none, ``gx,gy,gz``; or a JSON list of
+    objects with these keys; or such rows. A position may come more than once: in consecutive rows they are parts of one
+    placement that was interrupted, elsewhere the sensor was put there again. An InputError names file, line and column.
     """
     path = segments if isinstance(segments, str | Path) else "the segments"
-    found = [SEGMENT.read(row) for row in table_rows(segments, path, Section(SegmentRow).keys())]
+    found = [_segment_of(row) for row in table_rows(segments, path, keys_of(SegmentRow))]
     if not found:
         raise InputError("the file has no segment", file=path)
     _refuse_overlap(found, path)

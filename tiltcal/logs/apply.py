@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from datetime import date, timedelta
 from itertools import chain
 from math import nan
@@ -17,7 +17,6 @@ import tiltcal
 from tiltcal.calibration.calibration import read
 from tiltcal.errors import InputError
 from tiltcal.files.atomic import require_apart
-from tiltcal.frozen import frozen
 from tiltcal.logs.apply_summary import ApplySummary, ColumnWidths
 from tiltcal.logs.cf_attributes import DEGREE, same_unit
 from tiltcal.logs.columns import (
@@ -253,7 +252,7 @@ def prepare_any(
     return lambda log, columns: prepared
 
 
-@frozen
+@dataclass(frozen=True)
 class CompensatedLog:
     """The rows of a log with what a calibration makes of them.
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import DEGREE, same_unit
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ TIME = "time"
 HEADING = "heading"
 
 
-@frozen
+@dataclass(frozen=True)
 class SensorColumns:
     """Where the columns of a sensor stand among others.
 

@@ -61,7 +61,7 @@ class TestSeveralPieces:
         values = np.random.default_rng(3).normal(0.0, 1.0, (2, 30_720))
         (found,) = intervals(values, [segment(0, TO_THE_END)])
         means = values[0].reshape(10, 3072).mean(axis=1)
-        assert found.where["rows"] == ((0, 30_720),)
+        assert found.where["rows"] == (0, 30_720)
         assert found.summaries["x"].mean == pytest.approx(values[0].mean(), rel=1e-12)
         assert found.summaries["x"].noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
 

@@ -8,7 +8,7 @@ A procedure of positions is carried out by a :class:`PositionOperator`, one of a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from math import dist
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -18,7 +18,6 @@ from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import InputError
 from tiltcal.files.procedure import Position, Procedure
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.bench.position_result import PositionResult
@@ -32,7 +31,7 @@ Live = Callable[[], Mapping[str, Reading]]
 """Takes one sample of every sensor, by serial number."""
 
 
-@frozen
+@dataclass(frozen=True)
 class OperatorAnswer:
     """An answer of the operator, as the journal keeps it. An operator that quits raises ``Stopped`` instead.
 
@@ -152,7 +151,7 @@ class PositionOperator(Operator, Protocol):
         ...
 
 
-@frozen
+@dataclass(frozen=True)
 class StageTurn:
     """One turn of a stage, with what is known by then.
 

@@ -17,13 +17,13 @@ covariance.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from tiltcal.core.estimation.joint_equations import Equations, Indices, LocalEquations, System
 from tiltcal.core.model import Array
-from tiltcal.frozen import frozen
 
 DEGENERATE = 1e-10
 """Share of a column's length that is left without the others, below which a singular value decomposition is used."""
@@ -35,7 +35,7 @@ UNSEEN = 1e-6
 """A lean with less than this share of its effect left, once the coefficients follow it, shows in no reading."""
 
 
-@frozen
+@dataclass(frozen=True)
 class LocalFactor:
     """Orthogonal factors of one block, with which its local unknowns are eliminated.
 
@@ -59,7 +59,7 @@ class LocalFactor:
     rhs: Array
 
 
-@frozen
+@dataclass(frozen=True)
 class Elimination:
     """The equations of the shared unknowns, after the local ones are eliminated.
 
@@ -182,7 +182,7 @@ def solve(triangle: Array, right: Array) -> Array:
     return np.asarray(((np.linalg.pinv(triangle / size, rcond=DEGENERATE) @ right).T / size).T)
 
 
-@frozen
+@dataclass(frozen=True)
 class LinearSolution:
     """The equations near their minimum, where every unknown is a linear function of the equations' errors.
 

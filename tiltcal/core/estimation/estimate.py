@@ -14,7 +14,7 @@ Attitudes that nobody set have a fit of their own (:mod:`tiltcal.core.estimation
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import degrees, inf, radians, sqrt
 
 import numpy as np
@@ -46,7 +46,6 @@ from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 LARGEST_JIG = radians(45.0)
 """Standard deviation of a set angle above which the positions are not those that were set, radians."""
@@ -64,7 +63,7 @@ JIG_NOT_SHOWN = (
 ABOVE_NOISE = "the residuals are larger than noise and attitudes explain: is the sensor linear, and was it still?"
 
 
-@frozen
+@dataclass(frozen=True)
 class AttitudeError:
     """Attitude error of a position, as the readings show it.
 
@@ -84,7 +83,7 @@ class AttitudeError:
     p: float
 
 
-@frozen
+@dataclass(frozen=True)
 class Estimate(DeterminedCoefficients):
     """Coefficients of one sensor, with their uncertainty and the residuals.
 
@@ -275,7 +274,7 @@ def _of_residuals(before: System, system: System, z: Array, dof: int, noise: Noi
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class _Found:
     """Minimum of the sum of squares, with uncertainty and tests, over all sensors."""
 

@@ -19,7 +19,7 @@ these parts, and is never written out.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
 
@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from tiltcal.core.estimation.attitude import heading_rotations, tangent_basis, turned
 from tiltcal.core.model import Array, ChannelModel, ModelReading
-from tiltcal.frozen import frozen
 
 Indices = NDArray[np.intp]
 
@@ -39,7 +38,7 @@ THERMOMETER, HYSTERESIS, PRIOR = "thermometer", "hysteresis", "assumed"
 _PER_LEAN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
-@frozen
+@dataclass(frozen=True)
 class EquationBlock:
     """Readings of some sensors that are alike: S sensors with C channels of k coefficients in n positions.
 
@@ -89,7 +88,7 @@ class EquationBlock:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class LocalEquations:
     """Equations of one block at one point, each divided by its standard uncertainty, in B independent sets.
 
@@ -122,7 +121,7 @@ class LocalEquations:
         return int(self.shared.shape[1])
 
 
-@frozen
+@dataclass(frozen=True)
 class Equations:
     """Equations of all sensors, linearised at one point.
 
@@ -148,7 +147,7 @@ class Equations:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class System:
     """All equations of a fixture.
 

@@ -5,7 +5,7 @@ Each is found at a minimum of the equations, which moves with it: so the equatio
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 import numpy as np
@@ -21,7 +21,6 @@ from tiltcal.core.estimation.variance_components import (
     variance_components,
 )
 from tiltcal.core.model import Array
-from tiltcal.frozen import frozen
 
 ROUNDS = 20
 """Most times that the jig is estimated anew at the solution that the last one gave; three to five are usual."""
@@ -133,7 +132,7 @@ def find_noise(
     return known, z, found
 
 
-@frozen
+@dataclass(frozen=True)
 class FoundThermometer:
     """The system with the thermometer that the residuals show, its minimum, and that variance's degrees of freedom."""
 

@@ -21,6 +21,7 @@ J. H. Roger, *Small sample inference for fixed effects from REML*, Biometrics 53
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
@@ -28,7 +29,6 @@ from numpy.typing import NDArray
 
 from tiltcal.core.coverage_factor import degrees_of_freedom, half_width
 from tiltcal.core.model import Array
-from tiltcal.frozen import frozen
 
 IMPROBABLE = 0.01
 """Probability below which what is left, when the attitudes are taken out, is more than the noise that was measured."""
@@ -51,7 +51,7 @@ IMPOSSIBLE = 1e-8
 """Probability over the largest one below which a variance is left out."""
 
 
-@frozen
+@dataclass(frozen=True)
 class VarianceComponents:
     """Variances of jig and noise, as the residuals show them.
 
@@ -88,7 +88,7 @@ class VarianceComponents:
         return sqrt(max(self.jig, 0.0))
 
 
-@frozen
+@dataclass(frozen=True)
 class NoiseVariance:
     """Variance of the readings where nothing is stated of their noise.
 
@@ -125,7 +125,7 @@ class NoiseVariance:
         return float(self.dof(np.ones(1), np.zeros(1))[0])
 
 
-@frozen
+@dataclass(frozen=True)
 class ProjectedResiduals:
     """Residuals in the space that M leaves, whitened by N.
 

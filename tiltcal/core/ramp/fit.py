@@ -14,6 +14,7 @@ predicts each of them better, and where hysteresis without time does not explain
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from math import sqrt
 from operator import attrgetter
@@ -28,7 +29,6 @@ from tiltcal.core.ramp.noise import joint_least_squares, noise_covariance, noise
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
 from tiltcal.core.ramp.second_lag import likeliest_pair, over_lags
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 LEG_LAGS = 4.0
 """A leg must last so many lags: else the element does not follow."""
@@ -48,7 +48,7 @@ TURNS = 3.0
 _LAGS, _STEPS, _CONVERGED = 14, 8, 0.01
 
 
-@frozen
+@dataclass(frozen=True)
 class HeldOutLeg:
     """The error with which a leg is predicted from the others.
 
@@ -63,7 +63,7 @@ class HeldOutLeg:
     lagged: Array
 
 
-@frozen
+@dataclass(frozen=True)
 class RampFit:
     """The drift that a record shows.
 
@@ -117,7 +117,7 @@ class RampFit:
         return int(self.coefficients.shape[1]) - 1
 
 
-@frozen
+@dataclass(frozen=True)
 class _CrossValidated:
     """The order that predicts left-out legs best, and the mean square errors by order, shape (legs, channels)."""
 
@@ -130,7 +130,7 @@ class _CrossValidated:
         return self.errors[self.order]
 
 
-@frozen
+@dataclass(frozen=True)
 class _Solution:
     """Polynomials of shape (order + 1, channels) for a lag, and their sum of squares over the scale."""
 
@@ -292,7 +292,7 @@ def _solve(means: FittedMeans, kept: NDArray[np.bool_], order: int, lags: Array,
     return best
 
 
-@frozen
+@dataclass(frozen=True)
 class _Estimate:
     """Lag, coefficients of shape (channels, order + 1), and their covariances as in :class:`RampFit`."""
 

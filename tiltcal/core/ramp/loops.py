@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tiltcal.core.coverage_factor import COVERAGE, NORMAL_FACTOR
 from tiltcal.core.model import Array
 from tiltcal.core.ramp.means import FittedMeans
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 CHANCE = 0.01
 """Probability with which noise alone makes what counts as a loop."""
@@ -19,7 +20,7 @@ BINS = 8
 _WIDTHS, _REFINEMENTS, _BISECTIONS = 10, 3, 40
 
 
-@frozen
+@dataclass(frozen=True)
 class Loops:
     """The way up less the way down.
 
@@ -40,7 +41,7 @@ class Loops:
         return np.asarray(1.0 - after / np.maximum(before, np.finfo(float).tiny))
 
 
-@frozen
+@dataclass(frozen=True)
 class HalfLoop:
     """Half the difference between the ways of a channel, as a polynomial of the temperature, and its covariance."""
 

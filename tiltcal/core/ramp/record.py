@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,6 @@ from tiltcal.core.model import Array
 from tiltcal.core.quantisation import StepFinder
 from tiltcal.core.ramp.temperature_jumps import JumpDetector, TemperatureJumps
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 MOST = 4096
 """Means that are kept; from twice as many on, two by two become one."""
@@ -31,7 +31,7 @@ FEWEST_ROWS = 32
 """Rows of a record."""
 
 
-@frozen
+@dataclass(frozen=True)
 class RampRecord:
     """Means of consecutive rows of a record.
 
@@ -122,7 +122,7 @@ class RecordAverager:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class Leg:
     """A part of a record in which the temperature goes one way.
 

@@ -17,6 +17,7 @@ one lag all the same: a second one is rarely distinguished from the noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from math import log, pi, sqrt
 from operator import attrgetter
@@ -26,7 +27,6 @@ import numpy as np
 from tiltcal.core.model import Array
 from tiltcal.core.ramp.means import FittedMeans, slopes_of
 from tiltcal.core.ramp.noise import joint_least_squares, whitener
-from tiltcal.frozen import frozen
 
 _SPACING, _CLOSEST = 1.36, 1.002
 """Ratio of neighbouring lags of the pairs; its root about the likeliest pair, and again, down to the second."""
@@ -43,7 +43,7 @@ _PARTS = tuple(_SPACING**power for power in range(-7, 5))
 _STEPS = 3
 
 
-@frozen
+@dataclass(frozen=True)
 class OverLags:
     """What one lag and pairs of lags give on the mean.
 
@@ -111,7 +111,7 @@ def over_lags(means: FittedMeans, lag: float, polynomials: Array, covariance: Ar
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class LagPairFit:
     """Coefficients channel by channel, their covariance, what the last unknown changes by, and the log evidence.
 

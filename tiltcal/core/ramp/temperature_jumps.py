@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,6 @@ from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 _STEPS = 4.0
 """A ramp of few rows may change by so many of its usual steps from one row to the next."""
@@ -21,7 +22,7 @@ _FIRST = 5
 """Rows whose median is the temperature that a record begins with."""
 
 
-@frozen
+@dataclass(frozen=True)
 class TemperatureJumps:
     """The temperatures that jump: how many there are, and the first of them.
 
