@@ -14,16 +14,12 @@ from msgspec.structs import fields
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import LimitsSection, SensorIdentity, TiltFile
 from tiltcal.files.coefficients import CoefficientsSection
-from tiltcal.files.derived_record import DerivedRecord
-from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.journal_header import Header
 from tiltcal.files.pair import PairFile
-from tiltcal.files.position_record import PositionRecord, ProcedureRecord
-from tiltcal.files.positions import TabledRow
 from tiltcal.files.procedure import ProcedureFile
-from tiltcal.files.provenance_record import Provenance
-from tiltcal.files.rotation import RotationSection
-from tiltcal.files.segments import SegmentRow
+from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.rotation import Rotation
+from tiltcal.files.tables import SegmentRow, TabledRow
 from tiltcal.files.twin import DiskSection, TwinFile
 from tiltcal.files.uncertainty import UncertaintySection
 
@@ -41,7 +37,7 @@ TABLES: dict[str, type[Struct]] = {
     "provenance": Provenance,
     "pair": PairFile,
     "procedure": ProcedureFile,
-    "rotation": RotationSection,
+    "rotation": Rotation,
     "bench": BenchFile,
     "twin": TwinFile,
     "disk": DiskSection,

@@ -23,7 +23,7 @@ from tiltcal.drivers.bus.link import Interruption
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.pair import PairRecord, SpinRecord
-from tiltcal.files.provenance_record import BenchRecord, BenchSensorRecord, PairProvenance, SamplesRecord
+from tiltcal.files.results import BenchRecord, BenchSensorRecord, PairProvenance, SamplesRecord
 from tiltcal.files.rotation import Rotation
 
 BLOCK_NS = 200_000_000

@@ -19,7 +19,7 @@ from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.moments import stamp
-from tiltcal.files.provenance_record import VIRTUAL, BenchRecord, FileRecord, Provenance
+from tiltcal.files.results import VIRTUAL, BenchRecord, FileRecord, Provenance
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,8 @@ from tiltcal.core.rounding import round_to
 from tiltcal.drivers.columns import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.position_record import ProcedureRecord
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.results import ProcedureRecord
 
 
 def calibrate(

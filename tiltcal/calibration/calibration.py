@@ -23,11 +23,8 @@ from tiltcal.files.calibration import (
     dump_calibration,
     tilt_record,
 )
-from tiltcal.files.derived_record import DerivedRecord
 from tiltcal.files.document import Document, read_document
-from tiltcal.files.fit_record import FitRecord
-from tiltcal.files.position_record import PositionRecord, ProcedureRecord
-from tiltcal.files.provenance_record import Provenance
+from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty, length_tolerance
 from tiltcal.stated_arguments import require_boolean
 

@@ -25,9 +25,7 @@ from tiltcal.core.rounding import significant
 from tiltcal.core.uncertainty_inputs import is_turn
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
-from tiltcal.files.fit_record import NOISE_ALONE, FitRecord
-from tiltcal.files.position_record import PositionRecord, ProcedureRecord
-from tiltcal.files.provenance_record import FileRecord, Provenance
+from tiltcal.files.results import NOISE_ALONE, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty
 
 

@@ -22,7 +22,7 @@ from tiltcal.core.uncertainty_inputs import UncertaintyInputs, is_turn
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.document import parse_document, read_text
-from tiltcal.files.fit_record import NOISE_ALONE
+from tiltcal.files.results import NOISE_ALONE
 from tiltcal.files.uncertainty import stated_uncertainty
 
 KINDS = {"sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}

@@ -17,15 +17,18 @@ from tiltcal.core.named_coefficients import DeterminedCoefficients, values
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs, with_turns_scaled
-from tiltcal.files.derived_record import (
+from tiltcal.files.results import (
+    NOISE_ALONE,
     DerivedCoverage,
     DerivedRecord,
     DerivedUncertainty,
+    FitRecord,
     IntrinsicCoverage,
     IntrinsicRecord,
     IntrinsicUncertainty,
+    SuspectPosition,
+    WorstResidual,
 )
-from tiltcal.files.fit_record import NOISE_ALONE, FitRecord, SuspectPosition, WorstResidual
 from tiltcal.files.uncertainty import Covariance, Uncertainty
 
 DIGITS = 4

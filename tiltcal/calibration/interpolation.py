@@ -26,9 +26,7 @@ from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, require_same_sensor, responses_to_priors
-from tiltcal.files.fit_record import FitRecord
-from tiltcal.files.position_record import ProcedureRecord
-from tiltcal.files.provenance_record import Provenance
+from tiltcal.files.results import FitRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertainty_inputs
 
 FARTHEST_TURN = 5.0

@@ -22,8 +22,8 @@ from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model, deviation_within
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.position_record import PositionSet, ProcedureRecord
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.results import PositionSet, ProcedureRecord
 
 OF_BASE = "of the base calibration"
 """The origin of a sensitivity that the sensor's own calibration lends."""

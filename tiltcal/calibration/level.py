@@ -35,9 +35,8 @@ from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.fit_record import NOISE_ALONE, LevelFit
-from tiltcal.files.position_record import CompletingRun
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.results import NOISE_ALONE, CompletingRun, LevelFit
 from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
 
 BASE = "base"

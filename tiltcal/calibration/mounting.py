@@ -29,8 +29,7 @@ from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.fit_record import MountingFit
-from tiltcal.files.position_record import CompletingRun
+from tiltcal.files.results import CompletingRun, MountingFit
 from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
 
 

@@ -13,7 +13,7 @@ from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.pair import PairRecord, dump_pair
-from tiltcal.files.provenance_record import PairProvenance
+from tiltcal.files.results import PairProvenance
 
 HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
 

@@ -24,8 +24,8 @@ from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
 from tiltcal.core.uncertainty_budget import Budget, Part
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.fit_record import CrossValidation, Hysteresis, RampFitRecord, RampLeg
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.results import CrossValidation, Hysteresis, RampFitRecord, RampLeg
 
 GROUPS = 8
 """Parts of a leg that the file lists as positions."""

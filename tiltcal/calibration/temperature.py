@@ -28,8 +28,8 @@ from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import central_differences
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.fit_record import CrossValidation, Hysteresis
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.results import CrossValidation, Hysteresis
 from tiltcal.files.uncertainty import Covariance
 
 ROOM = 25.0

@@ -12,8 +12,8 @@ from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, InputError, TiltcalError, UsageError
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.journal import read_journal
-from tiltcal.files.provenance_record import FileRecord
 from tiltcal.files.record import KINDS
+from tiltcal.files.results import FileRecord
 
 
 @click.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")

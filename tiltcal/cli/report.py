@@ -16,7 +16,7 @@ from tiltcal.errors import EstimateError, UsageError
 if TYPE_CHECKING:
     from tiltcal.files.calibration import CalibrationRecord
     from tiltcal.files.pair import PairRecord
-    from tiltcal.files.provenance_record import FileRecord
+    from tiltcal.files.results import FileRecord
     from tiltcal.report.log_section import ReportedLog
     from tiltcal.report.pair_figures import PairDrawing
 
@@ -156,7 +156,7 @@ def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[st
 
 
 def _source(name: str) -> FileRecord:
-    from tiltcal.files.provenance_record import FileRecord
+    from tiltcal.files.results import FileRecord
     from tiltcal.logs.streams import sha256_of
 
     return FileRecord(name=Path(name).name, sha256=sha256_of(name))

@@ -12,8 +12,8 @@ from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, tilt_record
 from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.provenance_record import FileRecord
 from tiltcal.files.record import Record, Text, about
+from tiltcal.files.results import FileRecord
 from tiltcal.stated_arguments import require_path
 
 

@@ -22,13 +22,10 @@ from tiltcal.core.named_coefficients import CoefficientChange, changes, differen
 from tiltcal.core.uncertainty_inputs import TURN
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import CoefficientsSection, coefficients_of, coefficients_section, in_degrees
-from tiltcal.files.derived_record import DerivedRecord
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.emitter import yaml_text
-from tiltcal.files.fit_record import FitRecord
-from tiltcal.files.position_record import PositionRecord, ProcedureRecord
-from tiltcal.files.provenance_record import Provenance
 from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data
+from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import (
     Uncertainty,
     UncertaintySection,

@@ -11,6 +11,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import takewhile
 from math import isfinite
 from pathlib import Path
 from typing import Any, TypeVar
@@ -216,31 +217,25 @@ def parse_document(text: str, file: str | None = None, language: str = "YAML") -
     return _Composer(file, language).compose(str(text))
 
 
-@dataclass
-class _Open:
-    """A list or mapping whose end was not read yet."""
-
-    data: Any
-    place: Place
-    key: str | None = None
-
-
 class _Composer:
-    """Builds the data from the parser's events, with a stack of its own: depth costs no recursion."""
+    """Builds the data from the parser's events; how deep and how many they are is limited."""
 
     def __init__(self, file: str | None, language: str) -> None:
         self._file = file
         self._language = language
-        self._stack: list[_Open] = []
-        self._roots: list[Any] = []
         self._lines: dict[Place, int] = {}
         self._count = 0
 
     def compose(self, text: str) -> Document:
+        roots: list[Any] = []
         try:
             # The C library, where PyYAML was built with it.
-            for event in yaml.parse(text, Loader=getattr(yaml, "CBaseLoader", yaml.BaseLoader)):
-                self._take(event, 1 if event.start_mark is None else event.start_mark.line + 1)
+            events = yaml.parse(text, Loader=getattr(yaml, "CBaseLoader", yaml.BaseLoader))
+            for event in events:
+                if isinstance(event, yaml.DocumentStartEvent) and roots:
+                    raise self._error("a second document begins; keep one document per file", _line(event))
+                if isinstance(event, yaml.NodeEvent):
+                    roots.append(self._value(event, events, ()))
         except yaml.MarkedYAMLError as failure:
             mark = failure.problem_mark or failure.context_mark
             problem = failure.problem or failure.context or "the parser gives no reason"
@@ -252,67 +247,66 @@ class _Composer:
             raise self._error(f"not {self._language}: {failure.reason}", line) from None
         except (yaml.YAMLError, UnicodeError) as failure:
             raise self._error(f"not {self._language}: {failure}", None) from None
-        if not self._roots:
+        if not roots:
             raise self._error("the file is empty", None)
-        return Document(self._roots[0], self._lines, self._file)
+        return Document(roots[0], self._lines, self._file)
 
-    def _take(self, event: yaml.Event, line: int) -> None:
-        if isinstance(event, yaml.AliasEvent):
-            raise self._error(f"the alias *{event.anchor} is not allowed; write the value out", line)
-        if isinstance(event, yaml.NodeEvent):
-            if event.anchor is not None:
-                raise self._error(f"the anchor &{event.anchor} is not allowed; write the value out", line)
-            if (tag := getattr(event, "tag", None)) is not None:
-                raise self._error(f"the tag {tag} is not allowed; write the value alone", line)
-            self._count += 1
-            if self._count > NODE_LIMIT:
-                raise self._error(f"more than {NODE_LIMIT:,} values in one file", line)
+    def _value(self, event: yaml.Event, events: Iterator[yaml.Event], place: Place) -> Any:
+        """Return the value that begins with an event, and take the events up to its end."""
+        line = self._checked(event)
+        self._lines.setdefault(place, line)
         if isinstance(event, yaml.ScalarEvent):
-            self._scalar(Quoted(event.value) if event.style else event.value, line)
-        elif isinstance(event, yaml.CollectionStartEvent):
-            if len(self._stack) >= DEPTH_LIMIT:
-                raise self._error(f"nested deeper than {DEPTH_LIMIT}", line)
-            if self._stack and isinstance(self._stack[-1].data, dict) and self._stack[-1].key is None:
-                raise self._error("a key is a list or a mapping; keys are text", line, self._stack[-1].place)
-            data: Any = {} if isinstance(event, yaml.MappingStartEvent) else []
-            self._stack.append(_Open(data, self._placed(data, line)))
-        elif isinstance(event, yaml.CollectionEndEvent):
-            self._stack.pop()
-        elif isinstance(event, yaml.DocumentStartEvent) and self._roots:
-            raise self._error("a second document begins; keep one document per file", line)
+            return None if not event.style and _NULL.fullmatch(event.value) else _text(event)
+        if len(place) >= DEPTH_LIMIT:
+            raise self._error(f"nested deeper than {DEPTH_LIMIT}", line)
+        parts = takewhile(lambda part: not isinstance(part, yaml.CollectionEndEvent), events)
+        if isinstance(event, yaml.SequenceStartEvent):
+            return [self._value(part, events, (*place, number)) for number, part in enumerate(parts)]
+        data: dict[str, Any] = {}
+        for part in parts:
+            name = self._key(part, data, place)
+            data[name] = self._value(next(events), events, (*place, name))
+        return data
 
-    def _scalar(self, text: str, line: int) -> None:
-        parent = self._stack[-1] if self._stack else None
-        if parent is None or not isinstance(parent.data, dict) or parent.key is not None:
-            self._placed(None if type(text) is str and _NULL.fullmatch(text) else text, line)
-            return
-        require_printable(text, Document(None, {}, place=parent.place).key, self._file, line)
-        place = (*parent.place, str(text))
-        if type(text) is str and _OTHER_THAN_TEXT.fullmatch(text):
-            raise self._error(f"the key {text or 'null'} is not text; put it in quotes", line, parent.place)
-        if text in parent.data:
+    def _key(self, event: yaml.Event, members: Mapping[str, Any], parent: Place) -> str:
+        line = self._checked(event)
+        if not isinstance(event, yaml.ScalarEvent):
+            raise self._error("a key is a list or a mapping; keys are text", line, parent)
+        text = str(event.value)
+        place = (*parent, text)
+        require_printable(text, Document(None, {}, place=parent).key, self._file, line)
+        if not event.style and _OTHER_THAN_TEXT.fullmatch(text):
+            raise self._error(f"the key {text or 'null'} is not text; put it in quotes", line, parent)
+        if text in members:
             first = self._lines[place]
             raise self._error(f"the key {text!r} is given twice, on lines {first} and {line}", line, place)
-        parent.key = str(text)
         self._lines[place] = line
+        return text
 
-    def _placed(self, data: Any, line: int) -> Place:
-        """Put a value where the innermost open collection expects it, and return its place."""
-        if not self._stack:
-            self._roots.append(data)
-            place: Place = ()
-        elif isinstance((parent := self._stack[-1]).data, list):
-            place = (*parent.place, len(parent.data))
-            parent.data.append(data)
-        else:
-            place = (*parent.place, str(parent.key))
-            parent.data[parent.key] = data
-            parent.key = None
-        self._lines.setdefault(place, line)
-        return place
+    def _checked(self, event: Any) -> int:
+        """Return the line of a value or a key; anchors, aliases, tags and bombs are refused."""
+        line = _line(event)
+        if isinstance(event, yaml.AliasEvent):
+            raise self._error(f"the alias *{event.anchor} is not allowed; write the value out", line)
+        if event.anchor is not None:
+            raise self._error(f"the anchor &{event.anchor} is not allowed; write the value out", line)
+        if event.tag is not None:
+            raise self._error(f"the tag {event.tag} is not allowed; write the value alone", line)
+        self._count += 1
+        if self._count > NODE_LIMIT:
+            raise self._error(f"more than {NODE_LIMIT:,} values in one file", line)
+        return line
 
     def _error(self, message: str, line: int | None, place: Place = ()) -> InputError:
         return InputError(message, file=self._file, line=line, key=Document(None, {}, place=place).key)
+
+
+def _line(event: yaml.Event) -> int:
+    return 1 if event.start_mark is None else int(event.start_mark.line) + 1
+
+
+def _text(event: yaml.ScalarEvent) -> str:
+    return Quoted(event.value) if event.style else str(event.value)
 
 
 def document_of(data: Any, file: str | None = None, line: int | None = None) -> Document:

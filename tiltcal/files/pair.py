@@ -13,8 +13,8 @@ from tiltcal.core.pair.model import Pair
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.files.document import Document
 from tiltcal.files.emitter import yaml_text
-from tiltcal.files.provenance_record import PairProvenance
 from tiltcal.files.record import AboveZero, Finite, FiniteFromZero, Record, Text, about, file_data, one_of
+from tiltcal.files.results import PairProvenance
 
 T = TypeVar("T")
 ByStage = Annotated[

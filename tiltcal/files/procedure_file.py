@@ -67,16 +67,11 @@ def procedure_in(document: Document, angle: float | None = None) -> Procedure:
     if "rotation" not in body.data:
         procedure = procedure_of(body.read(ProcedureFile), body, angle)
     else:
-        from tiltcal.files.rotation import RotationFile, rotation_of
+        from tiltcal.files.rotation import RotationFile, check_rotation
 
         file = body.read(RotationFile)
-        procedure = Procedure(
-            name=file.name,
-            title=file.title,
-            source=file.source,
-            determines=Determines(()),
-            positions=(),
-            angle=chosen_angle(file.name, None, angle),
-            rotation=rotation_of(file.rotation, body.child("rotation")),
-        )
+        check_rotation(file.rotation, body.child("rotation"))
+        stated = {name: getattr(file, name) for name in file.__struct_fields__}
+        angle = chosen_angle(file.name, None, angle)
+        procedure = Procedure(determines=Determines(()), positions=(), angle=angle, **stated)
     return replace(procedure, record=document.plain())

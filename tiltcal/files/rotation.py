@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Annotated
 
-from msgspec import Meta
+from msgspec import Meta, field
 
 from tiltcal.core.pair.encoder import FEWEST_TURNS
 from tiltcal.core.pair.model import Pair
@@ -18,38 +17,8 @@ MOST = 1_000_000
 """Turns."""
 
 
-@dataclass(frozen=True)
-class Rotation:
-    """The pairs that are matched while a stage turns, and when it ends; the keys are those of the file."""
-
-    phase: str
-    pairs: tuple[Pair, ...]
-    prompt: str = "Let the stage turn steadily, with its axis inclined."
-    turns: int = 100
-    converged: float | None = None
-    patience: float = 60.0
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """The channels of all pairs, each once."""
-        return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
-
-    def with_turns(self, turns: int) -> Rotation:
-        """Return the rotation with another limit of turns, which :func:`require_turns` checks."""
-        return replace(self, turns=require_turns(turns))
-
-
-def require_turns(turns: int) -> int:
-    """Return a number of turns; a UsageError where it is too small or too large."""
-    if not FEWEST_WHOLE_TURNS <= turns <= MOST:
-        raise UsageError(
-            f"{turns} turns are impossible: at least {FEWEST_WHOLE_TURNS} are needed, and at most {MOST} counted"
-        )
-    return turns
-
-
-class PairSelection(Record, kw_only=True):
-    """One of ``pairs`` as it stands in a file."""
+class PairSelection(Record):
+    """One of ``rotation.pairs`` as it stands in a file."""
 
     pair: Annotated[
         tuple[Text, Text],
@@ -58,24 +27,23 @@ class PairSelection(Record, kw_only=True):
     orthogonal: Annotated[Text, about("a channel a quarter turn away")]
 
 
-class RotationSection(Record, kw_only=True):
-    """The section ``rotation`` as it stands in a file."""
+class Rotation(Record):
+    """The pairs that are matched while a stage turns, and when it ends."""
 
     phase: Annotated[Text, about("the channel of the stage angle, degrees")]
-    pairs: Annotated[
+    selected: Annotated[
         tuple[PairSelection, ...],
         Meta(min_length=1, max_length=2),
         about(
             "one or two of `{pair: [first, second], orthogonal: third}`; the second is trimmed to the first, the third "
             "stands a quarter turn away"
         ),
-    ]
-    prompt: Annotated[Text, about("the operator's sentence")] = Rotation.prompt
+    ] = field(name="pairs")
+    prompt: Annotated[Text, about("the operator's sentence")] = "Let the stage turn steadily, with its axis inclined."
     turns: Annotated[
-        int,
-        Meta(ge=FEWEST_WHOLE_TURNS, le=MOST),
+        Annotated[int, Meta(ge=FEWEST_WHOLE_TURNS, le=MOST)],
         about("the most that are made; `--turns` takes its place"),
-    ] = Rotation.turns
+    ] = 100
     converged: Annotated[
         AboveZero | None,
         about(
@@ -83,7 +51,25 @@ class RotationSection(Record, kw_only=True):
             "fifth turn"
         ),
     ] = None
-    patience: Annotated[AboveZero, about("seconds in which the stage must begin to turn")] = Rotation.patience
+    patience: Annotated[AboveZero, about("seconds in which the stage must begin to turn")] = 60.0
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """The pairs in order."""
+        return tuple(Pair(*one.pair, one.orthogonal) for one in self.selected)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels of all pairs, each once."""
+        return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
+
+    def with_turns(self, turns: int) -> Rotation:
+        """Return the rotation with another limit of turns; a UsageError where it is too small or too large."""
+        if not FEWEST_WHOLE_TURNS <= turns <= MOST:
+            raise UsageError(
+                f"{turns} turns are impossible: at least {FEWEST_WHOLE_TURNS} are needed, and at most {MOST} counted"
+            )
+        return self.replaced(turns=turns)
 
 
 class RotationFile(Record, kw_only=True):
@@ -92,15 +78,13 @@ class RotationFile(Record, kw_only=True):
     name: Annotated[Identifier, about("a letter, then letters, digits, `-`, `_`, `.`")]
     title: Annotated[Text, about("what it is for, in one line")]
     source: Annotated[Text, about("the document it comes from")] = ""
-    rotation: Annotated[RotationSection, about("which pairs are matched while the stage turns")]
+    rotation: Annotated[Rotation, about("which pairs are matched while the stage turns")]
 
 
-def rotation_of(section: RotationSection, place: Document) -> Rotation:
-    """Return a rotation; an InputError where its channels are not different ones, or one pair is there twice."""
-    pairs = tuple(Pair(*selection.pair, selection.orthogonal) for selection in section.pairs)
-    for number, pair in enumerate(pairs):
-        if len({*pair.channels, section.phase}) < len(pair.channels) + 1:
+def check_rotation(rotation: Rotation, place: Document) -> None:
+    """Refuse a rotation whose channels are not different ones, or that has one pair twice, with an InputError."""
+    for number, pair in enumerate(rotation.pairs):
+        if len({*pair.channels, rotation.phase}) < len(pair.channels) + 1:
             raise place.error("pair, orthogonal and phase are four different channels", "pairs", number)
-    if len({pair.name for pair in pairs}) < len(pairs):
+    if len({pair.name for pair in rotation.pairs}) < len(rotation.pairs):
         raise place.error("the same pair is there twice", "pairs")
-    return Rotation(section.phase, pairs, section.prompt, section.turns, section.converged, section.patience)

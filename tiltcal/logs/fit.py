@@ -26,12 +26,11 @@ from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.moments import stamp_of
-from tiltcal.files.positions import TabledRow, read_positions, tabled_channels
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.files.provenance_record import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.record import Record, keys_of
-from tiltcal.files.segments import Segment, SegmentRow, read_segments
+from tiltcal.files.results import FileRecord, LogRecord, Provenance, SegmentsRecord
+from tiltcal.files.tables import Segment, SegmentRow, TabledRow, read_positions, read_segments, tabled_channels
 from tiltcal.logs.columns import TEMPERATURE, TIME, named_columns, require_celsius, require_unit
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of

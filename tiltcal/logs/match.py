@@ -14,7 +14,7 @@ from tiltcal.core.pair.matching import match as match_demodulated
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
-from tiltcal.files.provenance_record import LogRecord, PairProvenance
+from tiltcal.files.results import LogRecord, PairProvenance
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.pair_matching import Demodulated, demodulate_log

@@ -6,7 +6,7 @@ import numpy as np
 
 from tiltcal.core.ramp.record import RampRecord, RecordAverager
 from tiltcal.errors import InputError
-from tiltcal.files.segments import Segment
+from tiltcal.files.tables import Segment
 from tiltcal.logs.interval_samples import TO_THE_END
 from tiltcal.logs.recorded_readings import RecordedReadings
 

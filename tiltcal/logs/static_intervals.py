@@ -18,9 +18,8 @@ from tiltcal.core.model import AXES
 from tiltcal.core.statistics import SampleSummary, summary_of
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
-from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
-from tiltcal.files.segments import Segment
+from tiltcal.files.tables import Segment, TabledPosition
 from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, IntervalSamples, Line
 from tiltcal.logs.recorded_readings import RecordedReadings
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.provenance_record import FileRecord, PairProvenance, Provenance
 from tiltcal.files.record import plain
+from tiltcal.files.results import FileRecord, PairProvenance, Provenance
 
 _VIRTUAL = "virtual"
 """The mark of a file that was made without a real sensor."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
-from tiltcal.files.provenance_record import FileRecord
+from tiltcal.files.results import FileRecord
 from tiltcal.report.coefficients_section import (
     SOURCES,
     budget,

@@ -27,9 +27,9 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.device import Model, Population
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.position_record import CompletingRun
 from tiltcal.files.procedure import Determines, Procedure
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.results import CompletingRun
 from tiltcal.files.uncertainty import Covariance, Uncertainty
 
 SENSOR = SensorIdentity("sca100t-d02", "S-1", "count", ("x", "y"))

@@ -23,9 +23,7 @@ from tiltcal.files.calibration import (
     tilt_record,
 )
 from tiltcal.files.document import parse_document
-from tiltcal.files.fit_record import FitRecord, WorstResidual
-from tiltcal.files.position_record import PositionRecord
-from tiltcal.files.provenance_record import Provenance
+from tiltcal.files.results import FitRecord, PositionRecord, Provenance, WorstResidual
 from tiltcal.files.uncertainty import Uncertainty
 
 EXAMPLE = """\

@@ -10,7 +10,7 @@ import pytest
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.procedure_file import find_procedure, procedure_from_record, read_procedure
-from tiltcal.files.rotation import Rotation
+from tiltcal.files.rotation import PairSelection, Rotation
 
 OWN = """\
 tiltcal: 1
@@ -46,7 +46,8 @@ def test_the_shipped_one_is_the_two_pairs_of_the_source() -> None:
 
 def test_a_users_own_is_read_and_comes_again_from_its_record(own: Path) -> None:
     procedure = read_procedure(own)
-    assert procedure.rotation == Rotation("angle", (Pair("left", "right", "up"),), "Start the motor.", 12, 1e-6, 30.0)
+    pair = PairSelection(("left", "right"), "up")
+    assert procedure.rotation == Rotation("angle", (pair,), "Start the motor.", 12, 1e-6, 30.0)
     assert procedure_from_record(json.loads(json.dumps(procedure.record))) == procedure
 
 

@@ -17,7 +17,7 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import Array, Mounting, Thermal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.provenance_record import Provenance
+from tiltcal.files.results import Provenance
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.logs.apply import apply_frame
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tiltcal.core.model import Array
-from tiltcal.files.segments import Segment
+from tiltcal.files.tables import Segment
 from tiltcal.logs import interval_samples
 from tiltcal.logs.interval_samples import TO_THE_END, Line, sampled
 from tiltcal.logs.recorded_readings import RecordedReadings

@@ -16,9 +16,16 @@ from support import FIXTURES, WITHOUT_PRIORS
 from support.html_page import Page, undrawn
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.fit_record import FitRecord, SuspectPosition
-from tiltcal.files.position_record import PositionRecord, PositionSet, ProcedureRecord
-from tiltcal.files.provenance_record import FileRecord, Provenance, SegmentsRecord
+from tiltcal.files.results import (
+    FileRecord,
+    FitRecord,
+    PositionRecord,
+    PositionSet,
+    ProcedureRecord,
+    Provenance,
+    SegmentsRecord,
+    SuspectPosition,
+)
 from tiltcal.report.tilt_page import tilt_page
 
 SOURCE = FileRecord(name="S.yaml", sha256="0" * 64)
