@@ -19,15 +19,7 @@ from tiltcal.stated_arguments import require_printable
 
 @dataclass(frozen=True)
 class DeviceSetup:
-    """One device of a session.
-
-    Attributes
-    ----------
-    output : str
-        The calibration file, relative to the journal's folder; empty where none is made.
-    orientation : Orientation
-        How the sensor sits on the fixture.
-    """
+    """One device of a session; the output is its calibration file, relative to the journal's folder, or empty."""
 
     model_name: str
     serial: str
@@ -55,13 +47,7 @@ class DeviceSetup:
 
 
 def known_bench(document: Document) -> BenchFile:
-    """Return the bench of a document; its models must be known, and their addresses be right.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
-    """
+    """Return the bench of a document, whose models are known and addresses right; an InputError where one is not."""
     bench = bench_of(document)
     for number, sensor in enumerate(bench.sensors):
         with document.locating("sensors", number):

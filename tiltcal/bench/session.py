@@ -283,7 +283,7 @@ class Session:
         """
         with self._open(live=True) as opened:
             accepted = self._position_runner(opened, operator).run()
-            (sensor,), jig = self.plan.sensors, self.plan.jig
+            (sensor,), jig = self.plan.sensors, self.plan.settings.jig
             measurements = [result.measurements[sensor.serial] for result in accepted]
             found = verify_positions(calibration, measurements, jig)
             self._finish(opened)

@@ -89,7 +89,7 @@ def tilt_calibrations(
             for sensor in sensors
         ],
         plan.procedure,
-        BenchUncertainty(plan.jig, plan.thermometer_uncertainty, plan.table, plan.heading),
+        BenchUncertainty(plan.settings.jig, plan.settings.thermometer, plan.settings.table, plan.settings.heading),
         typical_temperature=plan.typical,
         settings={"samples": plan.settings.samples, "settle_seconds": plan.settings.settle},
     )

@@ -181,9 +181,9 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
         expected = predict(
             plan.procedure,
             device.model,
-            jig=plan.jig,
-            thermometer=plan.thermometer_uncertainty,
-            table_lean=plan.table,
+            jig=plan.settings.jig,
+            thermometer=plan.settings.thermometer,
+            table_lean=plan.settings.table,
             samples=plan.settings.samples,
             orientation=device.orientation,
             sensors=len(plan.sensors),

@@ -26,7 +26,7 @@ class DeviceHeader(Record, kw_only=True):
     ] = None
 
 
-class SettingsHeader(Record, kw_only=True):
+class SessionSettings(Record, kw_only=True):
     """The settings of a session: how it measures."""
 
     always_written = ("jig", "thermometer", "angle")
@@ -53,7 +53,7 @@ class Header(Record, kw_only=True):
     person: Annotated[Text | None, about("the name in the bench file")] = None
     sensors: Annotated[Annotated[tuple[DeviceHeader, ...], Meta(min_length=1)], about("the sensors, in order")]
     thermometer: Annotated[DeviceHeader | None, about("of a bench that has one")] = None
-    settings: Annotated[SettingsHeader, about("how the session measures")]
+    settings: Annotated[SessionSettings, about("how the session measures")]
     procedure: Annotated[Mapping[str, Any], about("the procedure file in full")]
     base: Annotated[
         Text | None, about("in older journals, the text of the calibration file that a mounting completes")
