@@ -23,15 +23,7 @@ from typing import TYPE_CHECKING
 
 from tiltcal.drivers import adxl202, sca100t
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.converter import (
-    NOMINAL,
-    FrontEnd,
-    Supply,
-    find_front_end,
-    require_apart,
-    take_input,
-    take_supply,
-)
+from tiltcal.drivers.converter import NOMINAL, FrontEnd, Supply, find_front_end, require_apart, take_input, take_supply
 from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import DeviceFault
 

@@ -228,10 +228,7 @@ def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
     default : str, optional
         The columns where the address names none; without it they are required.
 
-    Raises
-    ------
-    UsageError
-        A column is wrong, a name is given twice, or there is no reading.
+    UsageError: a column is wrong, a name is given twice, or there is no reading.
     """
     named = [_column(address, text.strip()) for text in address.text("columns", default).split(",")]
     columns = [column for column in named if column.name != "-"]
@@ -240,9 +237,7 @@ def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
     if twice:
         address.refuse(f"columns names {twice!r} twice")
     layout = RegisterLayout(
-        tuple(columns),
-        address.choice("table", TABLES, HOLDING),
-        address.choice("order", ORDERS, ORDERS["abcd"]),
+        tuple(columns), address.choice("table", TABLES, HOLDING), address.choice("order", ORDERS, ORDERS["abcd"])
     )
     if not layout.channels:
         address.refuse("columns names no reading: x, y, z, or another name than temperature")

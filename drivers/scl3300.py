@@ -148,22 +148,14 @@ class Scl3300:
         mapping of str to str
             Part, serial number as it is printed on it, range, words, temperature, and what the line damaged.
 
-        Raises
-        ------
-        BusError
-            No answer, a data line that never moves, too many damaged frames, or MISO joined to MOSI.
-        DeviceFault
-            Another part, or a fault that its status shows.
+        BusError: no answer, a data line that never moves, too many damaged frames, or MISO joined to MOSI.
+        DeviceFault: another part, or a fault that its status shows.
         """
         self._ready = False
         reading = self.read()
         # The last answer is fetched with the first request again, so the part ends in bank 0: no other has a reset.
         _, _, low, high = self._answers_to((BANK_0, BANK_1, SERIAL1, SERIAL2))
-        said = {
-            "part": self._part.name,
-            "serial": f"{(high.data << 16 | low.data)}B33",
-            "range": str(self._range),
-        }
+        said = {"part": self._part.name, "serial": f"{(high.data << 16 | low.data)}B33", "range": str(self._range)}
         said |= in_counts(reading.values)
         return said | {"temperature": f"{reading.temperature:.1f} °C", "link": in_words(self.link_statistics())}
 
@@ -179,10 +171,7 @@ class Scl3300:
         """
         x, y, z, temperature = self._answers_to(SAMPLE)
         self._counts["samples"] += 1
-        return Reading(
-            (float(x.signed), float(y.signed), float(z.signed)),
-            decode_temperature(temperature.signed),
-        )
+        return Reading((float(x.signed), float(y.signed), float(z.signed)), decode_temperature(temperature.signed))
 
     def discard(self) -> None:
         """Do nothing: every read requests the latest words."""

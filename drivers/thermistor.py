@@ -29,14 +29,7 @@ from math import cbrt, exp, inf, log, sqrt
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.converter import (
-    FrontEnd,
-    Supply,
-    find_front_end,
-    require_apart,
-    take_input,
-    take_supply,
-)
+from tiltcal.drivers.converter import FrontEnd, Supply, find_front_end, require_apart, take_input, take_supply
 from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import DeviceFault
 
@@ -80,10 +73,7 @@ class Curve:
     def celsius(self, ohms: float) -> float:
         """Return the temperature at a resistance, °C.
 
-        Raises
-        ------
-        DeviceFault
-            The curve has no temperature there.
+        DeviceFault: the curve has no temperature there.
         """
         x = log(ohms)
         inverse = self.a + self.b * x + self.c * x**3
@@ -129,10 +119,7 @@ class Divider:
     def celsius(self, share: float) -> float:
         """Return the temperature for an output as a share of the supply, °C.
 
-        Raises
-        ------
-        DeviceFault
-            The thermistor or its wire is open or shorted.
+        DeviceFault: the thermistor or its wire is open or shorted.
         """
         if not SHORTED < share < OPEN:
             found = "shorted" if (share <= SHORTED) == self.grounded else "open, or not connected"

@@ -71,10 +71,7 @@ class Address:
     def allow(self, *names: str) -> None:
         """Refuse every option that is not among ``names``.
 
-        Raises
-        ------
-        UsageError
-            With the nearest name that is allowed.
+        UsageError: with the nearest name that is allowed.
         """
         for name in self.options:
             if name not in names:
@@ -89,10 +86,7 @@ class Address:
         default : str, optional
             Value if the option is left out; without it the option is required.
 
-        Raises
-        ------
-        UsageError
-            It is missing or empty.
+        UsageError: it is missing or empty.
         """
         value = self.options.get(name, default)
         if value is None:
@@ -111,10 +105,7 @@ class Address:
         low, high : int, optional
             Smallest and largest number that is accepted.
 
-        Raises
-        ------
-        UsageError
-            It is missing, not a whole number, or out of bounds.
+        UsageError: it is missing, not a whole number, or out of bounds.
         """
         if default is not None and name not in self.options:
             return default
@@ -137,10 +128,7 @@ class Address:
         low, high : float, optional
             Smallest and largest number that is accepted.
 
-        Raises
-        ------
-        UsageError
-            It is missing, not a finite number, or out of bounds.
+        UsageError: it is missing, not a finite number, or out of bounds.
         """
         if default is not None and name not in self.options:
             return default
@@ -159,10 +147,7 @@ class Address:
         default
             Value if the option is left out.
 
-        Raises
-        ------
-        UsageError
-            It is empty, or none of the words.
+        UsageError: it is empty, or none of the words.
         """
         if name not in self.options:
             return default
@@ -190,10 +175,7 @@ def parse_address(text: str) -> Address:
     text : str
         As the user wrote it.
 
-    Raises
-    ------
-    UsageError
-        The address is malformed. The bus that opens it checks the options.
+    UsageError: the address is malformed. The bus that opens it checks the options.
     """
     require_text("--address", text)
     scheme, colon, rest = text.partition(":")

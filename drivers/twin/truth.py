@@ -140,10 +140,7 @@ class Truth:
         device : str
             What is at the link, for the message.
 
-        Raises
-        ------
-        BusError
-            The device is unplugged.
+        BusError: the device is unplugged.
         """
         fault = self.fault(now_ns / 1e9)
         if fault.kind == "unplugged":

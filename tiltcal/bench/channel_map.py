@@ -69,10 +69,7 @@ def map_channels(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> Ch
     devices : sequence of (str, Model)
         Serial number and model as it is wired, in the order of the bench.
 
-    Raises
-    ------
-    UsageError
-        No stage angle, or not one pair has its channels.
+    UsageError: no stage angle, or not one pair has its channels.
     """
     channels = _Channels(devices)
     phase = channels.find(rotation.phase)
@@ -121,10 +118,7 @@ class _Channels:
     def find(self, name: str) -> ChannelRef | None:
         """Return the reading of a name; None where there is none.
 
-        Raises
-        ------
-        UsageError
-            Several devices have it.
+        UsageError: several devices have it.
         """
         if name in self._by_column:
             return self._by_column[name]

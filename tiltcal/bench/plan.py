@@ -11,12 +11,7 @@ from typing import Any
 from tiltcal.bench.channel_map import map_channels
 from tiltcal.calibration.free_positions import require_no_jig
 from tiltcal.calibration.joint_fit import along_gravity
-from tiltcal.calibration.prediction import (
-    PredictedMounting,
-    PredictedUncertainty,
-    predict,
-    predict_mounting,
-)
+from tiltcal.calibration.prediction import PredictedMounting, PredictedUncertainty, predict, predict_mounting
 from tiltcal.calibration.suitability import require_suitable
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model

@@ -109,14 +109,9 @@ class PositionRunner:
     def run(self) -> list[PositionResult]:
         """Return every position of the procedure, accepted, in its order.
 
-        Raises
-        ------
-        Stopped
-            The operator quit.
-        HardwareError
-            The hardware failed several times in a row, and no other sensor remains.
-        JournalError
-            The journal does not fit, or a replay ends before the procedure does.
+        Stopped: the operator quit.
+        HardwareError: the hardware failed several times in a row, and no other sensor remains.
+        JournalError: the journal does not fit, or a replay ends before the procedure does.
         """
         positions = self._procedure.positions
         accepted: list[PositionResult] = []
@@ -216,10 +211,7 @@ class PositionRunner:
     def _sampled(self, look: Callable[[Sample, str], None], *, thermometers: bool) -> tuple[list[Timed], int]:
         """Return the samples of a position, and how many that were far off have been taken again.
 
-        Raises
-        ------
-        Unsettled
-            Too many are far off.
+        Unsettled: too many are far off.
         """
         held: list[Timed] = []
         left_out, wanted = 0, self._settings.samples
@@ -246,10 +238,7 @@ class PositionRunner:
     ) -> PositionResult:
         """Return what the samples of a position give.
 
-        Raises
-        ------
-        Unsettled
-            They moved, or are at a rail.
+        Unsettled: they moved, or are at a rail.
         """
         moved = movement(held, self._sensors.models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(held) > 2 else None
         if moved:
@@ -277,10 +266,7 @@ class PositionRunner:
     ) -> None:
         """Refuse a position whose temperature is absurd, whose sensor is stuck, or that is another position.
 
-        Raises
-        ------
-        Unsettled
-            With the reason.
+        Unsettled: with the reason.
         """
         require_plausible_temperature(result, accepted)
         determines = self._procedure.determines

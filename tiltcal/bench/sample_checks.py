@@ -53,10 +53,7 @@ def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: boo
 def require_few(count: int, wanted: int, why: str) -> None:
     """Refuse a position of which too many samples had to be taken again.
 
-    Raises
-    ------
-    Unsettled
-        With the last reason.
+    Unsettled: with the last reason.
     """
     if count > max(1, LEFT_OUT * wanted):
         raise Unsettled(f"{count} samples of a position of {wanted} are far off: {why}; look for a loose contact")
@@ -77,10 +74,7 @@ def at_rail(reading: Reading, model: Model) -> str:
 def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
     """Refuse readings at a rail.
 
-    Raises
-    ------
-    Unsettled
-        With the channel.
+    Unsettled: with the channel.
     """
     for reading in readings:
         if why := at_rail(reading, model):
@@ -90,10 +84,7 @@ def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
 def require_plausible_temperature(result: PositionResult, accepted: Sequence[PositionResult]) -> None:
     """Refuse a thermometer that converts nothing, and a temperature that fits no other of its position.
 
-    Raises
-    ------
-    Unsettled
-        With the temperatures.
+    Unsettled: with the temperatures.
     """
     source = "was typed" if result.typed else "is what the thermometer reads"
     for serial, measurement in result.measurements.items():
@@ -116,10 +107,7 @@ def require_not_stuck(sensor: ConnectedSensor, result: PositionResult, accepted:
     A reading that stands still within a position is coarse, unless its noise in the positions before is more than its
     step hides. One that stands still over positions of other tilt is stuck.
 
-    Raises
-    ------
-    Unsettled
-        With the channel and the value.
+    Unsettled: with the channel and the value.
     """
     now = result.measurements[sensor.serial]
     for channel, summary in now.summaries.items():

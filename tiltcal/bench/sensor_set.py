@@ -184,10 +184,7 @@ class SensorSet:
     def discard(self) -> None:
         """Drop what the sensors sent before now.
 
-        Raises
-        ------
-        SensorError
-            One of them failed.
+        SensorError: one of them failed.
         """
         for name, device in self._devices:
             with self._named(name):
@@ -265,10 +262,7 @@ def open_device(
     lines : mapping of str to ModbusLine, optional
         The lines of the devices that were opened before, which share them.
 
-    Raises
-    ------
-    HardwareError
-        It cannot be opened.
+    HardwareError: it cannot be opened.
     """
     address = parse_address(device.address)
     return virtual.twin(device) if address.simulated else open_link(address, device.model, lines)
@@ -279,12 +273,8 @@ def probe_devices(
 ) -> list[Reading]:
     """Open one device after the other, check that it answers, and return a reading of each where it is to be read.
 
-    Raises
-    ------
-    UsageError
-        An option of an address is wrong, or contradicts that of another device on the same line.
-    HardwareError
-        A device that cannot be opened, or does not answer.
+    UsageError: an option of an address is wrong, or contradicts that of another device on the same line.
+    HardwareError: a device that cannot be opened, or does not answer.
     """
     lines: dict[str, ModbusLine] = {}
     readings = []

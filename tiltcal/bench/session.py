@@ -64,10 +64,7 @@ class SessionResult:
     def require_all(self) -> None:
         """Refuse a session in which sensors were given up.
 
-        Raises
-        ------
-        HardwareError
-            With the reasons.
+        HardwareError: with the reasons.
         """
         if self.ending.lost:
             raise HardwareError("no calibration file for " + "; ".join(self.ending.lost.values()))
@@ -115,12 +112,8 @@ class Session:
     ) -> Session:
         """Return the session of a journal, to be resumed or replayed; a torn last line is a remark.
 
-        Raises
-        ------
-        JournalError
-            The journal cannot be read or used.
-        UsageError
-            The session has several sensors, and the output is no folder.
+        JournalError: the journal cannot be read or used.
+        UsageError: the session has several sensors, and the output is no folder.
         """
         journal = read_journal(path)
         if journal.torn:
@@ -180,10 +173,7 @@ class Session:
     def require_writable(self) -> None:
         """Check before the operator starts that the files can be written; a journal that has its end is not.
 
-        Raises
-        ------
-        UsageError
-            A path that cannot be written, or where a journal would replace a file that is no calibration of its
+        UsageError: a path that cannot be written, or where a journal would replace a file that is no calibration of its
             sensor, or that it names outside its own folder.
         """
         if self.journal is not None and self._named is None and self._outside:
@@ -220,10 +210,7 @@ class Session:
     def probe(self) -> None:
         """Check before the operator starts that every device answers; a journal that has its end needs none.
 
-        Raises
-        ------
-        HardwareError
-            A device that does not answer.
+        HardwareError: a device that does not answer.
         """
         probed = probe_devices(() if self._ended else self.plan.devices, self._virtual, self._clock, read=True)
         self._probed = {device.serial: reading for device, reading in zip(self.plan.sensors, probed, strict=False)}
@@ -241,12 +228,8 @@ class Session:
         samples : BinaryIO, optional
             Gets every sample of the session as the rows of a log.
 
-        Raises
-        ------
-        JournalError
-            The journal does not fit, or a replay ends before the session did.
-        TiltcalError
-            What stopped it; everything that was measured is in the journal.
+        JournalError: the journal does not fit, or a replay ends before the session did.
+        TiltcalError: what stopped it; everything that was measured is in the journal.
         """
         with self._open(live=operator is not None, samples=samples) as opened:
             rotation = self.plan.procedure.rotation
@@ -276,10 +259,7 @@ class Session:
     def verify(self, operator: PositionOperator, calibration: CalibrationRecord, limit: float) -> Verification:
         """Take the positions, or go on with them, and judge a calibration of the sensor by a limit in degrees.
 
-        Raises
-        ------
-        TiltcalError
-            What stopped it; everything that was measured is in the journal.
+        TiltcalError: what stopped it; everything that was measured is in the journal.
         """
         with self._open(live=True) as opened:
             accepted = self._position_runner(opened, operator).run()

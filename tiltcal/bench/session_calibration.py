@@ -67,10 +67,7 @@ def tilt_calibrations(
     reopened : collection of str
         Sensors whose bus failed and was opened again, by serial number.
 
-    Raises
-    ------
-    EstimateError
-        The positions cannot determine the coefficients.
+    EstimateError: the positions cannot determine the coefficients.
     """
     # The steps of the sensors' own thermometers count where those are the only ones.
     own_thermometers = plan.thermometer is None and not any(result.typed for result in accepted)

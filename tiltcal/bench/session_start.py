@@ -54,10 +54,7 @@ class StatedSession:
 def start_session(stated: StatedSession, remark: Callable[[str], None]) -> Session:
     """Return the session of the journal to resume, or a new one.
 
-    Raises
-    ------
-    UsageError, InputError
-        What is stated cannot be done, or is not what the journal began with.
+    UsageError, InputError: what is stated cannot be done, or is not what the journal began with.
     """
     require_from_zero("--heading-uncertainty", stated.heading)
     if stated.resume is not None and os.path.exists(stated.resume):

@@ -111,12 +111,8 @@ def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Cal
     look : callable
         Shown each sample, and what is being waited for.
 
-    Raises
-    ------
-    Unsettled
-        They did not come to rest within the window's patience.
-    SensorError
-        One of them failed.
+    Unsettled: they did not come to rest within the window's patience.
+    SensorError: one of them failed.
     """
     models = sensors.models
     looks = SOAK_LOOKS if window.soaking else LOOKS

@@ -18,13 +18,7 @@ from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
 from tiltcal.calibration.ramp import calibrate_ramp
-from tiltcal.calibration.temperature import (
-    choose_order,
-    swept,
-    with_open_order,
-    with_order,
-    with_typical_temperature,
-)
+from tiltcal.calibration.temperature import choose_order, swept, with_open_order, with_order, with_typical_temperature
 from tiltcal.core.rounding import round_to
 from tiltcal.drivers.columns import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
@@ -63,12 +57,8 @@ def calibrate(
     list of CalibrationRecord
         One for each sensor, without provenance; numbers have the digits that their uncertainty warrants.
 
-    Raises
-    ------
-    UsageError
-        What is stated of the bench does not go with the procedure.
-    EstimateError
-        The positions cannot determine the coefficients.
+    UsageError: what is stated of the bench does not go with the procedure.
+    EstimateError: the positions cannot determine the coefficients.
     """
     require_no_jig(procedure, bench.jig)
     for sensor in sensors:

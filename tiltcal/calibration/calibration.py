@@ -16,13 +16,7 @@ from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.atomic import write_whole
-from tiltcal.files.calibration import (
-    UNKNOWN_MODEL,
-    CalibrationRecord,
-    SensorIdentity,
-    dump_calibration,
-    tilt_record,
-)
+from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, dump_calibration, tilt_record
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty, length_tolerance

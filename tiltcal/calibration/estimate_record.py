@@ -171,9 +171,7 @@ def intrinsic_record(coefficients: Coefficients, uncertain: UncertaintyInputs, *
     )
 
 
-def _printed(
-    quantities: Mapping[str, DerivedQuantity],
-) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+def _printed(quantities: Mapping[str, DerivedQuantity]) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
     """Return values, standard uncertainties and coverage factors, rounded; what is exact has no factor."""
     return (
         {name: round_to(quantity.value, quantity.u) for name, quantity in quantities.items()},

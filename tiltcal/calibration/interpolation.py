@@ -79,11 +79,8 @@ class Interval:
     def between(cls, before: CalibrationRecord, after: CalibrationRecord, days: float, named: str) -> Interval:
         """Return the interval of two calibrations.
 
-        Raises
-        ------
-        UsageError
-            They are not of one sensor, only one of them has temperature terms or a mounting, or their sensitivities are
-            too far apart for a change with time.
+        UsageError: they are not of one sensor, only one of them has temperature terms or a mounting, or their
+            sensitivities are too far apart for a change with time.
         """
         require_same_sensor(before, after)
         one, other = before.coefficients, after.coefficients
@@ -115,10 +112,7 @@ class Interval:
         stability : Stability, optional
             Without it, the calibrations alone are uncertain.
 
-        Raises
-        ------
-        UsageError
-            Their mountings are too far apart for a change with time.
+        UsageError: their mountings are too far apart for a change with time.
         """
         before, after = self.before, self.after
         coefficients = self.coefficients(share)

@@ -49,10 +49,7 @@ def fit_jointly(
 
     The numbers of each calibration have the digits that their uncertainty warrants.
 
-    Raises
-    ------
-    EstimateError
-        The positions cannot determine the coefficients.
+    EstimateError: the positions cannot determine the coefficients.
     """
     observed = [observed_sensor(sensor, procedure, bench) for sensor in sensors]
     calibrations = []
@@ -167,10 +164,7 @@ def design_of(
 ) -> Design:
     """Return what a procedure determines of a sensor, and how well the bench sets what it sets.
 
-    Raises
-    ------
-    EstimateError
-        The sensor has none of the procedure's axes, or a sensitivity that is not known has to stand in.
+    EstimateError: the sensor has none of the procedure's axes, or a sensitivity that is not known has to stand in.
     """
     determines = procedure.determines
     channels = tuple(c for c in sensor.channels if not determines.axes or c in determines.axes)

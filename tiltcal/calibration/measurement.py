@@ -33,10 +33,7 @@ class BenchUncertainty:
     thermometer : float or None
         Of a temperature, °C. Not stated, it is the step of the sensors' own thermometers, or nothing.
 
-    Raises
-    ------
-    UsageError
-        One is negative or no number.
+    UsageError: one is negative or no number.
     """
 
     jig: float | None = None

@@ -47,10 +47,7 @@ def mount(
     jig : float, optional
         Standard uncertainty of a set angle, degrees.
 
-    Raises
-    ------
-    EstimateError
-        One direction of gravity alone, a sensor without x and y, or a temperature is missing and counts.
+    EstimateError: one direction of gravity alone, a sensor without x and y, or a temperature is missing and counts.
     """
     why = next(filter(None, (missing_temperature(base, measurement) for measurement in measurements)), "")
     if why:
@@ -71,9 +68,7 @@ def mount(
         uncertainty=_uncertainty(base.uncertainty, joint, mounting, u, locked=locked),
         derived=base.derived.replaced(gimbal_lock=base.derived.gimbal_lock or locked),
         fit=base.fit.replaced(mounting=_record(found, measurements, jig, p)),
-        procedure=base.procedure.replaced(
-            mounting=CompletingRun(positions=tuple(m.position for m in measurements)),
-        ),
+        procedure=base.procedure.replaced(mounting=CompletingRun(positions=tuple(m.position for m in measurements))),
         positions=base.positions_with(mounting=[m.record(list(m.summaries)).replaced(u=None) for m in measurements]),
     )
 

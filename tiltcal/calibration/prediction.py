@@ -155,12 +155,8 @@ def predict_mounting(
 ) -> PredictedMounting:
     """Predict the standard uncertainty of roll, pitch and yaw; the arguments are those of :func:`predict`.
 
-    Raises
-    ------
-    EstimateError
-        The positions leave the turn about gravity undetermined.
-    UsageError
-        The device is no tilt sensor.
+    EstimateError: the positions leave the turn about gravity undetermined.
+    UsageError: the device is no tilt sensor.
     """
     require_tilt(procedure, model)
     scatter = _usual_noise(model) if noise is None else noise
@@ -217,12 +213,8 @@ def predict(
     base : CalibrationRecord, optional
         The sensor's own calibration, where the procedure takes one.
 
-    Raises
-    ------
-    EstimateError
-        The positions cannot determine what the procedure asks for; the message states what to add.
-    UsageError
-        The device is no tilt sensor.
+    EstimateError: the positions cannot determine what the procedure asks for; the message states what to add.
+    UsageError: the device is no tilt sensor.
     """
     require_tilt(procedure, model)
     if procedure.ramp is not None:

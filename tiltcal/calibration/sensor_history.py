@@ -68,10 +68,8 @@ class SensorHistory:
     def of(cls, found: Sequence[DatedCalibration]) -> SensorHistory:
         """Put the calibrations of one sensor in order, copies left out.
 
-        Raises
-        ------
-        InputError
-            Two files contradict each other: another model, unit or channels, or one date and other coefficients.
+        InputError: two files contradict each other: another model, unit or channels, or one date and other
+            coefficients.
         """
         kept: list[DatedCalibration] = []
         remarks: list[str] = []
@@ -114,10 +112,7 @@ class SensorHistory:
     def interval(self, k: int) -> Interval:
         """Return the time from a calibration, counted from 0, to the next.
 
-        Raises
-        ------
-        UsageError
-            The two do not lie on a line.
+        UsageError: the two do not lie on a line.
         """
         before, after = self.calibrations[k : k + 2]
         days = (after.date.timestamp() - before.date.timestamp()) / DAY

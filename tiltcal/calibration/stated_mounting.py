@@ -16,10 +16,7 @@ from tiltcal.stated_arguments import is_number, shown
 def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
     """Return the mounting of angles in degrees, or of the text of ``--mounting``; what is not named is 0.
 
-    Raises
-    ------
-    UsageError
-        An angle that there is not, is no number, or is out of range.
+    UsageError: an angle that there is not, is no number, or is out of range.
     """
     if not isinstance(angles, str | Mapping):
         raise UsageError(f"--mounting takes angles by name, such as {{'roll': 180}}, not {angles!r}")

@@ -109,8 +109,7 @@ def swept(
 ) -> CalibrationRecord:
     """Add to a calibration how its order was chosen, and how far the way up differs from the way down."""
     validation = CrossValidation(
-        order=choice.order,
-        error_by_order={str(order): significant(error, 4) for order, error in choice.errors.items()},
+        order=choice.order, error_by_order={str(order): significant(error, 4) for order, error in choice.errors.items()}
     )
     loops = _hysteresis(calibration, measurements)
     return replace(calibration, fit=calibration.fit.replaced(cross_validation=validation, hysteresis=loops))
@@ -197,10 +196,8 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
     sensor : MeasuredSensor
         The mean temperature of its measurements is the reference: there the unit was measured.
 
-    Raises
-    ------
-    EstimateError
-        The calibration has temperature terms of its own, which are better, or the model's curves are not known.
+    EstimateError: the calibration has temperature terms of its own, which are better, or the model's curves are not
+        known.
     """
     population = None if sensor.nominal is None else sensor.nominal.population
     if population is None:

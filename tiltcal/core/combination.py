@@ -120,10 +120,7 @@ def combine_statements(statements: Sequence[Statement], start: Coefficients, nam
     names : sequence of str
         The coefficients to determine; all are in a statement.
 
-    Raises
-    ------
-    EstimateError
-        The sessions together do not determine them.
+    EstimateError: the sessions together do not determine them.
     """
     names = tuple(names)
     theta = vector_of(start, names)

@@ -276,10 +276,7 @@ class Compensation:
         out : Compensated, optional
             Room for n rows, from :meth:`Compensated.empty`, that an earlier call has filled: its memory is used again.
 
-        Raises
-        ------
-        ValueError
-            The shapes do not fit.
+        ValueError: the shapes do not fit.
         """
         result = Compensated.empty(len(np.asarray(readings)), len(self.axes)) if out is None else out
         for _chunk in self.chunks(readings, temperature, result):

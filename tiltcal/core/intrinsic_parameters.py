@@ -66,10 +66,7 @@ def intrinsic(coefficients: Coefficients, uncertain: UncertaintyInputs, *, mount
     mounted : bool
         False where the positions were free: the rotation is then a choice and no finding.
 
-    Raises
-    ------
-    EstimateError
-        Fewer than three channels or axes.
+    EstimateError: fewer than three channels or axes.
     """
     if len(coefficients.channels) != 3 or set(coefficients.axes) != set(AXES):
         raise EstimateError("a sensor is separated from its mounting where it has three channels over three axes")
@@ -131,10 +128,7 @@ def separated(matrix: Array) -> tuple[Array, Array]:
     rotation : ndarray, shape (3, 3)
         ``matrix = triangular @ rotation``.
 
-    Raises
-    ------
-    EstimateError
-        The matrix is singular, or its channels form a left-handed frame: no mounting does that.
+    EstimateError: the matrix is singular, or its channels form a left-handed frame: no mounting does that.
     """
     # The QR decomposition of the rows in reverse order, read backwards.
     q, r = np.linalg.qr(matrix[::-1].T)

@@ -376,10 +376,7 @@ def _multiply_by_powers(table: Array, variable: Array, power: Array | float = 1.
 def vector_of(coefficients: Coefficients, names: Sequence[str]) -> Array:
     """Return the coefficients with these dotted names.
 
-    Raises
-    ------
-    EstimateError
-        The coefficients have none of that name.
+    EstimateError: the coefficients have none of that name.
     """
     return np.array([table[place] for table, place in (_place(coefficients, name) for name in names)])
 

@@ -72,10 +72,7 @@ def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> Mou
     sigma : ndarray, shape (positions,), optional
         Standard uncertainty of each direction, radians; where it is left out, the residuals show it.
 
-    Raises
-    ------
-    EstimateError
-        All directions lie on one line: the turn about it is undetermined.
+    EstimateError: all directions lie on one line: the turn about it is undetermined.
     """
     read, known = _directions(read, known)
     weights = _weights(known, sigma)

@@ -53,10 +53,7 @@ def orientation(names: Sequence[str]) -> Orientation:
         ``x``, ``-x``, ``y``, ... for the sensor's x, y and, where it is given, z axis. A third one that is left out
         completes a right-handed frame.
 
-    Raises
-    ------
-    InputError
-        Not two or three different axes, or a left-handed frame.
+    InputError: not two or three different axes, or a left-handed frame.
     """
     plain = [name.lstrip("+-") for name in names]
     if len(names) not in (2, 3) or any(axis not in _UNIT for axis in plain) or len(set(plain)) < len(plain):

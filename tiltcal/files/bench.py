@@ -23,10 +23,7 @@ SignedAxis = Annotated[str, Meta(pattern="^[+-]?[xyz]$", extra={"says": "an axis
 class BenchSensor(Record):
     """One sensor of a bench."""
 
-    serial: Annotated[
-        Serial,
-        about("unique; the calibration file is named for it"),
-    ]
+    serial: Annotated[Serial, about("unique; the calibration file is named for it")]
     model: Annotated[Text, about("as `--sensor`")]
     address: Annotated[Text, about("as `--address`")]
     axes: Annotated[
@@ -56,11 +53,7 @@ class BenchThermometer(Record):
 class BenchFile(Record):
     """The content of a bench file."""
 
-    sensors: Annotated[
-        tuple[BenchSensor, ...],
-        Meta(min_length=1),
-        about("a list, at least one"),
-    ]
+    sensors: Annotated[tuple[BenchSensor, ...], Meta(min_length=1), about("a list, at least one")]
     thermometer: Annotated[BenchThermometer | None, about("the thermometer beside the sensors")] = None
     operator: Annotated[Text | None, about("the name of who stands there, for the files")] = None
     jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees; `--jig` takes its place")] = (

@@ -43,8 +43,7 @@ class ThermalSection(Record, kw_only=True):
     offset: Annotated[Polynomials, about("per channel the coefficients of dT, dT², …, unit/°C, unit/°C², …")] = {}
     sensitivity: Annotated[Polynomials, about("per channel the coefficients of dT, dT², …, 1/°C, 1/°C², …")] = {}
     lag: Annotated[
-        Finite,
-        about("by how much the sensing element is later than the thermometer, s; negative where it is earlier"),
+        Finite, about("by how much the sensing element is later than the thermometer, s; negative where it is earlier")
     ] = 0.0
 
 

@@ -37,7 +37,7 @@ def yaml_text(data: Mapping[str, Any], comments: Mapping[str, str] | None = None
     comments : mapping of str to str, optional
         Remarks for the end of a key's line, by the key's dotted path.
 
-    InputError: naN, an infinity, a text that is not Unicode, or data of another type.
+    InputError: NaN, an infinity, a text that is not Unicode, or data of another type.
     """
     return "\n".join(_opened_mapping(data, 0, "", comments or {})) + "\n" if data else "{}\n"
 

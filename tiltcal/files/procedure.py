@@ -42,10 +42,7 @@ class Determines(Record):
     ]
     drift: Annotated[Order, about("order of the temperature polynomial of the offset, up to 6")] = 0
     gain: Annotated[Order, about("order of the temperature polynomial of the sensitivity, up to 6")] = 0
-    nonlinearity: Annotated[
-        Annotated[int, Meta(ge=0, le=2)],
-        about("1 for the square, 2 for square and cube"),
-    ] = 0
+    nonlinearity: Annotated[Annotated[int, Meta(ge=0, le=2)], about("1 for the square, 2 for square and cube")] = 0
     mounting: Annotated[
         bool,
         about(
@@ -261,11 +258,7 @@ class ProcedureFile(Record, kw_only=True):
             "position"
         ),
     ] = None
-    positions: Annotated[
-        tuple[PositionSection, ...],
-        Meta(min_length=1),
-        about("in order"),
-    ]
+    positions: Annotated[tuple[PositionSection, ...], Meta(min_length=1), about("in order")]
 
 
 def procedure_of(file: ProcedureFile, document: Document, given: float | None) -> Procedure:

@@ -47,8 +47,7 @@ Count = Annotated[int, Meta(ge=0)]
 FromOne = Annotated[int, Meta(ge=1)]
 Text = Annotated[str, Meta(pattern=r"\S")]
 Identifier = Annotated[
-    str,
-    Meta(pattern=r"^[^\W\d_][\w.-]*$", extra={"says": "a letter followed by letters, digits, '-', '_' and '.'"}),
+    str, Meta(pattern=r"^[^\W\d_][\w.-]*$", extra={"says": "a letter followed by letters, digits, '-', '_' and '.'"})
 ]
 
 

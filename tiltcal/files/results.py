@@ -67,8 +67,7 @@ class PositionRecord(Record, kw_only=True):
     temperature: Annotated[Finite | None, about("°C")] = None
     time: Annotated[Text | None, about("when it was measured, UTC")] = None
     rows: Annotated[
-        tuple[int | tuple[Count, Count], ...] | None,
-        about("its rows `[first, end]` of the log, the end exclusive"),
+        tuple[int | tuple[Count, Count], ...] | None, about("its rows `[first, end]` of the log, the end exclusive")
     ] = None
     line: Annotated[FromOne | None, about("its line of the table")] = None
 

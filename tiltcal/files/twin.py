@@ -110,10 +110,7 @@ class DiskSection(Record, kw_only=True):
         Number | None, about("of the spin axis, degrees; its sine is the common acceleration in g", usual="0.086")
     ] = None
     spin: Annotated[Number, about("turns a second")] = Disk.spin
-    rate: Annotated[
-        Annotated[float, Meta(ge=SLOWEST, le=FASTEST)],
-        about("lines a second"),
-    ] = Disk.rate
+    rate: Annotated[Annotated[float, Meta(ge=SLOWEST, le=FASTEST)], about("lines a second")] = Disk.rate
     wander: Annotated[FromZero, about("of the common acceleration, its largest excursion, relative")] = Disk.wander
     gradient: Annotated[Gradient | None, about("`{differential, cross}`: R (Γxx − Γyy) and R Γxy, g", usual="0")] = None
     noise: Annotated[FromZero, about("one-sided amplitude density, g/√Hz")] = Disk.noise
@@ -137,8 +134,7 @@ class StageSection(Record, kw_only=True):
     """The section ``truth`` of a ``gradiometer`` as it stands in a file."""
 
     disk: Annotated[
-        DiskSection,
-        about("of a `gradiometer`, in place of `offset`, `sensitivity` and what belongs to them"),
+        DiskSection, about("of a `gradiometer`, in place of `offset`, `sensitivity` and what belongs to them")
     ]
     faults: Annotated[tuple[FaultSection, ...], about("a list of `{kind, start, end}`")] = ()
 
@@ -148,10 +144,7 @@ class TwinFile(Record, kw_only=True):
 
     model: Annotated[Text | None, about("the sensor model it is for; any where it is absent")] = None
     seed: Annotated[Count, about("of all noise; `seed=` in the address takes its place")] = Truth.seed
-    truth: Annotated[
-        TruthSection,
-        about("what the virtual sensor really is"),
-    ]
+    truth: Annotated[TruthSection, about("what the virtual sensor really is")]
 
 
 class StageFile(TwinFile, kw_only=True):

@@ -193,12 +193,8 @@ def apply_frame(
     frame
         The same kind, with the columns that ``tiltcal apply`` adds to a log, and their values to the last bit.
 
-    Raises
-    ------
-    UsageError
-        The frame is of no known kind, or has a column of a name that the result needs.
-    InputError
-        A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
+    UsageError: the frame is of no known kind, or has a column of a name that the result needs.
+    InputError: a column is not there or holds no numbers, or the readings are in another unit than the calibration's.
     """
     from tiltcal.logs.frames import FrameReader
 
@@ -227,12 +223,8 @@ def prepare_any(
 ) -> Callable[[LogReader, Mapping[str, str] | str], PreparedCalibration]:
     """Make a calibration, its file or a folder ready; what is returned takes the log and its columns.
 
-    Raises
-    ------
-    UsageError
-        The options are not for this calibration.
-    InputError
-        The calibration is wrong.
+    UsageError: the options are not for this calibration.
+    InputError: the calibration is wrong.
     """
     if not isinstance(calibration, str | Path) or os.path.isdir(calibration):
         from tiltcal.calibration.calibration_library import CalibrationLibrary, open_calibrations
@@ -291,12 +283,8 @@ class CompensatedLog:
     ) -> CompensatedLog:
         """Find the readings of a log, and whatever else the calibration asks for; ``say`` gets a note if no time is.
 
-        Raises
-        ------
-        UsageError
-            The log has a column of a name that the result needs.
-        InputError
-            A column is not there, or its unit is not that of the calibration.
+        UsageError: the log has a column of a name that the result needs.
+        InputError: a column is not there, or its unit is not that of the calibration.
         """
         named = named_columns(columns, prepared.channels, prepared.roles)
         optional = (*prepared.optional_roles, *(() if prepared.averaging is None else (TIME,)))

@@ -144,11 +144,8 @@ class LogReader(ABC):
         needs_time : bool
             Refuse a column of times that begins with what is none; without it, these are missing.
 
-        Raises
-        ------
-        InputError
-            A row cannot be parsed, a needed column holds no numbers, or the file is damaged; once the iterator comes
-            to it.
+        InputError: a row cannot be parsed, a needed column holds no numbers, or the file is damaged; once the iterator
+            comes to it.
         """
         keep_freed_memory()
         blocks = self._blocks(tuple(columns), time, frames)
@@ -230,12 +227,8 @@ class LogWriter(ABC):
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
         """Write a row for each row of the log's own blocks, in order, with the columns that belong behind theirs.
 
-        Raises
-        ------
-        UsageError
-            The format has no place for what a column holds.
-        OSError
-            The disk is full.
+        UsageError: the format has no place for what a column holds.
+        OSError: the disk is full.
         """
 
 

@@ -69,10 +69,7 @@ class ApplyOptions:
     def vectors(self) -> dict[str, tuple[str, ...]]:
         """Return the columns of the vectors that are asked for, by role.
 
-        Raises
-        ------
-        UsageError
-            A vector has not three columns, or an option needs another.
+        UsageError: a vector has not three columns, or an option needs another.
         """
         given = {"magnetometer": self.magnetometer, "velocity": self.velocity}
         found = {role: _three_columns(role, names) for role, names in given.items() if names}
@@ -177,12 +174,8 @@ def prepare(
     remarks : RowRemarks, optional
         On the rows of other calibrations too.
 
-    Raises
-    ------
-    UsageError
-        The calibration is of pairs, and the options are for tilt.
-    InputError
-        The calibration cannot be applied.
+    UsageError: the calibration is of pairs, and the options are for tilt.
+    InputError: the calibration cannot be applied.
     """
     vectors, averaging = options.vectors(), options.averaging()
     stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}

@@ -30,10 +30,7 @@ from tiltcal.report.validity import covered, not_covered
 def write_tilt_page(path: str | Path, calibration: CalibrationRecord) -> None:
     """Write the page of a calibration in memory.
 
-    Raises
-    ------
-    UsageError
-        The libraries of the extra ``report`` are not installed, or the page cannot be written there.
+    UsageError: the libraries of the extra ``report`` are not installed, or the page cannot be written there.
     """
     require_extra()
     check_writable(path)

@@ -56,10 +56,7 @@ class OperatorAnswer:
     def as_set(self, position: Position) -> Position:
         """Return a position with the angles and the temperature that the operator actually set.
 
-        Raises
-        ------
-        InputError
-            No direction has these angles, or they contradict the direction that was set.
+        InputError: no direction has these angles, or they contradict the direction that was set.
         """
         if self.temperature is not None:
             position = replace(position, temperature=self.temperature if position.temperature is not None else None)
@@ -101,10 +98,7 @@ class Operator(Protocol):
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         """Answer ``yes``: the calibration files may be written.
 
-        Raises
-        ------
-        Stopped
-            They may not.
+        Stopped: they may not.
         """
         ...
 
@@ -139,10 +133,7 @@ class PositionOperator(Operator, Protocol):
     def refused(self, position: Position, why: str) -> None:
         """Handle a position that is refused; it is asked for again.
 
-        Raises
-        ------
-        Stopped
-            The operator gives up.
+        Stopped: the operator gives up.
         """
         ...
 
@@ -193,20 +184,14 @@ class RotationOperator(Operator, Protocol):
     def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
         """Let the stage turn: ``ready``.
 
-        Raises
-        ------
-        Stopped
-            The operator quits.
+        Stopped: the operator quits.
         """
         ...
 
     def poll(self) -> OperatorAnswer | None:
         """Return ``stop`` where the operator has said so, without waiting.
 
-        Raises
-        ------
-        Stopped
-            The operator quits.
+        Stopped: the operator quits.
         """
         ...
 

@@ -110,10 +110,7 @@ class _Rig:
     def _repeat(self, about: str, why: str) -> None:
         """Count that a position, or the stage, has to be asked for again.
 
-        Raises
-        ------
-        Stopped
-            Too often in a row: the rig does not do what it is asked for.
+        Stopped: too often in a row: the rig does not do what it is asked for.
         """
         self._repeats = self._repeats + 1 if about == self._repeated else 1
         self._repeated = about
@@ -237,10 +234,7 @@ class RigRotationOperator(_Rig):
 def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnswer:
     """Return the answer of what a rig returned; ``words`` are the answers that it may give.
 
-    Raises
-    ------
-    InputError
-        It is not an answer; the message says what is wrong with it.
+    InputError: it is not an answer; the message says what is wrong with it.
     """
     if not isinstance(said, Mapping):
         raise InputError('an answer is an object such as {"answer": "ready"}')
