@@ -70,11 +70,8 @@ def find_model(name: str) -> Model:
     name : str
         As the user types it, such as ``sca100t-d02``.
 
-    Raises
-    ------
-    UsageError
-        No model has this name (near names are offered), a plug-in claims the name of another model, or a plug-in
-        cannot be loaded.
+    UsageError: no model has this name (near names are offered), a plug-in claims the name of another model, or a
+        plug-in cannot be loaded.
     """
     require_text("--sensor", name)
     plug_ins = _plug_ins()
@@ -92,10 +89,7 @@ def find_model(name: str) -> Model:
 def models() -> Iterator[Model]:
     """Iterate over every sensor model: the built-in ones first, then those of plug-ins by name.
 
-    Raises
-    ------
-    UsageError
-        A plug-in claims the name of another model, or cannot be loaded.
+    UsageError: a plug-in claims the name of another model, or cannot be loaded.
     """
     plug_ins = _plug_ins()
     for name, claims in plug_ins.items():

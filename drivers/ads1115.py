@@ -72,12 +72,8 @@ class Ads1115:
     def volts(self, number: int) -> float:
         """Convert one input against ground, V.
 
-        Raises
-        ------
-        BusError
-            The transaction failed, the bus is stuck, or the conversion does not end.
-        DeviceFault
-            The converter lost its settings, or the input is beyond the full scale.
+        BusError: the transaction failed, the bus is stuck, or the conversion does not end.
+        DeviceFault: the converter lost its settings, or the input is beyond the full scale.
         """
         config = config_word(number, self._full_scale, self._rate)
         self._link.exchange(bytes([CONFIG]) + config.to_bytes(2, "big"))
@@ -149,10 +145,7 @@ def _check_held(held: int, config: int) -> None:
 def front_end(address: Address) -> FrontEnd:
     """Return the ADS1115 with the ``range=`` (V) and ``rate=`` (conversions per second) of an address.
 
-    Raises
-    ------
-    UsageError
-        A bus address, full scale or rate that it does not have.
+    UsageError: a bus address, full scale or rate that it does not have.
     """
     if "address" in address.options and not address.simulated and address.integer("address") not in ADDRESSES:
         address.refuse(

@@ -77,12 +77,7 @@ class Adxl202Sentences:
 
     def link_statistics(self) -> Mapping[str, int]:
         """Return the counts of used, damaged and lost sentences (gaps in the sequence), and its restarts."""
-        return {
-            "sentences": self._used,
-            "damaged": self._damaged,
-            "lost": self._lost,
-            "restarts": self._restarts,
-        }
+        return {"sentences": self._used, "damaged": self._damaged, "lost": self._lost, "restarts": self._restarts}
 
     def _next(self) -> Sentence:
         for _ in range(UNUSABLE):

@@ -17,23 +17,15 @@ Rev. A, Analog Devices; A Solid State Tilt Meter for Current Meter Attitude Dete
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers import adxl202, sca100t
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.converter import (
-    NOMINAL,
-    FrontEnd,
-    Supply,
-    find_front_end,
-    require_apart,
-    take_input,
-    take_supply,
-)
+from tiltcal.drivers.converter import NOMINAL, FrontEnd, Supply, find_front_end, require_apart, take_input, take_supply
 from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import DeviceFault
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -50,7 +42,7 @@ LOWEST_SANE, HIGHEST_SANE = 0.05 * NOMINAL, 0.95 * NOMINAL
 self-test or its interconnection is broken. The duty cycles of an ADXL202 stay within these limits too."""
 
 
-@frozen
+@dataclass(frozen=True)
 class AnalogPart:
     """The constants of one analog sensor.
 
@@ -89,7 +81,7 @@ class AnalogPart:
         return NOMINAL * self.share_per_g
 
 
-@frozen
+@dataclass(frozen=True)
 class WiredAnalog:
     """The wiring of a sensor to a converter.
 

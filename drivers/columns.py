@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, partial
 from math import isfinite
@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.device import Model, Reading, from_twin, in_words
 from tiltcal.drivers.lines import UNUSABLE, LineBuffer, shown
 from tiltcal.errors import BusError
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -69,7 +68,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
 _NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
 
 
-@frozen
+@dataclass(frozen=True)
 class ColumnLayout:
     """The meaning of the numbers of a line.
 
@@ -173,10 +172,7 @@ def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
     default : str, optional
         The columns if the address names none; without it they are required.
 
-    Raises
-    ------
-    UsageError
-        An invalid name, a repeated name, or no reading.
+    UsageError: an invalid name, a repeated name, or no reading.
     """
     written = address.text("columns", default)
     names = tuple("-" if name.strip() in SKIPPED else name.strip() for name in written.split(","))
@@ -205,10 +201,7 @@ def numbers_in_words(channels: Sequence[str], reading: Reading) -> dict[str, str
 def require_name(address: Address, name: str) -> None:
     """Refuse a column whose name is none, or is nearly ``temperature``.
 
-    Raises
-    ------
-    UsageError
-        With the address.
+    UsageError: with the address.
     """
     if name != "-" and not _NAME.fullmatch(name):
         address.refuse(f"column {name!r} is neither a name of letters and digits nor - (for one that is skipped)")
@@ -233,10 +226,7 @@ def with_numbers(
 ) -> Model:
     """Return the model of a device that sends numbers, with the unit, scale and rails of its address.
 
-    Raises
-    ------
-    UsageError
-        An option is wrong, or a virtual device would have other channels than x, y and z.
+    UsageError: an option is wrong, or a virtual device would have other channels than x, y and z.
     """
     if address.simulated and not set(channels) <= set(AXES):
         address.refuse(

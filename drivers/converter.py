@@ -14,7 +14,6 @@ from math import inf
 from typing import TYPE_CHECKING, Protocol
 
 from tiltcal.errors import DeviceFault
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -38,17 +37,13 @@ class Converter(Protocol):
     def volts(self, number: int) -> float:
         """Measure one input against ground, V.
 
-        Raises
-        ------
-        BusError
-            The transaction failed.
-        DeviceFault
-            The input is beyond the converter's range, or the converter misbehaves.
+        BusError: the transaction failed.
+        DeviceFault: the input is beyond the converter's range, or the converter misbehaves.
         """
         ...
 
 
-@frozen
+@dataclass(frozen=True)
 class FrontEnd:
     """A converter with the settings of an address.
 
@@ -94,10 +89,7 @@ class FrontEnd:
 def find_front_end(address: Address) -> FrontEnd:
     """Return the converter of an address; ``sim:`` selects one with ``adc=``.
 
-    Raises
-    ------
-    UsageError
-        An unknown converter, or a setting that it does not have.
+    UsageError: an unknown converter, or a setting that it does not have.
     """
     name = address.text("adc", _MODULES[0]) if address.simulated else address.scheme.partition("+")[0]
     if name not in _MODULES:
@@ -110,10 +102,7 @@ def find_front_end(address: Address) -> FrontEnd:
 def take_input(address: Address, option: str, front_end: FrontEnd, default: int) -> int:
     """Return the converter input of an option; only a virtual sensor has a default.
 
-    Raises
-    ------
-    UsageError
-        It is missing, or the converter has no such input.
+    UsageError: it is missing, or the converter has no such input.
     """
     return address.integer(option, default if address.simulated else None, low=0, high=front_end.inputs - 1)
 
@@ -162,12 +151,8 @@ class Supply:
         supply : float
             Mean of the measured values, or the stated value, V.
 
-        Raises
-        ------
-        BusError
-            The transaction failed.
-        DeviceFault
-            The supply is outside the range of the sensor.
+        BusError: the transaction failed.
+        DeviceFault: the supply is outside the range of the sensor.
         """
         if self.number is None:
             return tuple(converter.volts(number) / self.volts for number in numbers), self.volts
@@ -208,10 +193,7 @@ def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) 
     low, high : float
         Allowed supply of the sensor, V.
 
-    Raises
-    ------
-    UsageError
-        It is neither measured nor stated, or both, or outside the range of the converter.
+    UsageError: it is neither measured nor stated, or both, or outside the range of the converter.
     """
     if "supply" in address.options and "vdd" in address.options:
         address.refuse("options 'supply' and 'vdd' exclude each other: the supply is either measured or stated")
@@ -238,10 +220,7 @@ def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) 
 def require_apart(address: Address, wiring: dict[str, int | None]) -> None:
     """Refuse two signals on one input.
 
-    Raises
-    ------
-    UsageError
-        Two options name the same input.
+    UsageError: two options name the same input.
     """
     seen: dict[int, str] = {}
     for option, number in wiring.items():

@@ -9,8 +9,6 @@ from importlib import import_module
 from math import sqrt
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from tiltcal.frozen import frozen
-
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
@@ -50,10 +48,7 @@ class Sensor(Protocol):
         mapping of str to str
             What the device reports about itself, for the operator.
 
-        Raises
-        ------
-        HardwareError
-            It does not answer, or shows a fault.
+        HardwareError: it does not answer, or shows a fault.
         """
         ...
 
@@ -74,10 +69,7 @@ class Sensor(Protocol):
 
         A sensor that is read sample by sample has nothing to discard; one that streams drops its queued data.
 
-        Raises
-        ------
-        BusError
-            The transaction failed.
+        BusError: the transaction failed.
         """
         ...
 
@@ -125,7 +117,7 @@ class Population:
     source: str
 
 
-@frozen
+@dataclass(frozen=True)
 class Model:
     """The facts of one sensor model, with its driver and its twin.
 
@@ -228,10 +220,7 @@ class Model:
     def at(self, address: Address) -> Model:
         """Return this model as it is connected at an address.
 
-        Raises
-        ------
-        UsageError
-            An option of the address is missing or wrong.
+        UsageError: an option of the address is missing or wrong.
         """
         return self if self.configure is None else self.configure(address)
 
@@ -262,10 +251,7 @@ class SelfTesting(Protocol):
     def self_test(self, channel: str) -> SelfTestResult:
         """Start the self-test of one channel.
 
-        Raises
-        ------
-        HardwareError
-            As :meth:`Sensor.read`.
+        HardwareError: as :meth:`Sensor.read`.
         """
         ...
 

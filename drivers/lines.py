@@ -58,10 +58,7 @@ class LineBuffer:
         whole : bool
             False if its beginning may be missing.
 
-        Raises
-        ------
-        BusError
-            Silence, bytes without a line end, or line ends alone.
+        BusError: silence, bytes without a line end, or line ends alone.
         """
         for _ in range(UNUSABLE):
             began_ns: int | None = None

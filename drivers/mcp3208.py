@@ -51,10 +51,7 @@ class Mcp3208:
     def volts(self, number: int) -> float:
         """Convert one input against ground, V.
 
-        Raises
-        ------
-        BusError
-            The transaction failed, or every bit of the answer is the same.
+        BusError: the transaction failed, or every bit of the answer is the same.
         """
         command = command_frame(number)
         answer = require_length(self._link.exchange(command), len(command), "frame")
@@ -89,10 +86,7 @@ def _check_data_line(number: int, answer: bytes) -> None:
 def front_end(address: Address) -> FrontEnd:
     """Return the MCP3208 with the ``vref=`` of an address, the voltage at its reference pin.
 
-    Raises
-    ------
-    UsageError
-        The reference voltage is missing or out of range.
+    UsageError: the reference voltage is missing or out of range.
     """
     # From 0.25 V up to the part's own supply, which may be 5.5 V.
     reference = address.number("vref", 5.0 if address.simulated else None, low=0.25, high=5.5)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -35,7 +35,6 @@ from tiltcal.drivers.columns import (
 )
 from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import BusError, DeviceFault
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -79,7 +78,7 @@ EXCEPTIONS = {
 _COLUMN = re.compile(r"([^@:*]+)@(0[xX][0-9a-fA-F]{1,8}|[0-9]{1,9})(?::([a-z0-9]+))?(?:\*([-+0-9.eE]+))?")
 
 
-@frozen
+@dataclass(frozen=True)
 class RegisterColumn:
     """One number in registers.
 
@@ -107,7 +106,7 @@ class RegisterColumn:
         return 0.0 if self.code in "fd" else abs(self.scale)
 
 
-@frozen
+@dataclass(frozen=True)
 class RegisterLayout:
     """The numbers and their registers.
 
@@ -229,10 +228,7 @@ def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
     default : str, optional
         The columns where the address names none; without it they are required.
 
-    Raises
-    ------
-    UsageError
-        A column is wrong, a name is given twice, or there is no reading.
+    UsageError: a column is wrong, a name is given twice, or there is no reading.
     """
     named = [_column(address, text.strip()) for text in address.text("columns", default).split(",")]
     columns = [column for column in named if column.name != "-"]
@@ -241,9 +237,7 @@ def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
     if twice:
         address.refuse(f"columns names {twice!r} twice")
     layout = RegisterLayout(
-        tuple(columns),
-        address.choice("table", TABLES, HOLDING),
-        address.choice("order", ORDERS, ORDERS["abcd"]),
+        tuple(columns), address.choice("table", TABLES, HOLDING), address.choice("order", ORDERS, ORDERS["abcd"])
     )
     if not layout.channels:
         address.refuse("columns names no reading: x, y, z, or another name than temperature")

@@ -105,10 +105,7 @@ class PulseTrains:
     def take(self, edge: Edge) -> Cycle | None:
         """Add an edge, and return the cycle that it completes, if any.
 
-        Raises
-        ------
-        DeviceFault
-            The two trains do not belong together, or one line is dead.
+        DeviceFault: the two trains do not belong together, or one line is dead.
         """
         if self._number is not None:
             gap = (edge.number - self._number - 1) & 0xFFFFFFFF

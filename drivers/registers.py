@@ -54,10 +54,7 @@ class RegisterPort:
     def write(self, register: int, value: int) -> None:
         """Set one register.
 
-        Raises
-        ------
-        BusError
-            The transaction failed.
+        BusError: the transaction failed.
         """
         command = self.pointer if self.link.letter == "i" else self.write_command
         self.link.exchange(bytes([command(register), value]))
@@ -66,10 +63,7 @@ class RegisterPort:
 def check_data_line(answers: bytes) -> None:
     """Raise an error for a sample with equal bits: at rest at least one channel measures gravity.
 
-    Raises
-    ------
-    BusError
-        Every byte is 0xFF, or every byte is 0.
+    BusError: every byte is 0xFF, or every byte is 0.
     """
     if set(answers) == {0xFF}:
         raise BusError(

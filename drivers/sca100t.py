@@ -105,12 +105,8 @@ class Inclinometer:
         mapping of str to str
             The words it sent, and the temperature.
 
-        Raises
-        ------
-        BusError
-            No answer, or a data line that never changes.
-        DeviceFault
-            The part reports a fault, or a temperature at which it cannot work.
+        BusError: no answer, or a data line that never changes.
+        DeviceFault: the part reports a fault, or a temperature at which it cannot work.
         """
         words, temperature = self._sample()
         # The thermometer is not trimmed, so 10 °C are added to both ends of the part's operating range.
@@ -203,12 +199,8 @@ class Sca100t(Inclinometer):
         channel : str
             x or y. The datasheet forbids both at once.
 
-        Raises
-        ------
-        UsageError
-            Another channel, or an axis that points down, where the push may not reach the rail of a good part.
-        BusError, DeviceFault
-            As :meth:`read`.
+        UsageError: another channel, or an axis that points down, where the push may not reach the rail of a good part.
+        BusError, DeviceFault: as :meth:`read`.
         """
         if channel not in ("x", "y"):
             raise UsageError(f"an SCA100T has channels x and y, not {channel!r}")

@@ -148,12 +148,8 @@ class Scl3300:
         mapping of str to str
             Part, serial number as it is printed on it, range, words, temperature, and what the line damaged.
 
-        Raises
-        ------
-        BusError
-            No answer, a data line that never moves, too many damaged frames, or MISO joined to MOSI.
-        DeviceFault
-            Another part, or a fault that its status shows.
+        BusError: no answer, a data line that never moves, too many damaged frames, or MISO joined to MOSI.
+        DeviceFault: another part, or a fault that its status shows.
         """
         self._ready = False
         reading = self.read()
@@ -179,10 +175,7 @@ class Scl3300:
         """
         x, y, z, temperature = self._answers_to(SAMPLE)
         self._counts["samples"] += 1
-        return Reading(
-            (float(x.signed), float(y.signed), float(z.signed)),
-            decode_temperature(temperature.signed),
-        )
+        return Reading((float(x.signed), float(y.signed), float(z.signed)), decode_temperature(temperature.signed))
 
     def discard(self) -> None:
         """Do nothing: every read requests the latest words."""

@@ -29,17 +29,9 @@ from math import cbrt, exp, inf, log, sqrt
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.converter import (
-    FrontEnd,
-    Supply,
-    find_front_end,
-    require_apart,
-    take_input,
-    take_supply,
-)
+from tiltcal.drivers.converter import FrontEnd, Supply, find_front_end, require_apart, take_input, take_supply
 from tiltcal.drivers.device import Model, Reading, from_twin
 from tiltcal.errors import DeviceFault
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
@@ -81,10 +73,7 @@ class Curve:
     def celsius(self, ohms: float) -> float:
         """Return the temperature at a resistance, °C.
 
-        Raises
-        ------
-        DeviceFault
-            The curve has no temperature there.
+        DeviceFault: the curve has no temperature there.
         """
         x = log(ohms)
         inverse = self.a + self.b * x + self.c * x**3
@@ -106,7 +95,7 @@ class Curve:
         return exp(first - p / (3.0 * first))
 
 
-@frozen
+@dataclass(frozen=True)
 class Divider:
     """A thermistor and a fixed resistor across a supply.
 
@@ -130,10 +119,7 @@ class Divider:
     def celsius(self, share: float) -> float:
         """Return the temperature for an output as a share of the supply, °C.
 
-        Raises
-        ------
-        DeviceFault
-            The thermistor or its wire is open or shorted.
+        DeviceFault: the thermistor or its wire is open or shorted.
         """
         if not SHORTED < share < OPEN:
             found = "shorted" if (share <= SHORTED) == self.grounded else "open, or not connected"
@@ -145,7 +131,7 @@ class Divider:
         return self.curve.celsius(self.fixed * (ratio if self.grounded else 1.0 / ratio))
 
 
-@frozen
+@dataclass(frozen=True)
 class WiredThermistor:
     """The wiring of a thermistor to a converter.
 

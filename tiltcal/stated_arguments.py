@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from math import inf
+import re
 from numbers import Integral, Real
 from os import PathLike
 from typing import Any, cast
 
-from tiltcal.errors import UsageError
+from tiltcal.errors import InputError, UsageError
+
+LEAST, MOST = 1e-9, 1e9
+"""Bounds of the size of a number that is stated, in a file or an option, and is not 0."""
+
+CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+_NO_TEXT = re.compile("[\ud800-\udfff]")  # what Python makes of bytes that are not UTF-8
 
 
 def of_python(value: Any) -> Any:
@@ -15,26 +21,22 @@ def of_python(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-SMALLEST, LARGEST = 1e-9, 1e9
-"""Of a number that is stated and not 0: no quantity of a bench is outside, and its powers are finite and not 0."""
-
-
-def is_number(value: object, least: float = -inf) -> bool:
-    """Return whether a value is a number, not below the least one, that is 0 or between the bounds of a bench."""
+def is_number(value: object, least: float = -MOST) -> bool:
+    """Return whether a value is a number, 0 or of a size between LEAST and MOST, and not below the least one."""
     number = cast(float, value)  # a whole number of 310 digits can be compared, but is no float
-    return isinstance(value, Real) and least <= number and (number == 0 or SMALLEST <= abs(number) <= LARGEST)
+    return isinstance(value, Real) and least <= number and (number == 0 or LEAST <= abs(number) <= MOST)
 
 
 def require_above_zero(option: str, value: object) -> None:
     """Refuse a value that is no number above 0, with a UsageError; None is not stated."""
     if value is not None and not (is_number(value, 0.0) and value):
-        raise UsageError(f"{option} takes a number from {SMALLEST:g} to {LARGEST:g}, not {shown(value)}")
+        raise UsageError(f"{option} takes a number from {LEAST:g} to {MOST:g}, not {shown(value)}")
 
 
 def require_from_zero(option: str, value: object) -> None:
     """Refuse a value that is no number from 0, with a UsageError; None is not stated."""
     if value is not None and not is_number(value, 0.0):
-        raise UsageError(f"{option} takes 0 or a number from {SMALLEST:g} to {LARGEST:g}, not {shown(value)}")
+        raise UsageError(f"{option} takes 0 or a number from {LEAST:g} to {MOST:g}, not {shown(value)}")
 
 
 def require_whole(option: str, value: object, least: int, what: str) -> None:
@@ -42,8 +44,8 @@ def require_whole(option: str, value: object, least: int, what: str) -> None:
 
     ``what`` names what it counts, for the message.
     """
-    if value is not None and not (isinstance(value, Integral) and least <= int(value) <= LARGEST):
-        raise UsageError(f"{option} takes a number of {what} from {least} to {LARGEST:g}, not {shown(value)}")
+    if value is not None and not (isinstance(value, Integral) and least <= int(value) <= MOST):
+        raise UsageError(f"{option} takes a number of {what} from {least} to {MOST:g}, not {shown(value)}")
 
 
 def shown(value: object) -> str:
@@ -76,3 +78,29 @@ def require_path(what: str, value: object) -> None:
     """Refuse a value that is no name of a file, with a UsageError; ``what`` says which file, for the message."""
     if not isinstance(value, str | PathLike):
         raise UsageError(f"{what} is named by a text or a Path, not {value!r}")
+
+
+def require_printable(
+    text: str, key: str | None = None, file: str | PathLike[str] | None = None, line: int | None = None
+) -> None:
+    """Refuse control characters, which can command a terminal, and what is no text, with an InputError.
+
+    Line feed and tab are allowed.
+    """
+    if _NO_TEXT.search(text):
+        raise InputError(f"{text!r} is not UTF-8", file=file, line=line, key=key)
+    control = CONTROL.search(text)
+    if control:
+        raise InputError(
+            f"the control character {control.group()!r} is not allowed in a text", file=file, line=line, key=key
+        )
+
+
+def require_name(text: object, what: str) -> None:
+    """Refuse what cannot stand in a file as a name: no text, an empty one, or one with a control character.
+
+    The error is a UsageError, or of a control character an InputError.
+    """
+    if not isinstance(text, str) or not text.strip():
+        raise UsageError(f"{what} is {text!r}: write a text")
+    require_printable(text, what)

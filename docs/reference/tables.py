@@ -1,42 +1,31 @@
-"""The tables of docs/reference/files.md, from the declarations of the formats."""
+"""The tables of docs/reference/files.md, from the types of the records."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, NamedTuple, get_args, get_origin
+
+from msgspec import NODEFAULT, Struct
+from msgspec.structs import fields
 
 from tiltcal.files.bench import BenchFile
-from tiltcal.files.calibration import CalibrationRecord, LimitsSection, SensorIdentity
+from tiltcal.files.calibration import LimitsSection, SensorIdentity, TiltFile
 from tiltcal.files.coefficients import CoefficientsSection
-from tiltcal.files.declaration import (
-    ByKey,
-    ByName,
-    Converted,
-    Either,
-    Format,
-    KeyDeclaration,
-    ListOf,
-    Section,
-    entries_of,
-)
-from tiltcal.files.derived_record import DerivedRecord
-from tiltcal.files.fit_record import FitRecord
 from tiltcal.files.journal_header import Header
-from tiltcal.files.pair import PairRecord
-from tiltcal.files.position_record import PositionRecord, ProcedureRecord
-from tiltcal.files.positions import TabledRow
-from tiltcal.files.procedure import Procedure
-from tiltcal.files.provenance_record import Provenance
+from tiltcal.files.pair import PairFile
+from tiltcal.files.procedure import ProcedureFile
+from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.rotation import Rotation
-from tiltcal.files.segments import SegmentRow
+from tiltcal.files.tables import SegmentRow, TabledRow
 from tiltcal.files.twin import DiskSection, TwinFile
 from tiltcal.files.uncertainty import UncertaintySection
 
 PAGE = Path(__file__).with_name("files.md")
 
-TABLES: dict[str, type[Any]] = {
+TABLES: dict[str, type[Struct]] = {
     "sensor": SensorIdentity,
     "calibration": CoefficientsSection,
     "uncertainty": UncertaintySection,
@@ -46,8 +35,8 @@ TABLES: dict[str, type[Any]] = {
     "procedure-run": ProcedureRecord,
     "positions-measured": PositionRecord,
     "provenance": Provenance,
-    "pair": PairRecord,
-    "procedure": Procedure,
+    "pair": PairFile,
+    "procedure": ProcedureFile,
     "rotation": Rotation,
     "bench": BenchFile,
     "twin": TwinFile,
@@ -73,45 +62,59 @@ def table(name: str) -> str:
 
 def _top() -> Iterator[str]:
     """The sections of a calibration file, each of which has a table of its own."""
-    for one in entries_of(CalibrationRecord).values():
-        yield _row(one.key, one, f"{one.text}, [below](#section-{one.key})")
+    for key in keys_in(TiltFile):
+        yield _row(key.name, key, f"{key.text}, [below](#section-{key.name})")
 
 
-def _rows(record: type[Any], lead: str = "") -> Iterator[str]:
-    for one in entries_of(record).values():
-        yield _row(f"{lead}{one.key}", one, one.text)
-        inner, suffix = _section_in(one.form)
+def _rows(record: type[Struct], lead: str = "") -> Iterator[str]:
+    for key in keys_in(record):
+        yield _row(f"{lead}{key.name}", key, key.text)
+        inner, suffix = _section_in(key.kind)
         if inner is not None:
-            yield from _rows(inner, f"{lead}{one.key}{suffix}.")
+            yield from _rows(inner, f"{lead}{key.name}{suffix}.")
 
 
-def _row(key: str, one: KeyDeclaration, text: str) -> str:
-    return f"| `{key}` | {_default(one)} | {text} |".replace("|  |", "| |")
+class Key(NamedTuple):
+    """A key of a section, as its type declares it."""
+
+    name: str
+    kind: Any
+    text: str
+    usual: str
+    default: Any
 
 
-def _default(one: KeyDeclaration) -> str:
-    if one.required:
+def keys_in(record: type[Struct]) -> Iterator[Key]:
+    """Yield the keys of a section, in the order of the file."""
+    for field in fields(record):
+        about = field.type.__metadata__[-1]
+        default = field.default if field.default_factory is NODEFAULT else field.default_factory()
+        yield Key(field.encode_name, field.type, about.description, about.extra["usual"], default)
+
+
+def _row(name: str, key: Key, text: str) -> str:
+    return f"| `{name}` | {_default(key)} | {text} |".replace("|  |", "| |")
+
+
+def _default(key: Key) -> str:
+    if key.default is NODEFAULT:
         return "needed"
-    if one.usual or one.default is None:
-        return one.usual
-    if isinstance(one.default, bool):
-        return f"`{str(one.default).lower()}`"
-    return f"{one.default:g}" if isinstance(one.default, int | float) else ""
+    if key.usual or key.default is None:
+        return key.usual
+    if isinstance(key.default, bool):
+        return f"`{str(key.default).lower()}`"
+    return f"{key.default:g}" if isinstance(key.default, int | float) else ""
 
 
-def _section_in(form: Format[Any]) -> tuple[type[Any] | None, str]:
+def _section_in(kind: Any) -> tuple[type[Struct] | None, str]:
     """The section that a value is made of, and how its keys are reached from the value's key."""
-    match form:
-        case Section():
-            return form.record, ""
-        case Converted():
-            return _section_in(form.form)
-        case Either():
-            return _section_in(form.usual)
-        case ListOf():
-            inner, suffix = _section_in(form.item)
-            return inner, f"[]{suffix}"
-        case ByKey() | ByName():
-            inner, suffix = _section_in(form.item)
-            return inner, f".*{suffix}"
-    return None, ""
+    if isinstance(kind, type) and issubclass(kind, Struct):
+        return kind, ""
+    if hasattr(kind, "__metadata__"):
+        return _section_in(kind.__origin__)
+    members = [member for member in get_args(kind) if member is not NoneType]
+    suffix = {tuple: "[]", Mapping: ".*"}.get(get_origin(kind), "")
+    if not members or (suffix == "" and len(members) > 1):
+        return None, ""
+    inner, more = _section_in(members[-1] if suffix == ".*" else members[0])
+    return inner, f"{suffix}{more}"

@@ -60,14 +60,9 @@ def open_link(address: Address, model: Model, lines: MutableMapping[str, ModbusL
         The lines that the caller has open already, by their port: devices on one of them share it. See
         :func:`~tiltcal.drivers.bus.modbus.open_modbus`.
 
-    Raises
-    ------
-    UsageError
-        The model does not have this scheme, or an option is wrong.
-    HardwareError
-        The bus's library is not installed.
-    BusError
-        No such device, or no permission.
+    UsageError: the model does not have this scheme, or an option is wrong.
+    HardwareError: the bus's library is not installed.
+    BusError: no such device, or no permission.
     """
     if address.scheme not in model.schemes:
         ways = " or ".join(f"{scheme}:" for scheme in (*model.schemes, "sim"))

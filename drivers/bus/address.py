@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from math import isfinite
 from typing import NoReturn, TypeVar
@@ -27,7 +27,6 @@ from urllib.parse import unquote
 
 from tiltcal.drivers.bus import BUSES
 from tiltcal.errors import UsageError
-from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_text
 
 R = TypeVar("R")
@@ -40,7 +39,7 @@ SCHEMES = (*BUSES, "sim")
 """Last part of every known scheme."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Address:
     """One parsed address.
 
@@ -72,10 +71,7 @@ class Address:
     def allow(self, *names: str) -> None:
         """Refuse every option that is not among ``names``.
 
-        Raises
-        ------
-        UsageError
-            With the nearest name that is allowed.
+        UsageError: with the nearest name that is allowed.
         """
         for name in self.options:
             if name not in names:
@@ -90,10 +86,7 @@ class Address:
         default : str, optional
             Value if the option is left out; without it the option is required.
 
-        Raises
-        ------
-        UsageError
-            It is missing or empty.
+        UsageError: it is missing or empty.
         """
         value = self.options.get(name, default)
         if value is None:
@@ -112,10 +105,7 @@ class Address:
         low, high : int, optional
             Smallest and largest number that is accepted.
 
-        Raises
-        ------
-        UsageError
-            It is missing, not a whole number, or out of bounds.
+        UsageError: it is missing, not a whole number, or out of bounds.
         """
         if default is not None and name not in self.options:
             return default
@@ -138,10 +128,7 @@ class Address:
         low, high : float, optional
             Smallest and largest number that is accepted.
 
-        Raises
-        ------
-        UsageError
-            It is missing, not a finite number, or out of bounds.
+        UsageError: it is missing, not a finite number, or out of bounds.
         """
         if default is not None and name not in self.options:
             return default
@@ -160,10 +147,7 @@ class Address:
         default
             Value if the option is left out.
 
-        Raises
-        ------
-        UsageError
-            It is empty, or none of the words.
+        UsageError: it is empty, or none of the words.
         """
         if name not in self.options:
             return default
@@ -191,10 +175,7 @@ def parse_address(text: str) -> Address:
     text : str
         As the user wrote it.
 
-    Raises
-    ------
-    UsageError
-        The address is malformed. The bus that opens it checks the options.
+    UsageError: the address is malformed. The bus that opens it checks the options.
     """
     require_text("--address", text)
     scheme, colon, rest = text.partition(":")

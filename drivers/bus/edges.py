@@ -69,10 +69,7 @@ def pack_edges(edges: Iterable[Edge]) -> bytes:
 def unpack_edges(records: bytes) -> Iterator[Edge]:
     """Iterate over the edges in a link's answer, the inverse of :func:`pack_edges`.
 
-    Raises
-    ------
-    BusError
-        A torn record, or one of a line that is neither x nor y.
+    BusError: a torn record, or one of a line that is neither x nor y.
     """
     if len(records) % RECORD.size:
         raise BusError(f"{len(records)} bytes are no whole number of edge records of {RECORD.size} bytes")
@@ -91,14 +88,9 @@ def open_gpio(address: Address, model: Model) -> GpioLink:
         The path is a GPIO chip; options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge that
         are an error.
 
-    Raises
-    ------
-    UsageError
-        A line is missing, or both are the same.
-    HardwareError
-        The gpiod package is not installed, or is older than version 2.
-    BusError
-        No such chip or line, no permission, or in use.
+    UsageError: a line is missing, or both are the same.
+    HardwareError: the gpiod package is not installed, or is older than version 2.
+    BusError: no such chip or line, no permission, or in use.
     """
     address.allow("x", "y", "timeout", *model.options)
     x, y = (address.integer(name, low=0, high=MOST_LINES - 1) for name in ("x", "y"))
@@ -137,10 +129,7 @@ class GpioLink:
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Take the records of edges that have arrived; see :class:`~tiltcal.drivers.bus.link.Link`.
 
-        Raises
-        ------
-        BusError
-            No edge within the timeout, or the chip is unplugged.
+        BusError: no edge within the timeout, or the chip is unplugged.
         """
         try:
             if not count:

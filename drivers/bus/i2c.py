@@ -26,14 +26,9 @@ def open_i2c(address: Address, model: Model) -> I2cLink:
     address : Address
         Option ``address``, the device's 7-bit address, is required.
 
-    Raises
-    ------
-    UsageError
-        An unknown option, or an I2C address that is missing or reserved.
-    HardwareError
-        The smbus2 package is not installed.
-    BusError
-        No such device node, or no permission.
+    UsageError: an unknown option, or an I2C address that is missing or reserved.
+    HardwareError: the smbus2 package is not installed.
+    BusError: no such device node, or no permission.
     """
     address.allow("address", *model.options)
     return I2cLink(address.path, address.integer("address", low=LOWEST, high=HIGHEST))

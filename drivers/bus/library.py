@@ -18,10 +18,7 @@ def import_library(module: str, needed: str, install: str) -> Any:
     install : str
         What pip installs.
 
-    Raises
-    ------
-    HardwareError
-        The package is not installed.
+    HardwareError: the package is not installed.
     """
     try:
         return import_module(module)

@@ -45,10 +45,7 @@ class Link(Protocol):
         bytes
             The answer of the device; of serial lines and edges at least one byte or record where ``count`` is not 0.
 
-        Raises
-        ------
-        BusError
-            The transaction failed; the message states the cause and what to try.
+        BusError: the transaction failed; the message states the cause and what to try.
         """
         ...
 
@@ -77,10 +74,7 @@ class Continuing(Protocol):
     def go_on_after(self, answer: bytes) -> None:
         """Skip all up to the end of an answer of the earlier link; data that do not have it are taken from their start.
 
-        Raises
-        ------
-        BusError
-            The data cannot be read.
+        BusError: the data cannot be read.
         """
         ...
 
@@ -88,10 +82,7 @@ class Continuing(Protocol):
 def require_length(answer: bytes, length: int, what: str = "transaction") -> bytes:
     """Return an answer that is as long as its transaction.
 
-    Raises
-    ------
-    BusError
-        It is shorter or longer.
+    BusError: it is shorter or longer.
     """
     if len(answer) != length:
         raise BusError(f"a {what} of {length} bytes was answered with {len(answer)}: the adapter is at fault")

@@ -48,14 +48,9 @@ def open_modbus(address: Address, model: Model, lines: MutableMapping[str, Modbu
         The serial lines that were opened before, by their port, which the units of an RS-485 line share; a new one is
         added.
 
-    Raises
-    ------
-    UsageError
-        An unknown or wrong option, or one that another unit on the line contradicts.
-    HardwareError
-        The pymodbus package is not installed.
-    BusError
-        No such port, no permission, or no server.
+    UsageError: an unknown or wrong option, or one that another unit on the line contradicts.
+    HardwareError: the pymodbus package is not installed.
+    BusError: no such port, no permission, or no server.
     """
     unit = address.integer("unit", 1, low=1, high=247)
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=60.0)
@@ -214,10 +209,7 @@ class ModbusLink:
     unit : int
         The device's address on the line.
 
-    Raises
-    ------
-    BusError
-        The line cannot be opened.
+    BusError: the line cannot be opened.
     """
 
     letter = "m"
@@ -244,10 +236,7 @@ class ModbusLink:
             The answer likewise: function code, number of bytes, registers; or function code + 0x80 and an exception
             code.
 
-        Raises
-        ------
-        BusError
-            As :meth:`ModbusLine.read`.
+        BusError: as :meth:`ModbusLine.read`.
         """
         function, first, number = out[0], int.from_bytes(out[1:3], "big"), int.from_bytes(out[3:5], "big")
         answer = self._line.read(self._unit, function, first, number)

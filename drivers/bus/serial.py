@@ -48,14 +48,9 @@ def open_serial(address: Address, model: Model) -> SerialLink:
         The path is a port, or a URL of pyserial's with one of :data:`HANDLERS`. Options ``baudrate``, ``parity`` (N,
         E, O, M, S), ``stopbits`` (1, 1.5, 2) and ``timeout`` (seconds of silence that are an error).
 
-    Raises
-    ------
-    UsageError
-        An unknown or wrong option, or a URL that pyserial does not support.
-    HardwareError
-        The pyserial package is not installed.
-    BusError
-        No such port, no permission, no server, or in use.
+    UsageError: an unknown or wrong option, or a URL that pyserial does not support.
+    HardwareError: the pyserial package is not installed.
+    BusError: no such port, no permission, no server, or in use.
     """
     address.allow(*dict.fromkeys(("baudrate", "parity", "stopbits", "timeout", *model.options)))
     parity, stop_bits = address.text("parity", "N").upper(), address.text("stopbits", "1")
@@ -83,10 +78,7 @@ def open_serial(address: Address, model: Model) -> SerialLink:
 def require_line(address: Address) -> None:
     """Refuse a URL of pyserial's whose handler does more than open a line.
 
-    Raises
-    ------
-    UsageError
-        With the handlers that can be used.
+    UsageError: with the handlers that can be used.
     """
     handler, url, _ = address.path.partition("://")
     if url and handler.lower() not in HANDLERS:
@@ -123,10 +115,7 @@ class SerialLink:
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Send ``out``, then take what has arrived; see :class:`~tiltcal.drivers.bus.link.Link`.
 
-        Raises
-        ------
-        BusError
-            No data within the timeout, or the port is unplugged.
+        BusError: no data within the timeout, or the port is unplugged.
         """
         try:
             if out:

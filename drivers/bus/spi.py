@@ -29,14 +29,9 @@ def open_spi(address: Address, model: Model) -> SpiLink:
     model : Model
         Its :attr:`~tiltcal.drivers.device.Model.spi` limits them.
 
-    Raises
-    ------
-    UsageError
-        An unknown option, or a mode or speed that the part does not support.
-    HardwareError
-        The spidev package is not installed.
-    BusError
-        No such device, no permission, or a clock that is too slow for the part.
+    UsageError: an unknown option, or a mode or speed that the part does not support.
+    HardwareError: the spidev package is not installed.
+    BusError: no such device, no permission, or a clock that is too slow for the part.
     """
     address.allow("mode", "speed", *model.options)
     port = model.spi

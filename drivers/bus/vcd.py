@@ -35,14 +35,9 @@ def open_vcd(address: Address, model: Model) -> VcdLink:
         The path is the capture. Options ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several scopes
         have the name.
 
-    Raises
-    ------
-    UsageError
-        A signal is missing from the options.
-    HardwareError
-        The pyvcd package is not installed.
-    BusError
-        The file cannot be read, is damaged, or has no such signal.
+    UsageError: a signal is missing from the options.
+    HardwareError: the pyvcd package is not installed.
+    BusError: the file cannot be read, is damaged, or has no such signal.
     """
     address.allow("x", "y", *model.options)
     x, y = address.text("x"), address.text("y")
@@ -67,12 +62,8 @@ class VcdLink:
 
         With a ``count`` of 0, if the file has changed since it was opened, reading starts again with the new capture.
 
-        Raises
-        ------
-        CaptureEnded
-            At the end of the capture, until the file has changed.
-        BusError
-            The capture is damaged.
+        CaptureEnded: at the end of the capture, until the file has changed.
+        BusError: the capture is damaged.
         """
         if not count:
             self._renew()

@@ -59,10 +59,7 @@ class Wiring(ABC):
     def silent(self) -> bool:
         """Return whether the converter does not answer now, a fault that the truth sets.
 
-        Raises
-        ------
-        BusError
-            It is unplugged.
+        BusError: it is unplugged.
         """
         return self._truth.fault_on_link(self._clock.now_ns(), "converter").kind == "silent"
 
@@ -138,10 +135,7 @@ def ideal_thermistor(seed: int) -> Truth:
 def draw_truth(part: AnalogPart, seed: int) -> Truth:
     """Return a plausible part: that of its digital port, in V referred to a supply of 5 V.
 
-    Raises
-    ------
-    UsageError
-        The tolerances of the part are unknown.
+    UsageError: the tolerances of the part are unknown.
     """
     digital = part.digital
     if digital.default_truth is None:

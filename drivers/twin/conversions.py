@@ -28,10 +28,7 @@ class Conversions:
     def fault(self) -> Fault:
         """Return the fault that is present now.
 
-        Raises
-        ------
-        BusError
-            The sensor is unplugged.
+        BusError: the sensor is unplugged.
         """
         return self._truth.fault_on_link(self._clock.now_ns())
 

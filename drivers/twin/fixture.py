@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 from math import copysign, cos, exp, radians, sin
 from typing import TYPE_CHECKING, Protocol
 
 from tiltcal.drivers.twin.noise import normal
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -29,7 +29,7 @@ class HeldPose(Protocol):
         ...
 
 
-@frozen
+@dataclass(frozen=True)
 class Change:
     """A change of the chamber's temperature.
 

@@ -12,7 +12,7 @@ start anywhere. Source: Misalignment Angle Compensation during Scale Factor Matc
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from math import cos, log, pi, radians, sin, sqrt
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,6 @@ from tiltcal.drivers.twin.noise import normal
 from tiltcal.drivers.twin.streaming import StreamingTwin
 from tiltcal.drivers.twin.tolerances import part_errors
 from tiltcal.drivers.twin.truth import Truth
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
@@ -42,7 +41,7 @@ _WANDER_PERIODS = (617.0, 1471.0)
 """Seconds; no multiples of a turn."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Accelerometer:
     """One of the four.
 
@@ -70,7 +69,7 @@ class Accelerometer:
     second_order: float = 0.0
 
 
-@frozen
+@dataclass(frozen=True)
 class Disk:
     """The stage with its accelerometers; the defaults are the magnitudes of the source.
 
@@ -114,7 +113,7 @@ class Disk:
     encoder_noise: float = 0.0
 
 
-@frozen
+@dataclass(frozen=True)
 class DiskSample:
     """One row: seconds, the stage angle of the encoder in degrees (0 to 360), and the four readings."""
 
@@ -179,7 +178,7 @@ class Gradiometer:
         return octaves
 
 
-@frozen
+@dataclass(frozen=True)
 class StageTruth(Truth):
     """The true state of a virtual stage: a disk in place of the coefficients of a tilt sensor."""
 

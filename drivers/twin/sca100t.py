@@ -209,10 +209,7 @@ def draw_truth(part: InclinometerPart, seed: int) -> Truth:
     return replace(
         draw_inclinometer(part, 0.6, seed),
         nonlinearity={
-            channel: (
-                within(square / 2.0, f"quadratic {channel}"),
-                within(cube / 2.0, f"cubic {channel}"),
-            )
+            channel: (within(square / 2.0, f"quadratic {channel}"), within(cube / 2.0, f"cubic {channel}"))
             for channel in "xy"
         },
     )

@@ -32,10 +32,7 @@ class LineTwin(TwinLink):
     def _require_line(self, *, silent: bool = True) -> None:
         """Raise the faults of the line that the truth sets now.
 
-        Raises
-        ------
-        BusError
-            The virtual sensor is unplugged, or sends nothing while ``silent`` is set.
+        BusError: the virtual sensor is unplugged, or sends nothing while ``silent`` is set.
         """
         if self._truth.fault_on_link(self._clock.now_ns()).kind == "silent" and silent:
             self._clock.sleep(SILENCE)

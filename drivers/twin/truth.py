@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from tiltcal.drivers.twin.noise import normal
 from tiltcal.errors import BusError
-from tiltcal.frozen import frozen
 
 LEVEL = (0.0, 0.0, 1.0)
 """Up in the frame of a level sensor, g."""
@@ -15,7 +14,7 @@ LEVEL = (0.0, 0.0, 1.0)
 Polynomial = tuple[float, ...]
 
 
-@frozen
+@dataclass(frozen=True)
 class Fault:
     """A fault of a virtual sensor, with its start and end.
 
@@ -36,7 +35,7 @@ class Fault:
 NO_FAULT = Fault("", 0.0, 0.0)
 
 
-@frozen
+@dataclass(frozen=True)
 class Truth:
     """The true coefficients of one virtual sensor, in the terms of the measurement model.
 
@@ -141,10 +140,7 @@ class Truth:
         device : str
             What is at the link, for the message.
 
-        Raises
-        ------
-        BusError
-            The device is unplugged.
+        BusError: the device is unplugged.
         """
         fault = self.fault(now_ns / 1e9)
         if fault.kind == "unplugged":

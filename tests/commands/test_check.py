@@ -39,9 +39,9 @@ def test_wrong_records_are_named(tmp_path: Path, old: str, new: str, says: str) 
     ("angles", "says"),
     [
         ("roll: 180, pitch: -90, yaw: -180", ""),
-        ("roll: 200", "calibration.mounting.roll: 200.0 is too large; it must be at most 180"),
+        ("roll: 200", "calibration.mounting.roll: 200 is too large; it must be at most 180"),
         ("yaw: -181", "calibration.mounting.yaw: -181 is too small; it must be at least -180"),
-        ("pitch: 91", "calibration.mounting.pitch: 91.0 is too large; it must be at most 90"),
+        ("pitch: 91", "calibration.mounting.pitch: 91 is too large; it must be at most 90"),
     ],
 )
 def test_a_mounting_has_the_ranges_of_the_option(tmp_path: Path, angles: str, says: str) -> None:

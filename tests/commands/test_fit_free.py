@@ -15,7 +15,7 @@ from support.command import tiltcal
 from support.recordings import RECORDINGS, needs
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.position_record import PositionRecord
+from tiltcal.files.results import PositionRecord
 
 XSENS, MPU = RECORDINGS / "xsens_acc.txt", RECORDINGS / "mpu9150_imu0.txt"
 

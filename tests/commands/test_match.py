@@ -400,9 +400,9 @@ class TestPairFile:
             ("  p: -0.01", "  p: 1.01", "must be below 1"),
             ("    p: -0.01", "    pp: -0.01", "did you mean 'p'?"),
             ("uncertainty: {p: ", "uncertainty: {p: -", "at least 0"),
-            ("pair: [a1, a2]", "pair: [a1]", "a pair has two channels"),
+            ("pair: [a1, a2]", "pair: [a1]", "pairs[0].pair: a list of 2 values"),
             ("turns: 99", "turns: -99", "more than 0"),
-            ("before: {a1: [", "before: {a1: [1.0, ", "two numbers [sin, cos]"),
+            ("before: {a1: [", "before: {a1: [1.0, ", "components.before.a1: a list of 2 values"),
             ("kind: pair", "kind: tilt", "a pair calibration"),
         ],
     )

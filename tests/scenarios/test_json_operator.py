@@ -18,7 +18,7 @@ from tiltcal.bench.operators.json_lines import parsed
 from tiltcal.bench.operators.rig import understood
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.position_record import PositionSet
+from tiltcal.files.results import PositionSet
 
 
 def table(folder: Path, procedure: str, answer: Callable[[Event, int], object]) -> ProgramSession:

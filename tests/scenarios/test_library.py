@@ -254,6 +254,6 @@ def test_noise_of_a_frame_is_that_of_its_log(tmp_path: Path) -> None:
 
 def _without_provenance(calibration: tiltcal.Calibration) -> str:
     from tiltcal.files.calibration import dump_calibration
-    from tiltcal.files.provenance_record import Provenance
+    from tiltcal.files.results import Provenance
 
     return dump_calibration(replace(calibration.record, provenance=Provenance()))

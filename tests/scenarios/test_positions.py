@@ -18,9 +18,9 @@ from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
-from tiltcal.files.position_record import PositionSet
 from tiltcal.files.procedure import Position
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.results import PositionSet
 
 TWIN = """\
 tiltcal: 1

@@ -216,7 +216,7 @@ def test_the_events_name_their_device(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "line", "told"),
     [
-        (HEADER + "sensors: []\n", 5, "at least one sensor"),
+        (HEADER + "sensors: []\n", 5, "a list of at least 1"),
         (HEADER + 'sensors:\n  - {serial: A, model: m, adress: "sim:"}\n', 6, "'address'"),
         (HEADER + 'sensors:\n  - {serial: a/b, model: m, address: "sim:"}\n', 6, "names a file"),
         (HEADER + 'sensors:\n  - {serial: A, model: sca100t-d02, address: "sim:", axes: [x, x]}\n', 6, "two or three"),

@@ -104,7 +104,7 @@ def journal(draw: Random) -> None:
 
 @target(share=100)
 def segments(draw: Random) -> None:
-    from tiltcal.files.segments import read_segments
+    from tiltcal.files.tables import read_segments
 
     Path("s.csv").write_bytes(damaged_table(draw, SEGMENTS))
     read_segments("s.csv")
@@ -112,7 +112,7 @@ def segments(draw: Random) -> None:
 
 @target(share=100)
 def segments_json(draw: Random) -> None:
-    from tiltcal.files.segments import read_segments
+    from tiltcal.files.tables import read_segments
 
     text = '[{"position": "x-up", "start": 0, "end": 30}, {"position": "x-down", "start": 30, "end": 60}]'
     Path("s.json").write_bytes(damaged_bytes(draw, text.encode()) if draw.random() < 0.3 else damaged_json(draw, text))
@@ -121,7 +121,7 @@ def segments_json(draw: Random) -> None:
 
 @target(share=100)
 def table(draw: Random) -> None:
-    from tiltcal.files.positions import read_positions
+    from tiltcal.files.tables import read_positions
 
     Path("t.csv").write_bytes(damaged_table(draw, TABLE))
     read_positions("t.csv", "xy")

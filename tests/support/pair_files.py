@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from tiltcal.files.document import read_document
-from tiltcal.files.pair import PAIR, PairRecord
+from tiltcal.files.pair import PairRecord, pair_record
 
 
 def read_pair(path: str | Path) -> PairRecord:
     """Read and check a pair file."""
-    return PAIR.read(read_document(path))
+    return pair_record(read_document(path))

@@ -21,7 +21,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.errors import BusError, Stopped
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
-from tiltcal.files.rotation import Rotation
+from tiltcal.files.rotation import PairSelection, Rotation
 
 A1_A2 = Pair("a1", "a2", "a4")
 A3_A4 = Pair("a3", "a4", "a1")
@@ -117,7 +117,8 @@ def turned(
     resume: bool = False,
 ) -> RotationResult:
     """Let the runner take the lines; with a journal they are captured there, or played from it and gone on with."""
-    rotation = Rotation("theta", tuple(pairs), turns=turns, converged=converged)
+    selected = tuple(PairSelection((pair.first, pair.second), pair.orthogonal) for pair in pairs)
+    rotation = Rotation("theta", selected, turns=turns, converged=converged)
     model = find_model("gradiometer").at(parse_address("serial:///dev/null?columns=theta,a1,a2,a3,a4"))
     clock = VirtualClock()
     before: Journal | None = read_journal(journal) if (replay or resume) and journal else None

@@ -8,6 +8,7 @@ so that a pair file fits the logs that are recorded on the same bench.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from tiltcal.bench.recording import column_name
 from tiltcal.bench.sensor_set import Sample
@@ -15,10 +16,9 @@ from tiltcal.core.pair.model import Pair
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.rotation import Rotation
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class ChannelRef:
     """One reading of one device.
 
@@ -39,7 +39,7 @@ class ChannelRef:
         return sample[self.device].values[self.place]
 
 
-@frozen
+@dataclass(frozen=True)
 class ChannelMap:
     """The devices and values that give the readings of a rotation.
 
@@ -69,10 +69,7 @@ def map_channels(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> Ch
     devices : sequence of (str, Model)
         Serial number and model as it is wired, in the order of the bench.
 
-    Raises
-    ------
-    UsageError
-        No stage angle, or not one pair has its channels.
+    UsageError: no stage angle, or not one pair has its channels.
     """
     channels = _Channels(devices)
     phase = channels.find(rotation.phase)
@@ -121,10 +118,7 @@ class _Channels:
     def find(self, name: str) -> ChannelRef | None:
         """Return the reading of a name; None where there is none.
 
-        Raises
-        ------
-        UsageError
-            Several devices have it.
+        UsageError: several devices have it.
         """
         if name in self._by_column:
             return self._by_column[name]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
@@ -10,23 +11,15 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model
 from tiltcal.errors import UsageError
-from tiltcal.files.bench import BENCH, BenchFile, BenchSensor, BenchThermometer
+from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer, bench_of
+from tiltcal.files.document import Document
 from tiltcal.files.journal_header import DeviceHeader
-from tiltcal.files.node import Node, require_printable
-from tiltcal.frozen import frozen
+from tiltcal.stated_arguments import require_printable
 
 
-@frozen
+@dataclass(frozen=True)
 class DeviceSetup:
-    """One device of a session.
-
-    Attributes
-    ----------
-    output : str
-        The calibration file, relative to the journal's folder; empty where none is made.
-    orientation : Orientation
-        How the sensor sits on the fixture.
-    """
+    """One device of a session; the output is its calibration file, relative to the journal's folder, or empty."""
 
     model_name: str
     serial: str
@@ -41,7 +34,7 @@ class DeviceSetup:
 
     def header(self) -> DeviceHeader:
         """Return the device as a journal's header has it."""
-        axes = None if self.orientation.straight else tuple(self.orientation.names)
+        axes = None if self.orientation.straight else self.orientation.names
         return DeviceHeader(
             model=self.model_name, serial=self.serial, address=self.address, output=self.output, axes=axes
         )
@@ -53,28 +46,15 @@ class DeviceSetup:
         return cls(device.model, device.serial, device.address, device.output, turned)
 
 
-def known_bench(document: Node) -> BenchFile:
-    """Return the bench of a document; its models must be known, and their addresses be right.
-
-    Raises
-    ------
-    InputError
-        Anything in it is wrong; the message names file, line and key.
-    """
-    bench, entries = BENCH.read(document), document.entries()
-    devices: list[tuple[BenchSensor | BenchThermometer, Node]] = [
-        *zip(bench.sensors, entries["sensors"].items(), strict=True)
-    ]
+def known_bench(document: Document) -> BenchFile:
+    """Return the bench of a document, whose models are known and addresses right; an InputError where one is not."""
+    bench = bench_of(document)
+    for number, sensor in enumerate(bench.sensors):
+        with document.locating("sensors", number):
+            find_model(sensor.model).at(parse_address(sensor.address))
     if bench.thermometer is not None:
-        devices.append((bench.thermometer, entries["thermometer"]))
-    for device, node in devices:
-        try:
-            if isinstance(device, BenchThermometer):
-                _thermometer(device)
-            else:
-                find_model(device.model).at(parse_address(device.address))
-        except UsageError as failure:
-            raise node.error(str(failure)) from None
+        with document.locating("thermometer"):
+            _thermometer(bench.thermometer)
     return bench
 
 
@@ -96,7 +76,7 @@ def all_virtual(devices: Sequence[DeviceSetup]) -> bool:
 
 def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:
     """Return a bench of one sensor, which needs no file."""
-    require_printable(serial, None, None, "the serial number")
+    require_printable(serial, "the serial number")
     return BenchFile((BenchSensor(serial, model, address),), jig=jig)
 
 

@@ -166,12 +166,8 @@ class EventLog:
     def play_transaction(self, letter: str, number: int, out: bytes) -> bytes:
         """Return what a device answered to ``out``, from the journal.
 
-        Raises
-        ------
-        BusError
-            It failed when it was captured, or the session was interrupted here.
-        JournalError
-            The journal has something else here.
+        BusError: it failed when it was captured, or the session was interrupted here.
+        JournalError: the journal has something else here.
         """
         event = self._play()
         if event.kind == RESUMED:
@@ -194,10 +190,7 @@ class EventLog:
     def require_writer(self) -> None:
         """Refuse that anything live happens in a replay.
 
-        Raises
-        ------
-        JournalError
-            The journal ends here, and the session does not.
+        JournalError: the journal ends here, and the session does not.
         """
         if self._writer is None and self._journal is not None:
             path = self._journal.path

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,12 +11,7 @@ from typing import Any
 from tiltcal.bench.channel_map import map_channels
 from tiltcal.calibration.free_positions import require_no_jig
 from tiltcal.calibration.joint_fit import along_gravity
-from tiltcal.calibration.prediction import (
-    PredictedMounting,
-    PredictedUncertainty,
-    predict,
-    predict_mounting,
-)
+from tiltcal.calibration.prediction import PredictedMounting, PredictedUncertainty, predict, predict_mounting
 from tiltcal.calibration.suitability import require_suitable
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
@@ -27,7 +22,6 @@ from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_boolean, require_from_zero, require_whole
 
 _NOT_PREDICTED = (
@@ -36,7 +30,7 @@ _NOT_PREDICTED = (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class PlannedRotation:
     """The pairs that a rotation will match; their uncertainty depends on the amplitude, which is not known before.
 

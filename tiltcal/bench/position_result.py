@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,9 @@ from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.model import Array
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.files.procedure import Position
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class PositionResult:
     """A measured position.
 

@@ -109,14 +109,9 @@ class PositionRunner:
     def run(self) -> list[PositionResult]:
         """Return every position of the procedure, accepted, in its order.
 
-        Raises
-        ------
-        Stopped
-            The operator quit.
-        HardwareError
-            The hardware failed several times in a row, and no other sensor remains.
-        JournalError
-            The journal does not fit, or a replay ends before the procedure does.
+        Stopped: the operator quit.
+        HardwareError: the hardware failed several times in a row, and no other sensor remains.
+        JournalError: the journal does not fit, or a replay ends before the procedure does.
         """
         positions = self._procedure.positions
         accepted: list[PositionResult] = []

@@ -88,10 +88,7 @@ class CsvRecorder:
     def write(self, cells: Sequence[str]) -> None:
         """Append one row, whole or not at all.
 
-        Raises
-        ------
-        UsageError
-            The disk is full or fails; the rows before are kept.
+        UsageError: the disk is full or fails; the rows before are kept.
         """
         row = _row(cells)
         self._appended = len(row)
@@ -104,10 +101,7 @@ class CsvRecorder:
     def secure(self) -> None:
         """Wait until all rows are on the disk.
 
-        Raises
-        ------
-        UsageError
-            The disk fails.
+        UsageError: the disk fails.
         """
         try:
             os.fdatasync(self._descriptor)
@@ -200,12 +194,8 @@ def record_bench(
     progress : callable
         Called after each row.
 
-    Raises
-    ------
-    UsageError
-        The log exists, an address is wrong, or there is no end on the virtual bench.
-    HardwareError
-        A sensor does not answer.
+    UsageError: the log exists, an address is wrong, or there is no end on the virtual bench.
+    HardwareError: a sensor does not answer.
     """
     sensors, thermometer = devices_of(bench)
     devices = with_thermometer(sensors, thermometer)

@@ -8,6 +8,7 @@ and q. The rotation ends when both are known as the procedure asks, when its tur
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from tiltcal.bench.channel_map import ChannelMap
 from tiltcal.bench.event_log import EventLog, RecordedClock, SessionState
@@ -22,9 +23,8 @@ from tiltcal.drivers.bus.link import Interruption
 from tiltcal.drivers.device import StreamingSensor
 from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.pair import PairRecord, SpinRecord
-from tiltcal.files.provenance_record import BenchRecord, BenchSensorRecord, PairProvenance, SamplesRecord
+from tiltcal.files.results import BenchRecord, BenchSensorRecord, PairProvenance, SamplesRecord
 from tiltcal.files.rotation import Rotation
-from tiltcal.frozen import frozen
 
 BLOCK_NS = 200_000_000
 """Time over which samples are collected before they are judged and the operator is polled, ns."""
@@ -37,7 +37,7 @@ KEPT = "the samples before count"
 CONVERGED, ALL_TURNS, STOPPED = "p and q are known as asked", "all turns are made", "the operator stopped"
 
 
-@frozen
+@dataclass(frozen=True)
 class RotationResult:
     """The result of a rotation.
 

@@ -78,10 +78,7 @@ def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
 def require_plausible_temperature(result: PositionResult, accepted: Sequence[PositionResult]) -> None:
     """Refuse a thermometer that converts nothing, and a temperature that fits no other of its position.
 
-    Raises
-    ------
-    Unsettled
-        With the temperatures.
+    Unsettled: with the temperatures.
     """
     source = "was typed" if result.typed else "is what the thermometer reads"
     for serial, measurement in result.measurements.items():
@@ -104,10 +101,7 @@ def require_not_stuck(sensor: ConnectedSensor, result: PositionResult, accepted:
     A reading that stands still within a position is coarse, unless its noise in the positions before is more than its
     step hides. One that stands still over positions of other tilt is stuck.
 
-    Raises
-    ------
-    Unsettled
-        With the channel and the value.
+    Unsettled: with the channel and the value.
     """
     now = result.measurements[sensor.serial]
     for channel, summary in now.summaries.items():

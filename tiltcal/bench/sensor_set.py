@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,6 @@ from tiltcal.drivers.bus.link import Interruption, Link
 from tiltcal.drivers.device import IdentifiedSensor, Model, Reading, Sensor, StreamingSensor
 from tiltcal.errors import BusError, HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.modbus import ModbusLine
@@ -37,7 +36,7 @@ RECOVERY = 1.0
 """Seconds that a bus is left alone after an error."""
 
 
-@frozen
+@dataclass(frozen=True)
 class ConnectedSensor:
     """One sensor at the bench.
 
@@ -260,10 +259,7 @@ def open_device(
     lines : mapping of str to ModbusLine, optional
         The lines of the devices that were opened before, which share them.
 
-    Raises
-    ------
-    HardwareError
-        It cannot be opened.
+    HardwareError: it cannot be opened.
     """
     address = parse_address(device.address)
     return virtual.twin(device) if address.simulated else open_link(address, device.model, lines)
@@ -299,12 +295,8 @@ def probe_devices(
 ) -> list[Reading]:
     """Open one device after the other, check that it answers, and return a reading of each where it is to be read.
 
-    Raises
-    ------
-    UsageError
-        An option of an address is wrong, or contradicts that of another device on the same line.
-    HardwareError
-        A device that cannot be opened, or does not answer.
+    UsageError: an option of an address is wrong, or contradicts that of another device on the same line.
+    HardwareError: a device that cannot be opened, or does not answer.
     """
     lines: dict[str, ModbusLine] = {}
     readings = []

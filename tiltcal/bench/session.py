@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, BinaryIO, cast
@@ -30,16 +30,15 @@ from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import Journal, JournalWriter, read_journal
-from tiltcal.files.journal_header import HEADER
 from tiltcal.files.moments import moment_after
-from tiltcal.frozen import frozen
+from tiltcal.files.record import plain
 
 if TYPE_CHECKING:
     from tiltcal.files.pair import PairRecord
     from tiltcal.files.rotation import Rotation
 
 
-@frozen
+@dataclass(frozen=True)
 class SessionResult:
     """The result of a session.
 
@@ -65,16 +64,13 @@ class SessionResult:
     def require_all(self) -> None:
         """Refuse a session in which sensors were given up.
 
-        Raises
-        ------
-        HardwareError
-            With the reasons.
+        HardwareError: with the reasons.
         """
         if self.ending.lost:
             raise HardwareError("no calibration file for " + "; ".join(self.ending.lost.values()))
 
 
-@frozen
+@dataclass(frozen=True)
 class _OpenSession:
     """The open devices of a session; every byte passes through its event log."""
 
@@ -116,12 +112,8 @@ class Session:
     ) -> Session:
         """Return the session of a journal, to be resumed or replayed; a torn last line is a remark.
 
-        Raises
-        ------
-        JournalError
-            The journal cannot be read or used.
-        UsageError
-            The session has several sensors, and the output is no folder.
+        JournalError: the journal cannot be read or used.
+        UsageError: the session has several sensors, and the output is no folder.
         """
         journal = read_journal(path)
         if journal.torn:
@@ -181,10 +173,7 @@ class Session:
     def require_writable(self) -> None:
         """Check before the operator starts that the files can be written; a journal that has its end is not.
 
-        Raises
-        ------
-        UsageError
-            A path that cannot be written, or where a journal would replace a file that is no calibration of its
+        UsageError: a path that cannot be written, or where a journal would replace a file that is no calibration of its
             sensor, or that it names outside its own folder.
         """
         if self.journal is not None and self._named is None and self._outside:
@@ -221,10 +210,7 @@ class Session:
     def probe(self) -> None:
         """Check before the operator starts that every device answers; a journal that has its end needs none.
 
-        Raises
-        ------
-        HardwareError
-            A device that does not answer.
+        HardwareError: a device that does not answer.
         """
         probed = probe_devices(() if self._ended else self.plan.devices, self._virtual, self._clock, read=True)
         self._probed = {device.serial: reading for device, reading in zip(self.plan.sensors, probed, strict=False)}
@@ -242,12 +228,8 @@ class Session:
         samples : BinaryIO, optional
             Gets every sample of the session as the rows of a log.
 
-        Raises
-        ------
-        JournalError
-            The journal does not fit, or a replay ends before the session did.
-        TiltcalError
-            What stopped it; everything that was measured is in the journal.
+        JournalError: the journal does not fit, or a replay ends before the session did.
+        TiltcalError: what stopped it; everything that was measured is in the journal.
         """
         with self._open(live=operator is not None, samples=samples) as opened:
             rotation = self.plan.procedure.rotation
@@ -277,14 +259,11 @@ class Session:
     def verify(self, operator: PositionOperator, calibration: CalibrationRecord, limit: float) -> Verification:
         """Take the positions, or go on with them, and judge a calibration of the sensor by a limit in degrees.
 
-        Raises
-        ------
-        TiltcalError
-            What stopped it; everything that was measured is in the journal.
+        TiltcalError: what stopped it; everything that was measured is in the journal.
         """
         with self._open(live=True) as opened:
             accepted = self._position_runner(opened, operator).run()
-            (sensor,), jig = self.plan.sensors, self.plan.jig
+            (sensor,), jig = self.plan.sensors, self.plan.settings.jig
             measurements = [result.measurements[sensor.serial] for result in accepted]
             found = verify_positions(calibration, measurements, jig)
             self._finish(opened)
@@ -332,7 +311,7 @@ class Session:
             yield None
             return
         if self.journal is None:
-            writer = JournalWriter.create(self.path, HEADER.write(self.plan.header()))
+            writer = JournalWriter.create(self.path, plain(self.plan.header()))
             self._captured = True
         else:
             writer = JournalWriter.resume(self.journal)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from math import hypot
 from typing import Any
@@ -19,11 +19,10 @@ from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.moments import stamp
-from tiltcal.files.provenance_record import VIRTUAL, BenchRecord, FileRecord, Provenance
-from tiltcal.frozen import frozen
+from tiltcal.files.results import VIRTUAL, BenchRecord, FileRecord, Provenance
 
 
-@frozen
+@dataclass(frozen=True)
 class SessionEnd:
     """The end of a session.
 
@@ -68,10 +67,7 @@ def tilt_calibrations(
     reopened : collection of str
         Sensors whose bus failed and was opened again, by serial number.
 
-    Raises
-    ------
-    EstimateError
-        The positions cannot determine the coefficients.
+    EstimateError: the positions cannot determine the coefficients.
     """
     # The steps of the sensors' own thermometers count where those are the only ones.
     own_thermometers = plan.thermometer is None and not any(result.typed for result in accepted)
@@ -90,14 +86,14 @@ def tilt_calibrations(
             for sensor in sensors
         ],
         plan.procedure,
-        BenchUncertainty(plan.jig, plan.thermometer_uncertainty, plan.table, plan.heading),
+        BenchUncertainty(plan.settings.jig, plan.settings.thermometer, plan.settings.table, plan.settings.heading),
         typical_temperature=plan.typical,
         settings={"samples": plan.settings.samples, "settle_seconds": plan.settings.settle},
     )
     calibrations = {}
     for sensor, record in zip(sensors, found, strict=True):
         notes = [f"{channel} {NOT_FOLLOWED}" for channel in unseen.get(sensor.serial, ())]
-        calibrations[sensor.serial] = replace(record, fit=replace(record.fit, notes=(*record.fit.notes, *notes)))
+        calibrations[sensor.serial] = replace(record, fit=record.fit.replaced(notes=(*record.fit.notes, *notes)))
     return calibrations
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,43 +20,23 @@ from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.journal import Journal
-from tiltcal.files.journal_header import Header, SettingsHeader
+from tiltcal.files.journal_header import Header, SessionSettings
 from tiltcal.files.moments import stamp
-from tiltcal.files.node import require_printable
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure, procedure_from_record, shipped_procedures
-from tiltcal.frozen import frozen
+from tiltcal.stated_arguments import require_printable
 
 if TYPE_CHECKING:
     from tiltcal.bench.channel_map import ChannelMap
     from tiltcal.files.rotation import Rotation
 
 
-@frozen
-class SessionSettings:
-    """The settings of a procedure that a session may change.
-
-    Attributes
-    ----------
-    samples : int
-        Per position.
-    settle, soak : float
-        Windows over which reading, and temperature, must hold still, seconds.
-    """
-
-    samples: int
-    settle: float
-    soak: float
-
-
-@frozen
+@dataclass(frozen=True)
 class SessionPlan:
     """Everything that is decided before the first prompt.
 
     Attributes
     ----------
-    jig : float or None
-        Standard uncertainty of a set angle, degrees.
     operator : str
         Who sets the positions: ``terminal``, ``json`` or ``sim``.
     person : str or None
@@ -65,10 +45,6 @@ class SessionPlan:
         UTC.
     journal : str
         The journal's file name.
-    thermometer_uncertainty : float or None
-        Stated standard uncertainty of a temperature, °C.
-    table, heading : float or None
-        Stated standard uncertainties of the table's lean and of a heading, degrees.
     bases : mapping of str to BaseFile
         The calibrations that the sensors have already, by serial number.
     typical : bool
@@ -78,16 +54,12 @@ class SessionPlan:
     procedure: Procedure
     sensors: tuple[DeviceSetup, ...]
     settings: SessionSettings
-    jig: float | None
     operator: str
     person: str | None
     started: datetime
     software: str
     journal: str
     thermometer: DeviceSetup | None = None
-    thermometer_uncertainty: float | None = None
-    table: float | None = None
-    heading: float | None = None
     bases: Mapping[str, BaseFile] = field(default_factory=dict)
     typical: bool = False
 
@@ -104,10 +76,7 @@ class SessionPlan:
     def channel_map(self, rotation: Rotation) -> ChannelMap:
         """Return which readings of the sensors are the channels of a turning stage.
 
-        Raises
-        ------
-        UsageError
-            No stage angle, or not one pair has its channels.
+        A UsageError where there is no stage angle, or not one pair has its channels.
         """
         from tiltcal.bench.channel_map import map_channels
 
@@ -116,30 +85,23 @@ class SessionPlan:
     def require_as_begun(self, stated: Mapping[str, object]) -> None:
         """Refuse to continue the session with other settings than it began with.
 
-        Parameters
-        ----------
-        stated : mapping of str to object
-            Values by option; None and False of those that are not stated. `--bench` is a BenchFile; a procedure is a
-            shipped one's name or the path of your own.
-
-        Raises
-        ------
-        UsageError
+        ``stated`` are values by option; None and False of those that are not stated. `--bench` is a BenchFile; a
+        procedure is a shipped one's name or the path of your own. A UsageError where one differs.
         """
-        procedure = self.procedure
+        procedure, settings = self.procedure, self.settings
         begun = {
             "--sensor": ", ".join(device.model_name for device in self.sensors),
             "--address": ", ".join(device.address for device in self.sensors),
             "--serial": ", ".join(device.serial for device in self.sensors),
             "--base": dict(self.bases),
             "--journal": self.journal,
-            "--samples": self.settings.samples,
-            "--settle": self.settings.settle,
-            "--jig": self.jig,
-            "--table-lean": self.table,
-            "--heading-uncertainty": self.heading,
-            "--tilt": procedure.angle,
-            "--turns": None if procedure.rotation is None else procedure.rotation.turns,
+            "--samples": settings.samples,
+            "--settle": settings.settle,
+            "--jig": settings.jig,
+            "--table-lean": settings.table,
+            "--heading-uncertainty": settings.heading,
+            "--tilt": settings.angle,
+            "--turns": settings.turns,
             "--alignment": procedure.alignment,
             "--typical-temperature": self.typical,
             "--closing": procedure.closes,
@@ -161,12 +123,13 @@ class SessionPlan:
         """Return the keys of a bench file that this session did not begin with, but for what an option replaces."""
         sensors, thermometer = devices_of(bench)
         uncertainty = None if bench.thermometer is None else bench.thermometer.uncertainty
+        settings = self.settings
         keys = {
             "sensors": sensors == tuple(replace(device, output="") for device in self.sensors),
-            "thermometer": (thermometer, uncertainty) == (self.thermometer, self.thermometer_uncertainty),
-            "jig": stated["--jig"] is not None or bench.jig == self.jig,
-            "table": stated["--table-lean"] is not None or bench.table == self.table,
-            "heading": stated["--heading-uncertainty"] is not None or bench.heading == self.heading,
+            "thermometer": (thermometer, uncertainty) == (self.thermometer, settings.thermometer),
+            "jig": stated["--jig"] is not None or bench.jig == settings.jig,
+            "table": stated["--table-lean"] is not None or bench.table == settings.table,
+            "heading": stated["--heading-uncertainty"] is not None or bench.heading == settings.heading,
         }
         return [key for key, same in keys.items() if not same]
 
@@ -193,17 +156,7 @@ class SessionPlan:
             person=self.person,
             sensors=tuple(device.header() for device in self.sensors),
             thermometer=None if self.thermometer is None else self.thermometer.header(),
-            settings=SettingsHeader(
-                samples=self.settings.samples,
-                settle=self.settings.settle,
-                soak=self.settings.soak,
-                jig=self.jig,
-                thermometer=self.thermometer_uncertainty,
-                table=self.table,
-                heading=self.heading,
-                angle=self.procedure.angle,
-                turns=None if self.procedure.rotation is None else self.procedure.rotation.turns,
-            ),
+            settings=self.settings,
             procedure=dict(self.procedure.record),
             bases=self.bases,
             typical_temperature=self.typical,
@@ -211,17 +164,11 @@ class SessionPlan:
 
     @classmethod
     def from_journal(cls, journal: Journal) -> SessionPlan:
-        """Read the plan of a captured session from its journal.
-
-        Raises
-        ------
-        JournalError
-            The header lacks something.
-        """
-        header, file = journal.plan(), str(journal.path)
-        settings = header.settings
+        """Read the plan of a captured session from its journal; a JournalError where the header lacks something."""
+        header = journal.plan()
         try:
-            procedure = procedure_from_record(header.procedure, settings.angle, file=file, line=1)
+            angle, file = header.settings.angle, str(journal.path)
+            procedure = procedure_from_record(header.procedure, angle, file=file, line=1)
             missing = [sensor.serial for sensor in header.sensors if sensor.serial not in header.known]
             if procedure.determines.completes and missing:
                 raise UsageError(
@@ -229,19 +176,15 @@ class SessionPlan:
                     f"{', '.join(missing)} is in the journal: measure anew"
                 )
             return cls(
-                procedure=procedure.with_turns(settings.turns),
+                procedure=procedure.with_turns(header.settings.turns),
                 sensors=tuple(DeviceSetup.from_header(sensor) for sensor in header.sensors),
-                settings=SessionSettings(settings.samples, settings.settle, settings.soak),
-                jig=settings.jig,
+                settings=header.settings,
                 operator=header.operator,
                 person=header.person,
                 started=datetime.fromisoformat(header.started),
                 software=header.software,
                 journal=header.journal,
                 thermometer=None if header.thermometer is None else DeviceSetup.from_header(header.thermometer),
-                thermometer_uncertainty=settings.thermometer,
-                table=settings.table,
-                heading=settings.heading,
                 bases=header.known,
                 typical=header.typical_temperature,
             )
@@ -263,25 +206,13 @@ def plan_session(
 ) -> SessionPlan:
     """Return the plan of a session, from the options of the command line and the bench file.
 
-    Parameters
-    ----------
-    bench : BenchFile
-        The sensors; :func:`tiltcal.bench.device_setup.single` makes one of a single sensor.
-    outputs : sequence of Path or None
-        Calibration files, one per sensor; None where none is made.
-    samples, settle
-        In place of the procedure's; the soaking window is scaled with ``settle``.
-    bases, typical
-        As in :class:`SessionPlan`.
-
-    Raises
-    ------
-    UsageError
-        An unknown model, a bad address, or an angle that the model cannot read.
+    ``outputs`` are the calibration files, one per sensor; None where none is made. ``samples`` and ``settle`` take the
+    place of the procedure's; the soaking window is scaled with ``settle``. A UsageError on an unknown model, a bad
+    address, or an angle that the model cannot read.
     """
     scale = 1.0 if settle is None else settle / procedure.settle
     for path in filter(None, (journal, *outputs)):
-        require_printable(str(path), None, None, "the name of a file")
+        require_printable(str(path), "the name of a file")
     sensors, thermometer = devices_of(bench)
     plan = SessionPlan(
         procedure=procedure,
@@ -290,18 +221,22 @@ def plan_session(
             for sensor, output in zip(sensors, outputs, strict=True)
         ),
         settings=SessionSettings(
-            samples or procedure.samples, settle or procedure.settle, procedure.soak.seconds * scale
+            samples=samples or procedure.samples,
+            settle=settle or procedure.settle,
+            soak=procedure.soak.seconds * scale,
+            jig=bench.jig,
+            thermometer=None if bench.thermometer is None else bench.thermometer.uncertainty,
+            table=bench.table,
+            heading=bench.heading,
+            angle=procedure.angle,
+            turns=None if procedure.rotation is None else procedure.rotation.turns,
         ),
-        jig=bench.jig,
         operator=operator,
         person=bench.operator,
         started=VIRTUAL_START,
         software=f"tiltcal {tiltcal.__version__}",
         journal=journal.name,
         thermometer=thermometer,
-        thermometer_uncertainty=None if bench.thermometer is None else bench.thermometer.uncertainty,
-        table=bench.table,
-        heading=bench.heading,
         bases=bases or {},
         typical=typical,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
 
@@ -20,14 +20,12 @@ from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
-from tiltcal.files.node import require_name
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.frozen import frozen
-from tiltcal.stated_arguments import require_above_zero, require_from_zero, require_whole
+from tiltcal.stated_arguments import require_above_zero, require_from_zero, require_name, require_whole
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class StatedSession:
     """The parameters of :func:`tiltcal.measure`; None and False stand for what is not stated."""
 
@@ -56,10 +54,7 @@ class StatedSession:
 def start_session(stated: StatedSession, remark: Callable[[str], None]) -> Session:
     """Return the session of the journal to resume, or a new one.
 
-    Raises
-    ------
-    UsageError, InputError
-        What is stated cannot be done, or is not what the journal began with.
+    UsageError, InputError: what is stated cannot be done, or is not what the journal began with.
     """
     require_from_zero("--heading-uncertainty", stated.heading)
     if stated.resume is not None and os.path.exists(stated.resume):
@@ -154,8 +149,7 @@ def _sensors(stated: StatedSession) -> BenchFile:
         bench = _bench(stated.bench)
     else:
         bench = single(str(stated.sensor), str(stated.serial), str(stated.address))
-    return replace(
-        bench,
+    return bench.replaced(
         jig=bench.jig if stated.jig is None else stated.jig,
         table=bench.table if stated.table_lean is None else stated.table_lean,
         heading=bench.heading if stated.heading is None else stated.heading,
@@ -184,9 +178,9 @@ def _predict(plan: SessionPlan, remark: Callable[[str], None]) -> None:
         expected = predict(
             plan.procedure,
             device.model,
-            jig=plan.jig,
-            thermometer=plan.thermometer_uncertainty,
-            table_lean=plan.table,
+            jig=plan.settings.jig,
+            thermometer=plan.settings.thermometer,
+            table_lean=plan.settings.table,
             samples=plan.settings.samples,
             orientation=device.orientation,
             sensors=len(plan.sensors),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from operator import mul
 
@@ -12,7 +13,6 @@ from tiltcal.core.detection import is_still
 from tiltcal.core.statistics import drift
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.device import Model
-from tiltcal.frozen import frozen
 
 LOOKS, SOAK_LOOKS = 40, 200
 """Readings in one window: to see a movement, and to show that a slow drift is not there."""
@@ -66,7 +66,7 @@ class Unsettled(Exception):
     """The sensors did not come to rest, or were moved."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Window:
     """The time over which readings must stand still.
 
@@ -111,12 +111,8 @@ def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Cal
     look : callable
         Shown each sample, and what is being waited for.
 
-    Raises
-    ------
-    Unsettled
-        They did not come to rest within the window's patience.
-    SensorError
-        One of them failed.
+    Unsettled: they did not come to rest within the window's patience.
+    SensorError: one of them failed.
     """
     models = sensors.models
     looks = SOAK_LOOKS if window.soaking else LOOKS

@@ -38,11 +38,7 @@ class VirtualBench:
             return Fixture(self._clock)
         truth = truth_of(parse_address(self._first.address), self._first.model)
         return Fixture(
-            self._clock,
-            seed=truth.seed,
-            jig=truth.jig,
-            ambient=truth.ambient,
-            time_constant=truth.time_constant,
+            self._clock, seed=truth.seed, jig=truth.jig, ambient=truth.ambient, time_constant=truth.time_constant
         )
 
     def twin(self, device: DeviceSetup) -> Link:
@@ -71,12 +67,8 @@ def _to_sensor(device: DeviceSetup, truth: Truth) -> Callable[[Vector], Vector]:
 def truth_of(address: Address, model: Model) -> Truth:
     """Return the truth of the virtual sensor behind a ``sim:`` address.
 
-    Raises
-    ------
-    UsageError
-        An unknown option, or a twin file of another model or with too few channels.
-    InputError
-        The twin file is wrong.
+    UsageError: an unknown option, or a twin file of another model or with too few channels.
+    InputError: the twin file is wrong.
     """
     address.allow("twin", "seed", *model.options)
     seed = address.integer("seed", 0)

@@ -18,19 +18,13 @@ from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
 from tiltcal.calibration.ramp import calibrate_ramp
-from tiltcal.calibration.temperature import (
-    choose_order,
-    swept,
-    with_open_order,
-    with_order,
-    with_typical_temperature,
-)
+from tiltcal.calibration.temperature import choose_order, swept, with_open_order, with_order, with_typical_temperature
 from tiltcal.core.rounding import round_to
 from tiltcal.drivers.columns import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.position_record import ProcedureRecord
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.results import ProcedureRecord
 
 
 def calibrate(
@@ -63,12 +57,8 @@ def calibrate(
     list of CalibrationRecord
         One for each sensor, without provenance; numbers have the digits that their uncertainty warrants.
 
-    Raises
-    ------
-    UsageError
-        What is stated of the bench does not go with the procedure.
-    EstimateError
-        The positions cannot determine the coefficients.
+    UsageError: what is stated of the bench does not go with the procedure.
+    EstimateError: the positions cannot determine the coefficients.
     """
     require_no_jig(procedure, bench.jig)
     for sensor in sensors:
@@ -93,10 +83,10 @@ def calibrate(
 def _as_run(record: ProcedureRecord, procedure: Procedure, settings: Mapping[str, Any]) -> ProcedureRecord:
     """Return the record of a procedure with how it was run; one that completes a calibration has its own part of it."""
     if procedure.determines.mounting and record.mounting is not None:
-        return replace(record, mounting=replace(record.mounting, **settings))
+        return record.replaced(mounting=record.mounting.replaced(**settings))
     if procedure.determines.level and record.level is not None:
-        return replace(record, level=replace(record.level, **settings))
-    return replace(record, **settings)
+        return record.replaced(level=record.level.replaced(**settings))
+    return record.replaced(**settings)
 
 
 def _base(sensor: MeasuredSensor) -> CalibrationRecord:
@@ -138,7 +128,7 @@ def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement
             "the table states no uncertainties (ux, uy, uz) and has no position more than there are unknowns: nothing "
             "says how good the result is; add either"
         )
-    kept = (replace(position, std=None, u=position.u if stated else None) for position in calibration.positions)
+    kept = (position.replaced(std=None, u=position.u if stated else None) for position in calibration.positions)
     return replace(calibration, positions=tuple(kept))
 
 
@@ -152,8 +142,7 @@ def _of_local_gravity(calibration: CalibrationRecord, gravity: float) -> Calibra
     }
     u = {channel: calibration.uncertainty[f"sensitivity.{channel}.{channel}"] / gravity for channel in own}
     off = {c: round_to(100.0 * (value - 1.0), 100.0 * u[c]) for c, value in own.items()}
-    derived = replace(
-        calibration.derived,
+    derived = calibration.derived.replaced(
         gravity_m_s2=gravity,
         sensitivity_per_m_s2={c: round_to(value, u[c]) for c, value in own.items()},
         scale_error_percent=off if calibration.sensor.unit in ACCELERATION else {},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
@@ -16,25 +16,14 @@ from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.atomic import write_whole
-from tiltcal.files.calibration import (
-    TILT,
-    UNKNOWN_MODEL,
-    CalibrationRecord,
-    SensorIdentity,
-    dump_calibration,
-)
-from tiltcal.files.derived_record import DerivedRecord
-from tiltcal.files.document import read_document
-from tiltcal.files.fit_record import FitRecord
-from tiltcal.files.node import Node
-from tiltcal.files.position_record import PositionRecord, ProcedureRecord
-from tiltcal.files.provenance_record import Provenance
+from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, dump_calibration, tilt_record
+from tiltcal.files.document import Document, read_document
+from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty, length_tolerance
-from tiltcal.frozen import frozen
 from tiltcal.stated_arguments import require_boolean
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """The calibration of one tilt sensor.
 
@@ -316,14 +305,13 @@ def read(path: str | Path) -> Calibration | Any:
     return calibration_in(read_document(path))
 
 
-def calibration_in(document: Node) -> Calibration | tiltcal.PairCalibration:
+def calibration_in(document: Document) -> Calibration | tiltcal.PairCalibration:
     """Return the calibration of a document, of either kind; an InputError where anything in it is wrong."""
-    kind = document.entries().get("kind")
-    if kind is not None and kind.names("pair"):
-        from tiltcal.files.pair import PAIR
+    if document.kind == "pair":
+        from tiltcal.files.pair import pair_record
 
-        return tiltcal.PairCalibration(PAIR.read(document))
-    calibration = Calibration(TILT.read(document))
+        return tiltcal.PairCalibration(pair_record(document))
+    calibration = Calibration(tilt_record(document))
     try:
         Compensation(calibration.coefficients)
     except EstimateError as failure:

@@ -49,10 +49,7 @@ def require_own_readings(sensor: MeasuredSensor) -> None:
 def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
     """Return remarks on the wiring that the sensitivities show.
 
-    Raises
-    ------
-    EstimateError
-        A channel does not react to gravity, or two react to it alike.
+    EstimateError: a channel does not react to gravity, or two react to it alike.
     """
     _require_reaction(sensor, found)
     _require_apart(found.coefficients)

@@ -22,7 +22,7 @@ from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, require_same_sensor
-from tiltcal.files.fit_record import NOISE_ALONE
+from tiltcal.files.results import NOISE_ALONE
 
 REFUSED = 0.999
 """Sessions that agree are refused once in a thousand combinations (Baarda's level); at 95 % they are noted."""
@@ -94,7 +94,7 @@ def _require_one_sensor(sessions: Sequence[CombinedSession]) -> None:
     for session, other in combinations(sessions, 2):
         one, another = session.record.sensor, other.record.sensor
         if UNKNOWN_MODEL in (one.model, another.model):
-            another = replace(another, model=one.model)
+            another = another.replaced(model=one.model)
         require_same_sensor(session.record, replace(other.record, sensor=another), (session.label, other.label))
 
 

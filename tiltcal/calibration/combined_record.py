@@ -25,9 +25,7 @@ from tiltcal.core.rounding import significant
 from tiltcal.core.uncertainty_inputs import is_turn
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
-from tiltcal.files.fit_record import NOISE_ALONE, FitRecord
-from tiltcal.files.position_record import PositionRecord, ProcedureRecord
-from tiltcal.files.provenance_record import FileRecord, Provenance
+from tiltcal.files.results import NOISE_ALONE, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty
 
 
@@ -48,7 +46,7 @@ def combined_record(
         coefficients=replace(rounded(found), mounting=found.coefficients.mounting),
         uncertainty=_uncertainty(sessions, found),
         limits=_limits(records, [session.record for session in scaled] or records),
-        derived=replace(derived, assumed=kept),
+        derived=derived.replaced(assumed=kept),
         fit=_fit(sessions, found, renamed, remarks),
         procedure=_procedure(sessions, renamed),
         positions=positions,
@@ -118,7 +116,7 @@ def _positions(sessions: Sequence[CombinedSession]) -> tuple[tuple[PositionRecor
     groups: list[list[PositionRecord]] = [[], [], []]
     for n, session in enumerate(sessions):
         for group, own in zip(groups, session.record.runs, strict=True):
-            group += [replace(position, position=renamed[n, position.position]) for position in own]
+            group += [position.replaced(position=renamed[n, position.position]) for position in own]
     return tuple(position for group in groups for position in group), renamed
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 from itertools import product
@@ -19,17 +20,16 @@ from tiltcal.core.model import AXES, Array, Coefficients, vector_of
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs, is_turn
 from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.calibration import TILT, CalibrationRecord, dump_calibration
+from tiltcal.files.calibration import CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.document import parse_document, read_text
-from tiltcal.files.fit_record import NOISE_ALONE
+from tiltcal.files.results import NOISE_ALONE
 from tiltcal.files.uncertainty import stated_uncertainty
-from tiltcal.frozen import frozen
 
 KINDS = {"sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
 """The coefficients that ``derived.assumed`` names by their first word."""
 
 
-@frozen
+@dataclass(frozen=True)
 class CombinedSession:
     """One calibration, with what messages call it and the SHA-256 of its file."""
 
@@ -44,7 +44,7 @@ class CombinedSession:
         if not isinstance(given, str | Path):
             raise UsageError(f"combine takes tilt calibrations or their files, not {given!r:.40}")
         text = read_text(given)
-        return cls(Path(given).name, _sha(text), TILT.read(parse_document(text, str(given))))
+        return cls(Path(given).name, _sha(text), tilt_record(parse_document(text, str(given))))
 
     @property
     def coefficients(self) -> Coefficients:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import nan
 from typing import Any
 
@@ -17,9 +18,7 @@ from tiltcal.core.orientation import orientation
 from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
-from tiltcal.files.fit_record import NOISE_ALONE
-from tiltcal.files.position_record import PositionSet
-from tiltcal.frozen import frozen
+from tiltcal.files.results import NOISE_ALONE, PositionSet
 
 _ALIKE = 0.02
 """Coefficients of two files mean the same if the shares of other terms that they hold differ by less than this."""
@@ -30,7 +29,7 @@ _INCOMPLETE = (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class Comparison:
     """The comparison of an older and a newer calibration of one sensor.
 

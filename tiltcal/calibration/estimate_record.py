@@ -17,15 +17,18 @@ from tiltcal.core.named_coefficients import DeterminedCoefficients, values
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs, with_turns_scaled
-from tiltcal.files.derived_record import (
+from tiltcal.files.results import (
+    NOISE_ALONE,
     DerivedCoverage,
     DerivedRecord,
     DerivedUncertainty,
+    FitRecord,
     IntrinsicCoverage,
     IntrinsicRecord,
     IntrinsicUncertainty,
+    SuspectPosition,
+    WorstResidual,
 )
-from tiltcal.files.fit_record import NOISE_ALONE, FitRecord, SuspectPosition, WorstResidual
 from tiltcal.files.uncertainty import Covariance, Uncertainty
 
 DIGITS = 4
@@ -137,8 +140,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
     )
     if found.chi_square is None or found.p is None or not found.stated:
         return record
-    return replace(
-        record,
+    return record.replaced(
         chi_square=significant(found.chi_square, 4),
         p_value=significant(found.p, SHARE_DIGITS),
         suspect_positions={
@@ -169,9 +171,7 @@ def intrinsic_record(coefficients: Coefficients, uncertain: UncertaintyInputs, *
     )
 
 
-def _printed(
-    quantities: Mapping[str, DerivedQuantity],
-) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+def _printed(quantities: Mapping[str, DerivedQuantity]) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
     """Return values, standard uncertainties and coverage factors, rounded; what is exact has no factor."""
     return (
         {name: round_to(quantity.value, quantity.u) for name, quantity in quantities.items()},

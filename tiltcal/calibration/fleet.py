@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import chain
 from statistics import mode
@@ -17,13 +18,12 @@ from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.outlier_test import extreme_values
 from tiltcal.errors import InputError
 from tiltcal.files.moments import to_the_second
-from tiltcal.frozen import frozen
 
 FEWEST_SENSORS = 3
 """Sensors of one model that make a distribution."""
 
 
-@frozen
+@dataclass(frozen=True)
 class CoefficientDistribution:
     """The distribution of a coefficient over the sensors of one model, each with its last calibration.
 
@@ -73,7 +73,7 @@ class CoefficientDistribution:
         }
 
 
-@frozen
+@dataclass(frozen=True)
 class ModelFleet:
     """The sensors of one model and unit.
 
@@ -92,7 +92,7 @@ class ModelFleet:
     distributions: tuple[CoefficientDistribution, ...]
 
 
-@frozen
+@dataclass(frozen=True)
 class FleetHistory:
     """The history of a folder.
 

@@ -88,8 +88,7 @@ def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
         notes += (f"left out, because the length of gravity does not agree with the other attitudes: {named}",)
     found = replace(found, notes=notes)
     record = record_of(found, design, replace(sensor, measurements=list(compress(placed, seen.kept))), procedure)
-    fit = replace(
-        record.fit,
+    fit = record.fit.replaced(
         distinct_attitudes=seen.distinct,
         left_out_mg=left_out,
         misfit_rms_mg=significant(1e3 * seen.rms, 3),
@@ -97,7 +96,7 @@ def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     )
     return replace(
         record,
-        derived=replace(record.derived, mounting=UNDETERMINED),
+        derived=record.derived.replaced(mounting=UNDETERMINED),
         fit=fit,
         positions=tuple(measurement.record(AXES) for measurement in placed),
     )

@@ -12,7 +12,7 @@ the nearest calibration, and the walk adds to its variance.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from math import cos, degrees, radians
 
 import numpy as np
@@ -26,11 +26,8 @@ from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, require_same_sensor, responses_to_priors
-from tiltcal.files.fit_record import FitRecord
-from tiltcal.files.position_record import ProcedureRecord
-from tiltcal.files.provenance_record import Provenance
+from tiltcal.files.results import FitRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertainty_inputs
-from tiltcal.frozen import frozen
 
 FARTHEST_TURN = 5.0
 """Degrees by which two mountings may differ to have others between them."""
@@ -39,7 +36,7 @@ LARGEST_CHANGE = 0.5
 """Share by which the sensitivity of a channel may differ between two calibrations."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Stability:
     """The stability of a sensor: how far its coefficients wander.
 
@@ -58,7 +55,7 @@ class Stability:
     source: str = ""
 
 
-@frozen
+@dataclass(frozen=True)
 class Interval:
     """The time between two calibrations of a sensor; what no time in it changes is computed once.
 
@@ -82,11 +79,8 @@ class Interval:
     def between(cls, before: CalibrationRecord, after: CalibrationRecord, days: float, named: str) -> Interval:
         """Return the interval of two calibrations.
 
-        Raises
-        ------
-        UsageError
-            They are not of one sensor, only one of them has temperature terms or a mounting, or their sensitivities are
-            too far apart for a change with time.
+        UsageError: they are not of one sensor, only one of them has temperature terms or a mounting, or their
+            sensitivities are too far apart for a change with time.
         """
         require_same_sensor(before, after)
         one, other = before.coefficients, after.coefficients
@@ -118,10 +112,7 @@ class Interval:
         stability : Stability, optional
             Without it, the calibrations alone are uncertain.
 
-        Raises
-        ------
-        UsageError
-            Their mountings are too far apart for a change with time.
+        UsageError: their mountings are too far apart for a change with time.
         """
         before, after = self.before, self.after
         coefficients = self.coefficients(share)
@@ -157,7 +148,7 @@ def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | 
     return _at(nearest, nearest.coefficients, nearest.limits, uncertainty)
 
 
-@frozen
+@dataclass(frozen=True)
 class _End:
     """A calibration at an end of an interval: its coefficients at the common reference, and their covariance."""
 

@@ -22,8 +22,8 @@ from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model, deviation_within
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.position_record import PositionSet, ProcedureRecord
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.results import PositionSet, ProcedureRecord
 
 OF_BASE = "of the base calibration"
 """The origin of a sensitivity that the sensor's own calibration lends."""
@@ -49,10 +49,7 @@ def fit_jointly(
 
     The numbers of each calibration have the digits that their uncertainty warrants.
 
-    Raises
-    ------
-    EstimateError
-        The positions cannot determine the coefficients.
+    EstimateError: the positions cannot determine the coefficients.
     """
     observed = [observed_sensor(sensor, procedure, bench) for sensor in sensors]
     calibrations = []
@@ -61,7 +58,7 @@ def fit_jointly(
         remarks = () if design.assumes_sensitivity else judge_channels(sensor, estimated)
         estimate = _with_remarks(with_hysteresis(estimated, seen), sensor, design)
         found = record_of(estimate, design, sensor, procedure)
-        calibrations.append(replace(found, fit=replace(found.fit, notes=(*found.fit.notes, *remarks))))
+        calibrations.append(replace(found, fit=found.fit.replaced(notes=(*found.fit.notes, *remarks))))
     return calibrations
 
 
@@ -71,7 +68,7 @@ def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure
     The measurements of the sensor are those of the estimate.
     """
     return CalibrationRecord(
-        sensor=replace(sensor.sensor, channels=design.channels),
+        sensor=sensor.sensor.replaced(channels=design.channels),
         coefficients=rounded(found),
         uncertainty=uncertainty_of(found, _reading(sensor.measurements, design, found.estimated_thermometer)),
         limits=_limits(design, sensor, found.coefficients.thermal is not None),
@@ -167,10 +164,7 @@ def design_of(
 ) -> Design:
     """Return what a procedure determines of a sensor, and how well the bench sets what it sets.
 
-    Raises
-    ------
-    EstimateError
-        The sensor has none of the procedure's axes, or a sensitivity that is not known has to stand in.
+    EstimateError: the sensor has none of the procedure's axes, or a sensitivity that is not known has to stand in.
     """
     determines = procedure.determines
     channels = tuple(c for c in sensor.channels if not determines.axes or c in determines.axes)
@@ -337,5 +331,5 @@ def _set(measurement: Measurement) -> PositionSet:
     """Return what was actually set in a position."""
     turned = PositionSet(heading=measurement.heading, stage=measurement.stage)
     if measurement.tilt is not None:
-        return replace(turned, tilt={axis: float(angle) for axis, angle in measurement.tilt.items()})
-    return replace(turned, gravity=tuple(significant(component, 9) for component in measurement.gravity))
+        return turned.replaced(tilt={axis: float(angle) for axis, angle in measurement.tilt.items()})
+    return turned.replaced(gravity=tuple(significant(component, 9) for component in measurement.gravity))

@@ -47,10 +47,7 @@ def symbol(name: str) -> tuple[str, str]:
 def unit_of(name: str, unit: str) -> str:
     """Return the unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number.
 
-    Raises
-    ------
-    ValueError
-        There is no such coefficient.
+    ValueError: there is no such coefficient.
     """
     match name.split("."):
         case ["offset", _]:

@@ -14,7 +14,7 @@ sine of the tilt where θ is about the vertical, which no level shows. The file 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import asin, cos, degrees, hypot, radians, sin, sqrt
 
 import numpy as np
@@ -35,11 +35,9 @@ from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.fit_record import NOISE_ALONE, LevelFit
-from tiltcal.files.position_record import CompletingRun
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.results import NOISE_ALONE, CompletingRun, LevelFit
 from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
-from tiltcal.frozen import frozen
 
 BASE = "base"
 """The share of an offset's variance that comes from the calibration that it completes."""
@@ -100,15 +98,13 @@ def level(
         base,
         coefficients=coefficients,
         uncertainty=found.uncertainty(procedure.alignment),
-        fit=replace(
-            base.fit,
+        fit=base.fit.replaced(
             uncertainty_from=base.fit.uncertainty_from if stated else NOISE_ALONE,
             budget={**base.fit.budget, **budget_record(found.budget, found.names[: len(found.offset)])},
             notes=tuple(notes),
             level=found.record(bench),
         ),
-        procedure=replace(
-            base.procedure,
+        procedure=base.procedure.replaced(
             level=CompletingRun(positions=tuple(measurement.position for measurement in measurements)),
         ),
         positions=base.positions_with(
@@ -119,7 +115,7 @@ def level(
     if before is None:
         return record
     renewed = intrinsic_record(coefficients, found.inputs.without_turn, mounted=bool(before.rotation_degrees))
-    return replace(record, derived=replace(base.derived, intrinsic=renewed))
+    return replace(record, derived=base.derived.replaced(intrinsic=renewed))
 
 
 def _with_noise(measurement: Measurement, single: Mapping[str, float]) -> Measurement:
@@ -164,7 +160,7 @@ def _lines(calibration: CalibrationRecord) -> Iterator[str]:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class _Renewal:
     """The new offsets, by how much they have changed, and their covariance with all else that is uncertain.
 
@@ -255,7 +251,7 @@ class _Renewal:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class _LevelReading:
     """The reading that a calibration expects, on average over the positions."""
 

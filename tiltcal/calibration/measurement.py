@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 from tiltcal.core.orientation import STRAIGHT
@@ -12,12 +12,11 @@ from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary
 from tiltcal.drivers.device import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.position_record import PositionRecord
-from tiltcal.frozen import frozen
+from tiltcal.files.results import PositionRecord
 from tiltcal.stated_arguments import require_from_zero
 
 
-@frozen
+@dataclass(frozen=True)
 class BenchUncertainty:
     """The standard uncertainties that a user states of the bench; None where one is not stated.
 
@@ -34,10 +33,7 @@ class BenchUncertainty:
     thermometer : float or None
         Of a temperature, °C. Not stated, it is the step of the sensors' own thermometers, or nothing.
 
-    Raises
-    ------
-    UsageError
-        One is negative or no number.
+    UsageError: one is negative or no number.
     """
 
     jig: float | None = None
@@ -55,7 +51,7 @@ class BenchUncertainty:
             require_from_zero(option, value)
 
 
-@frozen
+@dataclass(frozen=True)
 class Measurement:
     """One position of one sensor, ready for the estimator.
 
@@ -128,7 +124,7 @@ def at_rail(channel: str, reading: str, rails: tuple[float, float]) -> str:
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class MeasuredSensor:
     """One sensor of a fixture with what was measured of it.
 

@@ -29,8 +29,7 @@ from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.fit_record import MountingFit
-from tiltcal.files.position_record import CompletingRun
+from tiltcal.files.results import CompletingRun, MountingFit
 from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
 
 
@@ -48,10 +47,7 @@ def mount(
     jig : float, optional
         Standard uncertainty of a set angle, degrees.
 
-    Raises
-    ------
-    EstimateError
-        One direction of gravity alone, a sensor without x and y, or a temperature is missing and counts.
+    EstimateError: one direction of gravity alone, a sensor without x and y, or a temperature is missing and counts.
     """
     why = next(filter(None, (missing_temperature(base, measurement) for measurement in measurements)), "")
     if why:
@@ -70,13 +66,10 @@ def mount(
         base,
         coefficients=replace(base.coefficients, mounting=mounting),
         uncertainty=_uncertainty(base.uncertainty, joint, mounting, u, locked=locked),
-        derived=replace(base.derived, gimbal_lock=base.derived.gimbal_lock or locked),
-        fit=replace(base.fit, mounting=_record(found, measurements, jig, p)),
-        procedure=replace(
-            base.procedure,
-            mounting=CompletingRun(positions=tuple(m.position for m in measurements)),
-        ),
-        positions=base.positions_with(mounting=[replace(m.record(list(m.summaries)), u=None) for m in measurements]),
+        derived=base.derived.replaced(gimbal_lock=base.derived.gimbal_lock or locked),
+        fit=base.fit.replaced(mounting=_record(found, measurements, jig, p)),
+        procedure=base.procedure.replaced(mounting=CompletingRun(positions=tuple(m.position for m in measurements))),
+        positions=base.positions_with(mounting=[m.record(list(m.summaries)).replaced(u=None) for m in measurements]),
     )
 
 

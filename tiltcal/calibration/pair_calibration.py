@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, overload
 
@@ -12,13 +13,12 @@ from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.pair import PairRecord, dump_pair
-from tiltcal.files.provenance_record import PairProvenance
-from tiltcal.frozen import frozen
+from tiltcal.files.results import PairProvenance
 
 HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
 
 
-@frozen(eq=False)
+@dataclass(frozen=True, eq=False)
 class PairCalibration:
     """The matching of one or two accelerometer pairs on a rotary stage.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import degrees, hypot, radians, sqrt
 from typing import Any
@@ -23,7 +23,6 @@ from tiltcal.drivers.device import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
-from tiltcal.frozen import frozen
 
 PARTS = 8
 """Positions that stand for a leg of a ramp."""
@@ -37,7 +36,7 @@ SHOWN = 3
 """Correlations and positions that are named."""
 
 
-@frozen
+@dataclass(frozen=True)
 class PredictedUncertainty:
     """The uncertainty that a procedure of positions leaves.
 
@@ -107,7 +106,7 @@ class PredictedUncertainty:
         yield from (f"  {sentence}" for sentence in (self.closing, self.not_covered) if sentence)
 
 
-@frozen
+@dataclass(frozen=True)
 class PredictedMounting:
     """The uncertainty that a mounting leaves in the angles of a sensor that sits straight.
 
@@ -156,12 +155,8 @@ def predict_mounting(
 ) -> PredictedMounting:
     """Predict the standard uncertainty of roll, pitch and yaw; the arguments are those of :func:`predict`.
 
-    Raises
-    ------
-    EstimateError
-        The positions leave the turn about gravity undetermined.
-    UsageError
-        The device is no tilt sensor.
+    EstimateError: the positions leave the turn about gravity undetermined.
+    UsageError: the device is no tilt sensor.
     """
     require_tilt(procedure, model)
     scatter = _usual_noise(model) if noise is None else noise
@@ -218,12 +213,8 @@ def predict(
     base : CalibrationRecord, optional
         The sensor's own calibration, where the procedure takes one.
 
-    Raises
-    ------
-    EstimateError
-        The positions cannot determine what the procedure asks for; the message states what to add.
-    UsageError
-        The device is no tilt sensor.
+    EstimateError: the positions cannot determine what the procedure asks for; the message states what to add.
+    UsageError: the device is no tilt sensor.
     """
     require_tilt(procedure, model)
     if procedure.ramp is not None:

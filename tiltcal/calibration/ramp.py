@@ -24,8 +24,8 @@ from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
 from tiltcal.core.uncertainty_budget import Budget, Part
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.fit_record import CrossValidation, Hysteresis, RampFitRecord, RampLeg
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.results import CrossValidation, Hysteresis, RampFitRecord, RampLeg
 
 GROUPS = 8
 """Parts of a leg that the file lists as positions."""
@@ -85,8 +85,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
         coefficients=coefficients,
         uncertainty=replace(made.uncertainty, standard=standard, single_reading=reading),
         limits=replace(made.limits, temperature=temperatures),
-        fit=replace(
-            made.fit,
+        fit=made.fit.replaced(
             cross_validation=CrossValidation(
                 order=fit.order,
                 error_by_order={str(order): significant(error, 4) for order, error in fit.error_by_order.items()},
@@ -268,7 +267,10 @@ def _hysteresis(fit: RampFit, channels: Sequence[str]) -> dict[str, Hysteresis]:
     return {
         channel: Hysteresis(
             difference=significant(float(fit.loops[k, c]), 4),
-            between=tuple(f"{way} at {fit.places[k] + fit.reference:.1f} °C" for way in ("down", "up")),
+            between=(
+                f"down at {fit.places[k] + fit.reference:.1f} °C",
+                f"up at {fit.places[k] + fit.reference:.1f} °C",
+            ),
         )
         for c, (channel, k) in enumerate(zip(channels, at, strict=True))
     }

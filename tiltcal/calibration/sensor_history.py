@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
 from itertools import pairwise
@@ -20,7 +21,6 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor, responses_to_priors
 from tiltcal.files.moments import moment, to_the_second
 from tiltcal.files.uncertainty import known_coefficients
-from tiltcal.frozen import frozen
 from tiltcal.printable import counted
 
 DAY = 86_400.0
@@ -36,7 +36,7 @@ OWN_CONTRASTS = 10
 """Fewest contrasts of a sensor's own offsets with which its fleet is not asked."""
 
 
-@frozen
+@dataclass(frozen=True)
 class DatedCalibration:
     """A calibration file with its date.
 
@@ -57,7 +57,7 @@ class DatedCalibration:
     name: str
 
 
-@frozen
+@dataclass(frozen=True)
 class SensorHistory:
     """The calibrations of one sensor in the order of time, and remarks on sessions that overlap and on copies."""
 
@@ -68,10 +68,8 @@ class SensorHistory:
     def of(cls, found: Sequence[DatedCalibration]) -> SensorHistory:
         """Put the calibrations of one sensor in order, copies left out.
 
-        Raises
-        ------
-        InputError
-            Two files contradict each other: another model, unit or channels, or one date and other coefficients.
+        InputError: two files contradict each other: another model, unit or channels, or one date and other
+            coefficients.
         """
         kept: list[DatedCalibration] = []
         remarks: list[str] = []
@@ -114,10 +112,7 @@ class SensorHistory:
     def interval(self, k: int) -> Interval:
         """Return the time from a calibration, counted from 0, to the next.
 
-        Raises
-        ------
-        UsageError
-            The two do not lie on a line.
+        UsageError: the two do not lie on a line.
         """
         before, after = self.calibrations[k : k + 2]
         days = (after.date.timestamp() - before.date.timestamp()) / DAY

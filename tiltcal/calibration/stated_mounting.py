@@ -16,10 +16,7 @@ from tiltcal.stated_arguments import is_number, shown
 def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
     """Return the mounting of angles in degrees, or of the text of ``--mounting``; what is not named is 0.
 
-    Raises
-    ------
-    UsageError
-        An angle that there is not, is no number, or is out of range.
+    UsageError: an angle that there is not, is no number, or is out of range.
     """
     if not isinstance(angles, str | Mapping):
         raise UsageError(f"--mounting takes angles by name, such as {{'roll': 180}}, not {angles!r}")
@@ -39,9 +36,9 @@ def with_mounting(calibration: CalibrationRecord, mounting: Mounting) -> Calibra
         calibration,
         coefficients=replace(calibration.coefficients, mounting=mounting),
         uncertainty=calibration.uncertainty.without_mounting(),
-        derived=replace(calibration.derived, gimbal_lock=False),
-        fit=replace(calibration.fit, mounting=None),
-        procedure=replace(calibration.procedure, mounting=None),
+        derived=calibration.derived.replaced(gimbal_lock=False),
+        fit=calibration.fit.replaced(mounting=None),
+        procedure=calibration.procedure.replaced(mounting=None),
         positions=calibration.positions_with(mounting=()),
     )
 

@@ -13,7 +13,7 @@ from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.fit_record import FitRecord, MountingFit
+from tiltcal.files.results import FitRecord, MountingFit
 
 INCREDIBLE = 1e-3
 """Probability of a chi-square below which it is not credible."""

@@ -11,7 +11,7 @@ the mean, and the file states by how much. A unit's own run always wins.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -28,16 +28,15 @@ from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertainty_budget import central_differences
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.fit_record import CrossValidation, Hysteresis
 from tiltcal.files.procedure import Procedure
+from tiltcal.files.results import CrossValidation, Hysteresis
 from tiltcal.files.uncertainty import Covariance
-from tiltcal.frozen import frozen
 
 ROOM = 25.0
 """Reference temperature where none was measured, °C."""
 
 
-@frozen
+@dataclass(frozen=True)
 class OrderChoice:
     """The order that was chosen, and why.
 
@@ -102,7 +101,7 @@ def _deviance(error: float, variance: Array) -> float:
 
 def with_order(procedure: Procedure, order: int) -> Procedure:
     """Return the procedure with one order of the drift."""
-    return replace(procedure, determines=replace(procedure.determines, drift=order, cross_validated=False))
+    return replace(procedure, determines=procedure.determines.replaced(drift=order, cross_validated=False))
 
 
 def swept(
@@ -110,11 +109,10 @@ def swept(
 ) -> CalibrationRecord:
     """Add to a calibration how its order was chosen, and how far the way up differs from the way down."""
     validation = CrossValidation(
-        order=choice.order,
-        error_by_order={str(order): significant(error, 4) for order, error in choice.errors.items()},
+        order=choice.order, error_by_order={str(order): significant(error, 4) for order, error in choice.errors.items()}
     )
     loops = _hysteresis(calibration, measurements)
-    return replace(calibration, fit=replace(calibration.fit, cross_validation=validation, hysteresis=loops))
+    return replace(calibration, fit=calibration.fit.replaced(cross_validation=validation, hysteresis=loops))
 
 
 def with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) -> CalibrationRecord:
@@ -131,7 +129,7 @@ def with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) 
         calibration,
         coefficients=replace(calibration.coefficients, thermal=replace(thermal, drift=drift)),
         uncertainty=highest.uncertainty,
-        fit=replace(calibration.fit, budget=highest.fit.budget),
+        fit=calibration.fit.replaced(budget=highest.fit.budget),
     )
 
 
@@ -198,10 +196,8 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
     sensor : MeasuredSensor
         The mean temperature of its measurements is the reference: there the unit was measured.
 
-    Raises
-    ------
-    EstimateError
-        The calibration has temperature terms of its own, which are better, or the model's curves are not known.
+    EstimateError: the calibration has temperature terms of its own, which are better, or the model's curves are not
+        known.
     """
     population = None if sensor.nominal is None else sensor.nominal.population
     if population is None:
@@ -234,7 +230,7 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
         calibration,
         coefficients=replace(coefficients, thermal=thermal),
         uncertainty=replace(u, standard={**u.standard, **typical}, covariance=_extended(u.covariance, typical)),
-        derived=replace(derived, assumed=assumed),
+        derived=derived.replaced(assumed=assumed),
     )
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.named_coefficients import CoefficientChange
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class Verdict:
     """The verdict on the changes of a sensor.
 

@@ -8,7 +8,7 @@ the verification, from the jig and the noise: what the calibration is uncertain 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import acos, cos, degrees, hypot, inf, isfinite, isnan, radians, sqrt
 from typing import Any
 
@@ -21,7 +21,6 @@ from tiltcal.core.model import AXES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.uncertainty import length_tolerance
-from tiltcal.frozen import frozen
 
 PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
 
@@ -32,7 +31,7 @@ ANGLE, DIRECTION = 1.959964, 2.447747
 """Coverage factors for 95 % of an error in one angle, and of one in two (the root of chi-square's quantile)."""
 
 
-@frozen
+@dataclass(frozen=True)
 class VerifiedPosition:
     """One position as set, and as the calibration reads it.
 
@@ -70,7 +69,7 @@ class VerifiedPosition:
         return FAILED if self.error - self.expanded > limit else UNDECIDED
 
 
-@frozen
+@dataclass(frozen=True)
 class Verification:
     """How a calibration reads positions that it was not fitted to, judged by a limit.
 

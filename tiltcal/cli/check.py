@@ -11,10 +11,9 @@ import click
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, InputError, TiltcalError, UsageError
-from tiltcal.files.declaration import KINDS
-from tiltcal.files.document import read_document
+from tiltcal.files.document import Document, read_document
 from tiltcal.files.journal import read_journal
-from tiltcal.files.node import Node
+from tiltcal.files.record import KINDS
 
 if TYPE_CHECKING:
     from tiltcal.calibration.calibration import Calibration
@@ -66,10 +65,9 @@ def _checked(path: Path) -> tuple[str, list[str], list[str]]:
     if _is_journal(path):
         return "journal", _of_journal(path), []
     document = read_document(path)
-    named = document.entries().get("kind")
-    if named is None:
+    kind = document.kind
+    if kind is None:
         raise document.error("the key 'kind' is missing: this is not a tiltcal file")
-    kind = named.choice(list(KINDS))
     if kind in ("tilt", "pair"):
         return _of_calibration(path, document)
     if kind == "bench":
@@ -77,9 +75,14 @@ def _checked(path: Path) -> tuple[str, list[str], list[str]]:
 
         known_bench(document)
         return kind, [], []
-    from tiltcal.files.json_schema import FORMATS
+    if kind == "twin":
+        from tiltcal.files.twin import twin_of
 
-    FORMATS[kind].read(document)
+        twin_of(document)
+        return kind, [], []
+    from tiltcal.files.procedure_file import procedure_in
+
+    procedure_in(document)
     return kind, [], []
 
 
@@ -103,7 +106,7 @@ def _of_journal(path: Path) -> list[str]:
     return findings
 
 
-def _of_calibration(path: Path, document: Node) -> tuple[str, list[str], list[str]]:
+def _of_calibration(path: Path, document: Document) -> tuple[str, list[str], list[str]]:
     from tiltcal.calibration.calibration import Calibration, calibration_in
     from tiltcal.calibration.channel_checks import remarks_on_wiring
     from tiltcal.calibration.summary import objections, remarks_on_chance

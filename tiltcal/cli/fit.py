@@ -116,5 +116,5 @@ def _write_segments(path: Path, calibration: Calibration) -> None:
 
     lines = ["position,start,end"]
     for position in calibration.positions:
-        lines += [f"{position.position},{start},{end}" for start, end in position.rows or ()]
+        lines += [f"{position.position},{start},{end}" for start, end in position.row_ranges]
     write_whole(path, "\n".join(lines) + "\n")

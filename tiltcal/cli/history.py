@@ -42,10 +42,7 @@ def command(folder: Path, interval: str, as_json: bool) -> None:
 def read_history(folder: Path, interval: str = "365d") -> FleetHistory:
     """Return the history of a folder at this moment.
 
-    Raises
-    ------
-    UsageError
-        It is no folder, it has no calibration, or the interval is not one.
+    UsageError: it is no folder, it has no calibration, or the interval is not one.
     """
     from datetime import UTC, datetime, timedelta
 

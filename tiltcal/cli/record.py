@@ -61,12 +61,8 @@ def record_log(
 ) -> RecordingTally:
     """Record the sensors of a bench in the format that the output's name selects; the limits are those of the command.
 
-    Raises
-    ------
-    UsageError
-        ``output`` exists or would be NetCDF, or there is no end on the virtual bench.
-    HardwareError
-        A sensor does not answer.
+    UsageError: ``output`` exists or would be NetCDF, or there is no end on the virtual bench.
+    HardwareError: a sensor does not answer.
     """
     from tiltcal.logs.formats import log_format
 

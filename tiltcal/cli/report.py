@@ -16,7 +16,7 @@ from tiltcal.errors import EstimateError, UsageError
 if TYPE_CHECKING:
     from tiltcal.files.calibration import CalibrationRecord
     from tiltcal.files.pair import PairRecord
-    from tiltcal.files.provenance_record import FileRecord
+    from tiltcal.files.results import FileRecord
     from tiltcal.report.log_section import ReportedLog
     from tiltcal.report.pair_figures import PairDrawing
 
@@ -83,22 +83,21 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
 
 
 def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows: bool) -> str:
-    from tiltcal.files.calibration import TILT, require_same_sensor
+    from tiltcal.files.calibration import require_same_sensor, tilt_record
     from tiltcal.files.document import read_document
-    from tiltcal.files.pair import PAIR
+    from tiltcal.files.pair import pair_record
 
     documents = [read_document(name) for name in names]
-    kinds = [document.entries().get("kind") for document in documents]
-    if any(kind is not None and kind.names("pair") for kind in kinds):
+    if "pair" in [document.kind for document in documents]:
         if len(documents) > 1:
             raise UsageError("a report of pairs is about one file; give it alone, with its LOG if there is one")
         if columns:
             raise UsageError("--columns is for tilt calibrations; the columns of pairs are named in their file")
         from tiltcal.report.pair_page import pair_page
 
-        pairs = PAIR.read(documents[0])
+        pairs = pair_record(documents[0])
         return pair_page(pairs, _source(names[0]), [_spectra(log, pairs, skip_bad_rows) for log in logs])
-    calibrations = [TILT.read(document) for document in documents]
+    calibrations = [tilt_record(document) for document in documents]
     for earlier in calibrations[:-1]:
         require_same_sensor(earlier, calibrations[-1])
     return _tilt_page(calibrations, names, logs, columns, skip_bad_rows)
@@ -155,7 +154,7 @@ def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[st
 
 
 def _source(name: str) -> FileRecord:
-    from tiltcal.files.provenance_record import FileRecord
+    from tiltcal.files.results import FileRecord
     from tiltcal.logs.streams import sha256_of
 
     return FileRecord(name=Path(name).name, sha256=sha256_of(name))

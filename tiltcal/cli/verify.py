@@ -27,11 +27,7 @@ if TYPE_CHECKING:
     "--procedure", default="verify", show_default=True, help="The positions to measure: a name, or your own file."
 )
 @options.above_zero(
-    "--limit",
-    default=0.5,
-    show_default=True,
-    metavar="DEGREES",
-    help="The largest tilt error that passes.",
+    "--limit", default=0.5, show_default=True, metavar="DEGREES", help="The largest tilt error that passes."
 )
 @options.degrees("--jig", help="Standard uncertainty of a set angle. Not stated, the positions count as exact.")
 @options.tilt

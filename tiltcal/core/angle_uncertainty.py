@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import nan, pi
 
 import numpy as np
@@ -13,12 +13,11 @@ from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.core.uncertainty_propagation import Propagation
-from tiltcal.frozen import frozen
 
 _ATTITUDES, _ROUNDING = 9, 1e-9  # values of g_x and of g_y at which the length of gravity is tried; g
 
 
-@frozen
+@dataclass(frozen=True)
 class AngleUncertainty:
     """What the kernel makes of n rows, and how uncertain its angles are.
 

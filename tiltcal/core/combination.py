@@ -15,7 +15,7 @@ difference between one statement and all others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
@@ -26,7 +26,6 @@ from tiltcal.core.model import Array, Coefficients, polynomial_slope, vector_of,
 from tiltcal.core.named_coefficients import CoefficientChange, DeterminedCoefficients, referred
 from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 ROUNDS = 8
 """Steps of the minimisation: all but the change of reference is linear, two are usual."""
@@ -43,7 +42,7 @@ REDUNDANT = 1e-6
 ASSUMED = "assumed"
 
 
-@frozen
+@dataclass(frozen=True)
 class Statement:
     """The coefficients of a sensor that one session states, with their covariance.
 
@@ -86,7 +85,7 @@ class Statement:
         return vector_of(at, self.names) + self.by_given @ (vector_of(at, self.given) - self.given_values)
 
 
-@frozen
+@dataclass(frozen=True)
 class Combination(DeterminedCoefficients):
     """What several sessions together state; the sources of its budget are the sessions.
 
@@ -121,10 +120,7 @@ def combine_statements(statements: Sequence[Statement], start: Coefficients, nam
     names : sequence of str
         The coefficients to determine; all are in a statement.
 
-    Raises
-    ------
-    EstimateError
-        The sessions together do not determine them.
+    EstimateError: the sessions together do not determine them.
     """
     names = tuple(names)
     theta = vector_of(start, names)

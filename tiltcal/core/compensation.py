@@ -17,6 +17,7 @@ the sensor upside down. On edge, more than 45° from both, the face has a sign w
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from math import cos, inf, isfinite, pi, radians, sin
 
 import numpy as np
@@ -44,7 +45,6 @@ from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, polyn
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 from tiltcal.printable import counted
 
 CLIP_LIMIT = 1.02
@@ -71,7 +71,7 @@ _TILT_SLACK = radians(1e-9)
 _LARGEST_CONDITION = 1e12
 
 
-@frozen
+@dataclass(frozen=True)
 class Compensated:
     """What the kernel makes of n rows; every array is NaN where the flag is 9.
 
@@ -109,7 +109,7 @@ class Compensated:
         return self.angles[:, : self.gravity.shape[1]]
 
 
-@frozen
+@dataclass(frozen=True)
 class KernelChunk:
     """Some rows on their way through the kernel, for callers that need more than the result.
 
@@ -276,10 +276,7 @@ class Compensation:
         out : Compensated, optional
             Room for n rows, from :meth:`Compensated.empty`, that an earlier call has filled: its memory is used again.
 
-        Raises
-        ------
-        ValueError
-            The shapes do not fit.
+        ValueError: the shapes do not fit.
         """
         result = Compensated.empty(len(np.asarray(readings)), len(self.axes)) if out is None else out
         for _chunk in self.chunks(readings, temperature, result):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import atan2, degrees, hypot
 
 import numpy as np
@@ -11,10 +12,9 @@ from tiltcal.core.closed_forms import cross_axis_sensitivity
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.uncertainty_budget import propagated
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class DerivedQuantity:
     """A number with its standard uncertainty, in the same unit, and the factor of that for an interval of 95 %."""
 

@@ -23,6 +23,8 @@ given, and the velocity itself; these count as exact.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tiltcal.core.compensation import KernelChunk
@@ -31,7 +33,6 @@ from tiltcal.core.heading import EarthFrame, cross, length_of
 from tiltcal.core.model import Array
 from tiltcal.core.mounting_angles import UNKNOWN_ANGLE
 from tiltcal.core.uncertainty_propagation import HALF_TURN, Propagation, UpGradient
-from tiltcal.frozen import frozen
 
 
 class EarthUncertainty:
@@ -91,7 +92,7 @@ class EarthUncertainty:
         return UpGradient(gradient.by_up, by_turn, (by_field * self._field_noise) ** 2 * share)
 
 
-@frozen
+@dataclass(frozen=True)
 class _Gradient:
     """The derivatives of a quantity: by ``up``, shape (3, n), and by a turn of the earth's directions about it."""
 

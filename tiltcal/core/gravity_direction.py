@@ -21,10 +21,7 @@ def gravity_from_tilt(tilt: Mapping[str, float]) -> Vector:
     tilt : mapping of str to float
         Tilt of axes x and y in degrees; an axis that is left out is level. Tilt of axis i is asin(g_i).
 
-    Raises
-    ------
-    InputError
-        An axis other than x and y, an angle outside ±90°, or two tilts that no direction has.
+    InputError: an axis other than x and y, an angle outside ±90°, or two tilts that no direction has.
     """
     strange = sorted(set(tilt) - {"x", "y"})
     if strange:
@@ -43,10 +40,7 @@ def gravity_from_tilt(tilt: Mapping[str, float]) -> Vector:
 def normalised(gravity: Sequence[float]) -> Vector:
     """Return a direction of gravity as a unit vector.
 
-    Raises
-    ------
-    InputError
-        Not three finite numbers, or all zero.
+    InputError: not three finite numbers, or all zero.
     """
     if len(gravity) != 3 or not all(isfinite(component) for component in gravity):
         raise InputError("gravity takes three finite numbers [gx, gy, gz]")

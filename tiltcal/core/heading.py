@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from bisect import insort
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import cos, sin
 from typing import Any
 
@@ -26,7 +27,6 @@ from numpy.typing import NDArray
 
 from tiltcal.core.flags import NO_DIRECTION, SUSPECT, Mask, mark_columns
 from tiltcal.core.model import Array
-from tiltcal.frozen import frozen
 
 HEADING = "heading"
 VELOCITY = ("v_east", "v_north", "v_up")
@@ -41,7 +41,7 @@ _USUAL = 1000
 """Rows of which the median length of the field is the usual one."""
 
 
-@frozen
+@dataclass(frozen=True)
 class EarthFrame:
     """The directions of the earth for n rows, in the application's frame; NaN where there is none.
 

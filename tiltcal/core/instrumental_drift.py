@@ -21,19 +21,19 @@ Probability*, 3.10 (prior of a variance).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import inf
 
 import numpy as np
 
 from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.model import Array
-from tiltcal.frozen import frozen
 
 _GRID = 200
 _REACH = 1e6  # of the grid of rates about the largest and the smallest that the data may mean
 
 
-@frozen
+@dataclass(frozen=True)
 class RandomWalk:
     """The random walk of a coefficient: how far it wanders.
 
@@ -49,7 +49,7 @@ class RandomWalk:
     dof: float = inf
 
 
-@frozen
+@dataclass(frozen=True)
 class WalkContrasts:
     """Independent differences of the calibrations of a coefficient.
 

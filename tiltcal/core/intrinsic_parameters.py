@@ -12,7 +12,7 @@ triangular form that unit gravity alone determines.)
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import degrees, radians
 
@@ -23,10 +23,9 @@ from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, UNKNOWN_FACTOR, is_locked, mounting_angles
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class Intrinsic:
     """A sensor of three channels, apart from its mounting.
 
@@ -67,10 +66,7 @@ def intrinsic(coefficients: Coefficients, uncertain: UncertaintyInputs, *, mount
     mounted : bool
         False where the positions were free: the rotation is then a choice and no finding.
 
-    Raises
-    ------
-    EstimateError
-        Fewer than three channels or axes.
+    EstimateError: fewer than three channels or axes.
     """
     if len(coefficients.channels) != 3 or set(coefficients.axes) != set(AXES):
         raise EstimateError("a sensor is separated from its mounting where it has three channels over three axes")
@@ -132,10 +128,7 @@ def separated(matrix: Array) -> tuple[Array, Array]:
     rotation : ndarray, shape (3, 3)
         ``matrix = triangular @ rotation``.
 
-    Raises
-    ------
-    EstimateError
-        The matrix is singular, or its channels form a left-handed frame: no mounting does that.
+    EstimateError: the matrix is singular, or its channels form a left-handed frame: no mounting does that.
     """
     # The QR decomposition of the rows in reverse order, read backwards.
     q, r = np.linalg.qr(matrix[::-1].T)

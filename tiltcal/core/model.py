@@ -14,13 +14,12 @@ unless a procedure determined it. ``S_ii`` is the channel's sensitivity to its o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 Array = NDArray[np.float64]
 
@@ -30,7 +29,7 @@ NEWTON_STEPS = 4
 """Of the nonlinearity's inverse: a nonlinearity of 5 % needs three to reach double precision."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Mounting:
     """How the sensor sits in the application: roll first, then pitch, then yaw, in radians.
 
@@ -42,7 +41,7 @@ class Mounting:
     yaw: float = 0.0
 
 
-@frozen
+@dataclass(frozen=True)
 class Thermal:
     """The temperature terms of the model.
 
@@ -67,7 +66,7 @@ class Thermal:
     lag: float = 0.0
 
 
-@frozen
+@dataclass(frozen=True)
 class Coefficients:
     """The coefficients that calibrate one sensor.
 
@@ -137,7 +136,7 @@ class Coefficients:
         return self.offset + readings
 
 
-@frozen
+@dataclass(frozen=True)
 class Limits:
     """The ranges in which a calibration holds.
 
@@ -224,7 +223,7 @@ def take_out_nonlinearity(signal: Array, coefficients: Coefficients) -> None:
             np.multiply(a, own, out=row)
 
 
-@frozen
+@dataclass(frozen=True)
 class ModelReading:
     """The readings that the model expects of a channel in n positions, or of several channels alike.
 
@@ -255,7 +254,7 @@ class ModelReading:
         return np.asarray(self.by_signal[..., None] * self.sensitivity[..., None, :])
 
 
-@frozen
+@dataclass(frozen=True)
 class ChannelModel:
     """The coefficients of one channel, and its reading with the derivatives that the estimator needs.
 
@@ -377,10 +376,7 @@ def _multiply_by_powers(table: Array, variable: Array, power: Array | float = 1.
 def vector_of(coefficients: Coefficients, names: Sequence[str]) -> Array:
     """Return the coefficients with these dotted names.
 
-    Raises
-    ------
-    EstimateError
-        The coefficients have none of that name.
+    EstimateError: the coefficients have none of that name.
     """
     return np.array([table[place] for table, place in (_place(coefficients, name) for name in names)])
 

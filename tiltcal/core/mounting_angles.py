@@ -84,10 +84,7 @@ def mounting_angles(matrix: Array) -> MountingAngles:
     MountingAngles
         The document allows angles from 0 to below 180° only, which does not reach every mounting; these do.
 
-    Raises
-    ------
-    EstimateError
-        The matrix is no rotation.
+    EstimateError: the matrix is no rotation.
     """
     rotation = np.asarray(matrix, dtype=float)
     if (

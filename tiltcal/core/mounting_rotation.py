@@ -8,12 +8,13 @@ Source: G. Wahba, "A least squares estimate of satellite attitude", SIAM Review 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tiltcal.core.model import Array, Mounting
 from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, is_locked, mounting_angles
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 ONE_LINE = 1e-3
 """Second singular value of the directions, relative to the first, below which they all lie on one line (0.06°)."""
@@ -22,7 +23,7 @@ STEP = 1e-6
 """Turn by which the angles' derivatives are taken, radians."""
 
 
-@frozen
+@dataclass(frozen=True)
 class MountingEstimate:
     """An estimated mounting: how a sensor sits in its application.
 
@@ -71,10 +72,7 @@ def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> Mou
     sigma : ndarray, shape (positions,), optional
         Standard uncertainty of each direction, radians; where it is left out, the residuals show it.
 
-    Raises
-    ------
-    EstimateError
-        All directions lie on one line: the turn about it is undetermined.
+    EstimateError: all directions lie on one line: the turn about it is undetermined.
     """
     read, known = _directions(read, known)
     weights = _weights(known, sigma)

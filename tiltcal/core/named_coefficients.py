@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 import numpy as np
@@ -11,13 +11,12 @@ import numpy as np
 from tiltcal.core.coverage_factor import NORMAL_FACTOR, degrees_of_freedom, welch_satterthwaite
 from tiltcal.core.model import Array, Coefficients, polynomial, vector_of, with_vector
 from tiltcal.core.uncertainty_budget import Budget, propagated
-from tiltcal.frozen import frozen
 
 ROUNDED = 1e-3
 """The share of an uncertainty that remains of a difference although both errors are one: files round their numbers."""
 
 
-@frozen
+@dataclass(frozen=True)
 class KnownCoefficient:
     """The standard uncertainty of a coefficient.
 
@@ -33,7 +32,7 @@ class KnownCoefficient:
     dof: float = inf
 
 
-@frozen
+@dataclass(frozen=True)
 class CoefficientChange:
     """The change of one coefficient between two calibrations.
 
@@ -80,7 +79,7 @@ class CoefficientChange:
         return float(stdtrit(self.dof, upper))
 
 
-@frozen
+@dataclass(frozen=True)
 class DeterminedCoefficients:
     """Coefficients that data determine, with their uncertainty.
 

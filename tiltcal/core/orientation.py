@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.errors import InputError
-from tiltcal.frozen import frozen
 
 _UNIT: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
-@frozen
+@dataclass(frozen=True)
 class Orientation:
     """A turn by right angles from the fixture's frame to a sensor's.
 
@@ -53,10 +53,7 @@ def orientation(names: Sequence[str]) -> Orientation:
         ``x``, ``-x``, ``y``, ... for the sensor's x, y and, where it is given, z axis. A third one that is left out
         completes a right-handed frame.
 
-    Raises
-    ------
-    InputError
-        Not two or three different axes, or a left-handed frame.
+    InputError: not two or three different axes, or a left-handed frame.
     """
     plain = [name.lstrip("+-") for name in names]
     if len(names) not in (2, 3) or any(axis not in _UNIT for axis in plain) or len(set(plain)) < len(plain):

@@ -104,11 +104,7 @@ class ExpectedReadings:
         }
 
     def objection(
-        self,
-        position: str,
-        positions: Mapping[str, Vector],
-        reading: Array,
-        temperature: float | None = None,
+        self, position: str, positions: Mapping[str, Vector], reading: Array, temperature: float | None = None
     ) -> str | None:
         """Return why a reading cannot be that of ``position``, or None where it can.
 

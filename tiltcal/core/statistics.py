@@ -7,7 +7,7 @@ not depend on the processor, so a replayed session gives the same digits everywh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from math import fsum, hypot, inf, sqrt
 from operator import mul
@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.quantisation import rounding_uncertainty
-from tiltcal.frozen import frozen
 
 BLOCKS = 10
 """Number of blocks whose means show correlation that std/sqrt(n) does not see."""
@@ -25,7 +24,7 @@ _FEW, _MANY = 4096, 1 << 14
 """Samples up to which a sum is rounded once, and those that are summed up together, within the processor's cache."""
 
 
-@frozen
+@dataclass(frozen=True)
 class SampleSummary:
     """The mean of a run of samples of one channel, and its uncertainty.
 
@@ -90,7 +89,7 @@ def summarise(samples: Sequence[float] | NDArray[np.float64], resolution: float 
     return summary_of([moments_of(np.asarray(samples, dtype=float))], resolution)
 
 
-@frozen
+@dataclass(frozen=True)
 class Moments:
     """The sums of some samples of a channel, from which the summary of many more follows.
 

@@ -6,18 +6,18 @@ Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2 and 5
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor, degrees_of_freedom, welch_satterthwaite
 from tiltcal.core.model import Array
-from tiltcal.frozen import frozen
 
 _FOLLOWS = 1e-12
 """The share of a variance that rounding leaves where an error follows from others."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Part:
     """The part that one source of uncertainty adds to some quantities: errors, and how the quantities follow them.
 
@@ -51,7 +51,7 @@ class Part:
         return degrees_of_freedom(NORMAL_FACTOR * np.sqrt(wide / np.where(own > 0.0, own, np.inf)))
 
 
-@frozen
+@dataclass(frozen=True)
 class Budget:
     """Covariance of quantities, and its sources.
 

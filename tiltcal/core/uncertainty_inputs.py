@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.frozen import frozen
 
 TURN = "mounting.turn."
 """A small rotation error of the mounting about one of the application's axes, by its dotted name."""
 
 
-@frozen
+@dataclass(frozen=True)
 class UncertaintyInputs:
     """The uncertain inputs of the angles: coefficients and the turn of the mounting, with their covariance.
 

@@ -15,6 +15,7 @@ the arcsine, and where an angle of three axes comes from a length near zero, an 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import pi, sqrt
 
 import numpy as np
@@ -30,7 +31,6 @@ from tiltcal.core.tilt_angles import DIRECTIONS
 from tiltcal.core.uncertainty_columns import round_up
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 HALF_TURN = pi
 """No half width is more, radians."""
@@ -47,7 +47,7 @@ Signals = tuple[Array, Array | None]
 """The derivatives of the signals: the table by the coefficients, and of each channel times u(temperature)."""
 
 
-@frozen
+@dataclass(frozen=True)
 class UpGradient:
     """The derivatives of a quantity that follows from up, for n rows.
 

@@ -26,10 +26,7 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
     where the block raises, it is gone and a file that stood at ``path`` is as it was. A device or pipe has no such end:
     it is written as it comes. What was written can be read again, but for a device or pipe.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be written there, or the disk is full.
+    UsageError: the file cannot be written there, or the disk is full.
     """
     check_writable(path)
     try:
@@ -78,10 +75,8 @@ def check_writable(path: str | Path, *read: str | Path) -> None:
     read : str or Path
         Files that the command reads, which it must not replace.
 
-    Raises
-    ------
-    UsageError
-        The folder is not there, is no folder or takes no file, or the target is a folder or may not be replaced.
+    UsageError: the folder is not there, is no folder or takes no file, or the target is a folder or may not be
+        replaced.
     """
     require_path("the output", path)
     _check_place(path)

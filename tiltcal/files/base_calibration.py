@@ -4,31 +4,29 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from functools import cached_property
+from functools import lru_cache
 from pathlib import Path
+from typing import Annotated
 
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import TILT, CalibrationRecord
-from tiltcal.files.declaration import entry
+from tiltcal.files.calibration import CalibrationRecord, tilt_record
 from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.provenance_record import FileRecord
-from tiltcal.files.scalars import Text
-from tiltcal.frozen import frozen
+from tiltcal.files.record import Record, Text, about
+from tiltcal.files.results import FileRecord
 from tiltcal.stated_arguments import require_path
 
 
-@frozen
-class BaseFile:
+class BaseFile(Record):
     """A calibration file that a session builds on, whole: the session's journal keeps it."""
 
-    text: str = entry(Text(), "the whole text of the file")
-    name: str | None = entry(Text(), "its name", default=None)
+    text: Annotated[Text, about("the whole text of the file")]
+    name: Annotated[Text | None, about("its name")] = None
 
-    @cached_property
+    @property
     def calibration(self) -> CalibrationRecord:
         """The calibration in it; an InputError names file, line and key of what is wrong."""
-        return TILT.read(parse_document(self.text, self.name or "the base calibration"))
+        return _record_of(self.text, self.name or "the base calibration")
 
     @property
     def origin(self) -> FileRecord | None:
@@ -36,22 +34,16 @@ class BaseFile:
         return None if self.name is None else FileRecord.of_text(self.name, self.text)
 
 
+@lru_cache(maxsize=64)
+def _record_of(text: str, name: str) -> CalibrationRecord:
+    return tilt_record(parse_document(text, name))
+
+
 def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str]) -> dict[str, BaseFile]:
     """Read the calibrations that sensors bring with them, by serial number; empty where none is named.
 
-    Parameters
-    ----------
-    path : str or Path or None
-        A file, or a folder with a file ``SERIAL.yaml`` for every sensor.
-    serials : sequence of str
-        Of the sensors that are measured.
-
-    Raises
-    ------
-    UsageError
-        It is missing, the procedure takes none, or it is of another sensor.
-    InputError
-        Anything in it is wrong.
+    ``path`` is a file, or a folder with a file ``SERIAL.yaml`` for every sensor. A UsageError where it is missing, the
+    procedure takes none, or it is of another sensor; an InputError where anything in it is wrong.
     """
     if path is not None:
         require_path("--base", path)
@@ -71,7 +63,7 @@ def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[st
         raise UsageError(f"{path} is one file for {len(serials)} sensors: name the folder that has SERIAL.yaml of each")
     bases = {serial: BaseFile(read_text(file), file.name) for serial, file in files.items()}
     for serial, file in files.items():
-        base = TILT.read(parse_document(bases[serial].text, str(file)))  # an error names the file as it was given
+        base = _record_of(bases[serial].text, str(file))  # an error names the file as it was given
         if base.sensor.serial != serial:
             raise UsageError(f"{file} is of {base.sensor.serial}, and the sensor to measure is {serial}")
         if base.coefficients.mounting is not None and not determines.completes:

@@ -1,102 +1,84 @@
-"""The bench file: the sensors on one fixture, the thermometer beside them, and the operator's name.
-
-::
-
-    tiltcal: 1
-    kind: bench
-    operator: A. Technician
-    jig: 0.1                                   # standard uncertainty of a set angle, degrees
-    thermometer: {model: thermistor, address: "ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&...", uncertainty: 0.1}
-    sensors:
-      - {serial: A-1005, model: adxl202, address: "serial:///dev/ttyUSB0"}
-      - {serial: A-1006, model: adxl202, address: "serial:///dev/ttyUSB1", axes: [-y, x]}
-"""
+"""The bench file: the sensors on one fixture, the thermometer beside them, and the operator's name."""
 
 from __future__ import annotations
 
-import re
+from typing import Annotated
+
+from msgspec import Meta
 
 from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
-from tiltcal.files.declaration import Context, Converted, ListOf, Section, entry
-from tiltcal.files.node import Node
-from tiltcal.files.scalars import FROM_ZERO, Text
-from tiltcal.frozen import frozen
+from tiltcal.files.document import Document
+from tiltcal.files.record import FromZero, Record, Text, about
 
-_SERIAL = re.compile(r"[\w.+-][\w.+ -]*")
-_SIGNED_AXES = {"items": {"type": "string", "pattern": "^[+-]?[xyz]$"}, "minItems": 2, "maxItems": 3}
-
-
-def _file_name(serial: str, node: Node, context: Context) -> str:
-    if not _SERIAL.fullmatch(serial):
-        raise node.error(f"the serial number {serial!r} names a file: letters, digits, '-', '_', '.', '+'")
-    return serial
+Serial = Annotated[
+    str,
+    Meta(
+        pattern=r"^[\w.+-][\w.+ -]*$",
+        extra={"says": "a serial number that names a file: letters, digits, '-', '_', '.', '+'"},
+    ),
+]
+SignedAxis = Annotated[str, Meta(pattern="^[+-]?[xyz]$", extra={"says": "an axis x, y or z with its sign, such as -y"})]
 
 
-@frozen
-class BenchSensor:
+class BenchSensor(Record):
     """One sensor of a bench."""
 
-    serial: str = entry(
-        Converted(Text(), _file_name, more={"pattern": f"^{_SERIAL.pattern}$"}),
-        "unique; the calibration file is named for it",
-    )
-    model: str = entry(Text(), "as `--sensor`")
-    address: str = entry(Text(), "as `--address`")
-    orientation: Orientation = entry(
-        Converted(ListOf(Text()), lambda names, node, _: node.converted(orientation, names), more=_SIGNED_AXES),
-        "which axis of the fixture each sensor axis points along, such as `[-y, x]` or three of them; a third one that "
-        "is left out completes a right-handed frame",
-        default=STRAIGHT,
-        key="axes",
-        usual="`[x, y, z]`",
-    )
+    serial: Annotated[Serial, about("unique; the calibration file is named for it")]
+    model: Annotated[Text, about("as `--sensor`")]
+    address: Annotated[Text, about("as `--address`")]
+    axes: Annotated[
+        tuple[SignedAxis, ...],
+        Meta(min_length=2, max_length=3),
+        about(
+            "which axis of the fixture each sensor axis points along, such as `[-y, x]` or three of them; a third one "
+            "that is left out completes a right-handed frame",
+            usual="`[x, y, z]`",
+        ),
+    ] = STRAIGHT.names
+
+    @property
+    def orientation(self) -> Orientation:
+        """How the sensor sits on the fixture."""
+        return orientation(self.axes)
 
 
-@frozen
-class BenchThermometer:
+class BenchThermometer(Record):
     """The thermometer of a bench: any device that reports a temperature."""
 
-    model: str = entry(Text(), "any device that reports a temperature, which stands for that of every sensor")
-    address: str = entry(Text(), "its address")
-    uncertainty: float | None = entry(FROM_ZERO, "standard uncertainty of a temperature, °C", default=None)
+    model: Annotated[Text, about("any device that reports a temperature, which stands for that of every sensor")]
+    address: Annotated[Text, about("its address")]
+    uncertainty: Annotated[FromZero | None, about("standard uncertainty of a temperature, °C")] = None
 
 
-def _unique(sensors: tuple[BenchSensor, ...], node: Node, context: Context) -> tuple[BenchSensor, ...]:
-    serials = [sensor.serial for sensor in sensors]
-    for number, item in enumerate(node.items()):
-        if serials[number] in serials[:number]:
-            raise item.error(f"the serial number {serials[number]!r} is there twice")
-    return sensors
-
-
-@frozen
-class BenchFile:
+class BenchFile(Record):
     """The content of a bench file."""
 
-    sensors: tuple[BenchSensor, ...] = entry(
-        Converted(ListOf(Section(BenchSensor), 1, says="a bench has at least one sensor"), _unique),
-        "a list, at least one",
+    sensors: Annotated[tuple[BenchSensor, ...], Meta(min_length=1), about("a list, at least one")]
+    thermometer: Annotated[BenchThermometer | None, about("the thermometer beside the sensors")] = None
+    operator: Annotated[Text | None, about("the name of who stands there, for the files")] = None
+    jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees; `--jig` takes its place")] = (
+        None
     )
-    thermometer: BenchThermometer | None = entry(
-        Section(BenchThermometer), "the thermometer beside the sensors", default=None
-    )
-    operator: str | None = entry(Text(), "the name of who stands there, for the files", default=None)
-    jig: float | None = entry(
-        FROM_ZERO,
-        "standard uncertainty of a set angle, degrees; `--jig` takes its place",
-        default=None,
-    )
-    table: float | None = entry(
-        FROM_ZERO,
-        "standard uncertainty of the table's lean, which all positions share, degrees; `--table-lean` takes its place",
-        default=None,
-    )
-    heading: float | None = entry(
-        FROM_ZERO,
-        "standard uncertainty of a heading, degrees; `--heading-uncertainty` takes its place",
-        default=None,
-    )
+    table: Annotated[
+        FromZero | None,
+        about(
+            "standard uncertainty of the table's lean, which all positions share, degrees; `--table-lean` takes its "
+            "place"
+        ),
+    ] = None
+    heading: Annotated[
+        FromZero | None, about("standard uncertainty of a heading, degrees; `--heading-uncertainty` takes its place")
+    ] = None
 
 
-BENCH = Section(BenchFile, kind="bench")
-"""The bench file."""
+def bench_of(document: Document) -> BenchFile:
+    """Return the content of a bench file, checked; an InputError names file, line and key."""
+    body = document.body("bench")
+    bench = body.read(BenchFile)
+    serials = [sensor.serial for sensor in bench.sensors]
+    for number, sensor in enumerate(bench.sensors):
+        with body.locating("sensors", number, "axes"):
+            orientation(sensor.axes)
+        if serials[number] in serials[:number]:
+            raise body.error(f"the serial number {serials[number]!r} is there twice", "sensors", number)
+    return bench

@@ -7,11 +7,13 @@ positions, provenance) are records for people and later questions. Every key and
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from math import hypot, radians
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from tiltcal.core.model import AXES, Array, Coefficients, Limits
 from tiltcal.core.mounting_angles import mounting_matrix
@@ -19,25 +21,19 @@ from tiltcal.core.mounting_rotation import rotation_vector
 from tiltcal.core.named_coefficients import CoefficientChange, changes, difference_of, referred, values
 from tiltcal.core.uncertainty_inputs import TURN
 from tiltcal.errors import UsageError
-from tiltcal.files.coefficients import COEFFICIENTS, in_degrees
-from tiltcal.files.declaration import ANY, ByChannel, Context, Converted, Format, ListOf, Section, entry
-from tiltcal.files.derived_record import DerivedRecord
-from tiltcal.files.document import read_document
+from tiltcal.files.coefficients import CoefficientsSection, coefficients_of, coefficients_section, in_degrees
+from tiltcal.files.document import Document, read_document
 from tiltcal.files.emitter import yaml_text
-from tiltcal.files.fit_record import FitRecord
-from tiltcal.files.node import Node
-from tiltcal.files.position_record import PositionRecord, ProcedureRecord
-from tiltcal.files.provenance_record import Provenance
-from tiltcal.files.scalars import Choice, Range, Text
-from tiltcal.files.uncertainty import UNCERTAINTY, Uncertainty, known_coefficients, known_turns
-from tiltcal.frozen import frozen
-
-
-def _channels(found: tuple[str, ...], node: Node, context: Context) -> tuple[str, ...]:
-    if not found or len(set(found)) < len(found):
-        raise node.error("channels are one to three different ones of x, y, z")
-    return found
-
+from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data
+from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.uncertainty import (
+    Uncertainty,
+    UncertaintySection,
+    known_coefficients,
+    known_turns,
+    uncertainty_of,
+    uncertainty_section,
+)
 
 UNDETERMINED = 1e-3
 """The positions do not determine a coefficient whose uncertainty is its prior's within this share."""
@@ -46,86 +42,63 @@ UNKNOWN_MODEL = "recorded"
 """The model in a file of `fit`, where the user named none."""
 
 
-@frozen
-class SensorIdentity:
+class SensorIdentity(Record):
     """The sensor that a calibration belongs to."""
 
-    model: str = entry(Text(), "its model, such as `sca100t-d02`; `recorded` where `fit` was given none")
-    serial: str = entry(Text(), "its serial number")
-    unit: str = entry(Text(), "of its readings: `count`, `V`, `duty`, `m/s2`, …")
-    channels: tuple[str, ...] = entry(
-        Converted(ListOf(Choice(AXES)), _channels, more={"minItems": 1, "maxItems": 3, "uniqueItems": True}),
-        "its readings, one to three of x, y, z",
-    )
+    model: Annotated[Text, about("its model, such as `sca100t-d02`; `recorded` where `fit` was given none")]
+    serial: Annotated[Text, about("its serial number")]
+    unit: Annotated[Text, about("of its readings: `count`, `V`, `duty`, `m/s2`, …")]
+    channels: Annotated[
+        tuple[Axis, ...],
+        Meta(extra_json_schema={"minItems": 1, "maxItems": 3, "uniqueItems": True}),
+        about("its readings, one to three of x, y, z"),
+    ]
 
 
-@frozen
-class Ranges(ByChannel[tuple[float, float]]):
-    """A range for each of some channels or axes, or one for all of them."""
-
-    item: Format[tuple[float, float]] = Range()
-
-    def read(self, node: Node, context: Context = ANY) -> dict[str, tuple[float, float]]:
-        # A third column of a two-channel sensor is no axis whose tilt is reported.
-        known = context.channels if self.of == "channels" else context.axes[: len(context.channels)]
-        return self._read(node, known, context) if node.is_mapping else dict.fromkeys(known, node.interval())
-
-    def schema(self) -> dict[str, Any]:
-        return {"anyOf": [self.item.schema(), super().schema()]}
-
-
-@frozen(kw_only=True)
-class LimitsSection:
+class LimitsSection(Record, kw_only=True):
     """The section ``limits`` as it stands in a file."""
 
-    tilt: Mapping[str, tuple[float, float]] = entry(
-        Ranges(of="axes"), "`[low, high]` per axis, or for all of them, degrees", default={}
-    )
-    temperature: tuple[float, float] | None = entry(Range(), "`[low, high]`, °C", default=None)
-    reading: Mapping[str, tuple[float, float]] = entry(
-        Ranges(of="channels"), "the rails `[low, high]` per channel, or for all of them, unit", default={}
-    )
+    tilt: Annotated[Range | ByAxis[Range], about("`[low, high]` per axis, or for all of them, degrees")] = {}
+    temperature: Annotated[Range | None, about("`[low, high]`, °C")] = None
+    reading: Annotated[
+        Range | ByAxis[Range], about("the rails `[low, high]` per channel, or for all of them, unit")
+    ] = {}
 
 
-def _limits_of(section: LimitsSection, node: Node, context: Context) -> Limits:
-    tilt = {axis: (radians(low), radians(high)) for axis, (low, high) in section.tilt.items()}
-    return Limits(tilt=tilt, temperature=section.temperature, reading=dict(section.reading))
+class TiltFile(Record, kw_only=True):
+    """The content of a calibration file as it stands there."""
+
+    always_written = ("uncertainty", "limits", "derived", "fit", "procedure", "positions", "provenance")
+
+    sensor: Annotated[SensorIdentity, about("which sensor it is")]
+    calibration: Annotated[CoefficientsSection, about("the coefficients")]
+    uncertainty: Annotated[
+        UncertaintySection, about("standard uncertainties (k = 1) in the shape of `calibration`")
+    ] = UncertaintySection()
+    limits: Annotated[LimitsSection, about("the ranges that were covered")] = LimitsSection()
+    derived: Annotated[DerivedRecord, about("what follows from the coefficients")] = DerivedRecord()
+    fit: Annotated[FitRecord, about("how well the positions agree")] = FitRecord()
+    procedure: Annotated[ProcedureRecord, about("the procedure as run")] = ProcedureRecord()
+    positions: Annotated[
+        tuple[PositionRecord, ...],
+        about("what was measured in each position; those of a mounting and of a level come last"),
+    ] = ()
+    provenance: Annotated[Provenance, about("how it was made")] = Provenance()
 
 
-def _limits_section(limits: Limits) -> LimitsSection:
-    tilt = {axis: (in_degrees(low), in_degrees(high)) for axis, (low, high) in limits.tilt.items()}
-    return LimitsSection(tilt=tilt, temperature=limits.temperature, reading=limits.reading)
-
-
-@frozen
+@dataclass(frozen=True)
 class CalibrationRecord:
     """The content of a calibration file; angles of the coefficients and the limits are in radians."""
 
-    sensor: SensorIdentity = entry(Section(SensorIdentity), "which sensor it is")
-    coefficients: Coefficients = entry(COEFFICIENTS, "the coefficients", key="calibration")
-    uncertainty: Uncertainty = entry(
-        UNCERTAINTY, "standard uncertainties (k = 1) in the shape of `calibration`", default=Uncertainty(), kept=True
-    )
-    limits: Limits = entry(
-        Converted(Section(LimitsSection), _limits_of, _limits_section),
-        "the ranges that were covered",
-        default=Limits(),
-        kept=True,
-    )
-    derived: DerivedRecord = entry(
-        Section(DerivedRecord), "what follows from the coefficients", default=DerivedRecord(), kept=True
-    )
-    fit: FitRecord = entry(Section(FitRecord), "how well the positions agree", default=FitRecord(), kept=True)
-    procedure: ProcedureRecord = entry(
-        Section(ProcedureRecord), "the procedure as run", default=ProcedureRecord(), kept=True
-    )
-    positions: tuple[PositionRecord, ...] = entry(
-        ListOf(Section(PositionRecord)),
-        "what was measured in each position; those of a mounting and of a level come last",
-        default=(),
-        kept=True,
-    )
-    provenance: Provenance = entry(Section(Provenance), "how it was made", default=Provenance(), kept=True)
+    sensor: SensorIdentity
+    coefficients: Coefficients
+    uncertainty: Uncertainty = Uncertainty()
+    limits: Limits = Limits()
+    derived: DerivedRecord = DerivedRecord()
+    fit: FitRecord = FitRecord()
+    procedure: ProcedureRecord = ProcedureRecord()
+    positions: tuple[PositionRecord, ...] = ()
+    provenance: Provenance = Provenance()
 
     @property
     def runs(self) -> tuple[tuple[PositionRecord, ...], ...]:
@@ -143,21 +116,61 @@ class CalibrationRecord:
         return (*own, *(mounted if mounting is None else mounting), *(levelled if level is None else level))
 
 
-def _names(key: str, found: Mapping[str, Any], context: Context) -> Context:
-    """Return the channels, axes and coefficients that the later sections may name."""
-    if "coefficients" in found:
-        coefficients: Coefficients = found["coefficients"]
-        return Context(coefficients.channels, coefficients.axes, tuple(values(coefficients)))
-    return Context(found["sensor"].channels)
+def tilt_record(document: Document) -> CalibrationRecord:
+    """Return the content of a calibration file, checked; an InputError names file, line and key."""
+    document = document.body("tilt")
+    file = document.read(TiltFile)
+    channels = file.sensor.channels
+    if not channels or len(set(channels)) < len(channels):
+        raise document.error("channels are one to three different ones of x, y, z", "sensor", "channels")
+    coefficients = coefficients_of(file.calibration, document.child("calibration"), channels)
+    uncertainty = uncertainty_of(file.uncertainty, document.child("uncertainty"), coefficients)
+    for key in ("budget", "priors"):
+        document.require_keys(getattr(file.fit, key), list(values(coefficients)), "fit", key)
+    for number, leg in enumerate(file.fit.ramp.legs if file.fit.ramp else ()):
+        document.require_order(leg.temperature, "fit", "ramp", "legs", number, "temperature")
+    for number, position in enumerate(file.positions):
+        document.require_moments(position, "time", place=("positions", number))
+        if position.rows and position.rows not in (position.row_ranges, *position.row_ranges):
+            raise document.error("rows are two numbers [first, end]", "positions", number, "rows")
+    document.require_moments(file.provenance, "started", "ended", place=("provenance",))
+    return CalibrationRecord(
+        sensor=file.sensor,
+        coefficients=coefficients,
+        uncertainty=uncertainty,
+        limits=_limits_of(file.limits, document.child("limits"), coefficients),
+        **{name: getattr(file, name) for name in ("derived", "fit", "procedure", "positions", "provenance")},
+    )
 
 
-TILT = Section(CalibrationRecord, follow=_names, kind="tilt")
-"""The calibration file."""
+def _limits_of(section: LimitsSection, place: Document, coefficients: Coefficients) -> Limits:
+    # A third column of a two-channel sensor is no axis whose tilt is reported.
+    channels, axes = coefficients.channels, coefficients.axes[: len(coefficients.channels)]
+    place.require_order(section.temperature, "temperature")
+    tilt = _by_name(section.tilt, axes, place, "tilt")
+    return Limits(
+        tilt={axis: (radians(low), radians(high)) for axis, (low, high) in tilt.items()},
+        temperature=section.temperature,
+        reading=_by_name(section.reading, channels, place, "reading"),
+    )
+
+
+def _by_name(
+    ranges: tuple[float, float] | Mapping[str, tuple[float, float]], names: Sequence[str], place: Document, key: str
+) -> dict[str, tuple[float, float]]:
+    """Return a range for each of the names, which one may state for all."""
+    if not isinstance(ranges, Mapping):
+        place.require_order(ranges, key)
+        return dict.fromkeys(names, ranges)
+    place.require_keys(ranges, names, key)
+    for name, interval in ranges.items():
+        place.require_order(interval, key, name)
+    return dict(ranges)
 
 
 def read_calibration(path: str | Path) -> CalibrationRecord:
     """Read and check a calibration file; an InputError names file, line and key."""
-    return TILT.read(read_document(path))
+    return tilt_record(read_document(path))
 
 
 def dump_calibration(calibration: CalibrationRecord) -> str:
@@ -165,7 +178,16 @@ def dump_calibration(calibration: CalibrationRecord) -> str:
 
     An InputError names a NaN, an infinity or data that is not plain.
     """
-    return yaml_text(TILT.write(calibration), _comments(calibration.sensor.unit))
+    limits = calibration.limits
+    tilt = {axis: (in_degrees(low), in_degrees(high)) for axis, (low, high) in limits.tilt.items()}
+    file = TiltFile(
+        sensor=calibration.sensor,
+        calibration=coefficients_section(calibration.coefficients),
+        uncertainty=uncertainty_section(calibration.uncertainty),
+        limits=LimitsSection(tilt=tilt, temperature=limits.temperature, reading=limits.reading),
+        **{name: getattr(calibration, name) for name in ("derived", "fit", "procedure", "positions", "provenance")},
+    )
+    return yaml_text(file_data("tilt", file), _comments(calibration.sensor.unit))
 
 
 def require_same_sensor(

@@ -11,16 +11,16 @@ import os
 import re
 import stat
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration import TILT, CalibrationRecord
+from tiltcal.files.calibration import CalibrationRecord, tilt_record
 from tiltcal.files.document import SIZE_LIMIT, read_document
 from tiltcal.files.moments import moment
-from tiltcal.frozen import frozen
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -34,17 +34,7 @@ _DATES = re.compile(rb'\n  started: "([^"\n]+)"\n  ended: "([^"\n]+)"\n')
 
 
 class CalibrationFile(NamedTuple):
-    """A calibration file of a folder.
-
-    Attributes
-    ----------
-    serial : str
-        Of the sensor.
-    date : datetime
-        When the calibration ended, UTC.
-    started : str
-        When it began, as it stands in the file.
-    """
+    """A calibration file of a folder: when it ended (UTC), and when it began, as it stands in the file."""
 
     serial: str
     date: datetime
@@ -53,17 +43,9 @@ class CalibrationFile(NamedTuple):
     path: str
 
 
-@frozen
+@dataclass(frozen=True)
 class FolderIndex:
-    """The calibrations of a folder.
-
-    Attributes
-    ----------
-    files : tuple of CalibrationFile
-        By serial number and date.
-    problems : tuple of InputError
-        Files that are or may be calibrations and cannot be used, and why.
-    """
+    """The calibrations of a folder by serial number and date, and files that may be ones and cannot be used."""
 
     files: tuple[CalibrationFile, ...]
     problems: tuple[InputError, ...]
@@ -151,9 +133,8 @@ def _read(path: str) -> CalibrationFile | None:
     if not _TILT.search(content) and _KIND.search(content):
         return None
     document = read_document(path)
-    kind = document.entries().get("kind") if isinstance(document.content, dict) else None
-    if kind is None or not kind.names("tilt"):
+    if not isinstance(document.data, dict) or document.kind != "tilt":
         return None
-    record = TILT.read(document)
+    record = tilt_record(document)
     started, ended = date_of(record, path)
     return CalibrationFile(record.sensor.serial, ended, started, record.sensor.model, path)

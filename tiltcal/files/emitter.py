@@ -15,7 +15,7 @@ from numbers import Integral, Real
 from typing import Any
 
 from tiltcal.errors import InputError
-from tiltcal.files.node import require_printable
+from tiltcal.stated_arguments import require_printable
 
 WIDTH = 120
 _COMMENT_COLUMN = 46
@@ -37,10 +37,7 @@ def yaml_text(data: Mapping[str, Any], comments: Mapping[str, str] | None = None
     comments : mapping of str to str, optional
         Remarks for the end of a key's line, by the key's dotted path.
 
-    Raises
-    ------
-    InputError
-        NaN, an infinity, a text that is not Unicode, or data of another type.
+    InputError: NaN, an infinity, a text that is not Unicode, or data of another type.
     """
     return "\n".join(_opened_mapping(data, 0, "", comments or {})) + "\n" if data else "{}\n"
 
@@ -137,7 +134,7 @@ def _is_collection(value: Any) -> bool:
 def _key(name: Any, key: str) -> str:
     if not isinstance(name, str) or len(name) > _KEY_LIMIT:
         raise InputError(f"cannot be written: a key is a text of at most {_KEY_LIMIT} characters", key=key[:_KEY_LIMIT])
-    require_printable(name, None, None, None)
+    require_printable(name)
     return _scalar(name, key)
 
 

@@ -26,16 +26,17 @@ import re
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any, BinaryIO, overload
 from zlib import crc32
 
+import msgspec
+
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.atomic import append_whole, part_of, write_all
-from tiltcal.files.journal_header import HEADER, Header
-from tiltcal.files.node import document_of
-from tiltcal.frozen import frozen
+from tiltcal.files.document import document_of
+from tiltcal.files.journal_header import Header
+from tiltcal.files.record import Record
 
 VERSION = 1
 HARDWARE_ERROR = "!"
@@ -49,32 +50,18 @@ HEADER_LIMIT = 16_000_000
 """Bytes of the first line, which holds the procedure and, of a mounting, the base calibration."""
 LINE_LIMIT = 4_000_000
 """Bytes of an event's line."""
-DIGIT_LIMIT = 20
 BLOCK = 4096
 """Events that are in memory at once."""
 
 _BUS = re.compile("[a-z]")
 _BYTES = re.compile("(?:[0-9a-f]{2})*")
-_ANSWER_KEYS = {"to", "answer", "tilt", "gravity", "temperature"}
 _ARRAY_CHECK = len(',"00000000"]')
 _OBJECT_CHECK = len(',"check":"00000000"}')
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One line of a journal after its header.
-
-    Attributes
-    ----------
-    line : int
-        Line number in the file, counted from 1.
-    dt_ns : int
-        Nanoseconds since the line before.
-    kind : str
-        The second element: a bus's letter, or one of the kinds above.
-    payload : tuple
-        The elements between the kind and the check.
-    """
+    """A line of a journal after its header: its number, nanoseconds since the line before, its kind, the rest."""
 
     line: int
     dt_ns: int
@@ -83,16 +70,9 @@ class Event:
 
 
 class Events(Sequence[Event]):
-    """The events of a journal, read from its file in blocks: a night of six sensors has millions.
+    """The events of a journal that was checked, read from its file in blocks: a night of six sensors has millions.
 
-    Parameters
-    ----------
-    path : Path
-        The journal, which was checked.
-    starts : array of int
-        Where the lines of the events begin, and where the last one ends.
-    more : tuple of Event
-        What follows them.
+    ``starts`` are the places where their lines begin, and where the last one ends; ``more`` follow them.
     """
 
     def __init__(self, path: Path, starts: array[int], more: tuple[Event, ...] = ()) -> None:
@@ -138,24 +118,12 @@ class Events(Sequence[Event]):
         return lines
 
 
-@frozen
+@dataclass(frozen=True)
 class Journal:
-    """A journal that was read and found sound.
+    """A journal that was read and found sound, without a torn last line.
 
-    Attributes
-    ----------
-    events : Events
-        Without the end record.
-    end : dict or None
-        The end record; None where the session was interrupted.
-    size : int
-        Bytes of whole lines; what follows is a torn line.
-    torn : bool
-        Whether a torn line was dropped.
-    crc : int
-        Running CRC-32 after the last whole line.
-    digest : hash
-        SHA-256 of everything before the end record, or of all whole lines where there is none.
+    ``end`` is the end record, None where the session was interrupted; ``size`` counts the bytes of whole lines; ``crc``
+    and ``digest`` (SHA-256) are those of everything before the end record.
     """
 
     path: Path
@@ -170,7 +138,10 @@ class Journal:
     def plan(self) -> Header:
         """Return the session's plan, from the header; a JournalError where it is none."""
         try:
-            return HEADER.read(document_of(self.header, str(self.path), 1))
+            document = document_of(self.header, str(self.path), 1)
+            plan = document.read(Header)
+            document.require_moments(plan, "started")
+            return plan
         except InputError as error:
             raise JournalError(
                 f"the header cannot be used: {error.message}", file=self.path, line=1, key=error.key
@@ -185,10 +156,7 @@ class Journal:
 def read_journal(path: str | Path) -> Journal:
     """Read a journal and check every line of it; memory stays small whatever the file's size.
 
-    Raises
-    ------
-    JournalError
-        The file cannot be read, is no journal, or a line is damaged (named).
+    JournalError: the file cannot be read, is no journal, or a line is damaged (named).
     """
     path = Path(path)
     try:
@@ -249,10 +217,7 @@ class JournalWriter:
     def create(cls, path: str | Path, header: Mapping[str, Any]) -> JournalWriter:
         """Start a journal. It appears with its whole header or not at all.
 
-        Raises
-        ------
-        UsageError
-            The file exists, or cannot be made.
+        UsageError: the file exists, or cannot be made.
         """
         path = Path(path)
         body = _dumps({"tiltcal-journal": VERSION, **header}).encode()
@@ -281,10 +246,8 @@ class JournalWriter:
     def resume(cls, journal: Journal) -> JournalWriter:
         """Append to a journal after its last whole line; a torn line is cut off.
 
-        Raises
-        ------
-        JournalError
-            Another process writes it, or has written to it since it was read, or it cannot be opened for writing.
+        JournalError: another process writes it, or has written to it since it was read, or it cannot be opened
+            for writing.
         """
         try:
             descriptor = os.open(journal.path, _APPEND)
@@ -304,10 +267,7 @@ class JournalWriter:
     def append(self, dt_ns: int, kind: str, *payload: Any) -> None:
         """Write one event, whole or not at all.
 
-        Raises
-        ------
-        JournalError
-            The disk is full or fails; the journal ends with the event before.
+        JournalError: the disk is full or fails; the journal ends with the event before.
         """
         body = _dumps([dt_ns, kind, *payload]).encode()
         crc = crc32(body, self._crc)
@@ -404,38 +364,30 @@ def _event_of(found: list[Any], number: int) -> Event:
 
 
 def _loads(body: bytes, path: Path, number: int) -> Any:
-    """Parse the JSON of a line; refuse numbers that no session has, and deep nesting."""
+    """Parse the JSON of a line, without numbers that are not finite."""
     try:
-        text = body.decode()
-        found, end = _DECODER.raw_decode(text)  # without a search for white space, which our lines do not have
-        return found if end == len(text) else _DECODER.decode(text)
+        return msgspec.json.decode(body)
     except RecursionError:
         raise JournalError("the line is nested too deeply", file=path, line=number) from None
-    except ValueError as error:
+    except (ValueError, msgspec.MsgspecError) as error:
         raise JournalError(f"the line is not JSON: {error}", file=path, line=number) from None
 
 
-def _whole(literal: str) -> int:
-    if len(literal) > DIGIT_LIMIT:
-        raise ValueError(f"a number of {len(literal)} digits is too large")
-    return int(literal)
+class RecordedAnswer(Record, kw_only=True):
+    """An operator's answer: words, angles, a direction, a temperature."""
+
+    to: str
+    answer: str
+    tilt: Mapping[str, float] = {}
+    gravity: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    temperature: float = 0.0
 
 
-def _finite(literal: str) -> float:
-    value = float(literal)
-    if not isfinite(value):
-        raise ValueError(f"{literal[:20]} is no finite number")
-    return value
-
-
-_DECODER = json.JSONDecoder(parse_int=_whole, parse_float=_finite, parse_constant=_finite)
-
-
-def _is_event(found: Any) -> bool:
+def _is_event(line: Any) -> bool:
     """Return whether a line has the elements of its kind, each of its type."""
-    if not isinstance(found, list) or len(found) < 2 or not _is_count(found[0]):
+    if not isinstance(line, list) or len(line) < 2 or not _is_count(line[0]):
         return False
-    _, kind, *payload = found
+    _, kind, *payload = line
     match kind:
         case "live" | "resumed":
             return not payload
@@ -443,32 +395,19 @@ def _is_event(found: Any) -> bool:
             return len(payload) == 1 and _is_answer(payload[0])
         case "p" | "end":
             return len(payload) == 1 and isinstance(payload[0], dict)
-        case "!":
-            return _is_transaction(payload) and isinstance(payload[1], str)
-        case str():
-            return _BUS.fullmatch(kind) is not None and _is_transaction(payload) and _is_bytes(payload[1])
+        case str() if kind == HARDWARE_ERROR or _BUS.fullmatch(kind):
+            out, back, *device = payload if len(payload) in (2, 3) else (None, None)
+            said = isinstance(back, str) if kind == HARDWARE_ERROR else _is_bytes(back)
+            return said and _is_bytes(out) and all(map(_is_count, device))
     return False
 
 
-def _is_transaction(payload: list[Any]) -> bool:
-    return len(payload) in (2, 3) and _is_bytes(payload[0]) and all(map(_is_count, payload[2:]))
-
-
 def _is_answer(answer: Any) -> bool:
-    """Return whether a value is an operator's answer: words, angles, a direction, a temperature."""
-    if not isinstance(answer, dict) or not {"to", "answer"} <= answer.keys() <= _ANSWER_KEYS:
+    try:
+        msgspec.convert(answer, RecordedAnswer)
+    except msgspec.ValidationError:
         return False
-    tilt, gravity = answer.get("tilt", {}), answer.get("gravity", [0, 0, 1])
-    return (
-        isinstance(answer["to"], str)
-        and isinstance(answer["answer"], str)
-        and isinstance(tilt, dict)
-        and all(map(_is_number, tilt.values()))
-        and isinstance(gravity, list)
-        and len(gravity) == 3
-        and all(map(_is_number, gravity))
-        and _is_number(answer.get("temperature", 0.0))
-    )
+    return True
 
 
 def _is_bytes(value: Any) -> bool:
@@ -477,10 +416,6 @@ def _is_bytes(value: Any) -> bool:
 
 def _is_count(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**63
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _checked_end(event: Event, events: int, sha256: str, path: Path) -> dict[str, Any]:

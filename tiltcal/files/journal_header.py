@@ -5,70 +5,66 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from tiltcal.files.base_calibration import BaseFile
-from tiltcal.files.declaration import Anything, ByName, ListOf, Section, entry
-from tiltcal.files.moments import MOMENT
-from tiltcal.files.scalars import FROM_ZERO, Flag, Integer, Number, Text
-from tiltcal.frozen import frozen
+from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about
 
 
-@frozen(kw_only=True)
-class DeviceHeader:
+class DeviceHeader(Record, kw_only=True):
     """A sensor or the thermometer in the header."""
 
-    model: str = entry(Text(), "as `--sensor`")
-    serial: str = entry(Text(blank=True), "serial number; empty of a thermometer")
-    address: str = entry(Text(), "as `--address`")
-    output: str = entry(Text(blank=True), "calibration file, relative to the journal; empty where none is made")
-    axes: tuple[str, ...] | None = entry(
-        ListOf(Text(), 3, 3), "how it sits, where it does not sit straight", default=None
-    )
+    model: Annotated[Text, about("as `--sensor`")]
+    serial: Annotated[str, about("serial number; empty of a thermometer")]
+    address: Annotated[Text, about("as `--address`")]
+    output: Annotated[str, about("calibration file, relative to the journal; empty where none is made")]
+    axes: Annotated[
+        Annotated[tuple[Text, ...], Meta(min_length=3, max_length=3)] | None,
+        about("how it sits, where it does not sit straight"),
+    ] = None
 
 
-@frozen(kw_only=True)
-class SettingsHeader:
+class SessionSettings(Record, kw_only=True):
     """The settings of a session: how it measures."""
 
-    samples: int = entry(Integer(minimum=2), "samples a position")
-    settle: float = entry(Number(above=0.0), "seconds over which the reading must hold still")
-    soak: float = entry(Number(above=0.0), "seconds of the window at a new temperature")
-    jig: float | None = entry(FROM_ZERO, "standard uncertainty of a set angle, degrees", default=None, kept=True)
-    thermometer: float | None = entry(FROM_ZERO, "standard uncertainty of a temperature, °C", default=None, kept=True)
-    table: float | None = entry(FROM_ZERO, "uncertainty of the table's lean, degrees", default=None)
-    heading: float | None = entry(FROM_ZERO, "uncertainty of a heading, degrees", default=None)
-    angle: float | None = entry(Number(), "the angle that the procedure leaves free, degrees", default=None, kept=True)
-    turns: int | None = entry(Integer(minimum=1), "the most turns of a rotation", default=None)
+    always_written = ("jig", "thermometer", "angle")
+
+    samples: Annotated[Annotated[int, Meta(ge=2)], about("samples a position")]
+    settle: Annotated[AboveZero, about("seconds over which the reading must hold still")]
+    soak: Annotated[AboveZero, about("seconds of the window at a new temperature")]
+    jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees")] = None
+    thermometer: Annotated[FromZero | None, about("standard uncertainty of a temperature, °C")] = None
+    table: Annotated[FromZero | None, about("uncertainty of the table's lean, degrees")] = None
+    heading: Annotated[FromZero | None, about("uncertainty of a heading, degrees")] = None
+    angle: Annotated[Number | None, about("the angle that the procedure leaves free, degrees")] = None
+    turns: Annotated[FromOne | None, about("the most turns of a rotation")] = None
 
 
-@frozen(kw_only=True)
-class Header:
+class Header(Record, kw_only=True):
     """The plan of a session, the first line of its journal."""
 
-    software: str = entry(Text(), "who wrote the journal")
-    journal: str = entry(Text(), "its file name")
-    started: str = entry(MOMENT, "when, UTC")
-    virtual: bool = entry(Flag(), "whether every device is a twin")
-    operator: str = entry(Text(), "who leads: `terminal`, `json`, `sim` or `python`")
-    person: str | None = entry(Text(), "the name in the bench file", default=None)
-    sensors: tuple[DeviceHeader, ...] = entry(
-        ListOf(Section(DeviceHeader), 1, says="a session has at least one sensor"), "the sensors, in order"
-    )
-    thermometer: DeviceHeader | None = entry(Section(DeviceHeader), "of a bench that has one", default=None)
-    settings: SettingsHeader = entry(Section(SettingsHeader), "how the session measures")
-    procedure: Mapping[str, Any] = entry(Anything(), "the procedure file in full")
-    base: str | None = entry(
-        Text(), "in older journals, the text of the calibration file that a mounting completes", default=None
-    )
-    bases: Mapping[str, BaseFile] = entry(
-        ByName(Section(BaseFile)),
-        "by serial number the calibration file that the sensor brings (`--base`): `name`, `text`",
-        default={},
-    )
-    typical_temperature: bool = entry(
-        Flag(), "`true` where the data sheet's mean temperature curves were asked for", default=False
-    )
+    software: Annotated[Text, about("who wrote the journal")]
+    journal: Annotated[Text, about("its file name")]
+    started: Annotated[Text, about("when, UTC")]
+    virtual: Annotated[bool, about("whether every device is a twin")]
+    operator: Annotated[Text, about("who leads: `terminal`, `json`, `sim` or `python`")]
+    person: Annotated[Text | None, about("the name in the bench file")] = None
+    sensors: Annotated[Annotated[tuple[DeviceHeader, ...], Meta(min_length=1)], about("the sensors, in order")]
+    thermometer: Annotated[DeviceHeader | None, about("of a bench that has one")] = None
+    settings: Annotated[SessionSettings, about("how the session measures")]
+    procedure: Annotated[Mapping[str, Any], about("the procedure file in full")]
+    base: Annotated[
+        Text | None, about("in older journals, the text of the calibration file that a mounting completes")
+    ] = None
+    bases: Annotated[
+        Mapping[str, BaseFile],
+        about("by serial number the calibration file that the sensor brings (`--base`): `name`, `text`"),
+    ] = {}
+    typical_temperature: Annotated[
+        bool, about("`true` where the data sheet's mean temperature curves were asked for")
+    ] = False
 
     @property
     def verifies(self) -> bool:
@@ -83,7 +79,3 @@ class Header:
     def known(self) -> dict[str, BaseFile]:
         """The calibrations that sensors bring with them, by serial number."""
         return dict(self.bases) if self.base is None else {self.sensors[0].serial: BaseFile(self.base)}
-
-
-HEADER = Section(Header)
-"""The header of a journal, without the version and the check."""

@@ -6,9 +6,6 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 from tiltcal.errors import InputError
-from tiltcal.files.declaration import Context, Converted
-from tiltcal.files.node import Node
-from tiltcal.files.scalars import Text
 
 _LAST_YEAR = 2999
 """A moment behind it is none, so that what is added to one stays a date."""
@@ -49,12 +46,3 @@ def stamp_of(seconds: float) -> str | None:
 def to_the_second(moment: datetime) -> str:
     """Return a moment as text; it is in UTC."""
     return f"{moment:%Y-%m-%dT%H:%M:%SZ}"
-
-
-def _checked(text: str, node: Node, _context: Context) -> str:
-    node.converted(moment, text)
-    return text
-
-
-MOMENT = Converted(Text(), _checked)
-"""A moment in a file, kept as its text."""

@@ -3,113 +3,138 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, TypeVar
+
+from msgspec import Meta
 
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.files.declaration import ByKey, ByName, Context, Converted, ListOf, Section, entry
+from tiltcal.files.document import Document
 from tiltcal.files.emitter import yaml_text
-from tiltcal.files.node import Node
-from tiltcal.files.provenance_record import PairProvenance
-from tiltcal.files.scalars import FROM_ZERO, Flag, Number, Text
-from tiltcal.frozen import frozen
+from tiltcal.files.record import AboveZero, Finite, FiniteFromZero, Record, Text, about, file_data, one_of
+from tiltcal.files.results import PairProvenance
+
+T = TypeVar("T")
+ByStage = Annotated[
+    Mapping[Annotated[str, one_of(*STAGES)], Mapping[str, T]], Meta(extra_json_schema={"required": list(STAGES)})
+]
+"""Two components at the turning for each channel before and after the matching."""
 
 _DIGITS = 4
+_SPIN_DIGITS = 9
 
 
-_NINE_DIGITS = Converted(Number(above=0.0), lambda value, node, context: value, lambda value: significant(value, 9))
-"""A number above 0, written with nine digits."""
-
-
-@frozen(kw_only=True)
-class SpinRecord:
+class SpinRecord(Record, kw_only=True):
     """The spin of the stage."""
 
-    turns: float = entry(_NINE_DIGITS, "turns of the stage in the record")
-    frequency: float | None = entry(_NINE_DIGITS, "Hz; absent where the record has no time", default=None)
-    phase: str | None = entry(
-        Text(),
-        "the column of the stage angle, degrees; absent where the spin was estimated. `apply` demodulates the gradient "
-        "with it",
-        default=None,
-    )
+    turns: Annotated[AboveZero, about("turns of the stage in the record")]
+    frequency: Annotated[AboveZero | None, about("Hz; absent where the record has no time")] = None
+    phase: Annotated[
+        Text | None,
+        about(
+            "the column of the stage angle, degrees; absent where the spin was estimated. `apply` demodulates the "
+            "gradient with it"
+        ),
+    ] = None
 
 
-@frozen(kw_only=True)
-class CoefficientUncertainty:
+class CoefficientUncertainty(Record, kw_only=True):
     """Standard uncertainties of p and q."""
 
-    p: float = entry(FROM_ZERO, "of p")
-    q: float = entry(FROM_ZERO, "of q")
+    p: Annotated[FiniteFromZero, about("of p")]
+    q: Annotated[FiniteFromZero, about("of q")]
 
 
-@frozen(kw_only=True)
-class Suppression:
+class Suppression(Record, kw_only=True):
     """The suppression of the common acceleration."""
 
-    p: float = entry(FROM_ZERO, "after p")
-    pq: float = entry(FROM_ZERO, "after p and q")
+    p: Annotated[FiniteFromZero, about("after p")]
+    pq: Annotated[FiniteFromZero, about("after p and q")]
 
 
-def _by_stage(item: Number) -> ByKey[Mapping[str, tuple[float, ...]]]:
-    """Return the declaration of two components at the turning for each channel before and after the matching."""
-    components = ListOf(item, 2, 2, says="two numbers [sin, cos] are needed here, found {found}")
-    return ByKey(ByName(components), STAGES, complete=True)
-
-
-@frozen(kw_only=True)
-class PairEntry:
+class PairEntry(Record, kw_only=True):
     """One of ``pairs`` as it stands in a file."""
 
-    pair: tuple[str, ...] = entry(
-        ListOf(Text(), 2, 2, says="a pair has two channels, found {found}"), "`[first, second]`, two columns"
-    )
-    orthogonal: str = entry(Text(), "the accelerometer a quarter turn away, a third column")
-    p: float = entry(Number(), "a pure number, below 1")
-    q: float = entry(Number(), "a pure number")
-    uncertainty: CoefficientUncertainty = entry(
-        Section(CoefficientUncertainty), "`{p, q}`, standard uncertainties (k = 1)"
-    )
-    suppression: Suppression | None = entry(
-        Section(Suppression),
-        "`{p, pq}`: common acceleration in the first channel over what is left in the sum, or over the noise where "
-        "that is more",
-        default=None,
-    )
-    components: Mapping[str, Mapping[str, tuple[float, ...]]] = entry(
-        _by_stage(Number()),
-        "`before`, `after_p`, `after_pq`: per channel and for their `sum` the components `[sin, cos]` at the turning, "
-        "unit of the readings",
-    )
-    component_uncertainty: Mapping[str, Mapping[str, tuple[float, ...]]] = entry(
-        _by_stage(FROM_ZERO), "the same for their standard uncertainties"
-    )
+    pair: Annotated[tuple[Text, Text], about("`[first, second]`, two columns")]
+    orthogonal: Annotated[Text, about("the accelerometer a quarter turn away, a third column")]
+    p: Annotated[Finite, about("a pure number, below 1")]
+    q: Annotated[Finite, about("a pure number")]
+    uncertainty: Annotated[CoefficientUncertainty, about("`{p, q}`, standard uncertainties (k = 1)")]
+    suppression: Annotated[
+        Suppression | None,
+        about(
+            "`{p, pq}`: common acceleration in the first channel over what is left in the sum, or over the noise where "
+            "that is more"
+        ),
+    ] = None
+    components: Annotated[
+        ByStage[tuple[Finite, Finite]],
+        about(
+            "`before`, `after_p`, `after_pq`: per channel and for their `sum` the components `[sin, cos]` at the "
+            "turning, unit of the readings"
+        ),
+    ]
+    component_uncertainty: Annotated[
+        ByStage[tuple[FiniteFromZero, FiniteFromZero]], about("the same for their standard uncertainties")
+    ]
 
 
-def _matching_of(section: PairEntry, node: Node, context: Context) -> Matching:
-    entries, u = node.entries(), section.uncertainty
-    names = (*section.pair, section.orthogonal)
-    if len(set(names)) < len(names):
-        raise entries["orthogonal"].error("pair and orthogonal are three different channels")
-    if section.p >= 1.0:
-        raise entries["p"].error(
-            f"p is {section.p:g}; it must be below 1: the second accelerometer is divided by 1 - p"
-        )
-    pair = Pair(section.pair[0], section.pair[1], section.orthogonal)
+class PairFile(Record, kw_only=True):
+    """The content of a pair file as it stands there."""
+
+    always_written = ("online", "provenance")
+
+    spin: Annotated[SpinRecord, about("how the stage turned")]
+    online: Annotated[bool, about("whether p and q are what the online estimator ended with", usual="`false`")] = False
+    pairs: Annotated[tuple[PairEntry, ...], Meta(min_length=1, max_length=2), about("one or two pairs")]
+    provenance: Annotated[PairProvenance, about("how it was made")] = PairProvenance()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairRecord:
+    """The content of a pair file."""
+
+    spin: SpinRecord
+    online: bool = False
+    matchings: tuple[Matching, ...]
+    provenance: PairProvenance = PairProvenance()
+
+
+def pair_record(document: Document) -> PairRecord:
+    """Return the content of a pair file, checked; an InputError names file, line and key."""
+    document = document.body("pair")
+    file = document.read(PairFile)
+    matchings = tuple(_matching_of(entry, document.child("pairs", number)) for number, entry in enumerate(file.pairs))
+    if len({matching.pair.name for matching in matchings}) < len(matchings):
+        raise document.error("the same pair is there twice", "pairs")
+    document.require_moments(file.provenance, "started", "ended", place=("provenance",))
+    return PairRecord(spin=file.spin, online=file.online, matchings=matchings, provenance=file.provenance)
+
+
+def _matching_of(entry: PairEntry, place: Document) -> Matching:
+    pair, u = Pair(*entry.pair, entry.orthogonal), entry.uncertainty
+    if len(set(pair.channels)) < len(pair.channels):
+        raise place.error("pair and orthogonal are three different channels", "orthogonal")
+    if entry.p >= 1.0:
+        raise place.error(f"p is {entry.p:g}; it must be below 1: the second accelerometer is divided by 1 - p", "p")
     for key in ("components", "component_uncertainty"):
-        for stage in entries[key].entries().values():
-            stage.mapping(required=(*pair.channels, SUM))
+        stages = getattr(entry, key)
+        place.require_keys(stages, STAGES, key, complete=True)
+        for stage, row in stages.items():
+            place.require_keys(row, (*pair.channels, SUM), key, stage, complete=True)
     components = {
         stage: {
-            name: Component(*section.components[stage][name], *section.component_uncertainty[stage][name])
+            name: Component(*entry.components[stage][name], *entry.component_uncertainty[stage][name])
             for name in (*pair.channels, SUM)
         }
         for stage in STAGES
     }
-    return Matching(pair, section.p, section.q, u.p, u.q, components)
+    return Matching(pair, entry.p, entry.q, u.p, u.q, components)
 
 
-def _section_of(matching: Matching) -> PairEntry:
+def _entry_of(matching: Matching) -> PairEntry:
     """Return the section with the digits of the file, so that the file gives the same derived values again."""
     matching = _rounded(matching)
     rows = {stage: matching.components[stage].items() for stage in STAGES}
@@ -129,44 +154,20 @@ def _section_of(matching: Matching) -> PairEntry:
     )
 
 
-def _distinct(found: tuple[Matching, ...], node: Node, context: Context) -> tuple[Matching, ...]:
-    if len({matching.pair.name for matching in found}) < len(found):
-        raise node.error("the same pair is there twice")
-    return found
-
-
-@frozen(kw_only=True)
-class PairRecord:
-    """The content of a pair file."""
-
-    spin: SpinRecord = entry(Section(SpinRecord), "how the stage turned")
-    online: bool = entry(
-        Flag(), "whether p and q are what the online estimator ended with", default=False, usual="`false`", kept=True
-    )
-    matchings: tuple[Matching, ...] = entry(
-        Converted(
-            ListOf(
-                Converted(Section(PairEntry), _matching_of, _section_of),
-                1,
-                2,
-                says="one or two pairs are needed here, found {found}",
-            ),
-            _distinct,
-        ),
-        "one or two pairs",
-        key="pairs",
-    )
-    provenance: PairProvenance = entry(Section(PairProvenance), "how it was made", default=PairProvenance(), kept=True)
-
-
-PAIR = Section(PairRecord, kind="pair")
-"""The pair file."""
-
-
 def dump_pair(calibration: PairRecord) -> str:
     """Return the text of a pair file; numbers have the digits that their uncertainty warrants."""
     comments = {"spin.frequency": "Hz", "pairs": "the sum is first + (second + q orthogonal) / (1 - p)"}
-    return yaml_text(PAIR.write(calibration), comments)
+    spin, frequency = calibration.spin, calibration.spin.frequency
+    file = PairFile(
+        spin=spin.replaced(
+            turns=significant(spin.turns, _SPIN_DIGITS),
+            frequency=None if frequency is None else significant(frequency, _SPIN_DIGITS),
+        ),
+        online=calibration.online,
+        pairs=tuple(map(_entry_of, calibration.matchings)),
+        provenance=calibration.provenance,
+    )
+    return yaml_text(file_data("pair", file), comments)
 
 
 def _rounded(matching: Matching) -> Matching:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tiltcal.core.gravity_direction import Vector, gravity_from_tilt, normalised
-from tiltcal.core.model import AXES
+from msgspec import Meta
+
+from tiltcal.core.gravity_direction import LEVEL, Vector, gravity_from_tilt, normalised
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import ORDER_LIMIT
-from tiltcal.files.declaration import ANY, ByKey, Context, Converted, Format, ListOf, Section, entry
-from tiltcal.files.node import Node
-from tiltcal.files.scalars import FROM_ZERO, Choice, Flag, Integer, Number, Text
-from tiltcal.frozen import frozen
+from tiltcal.files.document import Document
+from tiltcal.files.record import AboveZero, Axis, FromZero, Identifier, Number, Record, Text, about, one_of
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import is_number, require_whole, shown
 
@@ -26,58 +25,47 @@ ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
 MOST_ASKEW = 10.0
 """A sensor that sits further askew has another mounting, degrees."""
 
-_PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
-_NAME = re.compile(r"[^\W\d_][\w.-]*")
-
-
-def _distinct_axes(axes: tuple[str, ...], node: Node, context: Context) -> tuple[str, ...]:
-    if len(set(axes)) < len(axes):
-        raise node.error("an axis is named twice")
-    return tuple(sorted(axes))
-
-
-_ORDER = Integer(0, ORDER_LIMIT, f"an order of {{found}} is too high; at most {ORDER_LIMIT}")
-TEMPERATURE = Number(
-    ABSOLUTE_ZERO, maximum=HOTTEST, says=f"a temperature of {{found:g}} °C is too high; at most {HOTTEST:g}"
-)
+Temperature = Annotated[float, Meta(ge=ABSOLUTE_ZERO, le=HOTTEST)]
 """°C, of a position."""
+Order = Annotated[int, Meta(ge=0, le=ORDER_LIMIT)]
+
+_PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 
 
-@frozen
-class Determines:
+class Determines(Record):
     """What the positions of a procedure determine besides the offset."""
 
-    axes: tuple[str, ...] = entry(
-        Converted(ListOf(Choice(AXES)), _distinct_axes, more={"uniqueItems": True}),
-        "the columns of the sensitivity matrix, `[]` for none",
-    )
-    drift: int = entry(_ORDER, "order of the temperature polynomial of the offset, up to 6", default=0)
-    gain: int = entry(_ORDER, "order of the temperature polynomial of the sensitivity, up to 6", default=0)
-    nonlinearity: int = entry(
-        Integer(0, 2, "a nonlinearity is 1, the square, or 2, the square and the cube"),
-        "1 for the square, 2 for square and cube",
-        default=0,
-    )
-    mounting: bool = entry(
-        Flag(),
-        "whether the positions are the application's, with `axes: []`; `measure` takes the sensor's calibration as "
-        "`--base` then",
-        default=False,
-    )
-    level: bool = entry(
-        Flag(),
-        "whether the position is level and renews the offset of the sensor's calibration `--base`, with `axes: []`",
-        default=False,
-    )
-    cross_validated: bool = entry(
-        Flag(), "whether the order of the drift is chosen by cross-validation, up to that of `drift`", default=False
-    )
-    free: bool = entry(
-        Flag(),
-        "whether nobody sets the positions, with `axes: [x, y, z]`: their directions are proposals, and unit gravity "
-        "alone determines",
-        default=False,
-    )
+    axes: Annotated[
+        tuple[Axis, ...],
+        Meta(extra_json_schema={"uniqueItems": True}),
+        about("the columns of the sensitivity matrix, `[]` for none"),
+    ]
+    drift: Annotated[Order, about("order of the temperature polynomial of the offset, up to 6")] = 0
+    gain: Annotated[Order, about("order of the temperature polynomial of the sensitivity, up to 6")] = 0
+    nonlinearity: Annotated[Annotated[int, Meta(ge=0, le=2)], about("1 for the square, 2 for square and cube")] = 0
+    mounting: Annotated[
+        bool,
+        about(
+            "whether the positions are the application's, with `axes: []`; `measure` takes the sensor's calibration as "
+            "`--base` then"
+        ),
+    ] = False
+    level: Annotated[
+        bool,
+        about(
+            "whether the position is level and renews the offset of the sensor's calibration `--base`, with `axes: []`"
+        ),
+    ] = False
+    cross_validated: Annotated[
+        bool, about("whether the order of the drift is chosen by cross-validation, up to that of `drift`")
+    ] = False
+    free: Annotated[
+        bool,
+        about(
+            "whether nobody sets the positions, with `axes: [x, y, z]`: their directions are proposals, and unit "
+            "gravity alone determines"
+        ),
+    ] = False
 
     @property
     def completes(self) -> bool:
@@ -85,38 +73,11 @@ class Determines:
         return self.mounting or self.level
 
 
-def _consistent(found: Determines, node: Node, context: Context) -> Determines:
-    orders = found.drift or found.gain or found.nonlinearity
-    for what, asked in (("mounting", found.mounting), ("level", found.level)):
-        if asked and (found.axes or orders or (found.mounting and found.level)):
-            raise node.error(f"a procedure that determines the {what} determines nothing else: axes is [] there")
-    if found.cross_validated and not found.drift:
-        raise node.error("an order that is chosen by cross-validation needs the key 'drift', the highest order")
-    if found.free and (len(found.axes) < 3 or orders or found.mounting):
-        raise node.error("free positions determine the axes [x, y, z] and nothing else: unit gravity says no more")
-    return found
-
-
-@frozen
+@dataclass(frozen=True)
 class Position:
-    """One position that the sensor is brought to.
+    """A position that the sensor is brought to, with the operator's sentence and up in the sensor frame, a unit vector.
 
-    Attributes
-    ----------
-    name : str
-        Unique in its procedure.
-    prompt : str
-        What the operator is asked to do.
-    gravity : tuple of float
-        Up in the sensor frame, a unit vector.
-    tilt : mapping of str to float or None
-        Per axis, degrees; None where the position is given by its direction of gravity.
-    heading : float or None
-        How far the fixture is turned about the vertical, degrees.
-    temperature : float or None
-        °C.
-    stage : float or None
-        Angle of the rotary stage, degrees.
+    ``tilt`` is per axis, None where the direction is given; angles are degrees.
     """
 
     name: str
@@ -128,117 +89,51 @@ class Position:
     stage: float | None = None
 
 
-def _name(name: str, node: Node, context: Context) -> str:
-    if not _NAME.fullmatch(name):
-        raise node.error(f"the name {name!r} is not a letter followed by letters, digits, '-', '_' and '.'")
-    return name
-
-
-IDENTIFIER = Converted(Text(), _name, more={"pattern": f"^{_NAME.pattern}$"})
-
-
-@frozen
-class SetAngle(Format[float]):
-    """An angle in degrees, or ``angle`` and ``-angle`` for the one of the procedure."""
-
-    def read(self, node: Node, context: Context = ANY) -> float:
-        if not node.names("angle", "-angle"):
-            return node.number()
-        if context.angle is None:
-            raise node.error("the procedure gives no angle; add 'angle: 30' to it, or write degrees here")
-        return context.angle if node.text() == "angle" else -context.angle
-
-    def schema(self) -> dict[str, Any]:
-        return {"anyOf": [{"type": "number"}, {"enum": ["angle", "-angle"]}]}
-
-
-@frozen(kw_only=True)
-class PositionSection:
+class PositionSection(Record, kw_only=True):
     """One of ``positions`` as it stands in a file."""
 
-    name: str = entry(IDENTIFIER, "unique; a letter, then letters, digits, `-`, `_`, `.`")
-    prompt: str = entry(Text(), "the operator's sentence, in which `{angle}` and `{temperature}` are filled in")
-    tilt: Mapping[str, float] | None = entry(
-        ByKey(SetAngle(), ("x", "y")), "degrees per axis, or `angle` and `-angle`; or else `gravity`", default=None
-    )
-    gravity: tuple[float, ...] | None = entry(
-        ListOf(Number(), 3, 3, says="a direction has three components, found {found}"),
-        "`[gx, gy, gz]`, the direction that points up in the sensor frame; it is normalised",
-        default=None,
-    )
-    heading: float | None = entry(
-        Number(),
-        "how far the fixture is turned about the vertical, degrees; where headings differ, the table's own lean is "
-        "estimated too and does not end up in the offset",
-        default=None,
-    )
-    temperature: float | None = entry(TEMPERATURE, "°C", default=None)
-    stage: float | None = entry(
-        Number(),
-        "angle of the rotary stage, degrees; no estimate uses it",
-        default=None,
-    )
+    name: Annotated[Identifier, about("unique; a letter, then letters, digits, `-`, `_`, `.`")]
+    prompt: Annotated[Text, about("the operator's sentence, in which `{angle}` and `{temperature}` are filled in")]
+    tilt: Annotated[
+        Mapping[Annotated[str, one_of("x", "y")], Number | Literal["angle", "-angle"]] | None,
+        about("degrees per axis, or `angle` and `-angle`; or else `gravity`"),
+    ] = None
+    gravity: Annotated[
+        tuple[Number, Number, Number] | None,
+        about("`[gx, gy, gz]`, the direction that points up in the sensor frame; it is normalised"),
+    ] = None
+    heading: Annotated[
+        Number | None,
+        about(
+            "how far the fixture is turned about the vertical, degrees; where headings differ, the table's own lean is "
+            "estimated too and does not end up in the offset"
+        ),
+    ] = None
+    temperature: Annotated[Temperature | None, about("°C")] = None
+    stage: Annotated[Number | None, about("angle of the rotary stage, degrees; no estimate uses it")] = None
 
 
-def _position_of(section: PositionSection, node: Node, context: Context) -> Position:
-    entries = node.entries()
-    if (section.tilt is None) == (section.gravity is None):
-        raise node.error("a position has either tilt: {x: degrees, y: degrees} or gravity: [gx, gy, gz]")
-    known = {"angle": context.angle, "temperature": section.temperature}
-    prompt = _filled_in(section.prompt, entries["prompt"], known)
-    if section.tilt is not None:
-        gravity = entries["tilt"].converted(gravity_from_tilt, section.tilt)
-    else:
-        gravity = entries["gravity"].converted(normalised, section.gravity or ())
-    return Position(**vars(section) | {"prompt": prompt, "gravity": gravity})
-
-
-def _distinct(positions: tuple[Position, ...], node: Node, context: Context) -> tuple[Position, ...]:
-    names = [position.name for position in positions]
-    for number, item in enumerate(node.items()):
-        if names[number] in names[:number]:
-            raise item.error(f"a position named {names[number]!r} is there already; names are unique")
-    return positions
-
-
-def _filled_in(prompt: str, node: Node, values: Mapping[str, float | None]) -> str:
-    """Return the operator's sentence with ``{angle}`` and ``{temperature}`` filled in."""
-
-    def value_of(found: re.Match[str]) -> str:
-        value = values.get(found.group(1))
-        if value is None:
-            known = " or ".join(f"{{{name}}}" for name, value in values.items() if value is not None)
-            raise node.error(f"{found.group()} has no value here; the prompt may use {known or 'none'}")
-        return f"{value:g}"
-
-    return _PLACEHOLDER.sub(value_of, prompt)
-
-
-@frozen(kw_only=True)
-class Soak:
+class Soak(Record, kw_only=True):
     """The conditions for a new temperature to count as settled."""
 
-    seconds: float = entry(Number(above=0.0), "the window, seconds")
-    drift: float = entry(Number(above=0.0), "the largest drift in it, °C")
+    seconds: Annotated[AboveZero, about("the window, seconds")]
+    drift: Annotated[AboveZero, about("the largest drift in it, °C")]
 
 
-@frozen(kw_only=True)
-class Ramp:
+class Ramp(Record, kw_only=True):
     """How the temperature changes between the positions, which are the turning points of a ramp."""
 
-    pace: float = entry(Number(above=0.0), "of the virtual chamber, and a proposal for a real one, °C/min")
-    within: float = entry(
-        Number(above=0.0), "how close to its temperature a leg ends, °C; a turn need not be exact", default=1.0
-    )
-    interval: float = entry(Number(above=0.0), "seconds between two samples", default=5.0)
-    patience: float = entry(
-        Number(above=0.0), "seconds without a change of temperature after which a leg is ended as it is", default=1800.0
-    )
+    pace: Annotated[AboveZero, about("of the virtual chamber, and a proposal for a real one, °C/min")]
+    within: Annotated[AboveZero, about("how close to its temperature a leg ends, °C; a turn need not be exact")] = 1.0
+    interval: Annotated[AboveZero, about("seconds between two samples")] = 5.0
+    patience: Annotated[
+        AboveZero, about("seconds without a change of temperature after which a leg is ended as it is")
+    ] = 1800.0
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Procedure:
-    """A procedure: the positions to measure in order, or the rotation of a stage.
+    """A procedure: the positions to measure in order, or the rotation of a stage; the keys are those of its file.
 
     Attributes
     ----------
@@ -250,48 +145,18 @@ class Procedure:
         What is done while a stage turns, in place of positions; such a procedure has none, and determines no tilt.
     """
 
-    name: str = entry(IDENTIFIER, "a letter, then letters, digits, `-`, `_`, `.`")
-    title: str = entry(Text(), "what it is for, in one line")
-    source: str = entry(Text(), "the document it comes from", default="")
-    determines: Determines = entry(
-        Converted(Section(Determines), _consistent), "what the positions determine besides the offset"
-    )
-    reference: float | None = entry(TEMPERATURE, "reference temperature, °C; needed with drift or gain", default=None)
-    angle: float | None = entry(
-        Number(above=0.0, maximum=90, says="an angle of {found:g}° is more than 90°"),
-        "the angle that positions may call `angle` or `-angle`, degrees; `--tilt` takes its place",
-        default=None,
-    )
-    alignment: float = entry(
-        FROM_ZERO,
-        "with `level`: by how much at most the sensor may sit askew since its calibration, degrees about each axis; "
-        "`--alignment` takes its place",
-        default=0.0,
-    )
-    samples: int = entry(Integer(minimum=2), "samples a position", default=100)
-    settle: float = entry(Number(above=0.0), "seconds over which the reading must hold still", default=2.0)
-    soak: Soak = entry(
-        Section(Soak),
-        "at a new temperature: the window, seconds, and the largest drift in it, °C",
-        default=Soak(seconds=240.0, drift=0.06),
-        usual="`{seconds: 240, drift: 0.06}`",
-    )
-    ramp: Ramp | None = entry(
-        Section(Ramp),
-        "the sensor is sampled without a break, in one attitude, while the temperature goes from position to position",
-        default=None,
-    )
-    positions: tuple[Position, ...] = entry(
-        Converted(
-            ListOf(
-                Converted(Section(PositionSection), _position_of),
-                1,
-                says="the list is empty; a procedure has at least one position",
-            ),
-            _distinct,
-        ),
-        "in order",
-    )
+    name: str
+    title: str
+    source: str = ""
+    determines: Determines
+    reference: float | None = None
+    angle: float | None = None
+    alignment: float = 0.0
+    samples: int = 100
+    settle: float = 2.0
+    soak: Soak = Soak(seconds=240.0, drift=0.06)
+    ramp: Ramp | None = None
+    positions: tuple[Position, ...]
     record: Mapping[str, Any] = field(default_factory=dict, compare=False)
     rotation: Rotation | None = None
 
@@ -311,13 +176,7 @@ class Procedure:
             )
 
     def with_turns(self, turns: int | None) -> Procedure:
-        """Return this procedure with another limit of turns; None leaves it as it is.
-
-        Raises
-        ------
-        UsageError
-            No stage turns in it, or the number cannot be.
-        """
+        """Return this procedure with another limit of turns; None leaves it. A UsageError where no stage turns."""
         if turns is None:
             return self
         if self.rotation is None:
@@ -326,12 +185,9 @@ class Procedure:
         return replace(self, rotation=self.rotation.with_turns(turns))
 
     def with_alignment(self, alignment: float | None) -> Procedure:
-        """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it as it is.
+        """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it.
 
-        Raises
-        ------
-        UsageError
-            It renews no offset, or the angle cannot be.
+        A UsageError where it renews no offset, or the angle cannot be.
         """
         if alignment is None:
             return self
@@ -349,12 +205,8 @@ class Procedure:
     def with_closing(self, closing: bool) -> Procedure:
         """Return this procedure with its first position once more at the end, which shows what has changed meanwhile.
 
-        One that ends where it began stays as it is, and so does every one without ``closing``.
-
-        Raises
-        ------
-        UsageError
-            There are no positions, or they are free.
+        One that ends where it began stays as it is, and so does every one without ``closing``. A UsageError where there
+        are no positions, or they are free.
         """
         if not closing:
             return self
@@ -371,6 +223,119 @@ class Procedure:
         return replace(self, positions=(*self.positions, last), record={**self.record, "positions": entries})
 
 
+class ProcedureFile(Record, kw_only=True):
+    """The procedure file of positions."""
+
+    name: Annotated[Identifier, about("a letter, then letters, digits, `-`, `_`, `.`")]
+    title: Annotated[Text, about("what it is for, in one line")]
+    source: Annotated[Text, about("the document it comes from")] = ""
+    determines: Annotated[Determines, about("what the positions determine besides the offset")]
+    reference: Annotated[Temperature | None, about("reference temperature, °C; needed with drift or gain")] = None
+    angle: Annotated[
+        Annotated[float, Meta(gt=0.0, le=90.0)] | None,
+        about("the angle that positions may call `angle` or `-angle`, degrees; `--tilt` takes its place"),
+    ] = None
+    alignment: Annotated[
+        FromZero,
+        about(
+            "with `level`: by how much at most the sensor may sit askew since its calibration, degrees about each "
+            "axis; `--alignment` takes its place"
+        ),
+    ] = 0.0
+    samples: Annotated[Annotated[int, Meta(ge=2)], about("samples a position")] = Procedure.samples
+    settle: Annotated[AboveZero, about("seconds over which the reading must hold still")] = 2.0
+    soak: Annotated[
+        Soak,
+        about(
+            "at a new temperature: the window, seconds, and the largest drift in it, °C",
+            usual="`{seconds: 240, drift: 0.06}`",
+        ),
+    ] = Procedure.soak
+    ramp: Annotated[
+        Ramp | None,
+        about(
+            "the sensor is sampled without a break, in one attitude, while the temperature goes from position to "
+            "position"
+        ),
+    ] = None
+    positions: Annotated[tuple[PositionSection, ...], Meta(min_length=1), about("in order")]
+
+
+def procedure_of(file: ProcedureFile, document: Document, given: float | None) -> Procedure:
+    """Return the procedure of a file, with an angle that the user gives in place of the file's, degrees.
+
+    An InputError where one key contradicts another.
+    """
+    _check_determines(file.determines, document.child("determines"))
+    angle = chosen_angle(file.name, file.angle, given)
+    places = [document.child("positions", number) for number in range(len(file.positions))]
+    positions = tuple(_position_of(one, place, angle) for one, place in zip(file.positions, places, strict=True))
+    names = [position.name for position in positions]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise places[number].error(f"a position named {name!r} is there already; names are unique")
+    determines = file.determines.replaced(axes=tuple(sorted(file.determines.axes)))
+    if (determines.drift or determines.gain) and file.reference is None:
+        why = "temperature terms need the key 'reference', the temperature that they are counted from"
+        raise document.error(why, "determines")
+    if file.ramp is not None and (determines.axes or not determines.drift or determines.gain):
+        raise document.error("a ramp determines the drift of the offset alone: axes: [], drift: 3", "determines")
+    for place, position in zip(places, positions, strict=True):
+        if determines.level and position.gravity != LEVEL:
+            raise place.error("a position that renews the offset is level: tilt: {x: 0, y: 0}")
+        if file.ramp is not None and (position.temperature is None or position.gravity != positions[0].gravity):
+            raise place.error("the positions of a ramp have one attitude, and each a temperature at which it turns")
+    keys = {name: getattr(file, name) for name in file.__struct_fields__}
+    return Procedure(**keys | {"determines": determines, "angle": angle, "positions": positions})
+
+
+def _check_determines(asked: Determines, place: Document) -> None:
+    orders = asked.drift or asked.gain or asked.nonlinearity
+    if len(set(asked.axes)) < len(asked.axes):
+        raise place.error("an axis is named twice", "axes")
+    for what in ("mounting", "level"):
+        if getattr(asked, what) and (asked.axes or orders or (asked.mounting and asked.level)):
+            raise place.error(f"a procedure that determines the {what} determines nothing else: axes is [] there")
+    if asked.cross_validated and not asked.drift:
+        raise place.error("an order that is chosen by cross-validation needs the key 'drift', the highest order")
+    if asked.free and (len(asked.axes) < 3 or orders or asked.mounting):
+        raise place.error("free positions determine the axes [x, y, z] and nothing else: unit gravity says no more")
+
+
+def _position_of(section: PositionSection, place: Document, angle: float | None) -> Position:
+    if (section.tilt is None) == (section.gravity is None):
+        raise place.error("a position has either tilt: {x: degrees, y: degrees} or gravity: [gx, gy, gz]")
+    tilt = None
+    if section.tilt is not None:
+        tilt = {axis: _set_angle(stated, place.child("tilt", axis), angle) for axis, stated in section.tilt.items()}
+    prompt = _filled_in(section.prompt, place, {"angle": angle, "temperature": section.temperature})
+    with place.locating("gravity" if tilt is None else "tilt"):
+        gravity = normalised(section.gravity or ()) if tilt is None else gravity_from_tilt(tilt)
+    return Position(section.name, prompt, gravity, tilt, section.heading, section.temperature, section.stage)
+
+
+def _set_angle(stated: float | str, place: Document, angle: float | None) -> float:
+    """Return an angle in degrees; ``angle`` and ``-angle`` are the one of the procedure."""
+    if not isinstance(stated, str):
+        return stated
+    if angle is None:
+        raise place.error("the procedure gives no angle; add 'angle: 30' to it, or write degrees here")
+    return angle if stated == "angle" else -angle
+
+
+def _filled_in(prompt: str, place: Document, values: Mapping[str, float | None]) -> str:
+    """Return the operator's sentence with ``{angle}`` and ``{temperature}`` filled in."""
+
+    def value_of(found: re.Match[str]) -> str:
+        value = values.get(found.group(1))
+        if value is None:
+            known = " or ".join(f"{{{name}}}" for name, value in values.items() if value is not None)
+            raise place.error(f"{found.group()} has no value here; the prompt may use {known or 'none'}", "prompt")
+        return f"{value:g}"
+
+    return _PLACEHOLDER.sub(value_of, prompt)
+
+
 def _setting(position: Position) -> tuple[object, ...]:
     """Return all that a position sets."""
     return position.gravity, position.heading, position.temperature, position.stage
@@ -379,10 +344,7 @@ def _setting(position: Position) -> tuple[object, ...]:
 def chosen_angle(name: str, free: float | None, angle: float | None) -> float | None:
     """Return the angle that a procedure leaves free, or the one that the user gives in its place, degrees.
 
-    Raises
-    ------
-    UsageError
-        The procedure leaves none free, or the angle is beyond 90°.
+    A UsageError where it leaves none free, or the angle is beyond 90°.
     """
     if angle is None:
         return free

@@ -1,97 +1,61 @@
-"""The section ``rotation`` of a procedure: which pairs are matched while a stage turns, and how long it turns.
-
-::
-
-    rotation:
-      phase: theta                                # the channel of the stage angle, degrees
-      pairs:
-        - {pair: [a1, a2], orthogonal: a4}        # the second is trimmed to the first
-        - {pair: [a3, a4], orthogonal: a1}
-      turns: 100                                  # the most that are made
-      converged: 1e-5                             # standard uncertainty of p and q at which it stops earlier
-      patience: 60                                # seconds for the stage to begin to turn
-      prompt: Let the stage turn steadily.
-"""
+"""The section ``rotation`` of a procedure: which pairs are matched while a stage turns, and how long it turns."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import Annotated
+
+from msgspec import Meta, field
 
 from tiltcal.core.pair.model import FEWEST_TURNS, Pair
 from tiltcal.errors import UsageError
-from tiltcal.files.declaration import Context, Converted, ListOf, Section, entry
-from tiltcal.files.node import Node
-from tiltcal.files.scalars import Integer, Number, Text
-from tiltcal.frozen import frozen
+from tiltcal.files.document import Document
+from tiltcal.files.record import AboveZero, Identifier, Record, Text, about
 
 FEWEST_WHOLE_TURNS = int(FEWEST_TURNS)
 MOST = 1_000_000
 """Turns."""
 
-_FOUR = "pair, orthogonal and phase are four different channels"
+
+class PairSelection(Record):
+    """One of ``rotation.pairs`` as it stands in a file."""
+
+    pair: Annotated[
+        tuple[Text, Text],
+        about("`[first, second]`, two channels opposite each other; the second is trimmed to the first"),
+    ]
+    orthogonal: Annotated[Text, about("a channel a quarter turn away")]
 
 
-@frozen(kw_only=True)
-class PairSelection:
-    """One of ``pairs`` as it stands in a file."""
-
-    pair: tuple[str, ...] = entry(
-        ListOf(Text(), 2, 2, says="a pair has two channels, found {found}"),
-        "`[first, second]`, two channels opposite each other; the second is trimmed to the first",
-    )
-    orthogonal: str = entry(Text(), "a channel a quarter turn away")
-
-
-def _pair_of(found: PairSelection, node: Node, context: Context) -> Pair:
-    channels = (found.pair[0], found.pair[1], found.orthogonal)
-    if len(set(channels)) < len(channels):
-        raise node.error(_FOUR)
-    return Pair(*channels)
-
-
-def _distinct(pairs: tuple[Pair, ...], node: Node, context: Context) -> tuple[Pair, ...]:
-    if len({pair.name for pair in pairs}) < len(pairs):
-        raise node.error("the same pair is there twice")
-    return pairs
-
-
-@frozen
-class Rotation:
+class Rotation(Record):
     """The pairs that are matched while a stage turns, and when it ends."""
 
-    phase: str = entry(Text(), "the channel of the stage angle, degrees")
-    pairs: tuple[Pair, ...] = entry(
-        Converted(
-            ListOf(
-                Converted(Section(PairSelection), _pair_of),
-                1,
-                2,
-                says="one or two pairs can be matched at once, those of one stage; found {found}",
-            ),
-            _distinct,
+    phase: Annotated[Text, about("the channel of the stage angle, degrees")]
+    selected: Annotated[
+        tuple[PairSelection, ...],
+        Meta(min_length=1, max_length=2),
+        about(
+            "one or two of `{pair: [first, second], orthogonal: third}`; the second is trimmed to the first, the third "
+            "stands a quarter turn away"
         ),
-        "one or two of `{pair: [first, second], orthogonal: third}`; the second is trimmed to the first, the third "
-        "stands a quarter turn away",
-    )
-    prompt: str = entry(
-        Text(), "the operator's sentence", default="Let the stage turn steadily, with its axis inclined."
-    )
-    turns: int = entry(
-        Converted(
-            Integer(),
-            lambda turns, node, _: node.converted(require_turns, turns),
-            more={"minimum": FEWEST_WHOLE_TURNS, "maximum": MOST},
+    ] = field(name="pairs")
+    prompt: Annotated[Text, about("the operator's sentence")] = "Let the stage turn steadily, with its axis inclined."
+    turns: Annotated[
+        Annotated[int, Meta(ge=FEWEST_WHOLE_TURNS, le=MOST)],
+        about("the most that are made; `--turns` takes its place"),
+    ] = 100
+    converged: Annotated[
+        AboveZero | None,
+        about(
+            "the standard uncertainty of p and q, relative to a scale factor, at which it ends earlier; not before the "
+            "fifth turn"
         ),
-        "the most that are made; `--turns` takes its place",
-        default=100,
-    )
-    converged: float | None = entry(
-        Number(above=0.0),
-        "the standard uncertainty of p and q, relative to a scale factor, at which it ends earlier; not before the "
-        "fifth turn",
-        default=None,
-    )
-    patience: float = entry(Number(above=0.0), "seconds in which the stage must begin to turn", default=60.0)
+    ] = None
+    patience: Annotated[AboveZero, about("seconds in which the stage must begin to turn")] = 60.0
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """The pairs in order."""
+        return tuple(Pair(*one.pair, one.orthogonal) for one in self.selected)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -99,25 +63,27 @@ class Rotation:
         return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
 
     def with_turns(self, turns: int) -> Rotation:
-        """Return the rotation with another limit of turns, which :func:`require_turns` checks."""
-        return replace(self, turns=require_turns(turns))
+        """Return the rotation with another limit of turns; a UsageError where it is too small or too large."""
+        if not FEWEST_WHOLE_TURNS <= turns <= MOST:
+            raise UsageError(
+                f"{turns} turns are impossible: at least {FEWEST_WHOLE_TURNS} are needed, and at most {MOST} counted"
+            )
+        return self.replaced(turns=turns)
 
 
-def require_turns(turns: int) -> int:
-    """Return a number of turns; a UsageError where it is too small or too large."""
-    if not FEWEST_WHOLE_TURNS <= turns <= MOST:
-        raise UsageError(
-            f"{turns} turns are impossible: at least {FEWEST_WHOLE_TURNS} are needed, and at most {MOST} counted"
-        )
-    return turns
+class RotationFile(Record, kw_only=True):
+    """The procedure file of a stage that turns."""
+
+    name: Annotated[Identifier, about("a letter, then letters, digits, `-`, `_`, `.`")]
+    title: Annotated[Text, about("what it is for, in one line")]
+    source: Annotated[Text, about("the document it comes from")] = ""
+    rotation: Annotated[Rotation, about("which pairs are matched while the stage turns")]
 
 
-def _apart(rotation: Rotation, node: Node, context: Context) -> Rotation:
-    for pair, item in zip(rotation.pairs, node.entries()["pairs"].items(), strict=True):
-        if rotation.phase in pair.channels:
-            raise item.error(_FOUR)
-    return rotation
-
-
-ROTATION = Converted(Section(Rotation), _apart)
-"""The section ``rotation``."""
+def check_rotation(rotation: Rotation, place: Document) -> None:
+    """Refuse a rotation whose channels are not different ones, or that has one pair twice, with an InputError."""
+    for number, pair in enumerate(rotation.pairs):
+        if len({*pair.channels, rotation.phase}) < len(pair.channels) + 1:
+            raise place.error("pair, orthogonal and phase are four different channels", "pairs", number)
+    if len({pair.name for pair in rotation.pairs}) < len(rotation.pairs):
+        raise place.error("the same pair is there twice", "pairs")

@@ -1,44 +1,4 @@
-"""The twin file, ``kind: twin``: the true coefficients of a virtual sensor.
-
-::
-
-    tiltcal: 1
-    kind: twin
-    model: sca100t-d02
-    seed: 7
-    truth:
-      offset: {x: 1024.6, y: 1021.9}          # offset, sensitivity and temperature as in a calibration file
-      sensitivity:
-        x: {x: 818.2, y: 9.1, z: 2.0}
-        y: {x: -6.4, y: 820.7, z: -1.5}
-      temperature: {reference: 24.0, offset: {x: [0.21], y: [-0.05]}}
-      nonlinearity: {x: [0.002, -0.004]}      # coefficients of a², a³, ... where a is the signal in g
-      noise: {x: 0.6, y: 0.6}                 # standard deviation of one sample, unit
-      thermometer_error: 0.5                  # °C
-      supply: 4.9                             # of an analog sensor, V
-      jig: 0.01                               # standard deviation of a set angle, degrees
-      ambient: 24.0                           # °C
-      time_constant: 300                      # of the chamber, seconds
-      mounting: {roll: 90, pitch: 0, yaw: 0}  # how it sits on the fixture, degrees
-      faults:
-        - {kind: parity, start: 12.0, end: 12.5}   # seconds after the session began
-
-Of a ``gradiometer`` the truth is a disk instead::
-
-    truth:
-      disk:
-        inclination: 0.086                    # of the spin axis, degrees
-        spin: 0.125                           # Hz
-        rate: 50                              # lines a second
-        wander: 0.01                          # of the common acceleration, relative
-        gradient: {differential: 0, cross: 0} # R (Γxx - Γyy) and R Γxy, g
-        noise: 1.5e-7                         # one-sided amplitude density, g/√Hz
-        corner: 0.05                          # where 1/f noise is as large, Hz
-        encoder_noise: 0.002                  # standard deviation, degrees
-        accelerometers:
-          a1: {scale: 3.383, misalignment: -1.27, phase_error: 0, offset: 0, drift: 0, second_order: 0}
-          a2: {scale: 3.415}                  # unit/g; degrees; degrees; unit; unit/s; 1/g
-"""
+"""The twin file, ``kind: twin``: the true coefficients of a virtual sensor, or the truth of a stage that turns."""
 
 from __future__ import annotations
 
@@ -47,45 +7,19 @@ from dataclasses import replace
 from itertools import product
 from math import radians
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+from msgspec import Meta
 
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.model import AXES
 from tiltcal.drivers.twin.gradiometer import CHANNELS, FASTEST, Accelerometer, Disk, StageTruth
-from tiltcal.drivers.twin.truth import Fault, Polynomial, Truth
-from tiltcal.files.coefficients import ROWS, MountingSection, polynomials
-from tiltcal.files.declaration import ByChannel, ByKey, Context, Converted, Either, ListOf, Section, entry
-from tiltcal.files.document import read_document
-from tiltcal.files.node import Node
-from tiltcal.files.scalars import FROM_ZERO, Choice, Integer, Number, Text
-from tiltcal.frozen import frozen
+from tiltcal.drivers.twin.truth import Fault, Truth
+from tiltcal.files.coefficients import MountingSection, Polynomials, require_equal_columns
+from tiltcal.files.document import Document, read_document
+from tiltcal.files.record import ByAxis, Count, FromZero, Number, Record, Text, about, one_of
 
 FAULTS = ("parity", "stuck", "silent", "unplugged")
-
-
-def _fault_of(found: FaultSection, node: Node, context: Context) -> Fault:
-    if found.end <= found.start:
-        raise node.entries()["end"].error(
-            f"the fault ends at {found.end:g} s, not after its start at {found.start:g} s"
-        )
-    return Fault(found.kind, found.start, found.end)
-
-
-@frozen(kw_only=True)
-class FaultSection:
-    """One of ``faults`` as it stands in a file."""
-
-    kind: str = entry(
-        Choice(FAULTS),
-        "`parity` (memory error), `stuck` (the reading holds), `silent` (the data line floats) or `unplugged`; of a "
-        "`gradiometer` not `parity`, and `stuck` is one line again and again: the stage stands",
-    )
-    start: float = entry(FROM_ZERO, "seconds after the session began")
-    end: float = entry(Number(), "seconds after the session began")
-
-
-_FAULTS = ListOf(Converted(Section(FaultSection), _fault_of))
-
 
 LARGEST = 1e12
 """No sensor reads more, in any unit."""
@@ -97,85 +31,180 @@ LEAST_OWN = 1e-6
 """Least sensitivity of a channel to its own axis, over its largest one: its nonlinearity is counted along it."""
 
 
-def _some(offset: Mapping[str, float], node: Node, context: Context) -> Mapping[str, float]:
-    if not offset:
-        raise node.error("no channel; give an offset for one to three of x, y, z")
-    return offset
+class FaultSection(Record, kw_only=True):
+    """One of ``faults`` as it stands in a file."""
+
+    kind: Annotated[
+        Annotated[str, one_of(*FAULTS)],
+        about(
+            "`parity` (memory error), `stuck` (the reading holds), `silent` (the data line floats) or `unplugged`; of "
+            "a `gradiometer` not `parity`, and `stuck` is one line again and again: the stage stands"
+        ),
+    ]
+    start: Annotated[FromZero, about("seconds after the session began")]
+    end: Annotated[Number, about("seconds after the session began")]
 
 
-def _own_axis(
-    rows: Mapping[str, Mapping[str, float]], node: Node, context: Context
-) -> Mapping[str, Mapping[str, float]]:
-    for channel, row in rows.items():
-        if abs(row.get(channel, 0.0)) <= LEAST_OWN * max(map(abs, row.values()), default=0.0):
-            raise node.entries()[channel].error(
-                f"the channel does not sense its own axis; give a {channel} of more than {LEAST_OWN:g} of the largest"
-            )
-    return rows
-
-
-@frozen(kw_only=True)
-class ThermalTruth:
+class ThermalTruth(Record, kw_only=True):
     """``truth.temperature`` as it stands in a file."""
 
-    reference: float = entry(Number(), "reference temperature, °C")
-    offset: Mapping[str, Polynomial] = entry(polynomials(), "as in a calibration file", default={})
-    sensitivity: Mapping[str, Polynomial] = entry(polynomials(), "as in a calibration file", default={})
+    reference: Annotated[Number, about("reference temperature, °C")]
+    offset: Annotated[Polynomials, about("as in a calibration file")] = {}
+    sensitivity: Annotated[Polynomials, about("as in a calibration file")] = {}
 
 
-@frozen(kw_only=True)
-class TruthSection:
+class TruthSection(Record, kw_only=True):
     """The section ``truth`` of a tilt sensor as it stands in a file."""
 
-    offset: Mapping[str, float] = entry(Converted(ByChannel(Number()), _some), "as in a calibration file")
-    sensitivity: Mapping[str, Mapping[str, float]] = entry(Converted(ROWS, _own_axis), "as in a calibration file")
-    temperature: ThermalTruth | None = entry(
-        Section(ThermalTruth), "`reference`, `offset`, `sensitivity`, as in a calibration file", default=None
+    offset: Annotated[ByAxis[Number], about("as in a calibration file")]
+    sensitivity: Annotated[ByAxis[ByAxis[Number]], about("as in a calibration file")]
+    temperature: Annotated[
+        ThermalTruth | None, about("`reference`, `offset`, `sensitivity`, as in a calibration file")
+    ] = None
+    mounting: Annotated[MountingSection, about("how it sits on the fixture, degrees")] = MountingSection()
+    supply: Annotated[FromZero, about("of an analog sensor or a thermistor, V")] = Truth.supply
+    nonlinearity: Annotated[
+        Polynomials, about("per channel the coefficients of a², a³, … in g, where a is the signal in g")
+    ] = {}
+    noise: Annotated[ByAxis[FromZero], about("per channel, standard deviation of one sample, unit", usual="0")] = {}
+    thermometer_error: Annotated[Number, about("what the sensor's thermometer reads too high, °C")] = (
+        Truth.thermometer_error
     )
-    mounting: MountingSection = entry(
-        Section(MountingSection), "how it sits on the fixture, degrees", default=MountingSection()
+    lag: Annotated[FromZero, about("by how much the sensing element is later than chamber and thermometer, s")] = (
+        Truth.lag
     )
-    supply: float = entry(FROM_ZERO, "of an analog sensor or a thermistor, V", default=Truth.supply)
-    nonlinearity: Mapping[str, Polynomial] = entry(
-        polynomials(), "per channel the coefficients of a², a³, … in g, where a is the signal in g", default={}
-    )
-    noise: Mapping[str, float] = entry(
-        ByChannel(FROM_ZERO, of="channels"),
-        "per channel, standard deviation of one sample, unit",
-        default={},
-        usual="0",
-    )
-    thermometer_error: float = entry(
-        Number(), "what the sensor's thermometer reads too high, °C", default=Truth.thermometer_error
-    )
-    lag: float = entry(
-        FROM_ZERO, "by how much the sensing element is later than chamber and thermometer, s", default=Truth.lag
-    )
-    jig: float = entry(
-        FROM_ZERO,
-        "standard deviation of each set angle, degrees; jig and chamber are those of the bench's first virtual sensor",
-        default=Truth.jig,
-    )
-    ambient: float = entry(Number(), "temperature at the start, °C", default=Truth.ambient)
-    time_constant: float = entry(FROM_ZERO, "of the chamber, seconds", default=Truth.time_constant)
-    faults: tuple[Fault, ...] = entry(_FAULTS, "a list of `{kind, start, end}`", default=())
+    jig: Annotated[
+        FromZero,
+        about(
+            "standard deviation of each set angle, degrees; jig and chamber are those of the bench's first virtual "
+            "sensor"
+        ),
+    ] = Truth.jig
+    ambient: Annotated[Number, about("temperature at the start, °C")] = Truth.ambient
+    time_constant: Annotated[FromZero, about("of the chamber, seconds")] = Truth.time_constant
+    faults: Annotated[tuple[FaultSection, ...], about("a list of `{kind, start, end}`")] = ()
 
 
-def _truth_of(found: TruthSection, node: Node, context: Context) -> Truth:
-    thermal, mounting = found.temperature or ThermalTruth(reference=Truth.reference), found.mounting
-    own = {name: value for name, value in vars(found).items() if name not in ("temperature", "mounting")}
+class Gradient(Record, kw_only=True):
+    """``disk.gradient`` as it stands in a file."""
+
+    differential: Annotated[Number, about("R (Γxx − Γyy), g")]
+    cross: Annotated[Number, about("R Γxy, g")]
+
+
+class AccelerometerSection(Record, kw_only=True):
+    """One of ``disk.accelerometers`` as it stands in a file."""
+
+    scale: Annotated[Number, about("unit/g")]
+    misalignment: Annotated[Number, about("degrees")] = 0.0
+    phase_error: Annotated[Number, about("degrees")] = 0.0
+    offset: Annotated[Number, about("unit")] = 0.0
+    drift: Annotated[Number, about("of the offset, unit/s")] = 0.0
+    second_order: Annotated[Number, about("1/g")] = 0.0
+
+
+class DiskSection(Record, kw_only=True):
+    """``truth.disk`` as it stands in a file."""
+
+    inclination: Annotated[
+        Number | None, about("of the spin axis, degrees; its sine is the common acceleration in g", usual="0.086")
+    ] = None
+    spin: Annotated[Number, about("turns a second")] = Disk.spin
+    rate: Annotated[Annotated[float, Meta(ge=SLOWEST, le=FASTEST)], about("lines a second")] = Disk.rate
+    wander: Annotated[FromZero, about("of the common acceleration, its largest excursion, relative")] = Disk.wander
+    gradient: Annotated[Gradient | None, about("`{differential, cross}`: R (Γxx − Γyy) and R Γxy, g", usual="0")] = None
+    noise: Annotated[FromZero, about("one-sided amplitude density, g/√Hz")] = Disk.noise
+    corner: Annotated[FromZero, about("where 1/f noise is as large, Hz")] = Disk.corner
+    encoder_noise: Annotated[FromZero, about("standard deviation of the angle, degrees")] = Disk.encoder_noise
+    accelerometers: Annotated[
+        Annotated[
+            Mapping[Annotated[str, one_of(*CHANNELS)], AccelerometerSection],
+            Meta(extra_json_schema={"required": list(CHANNELS)}),
+        ]
+        | None,
+        about(
+            "`a1` to `a4`, each with `scale` (unit/g) and, 0 where left out, `misalignment` and `phase_error` "
+            "(degrees), `offset` (unit), `drift` (unit/s), `second_order` (1/g)",
+            usual="the source's",
+        ),
+    ] = None
+
+
+class StageSection(Record, kw_only=True):
+    """The section ``truth`` of a ``gradiometer`` as it stands in a file."""
+
+    disk: Annotated[
+        DiskSection, about("of a `gradiometer`, in place of `offset`, `sensitivity` and what belongs to them")
+    ]
+    faults: Annotated[tuple[FaultSection, ...], about("a list of `{kind, start, end}`")] = ()
+
+
+class TwinFile(Record, kw_only=True):
+    """The content of a twin file."""
+
+    model: Annotated[Text | None, about("the sensor model it is for; any where it is absent")] = None
+    seed: Annotated[Count, about("of all noise; `seed=` in the address takes its place")] = Truth.seed
+    truth: Annotated[TruthSection, about("what the virtual sensor really is")]
+
+
+class StageFile(TwinFile, kw_only=True):
+    """The content of a twin file of a stage."""
+
+    truth: Annotated[StageSection, about("what the virtual stage really is")]  # type: ignore[assignment]
+
+
+def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Truth]:
+    """Read and check a twin file; an InputError names file, line and key.
+
+    Return the sensor model that it is for, None where it fits any, and the truth; ``seed`` replaces the file's.
+    """
+    return twin_of(read_document(path), seed)
+
+
+def twin_of(document: Document, seed: int | None = None) -> tuple[str | None, Truth]:
+    """Return the sensor model that a twin file is for, and the truth; errors are those of :func:`read_twin`."""
+    body = document.body("twin")
+    section, place = body.data.get("truth"), body.child("truth")
+    file = body.read(StageFile if isinstance(section, dict) and "disk" in section else TwinFile)
+    truth = _stage_of(file.truth, place) if isinstance(file.truth, StageSection) else _truth_of(file.truth, place)
+    faults = tuple(_fault_of(fault, place.child("faults", n)) for n, fault in enumerate(file.truth.faults))
+    return file.model, replace(truth, faults=faults, seed=file.seed if seed is None else seed)
+
+
+def _fault_of(fault: FaultSection, place: Document) -> Fault:
+    if fault.end <= fault.start:
+        raise place.error(f"the fault ends at {fault.end:g} s, not after its start at {fault.start:g} s", "end")
+    return Fault(fault.kind, fault.start, fault.end)
+
+
+def _truth_of(section: TruthSection, place: Document) -> Truth:
+    if not section.offset:
+        raise place.error("no channel; give an offset for one to three of x, y, z", "offset")
+    channels = tuple(axis for axis in AXES if axis in section.offset)
+    place.require_keys(section.sensitivity, channels, "sensitivity", complete=True)
+    require_equal_columns(section.sensitivity, place)
+    for channel, row in section.sensitivity.items():
+        if abs(row.get(channel, 0.0)) <= LEAST_OWN * max(map(abs, row.values()), default=0.0):
+            why = f"the channel does not sense its own axis; give a {channel} of more than {LEAST_OWN:g} of the largest"
+            raise place.error(why, "sensitivity", channel)
+    thermal, mounting = section.temperature or ThermalTruth(reference=Truth.reference), section.mounting
+    for key in ("offset", "sensitivity"):
+        place.require_keys(getattr(thermal, key), channels, "temperature", key)
+    for key in ("nonlinearity", "noise"):
+        place.require_keys(getattr(section, key), channels, key)
+    names = [name for name in section.__struct_fields__ if name not in ("temperature", "mounting", "faults")]
     truth = Truth(
-        channels=tuple(axis for axis in AXES if axis in found.offset),
+        channels=channels,
         mounting=(mounting.roll, mounting.pitch, mounting.yaw),
         reference=thermal.reference,
         drift=thermal.offset,
         gain=thermal.sensitivity,
-        **own,
+        **{name: getattr(section, name) for name in names},
     )
-    for channel, temperature in product(truth.channels, (*TEMPERATURES, truth.ambient)):
+    for channel, temperature in product(channels, (*TEMPERATURES, truth.ambient)):
         up = (float(channel == "x"), float(channel == "y"), float(channel == "z"))
         if not _reads(truth, channel, up, temperature):
-            raise node.error(
+            raise place.error(
                 f"{channel} would read more than {LARGEST:g} at {temperature:g} °C: look at its coefficients, at the "
                 "reference temperature and at ambient"
             )
@@ -190,111 +219,19 @@ def _reads(truth: Truth, channel: str, up: tuple[float, float, float], temperatu
         return False
 
 
-def _channels(key: str, found: Mapping[str, Any], context: Context) -> Context:
-    """Return the context with the channels that have an offset, in the order x, y, z."""
-    return Context(channels=[axis for axis in AXES if axis in found["offset"]])
+def _stage_of(section: StageSection, place: Document) -> Truth:
+    disk, parts = section.disk, section.disk.accelerometers
+    stated = {name: getattr(disk, name) for name in ("spin", "rate", "wander", "noise", "corner", "encoder_noise")}
+    if disk.inclination is not None:
+        stated["inclination"] = radians(disk.inclination)
+    if disk.gradient is not None:
+        stated["gradient"] = (disk.gradient.differential, disk.gradient.cross)
+    if parts is not None:
+        place.require_keys(parts, CHANNELS, "disk", "accelerometers", complete=True)
+        stated["accelerometers"] = tuple(_accelerometer_of(parts[name]) for name in CHANNELS)
+    return StageTruth.of(Disk(**stated), Truth.seed)
 
 
-_ANGLE = Converted(Number(), lambda degrees, node, context: radians(degrees))
-
-
-@frozen(kw_only=True)
-class Gradient:
-    """``disk.gradient`` as it stands in a file."""
-
-    differential: float = entry(Number(), "R (Γxx − Γyy), g")
-    cross: float = entry(Number(), "R Γxy, g")
-
-
-@frozen(kw_only=True)
-class AccelerometerSection:
-    """One of ``disk.accelerometers`` as it stands in a file."""
-
-    scale: float = entry(Number(), "unit/g")
-    misalignment: float = entry(_ANGLE, "degrees", default=0.0)
-    phase_error: float = entry(_ANGLE, "degrees", default=0.0)
-    offset: float = entry(Number(), "unit", default=0.0)
-    drift: float = entry(Number(), "of the offset, unit/s", default=0.0)
-    second_order: float = entry(Number(), "1/g", default=0.0)
-
-
-@frozen(kw_only=True)
-class DiskSection:
-    """``truth.disk`` as it stands in a file."""
-
-    inclination: float | None = entry(
-        _ANGLE, "of the spin axis, degrees; its sine is the common acceleration in g", default=None, usual="0.086"
-    )
-    spin: float = entry(Number(), "turns a second", default=Disk.spin)
-    rate: float = entry(
-        Number(SLOWEST, maximum=FASTEST, says=f"more than {FASTEST:g} lines a second do not fit on the virtual line"),
-        "lines a second",
-        default=Disk.rate,
-    )
-    wander: float = entry(FROM_ZERO, "of the common acceleration, its largest excursion, relative", default=Disk.wander)
-    gradient: Gradient | None = entry(
-        Section(Gradient), "`{differential, cross}`: R (Γxx − Γyy) and R Γxy, g", default=None, usual="0"
-    )
-    noise: float = entry(FROM_ZERO, "one-sided amplitude density, g/√Hz", default=Disk.noise)
-    corner: float = entry(FROM_ZERO, "where 1/f noise is as large, Hz", default=Disk.corner)
-    encoder_noise: float = entry(FROM_ZERO, "standard deviation of the angle, degrees", default=Disk.encoder_noise)
-    accelerometers: Mapping[str, AccelerometerSection] | None = entry(
-        ByKey(Section(AccelerometerSection), CHANNELS, complete=True),
-        "`a1` to `a4`, each with `scale` (unit/g) and, 0 where left out, `misalignment` and `phase_error` (degrees), "
-        "`offset` (unit), `drift` (unit/s), `second_order` (1/g)",
-        default=None,
-        usual="the source's",
-    )
-
-
-def _disk_of(found: DiskSection, node: Node, context: Context) -> Disk:
-    given = {name: value for name, value in vars(found).items() if value is not None}
-    if found.gradient is not None:
-        given["gradient"] = (found.gradient.differential, found.gradient.cross)
-    if found.accelerometers is not None:
-        given["accelerometers"] = tuple(Accelerometer(**vars(found.accelerometers[name])) for name in CHANNELS)
-    return Disk(**given)
-
-
-@frozen(kw_only=True)
-class StageSection:
-    """The section ``truth`` of a ``gradiometer`` as it stands in a file."""
-
-    disk: Disk = entry(
-        Converted(Section(DiskSection), _disk_of),
-        "of a `gradiometer`, in place of `offset`, `sensitivity` and what belongs to them",
-    )
-    faults: tuple[Fault, ...] = entry(_FAULTS, "a list of `{kind, start, end}`", default=())
-
-
-def _stage_of(found: StageSection, node: Node, context: Context) -> Truth:
-    return replace(StageTruth.of(found.disk, Truth.seed), faults=found.faults)
-
-
-@frozen(kw_only=True)
-class TwinFile:
-    """The content of a twin file."""
-
-    model: str | None = entry(Text(), "the sensor model it is for; any where it is absent", default=None)
-    seed: int = entry(Integer(minimum=0), "of all noise; `seed=` in the address takes its place", default=Truth.seed)
-    truth: Truth = entry(
-        Either(
-            "disk",
-            Converted(Section(TruthSection, follow=_channels), _truth_of),
-            Converted(Section(StageSection), _stage_of),
-        ),
-        "what the virtual sensor really is",
-    )
-
-
-TWIN = Section(TwinFile, kind="twin")
-"""The twin file."""
-
-
-def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Truth]:
-    """Read and check a twin file; an InputError names file, line and key.
-
-    Return the sensor model that it is for, None where it fits any, and the truth; ``seed`` replaces the file's.
-    """
-    found = TWIN.read(read_document(path))
-    return found.model, replace(found.truth, seed=found.seed if seed is None else seed)
+def _accelerometer_of(part: AccelerometerSection) -> Accelerometer:
+    angles = radians(part.misalignment), radians(part.phase_error)
+    return Accelerometer(part.scale, *angles, part.offset, part.drift, part.second_order)

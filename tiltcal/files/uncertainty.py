@@ -7,12 +7,14 @@ dotted names; and what a ``single_reading`` of a log is uncertain by.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations_with_replacement
 from math import isclose, radians, sqrt
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
 from tiltcal.core.compensation import LENGTH_TOLERANCE
 from tiltcal.core.coverage_factor import NORMAL_FACTOR, degrees_of_freedom
@@ -21,11 +23,10 @@ from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import KnownCoefficient, known, values
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
 from tiltcal.errors import EstimateError
-from tiltcal.files.coefficients import ANGLES, polynomials
-from tiltcal.files.declaration import ByChannel, ByKey, ByName, Context, Converted, ListOf, Section, entry
-from tiltcal.files.node import Node
-from tiltcal.files.scalars import FROM_ZERO, Number, Text
-from tiltcal.frozen import frozen
+from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
+from tiltcal.files.document import Document
+from tiltcal.files.record import ByAxis, Finite, FiniteAboveZero, FiniteFromZero, Record, Text, about, one_of, plain
+from tiltcal.files.refusal import refusal
 
 SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
 """What has the shape of the ``calibration`` section."""
@@ -35,20 +36,21 @@ TEMPERATURE = "temperature"
 _MOUNTING = "mounting."
 _TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
 _SYMMETRY = 1e-9
-_POLYNOMIALS = polynomials(FROM_ZERO)
+_POLYNOMIALS = ByAxis[Annotated[tuple[FiniteFromZero, ...], Meta(max_length=ORDER_LIMIT)]]
 _ROUNDED = 0.01  # an eigenvalue of the correlations below zero, or a difference, that is larger is no matter of digits
 
 
-@frozen(kw_only=True)
-class Covariance:
+class Covariance(Record, kw_only=True):
     """The covariance of the uncertain coefficients."""
 
-    parameters: tuple[str, ...] = entry(
-        ListOf(Text()),
-        "the coefficients by their dotted names; `mounting.turn.x` is a small turn of the mounting about the "
-        "application's x axis, degrees",
-    )
-    matrix: tuple[tuple[float, ...], ...] = entry(ListOf(ListOf(Number())), "their covariance matrix")
+    parameters: Annotated[
+        tuple[Text, ...],
+        about(
+            "the coefficients by their dotted names; `mounting.turn.x` is a small turn of the mounting about the "
+            "application's x axis, degrees"
+        ),
+    ]
+    matrix: Annotated[tuple[tuple[Finite, ...], ...], about("their covariance matrix")]
 
     def as_array(self) -> Array:
         """Return the matrix as an array, shape (k, k)."""
@@ -61,7 +63,7 @@ class Covariance:
         return Covariance(parameters=tuple(self.parameters[k] for k in kept), matrix=tuple(map(tuple, matrix.tolist())))
 
 
-@frozen
+@dataclass(frozen=True)
 class Uncertainty(Mapping[str, float]):
     """The uncertainty of a calibration: standard uncertainties (k = 1) by the dotted names of the coefficients.
 
@@ -106,7 +108,7 @@ class Uncertainty(Mapping[str, float]):
         return replace(self, standard=standard, coverage_factor=factors, covariance=covariance)
 
 
-@frozen
+@dataclass(frozen=True)
 class StatedUncertainty:
     """The uncertainty that a file states, as the inputs of an angle's uncertainty, and remarks on what it assumes."""
 
@@ -114,111 +116,112 @@ class StatedUncertainty:
     remarks: tuple[str, ...]
 
 
-@frozen(kw_only=True)
-class ThermalUncertainty:
+class ThermalUncertainty(Record, kw_only=True):
     """Standard uncertainties in the shape of ``calibration.temperature``."""
 
-    reference: float | None = entry(FROM_ZERO, "of the reference temperature, °C", default=None)
-    offset: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, unit/°C, unit/°C², …", default={})
-    sensitivity: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, 1/°C, 1/°C², …", default={})
-    lag: float | None = entry(FROM_ZERO, "of the lag, s", default=None)
+    reference: Annotated[FiniteFromZero | None, about("of the reference temperature, °C")] = None
+    offset: Annotated[_POLYNOMIALS, about("per channel, unit/°C, unit/°C², …")] = {}
+    sensitivity: Annotated[_POLYNOMIALS, about("per channel, 1/°C, 1/°C², …")] = {}
+    lag: Annotated[FiniteFromZero | None, about("of the lag, s")] = None
 
 
-def _checked_covariance(found: Covariance, node: Node, context: Context) -> Covariance:
-    section, names, matrix = node.entries(), found.parameters, found.matrix
-    if len(set(names)) < len(names):
-        raise section["parameters"].error("a parameter is named twice")
-    for item in section["parameters"].items():
-        item.choice([*context.coefficients, *_TURNS])
-    size = len(names)
+def _check_covariance(covariance: Covariance, place: Document, known: Sequence[str]) -> None:
+    """Refuse a covariance of other coefficients, or a matrix that is none."""
+    names, matrix, size = covariance.parameters, covariance.matrix, len(covariance.parameters)
+    if len(set(names)) < size:
+        raise place.error("a parameter is named twice", "parameters")
+    for number, name in enumerate(names):
+        if name not in known:
+            raise place.error(refusal(name, known), "parameters", number)
     if len(matrix) != size or any(len(row) != size for row in matrix):
-        raise section["matrix"].error(f"{size} parameters need a matrix of {size} rows of {size} numbers")
-    for i, place in enumerate(section["matrix"].items()):
-        if matrix[i][i] < 0.0:
-            raise place.error(f"the variance {matrix[i][i]:g} of {names[i]} is negative")
-        for j in range(i):
-            scale = max(abs(matrix[i][j]), abs(matrix[j][i]))
-            if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * scale:
-                raise place.error(f"the matrix is not symmetric in {names[i]} and {names[j]}")
-    stated = found.as_array()
+        raise place.error(f"{size} parameters need a matrix of {size} rows of {size} numbers", "matrix")
+    for i, j in combinations_with_replacement(range(size), 2):
+        if i == j and matrix[i][i] < 0.0:
+            raise place.error(f"the variance {matrix[i][i]:g} of {names[i]} is negative", "matrix", i)
+        if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * max(abs(matrix[i][j]), abs(matrix[j][i])):
+            raise place.error(f"the matrix is not symmetric in {names[j]} and {names[i]}", "matrix", j)
+    stated = covariance.as_array()
     deviations = np.sqrt(np.diag(stated))
     scales = np.where(deviations > 0.0, deviations, 1.0)
     if np.linalg.eigvalsh(stated / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
-        raise section["matrix"].error(
+        raise place.error(
             "this is no covariance: its correlations contradict one another; take it from the file that the "
-            "calibration wrote"
+            "calibration wrote",
+            "matrix",
         )
-    return found
 
 
-@frozen(kw_only=True)
-class UncertaintySection:
+class UncertaintySection(Record, kw_only=True):
     """The section as it stands in a file."""
 
-    offset: Mapping[str, float] = entry(ByChannel(FROM_ZERO, of="channels"), "per channel, unit", default={})
-    sensitivity: Mapping[str, Mapping[str, float]] = entry(
-        ByChannel(ByChannel(FROM_ZERO, of="axes"), of="channels"), "row = channel, column = axis, unit/g", default={}
-    )
-    nonlinearity: Mapping[str, tuple[float, ...]] = entry(_POLYNOMIALS, "per channel, pure numbers", default={})
-    temperature: ThermalUncertainty | None = entry(
-        Section(ThermalUncertainty), "in the shape of `calibration.temperature`", default=None
-    )
-    mounting: Mapping[str, float] = entry(ByKey(FROM_ZERO, ANGLES), "`roll`, `pitch`, `yaw`, degrees", default={})
-    single_reading: Mapping[str, float] = entry(
-        ByChannel(FROM_ZERO, keys=(*AXES, TEMPERATURE), of="channels"),
-        "of a single reading of a log, per channel, unit, and of its `temperature`, °C",
-        default={},
-        formerly="reading",
-    )
-    alignment: float = entry(
-        FROM_ZERO,
-        "after `level`: of how the sensor sits since its sensitivity was measured, degrees about each axis; it makes "
-        "no error at level",
-        default=0.0,
-    )
-    coverage_factor: Mapping[str, float] = entry(
-        ByName(Number(above=0.0)),
-        "per coefficient, by its dotted name such as `sensitivity.x.y`, what its standard uncertainty is multiplied "
-        "with for an interval of 95 %; 1.96 where it is not named",
-        default={},
-    )
-    covariance: Covariance | None = entry(
-        Converted(Section(Covariance), _checked_covariance),
-        "the covariance of the coefficients",
-        default=None,
-    )
+    offset: Annotated[ByAxis[FiniteFromZero], about("per channel, unit")] = {}
+    sensitivity: Annotated[ByAxis[ByAxis[FiniteFromZero]], about("row = channel, column = axis, unit/g")] = {}
+    nonlinearity: Annotated[_POLYNOMIALS, about("per channel, pure numbers")] = {}
+    temperature: Annotated[ThermalUncertainty | None, about("in the shape of `calibration.temperature`")] = None
+    mounting: Annotated[
+        Mapping[Annotated[str, one_of(*ANGLES)], FiniteFromZero], about("`roll`, `pitch`, `yaw`, degrees")
+    ] = {}
+    single_reading: Annotated[
+        Mapping[Annotated[str, one_of(*AXES, TEMPERATURE)], FiniteFromZero],
+        about("of a single reading of a log, per channel, unit, and of its `temperature`, °C", formerly="reading"),
+    ] = {}
+    alignment: Annotated[
+        FiniteFromZero,
+        about(
+            "after `level`: of how the sensor sits since its sensitivity was measured, degrees about each axis; it "
+            "makes no error at level"
+        ),
+    ] = 0.0
+    coverage_factor: Annotated[
+        Mapping[str, FiniteAboveZero],
+        about(
+            "per coefficient, by its dotted name such as `sensitivity.x.y`, what its standard uncertainty is "
+            "multiplied with for an interval of 95 %; 1.96 where it is not named"
+        ),
+    ] = {}
+    covariance: Annotated[Covariance | None, about("the covariance of the coefficients")] = None
 
 
-def _of_section(found: UncertaintySection, node: Node, context: Context) -> Uncertainty:
-    """Return the section with its standard uncertainties by dotted name."""
-    shaped = {key: value for key, value in _SECTION.write(found).items() if key in SHAPED}
-    standard = dict(_named(shaped))
-    if found.coverage_factor:
-        node.entries()["coverage_factor"].mapping(optional=[*context.coefficients, *_TURNS, *standard])
-    if found.covariance is not None:
-        for k, name in enumerate(found.covariance.parameters):
-            u = sqrt(found.covariance.matrix[k][k])
+def uncertainty_of(section: UncertaintySection, place: Document, coefficients: Coefficients) -> Uncertainty:
+    """Return a section with its standard uncertainties by dotted name; an InputError where it contradicts the rest."""
+    channels, known = coefficients.channels, [*values(coefficients), *_TURNS]
+    thermal = section.temperature or ThermalUncertainty()
+    for key, curves in {"offset": thermal.offset, "sensitivity": thermal.sensitivity}.items():
+        place.require_keys(curves, channels, TEMPERATURE, key)
+    for key in ("offset", "sensitivity", "nonlinearity"):
+        place.require_keys(getattr(section, key), channels, key)
+    for channel, row in section.sensitivity.items():
+        place.require_keys(row, coefficients.axes, "sensitivity", channel)
+    place.require_keys(section.single_reading, (*channels, TEMPERATURE), "single_reading")
+    standard = dict(_named({key: value for key, value in plain(section).items() if key in SHAPED}))
+    place.require_keys(section.coverage_factor, [*known, *standard], "coverage_factor")
+    covariance = section.covariance
+    if covariance is not None:
+        _check_covariance(covariance, place.child("covariance"), known)
+        for name, variance in zip(covariance.parameters, np.diag(covariance.as_array()).tolist(), strict=True):
+            u = sqrt(variance)
             if not isclose(standard.get(name, u), u, rel_tol=_ROUNDED):
-                raise node.entries()["covariance"].error(
+                raise place.error(
                     f"the variance of {name} is that of a standard uncertainty of {u:.4g}, and {standard[name]:g} is "
-                    "stated: change both, or leave the covariance out"
+                    "stated: change both, or leave the covariance out",
+                    "covariance",
                 )
-    return Uncertainty(standard, found.single_reading, found.coverage_factor, found.covariance, found.alignment)
+    return Uncertainty(standard, section.single_reading, section.coverage_factor, covariance, section.alignment)
 
 
-def _section_of(uncertainty: Uncertainty) -> UncertaintySection:
+def uncertainty_section(uncertainty: Uncertainty) -> UncertaintySection:
     """Return the uncertainty in the shape of ``calibration``."""
     shaped: dict[str, Any] = {key: {} for key in SHAPED}
     for name, u in uncertainty.items():
         *path, last = name.split(".")
-        place = shaped
+        section = shaped
         for key in path[:-1]:
-            place = place.setdefault(key, {})
+            section = section.setdefault(key, {})
         if last.isdigit():
-            place.setdefault(path[-1], []).append(u)
+            section[path[-1]] = (*section.get(path[-1], ()), u)
         else:
-            place.setdefault(path[-1], {})[last] = u
-    temperature = shaped.pop("temperature")
+            section.setdefault(path[-1], {})[last] = u
+    temperature = shaped.pop(TEMPERATURE)
     return UncertaintySection(
         **shaped,
         temperature=ThermalUncertainty(**temperature) if temperature else None,
@@ -229,30 +232,13 @@ def _section_of(uncertainty: Uncertainty) -> UncertaintySection:
     )
 
 
-_SECTION = Section(UncertaintySection)
-UNCERTAINTY = Converted(_SECTION, _of_section, _section_of)
-
-
 def stated_uncertainty(
     uncertainty: Uncertainty, coefficients: Coefficients, *, reading_noise: float | None = None
 ) -> StatedUncertainty:
-    """Return the inputs for the uncertainty of angles.
+    """Return the inputs for the uncertainty of angles; ``reading_noise`` (unit) replaces that of a reading of the file.
 
-    Parameters
-    ----------
-    reading_noise : float, optional
-        Standard uncertainty of a reading, unit, in place of the one that the file states.
-
-    Returns
-    -------
-    StatedUncertainty
-        Without a covariance the coefficients count as uncorrelated; what is not stated counts as exact. The remarks
-        state both.
-
-    Raises
-    ------
-    EstimateError
-        No uncertainty of any coefficient is stated.
+    Without a covariance the coefficients count as uncorrelated; what is not stated counts as exact: the remarks say
+    both. An EstimateError where no uncertainty of any coefficient is stated.
     """
     names, covariance = _joint(uncertainty)
     if not names:

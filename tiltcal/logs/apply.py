@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from datetime import date, timedelta
 from itertools import chain
 from math import nan
@@ -17,7 +17,6 @@ import tiltcal
 from tiltcal.calibration.calibration import read
 from tiltcal.errors import InputError
 from tiltcal.files.atomic import require_apart
-from tiltcal.frozen import frozen
 from tiltcal.logs.apply_summary import ApplySummary, ColumnWidths
 from tiltcal.logs.cf_attributes import DEGREE, same_unit
 from tiltcal.logs.columns import (
@@ -194,12 +193,8 @@ def apply_frame(
     frame
         The same kind, with the columns that ``tiltcal apply`` adds to a log, and their values to the last bit.
 
-    Raises
-    ------
-    UsageError
-        The frame is of no known kind, or has a column of a name that the result needs.
-    InputError
-        A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
+    UsageError: the frame is of no known kind, or has a column of a name that the result needs.
+    InputError: a column is not there or holds no numbers, or the readings are in another unit than the calibration's.
     """
     from tiltcal.logs.frames import FrameReader
 
@@ -228,12 +223,8 @@ def prepare_any(
 ) -> Callable[[LogReader, Mapping[str, str] | str], PreparedCalibration]:
     """Make a calibration, its file or a folder ready; what is returned takes the log and its columns.
 
-    Raises
-    ------
-    UsageError
-        The options are not for this calibration.
-    InputError
-        The calibration is wrong.
+    UsageError: the options are not for this calibration.
+    InputError: the calibration is wrong.
     """
     if not isinstance(calibration, str | Path) or os.path.isdir(calibration):
         from tiltcal.calibration.calibration_library import CalibrationLibrary, open_calibrations
@@ -253,7 +244,7 @@ def prepare_any(
     return lambda log, columns: prepared
 
 
-@frozen
+@dataclass(frozen=True)
 class CompensatedLog:
     """The rows of a log with what a calibration makes of them.
 
@@ -292,12 +283,8 @@ class CompensatedLog:
     ) -> CompensatedLog:
         """Find the readings of a log, and whatever else the calibration asks for; ``say`` gets a note if no time is.
 
-        Raises
-        ------
-        UsageError
-            The log has a column of a name that the result needs.
-        InputError
-            A column is not there, or its unit is not that of the calibration.
+        UsageError: the log has a column of a name that the result needs.
+        InputError: a column is not there, or its unit is not that of the calibration.
         """
         named = named_columns(columns, prepared.channels, prepared.roles)
         optional = (*prepared.optional_roles, *(() if prepared.averaging is None else (TIME,)))

@@ -63,12 +63,8 @@ def prepare_library(
 ) -> PreparedCalibration:
     """Find the calibrations of a log's sensors and make them ready.
 
-    Raises
-    ------
-    UsageError
-        The log and the options do not name a sensor of the folder, or name different ones.
-    InputError
-        A calibration is wrong, or two contradict each other.
+    UsageError: the log and the options do not name a sensor of the folder, or name different ones.
+    InputError: a calibration is wrong, or two contradict each other.
     """
     start = None if options.start is None else moment(options.start).timestamp()
     for problem in library.index.problems:

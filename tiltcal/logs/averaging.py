@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,6 @@ from tiltcal.core.flags import FAIL, GRAVITY_LENGTH, NO_DIRECTION, RAIL, SUSPECT
 from tiltcal.core.heading import FIELD_TOLERANCE, full_circle
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
-from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import SensorColumns
 from tiltcal.logs.log import LogBlock, Table
@@ -36,7 +36,7 @@ _FROM_TILT = ("tilt_", "pitch", "roll", "inclination", "heading", "v_", "u_", "U
 _SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 
-@frozen
+@dataclass(frozen=True)
 class Averaging:
     """The size of a group of rows that becomes one mean: so many rows of the log, or so many seconds."""
 
@@ -62,7 +62,7 @@ def averaging(rows: int | None, every: str | float | timedelta | None) -> Averag
     return Averaging(seconds=seconds)
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class AveragedBlock(LogBlock):
     """Some means of rows of a log, in order.
 
@@ -87,7 +87,7 @@ class AveragedBlock(LogBlock):
     apart: NDArray[np.bool_]
 
 
-@frozen
+@dataclass(frozen=True)
 class Means:
     """Puts the rows of a log into means.
 

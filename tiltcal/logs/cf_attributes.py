@@ -73,11 +73,8 @@ def seconds_since_1970(time: Array, unit: str | None, file: str | None = None) -
 
     Without one it is in seconds since the moment that it counts from.
 
-    Raises
-    ------
-    InputError
-        Its months or years differ in length, or it counts since a moment in a unit that is not one of time, or since
-        what is no moment.
+    InputError: its months or years differ in length, or it counts since a moment in a unit that is not one of time, or
+        since what is no moment.
     """
     name, *since = _SINCE.split((unit or "").strip(), maxsplit=1)
     lower = name if len(name) <= 2 else name.casefold()  # symbols such as ms and Ms differ in their letters alone

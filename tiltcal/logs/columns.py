@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import DEGREE, same_unit
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ TIME = "time"
 HEADING = "heading"
 
 
-@frozen
+@dataclass(frozen=True)
 class SensorColumns:
     """Where the columns of a sensor stand among others.
 
@@ -57,10 +57,7 @@ def named_columns(
     channels, others : sequence of str
         The roles that a log may have besides temperature and time.
 
-    Raises
-    ------
-    UsageError
-        A pair without ``=``, a role that there is not, or one that is named twice.
+    UsageError: a pair without ``=``, a role that there is not, or one that is named twice.
     """
     roles = tuple(dict.fromkeys((*channels, TEMPERATURE, TIME, *others)))
     named: dict[str, str] = {}
@@ -112,10 +109,7 @@ def locate_columns(
     dict of str to int
         Index by role, for every channel, every other role and, where there is one, the temperature.
 
-    Raises
-    ------
-    InputError
-        A column is not there; the message lists those that are.
+    InputError: a column is not there; the message lists those that are.
     """
     where = {name: index for index, name in enumerate(log.names)}
     located: dict[str, int] = {}
@@ -140,10 +134,7 @@ def locate_readings(
 ) -> dict[str, int]:
     """Find the columns of the readings in a log whose unit was named, as :func:`locate_columns` does.
 
-    Raises
-    ------
-    InputError
-        A column is missing, or states another unit.
+    InputError: a column is missing, or states another unit.
     """
     where = locate_columns(log, channels, named, others)
     require_unit(log, [where[channel] for channel in channels], unit, "the --unit")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -14,7 +14,6 @@ from tiltcal.core.flags import MISSING, NO_DIRECTION, NO_TEMPERATURE, SUSPECT, M
 from tiltcal.core.model import Array
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.core.uncertainty_columns import uncertainty_columns, with_shares
-from tiltcal.frozen import frozen
 from tiltcal.logs.apply_summary import ColumnWidths
 from tiltcal.logs.log import Table
 from tiltcal.printable import counted
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 _USUAL = 0.005  # g, by which the median length of gravity of a log may differ from 1 g without a remark
 
 
-@frozen
+@dataclass(frozen=True)
 class RoleValues:
     """The values of some rows of a log, by role; NaN where one is missing.
 

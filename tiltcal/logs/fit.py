@@ -25,14 +25,12 @@ from tiltcal.drivers.device import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
-from tiltcal.files.declaration import Section
 from tiltcal.files.moments import stamp_of
-from tiltcal.files.node import require_name
-from tiltcal.files.positions import TabledRow, read_positions, tabled_channels
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.files.provenance_record import FileRecord, LogRecord, Provenance, SegmentsRecord
-from tiltcal.files.segments import Segment, SegmentRow, read_segments
+from tiltcal.files.record import Record, keys_of
+from tiltcal.files.results import FileRecord, LogRecord, Provenance, SegmentsRecord
+from tiltcal.files.tables import Segment, SegmentRow, TabledRow, read_positions, read_segments, tabled_channels
 from tiltcal.logs.columns import named_columns, require_celsius, require_unit
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
@@ -50,7 +48,7 @@ from tiltcal.logs.static_intervals import (
     unplaced,
 )
 from tiltcal.logs.streams import imported_meanwhile, sha256_of
-from tiltcal.stated_arguments import is_number, require_boolean, require_whole, shown
+from tiltcal.stated_arguments import is_number, require_boolean, require_name, require_whole, shown
 
 SHORTEST = 4
 """Rows of a window over which a sensor can be still."""
@@ -167,7 +165,7 @@ def fit(
     own = None if known is None else known.calibration
     identity = _identity(own, model, steps, unit, serial)
     if own is None and model is None:
-        identity = replace(identity, channels=source.channels(steps, say))
+        identity = identity.replaced(channels=source.channels(steps, say))
     nominal = None if model is None or model.unit != identity.unit else model
     source = replace(source, rails=rails_of(identity.channels, nominal, own))
     source.require_unit(identity.unit)
@@ -192,7 +190,7 @@ def fit(
     )
     (found,) = calibrate([measured], steps, bench, table=source.table, gravity=gravity)
     origin = None if known is None else known.origin
-    return Calibration(replace(found, provenance=replace(positions.provenance, base=origin)))
+    return Calibration(replace(found, provenance=positions.provenance.replaced(base=origin)))
 
 
 @dataclass(frozen=True)
@@ -318,7 +316,7 @@ class FitSource:
         )
         segments = None if segment is None else _origin(self.segments, SegmentsRecord)
         provenance = self._provenance(None, segments, [(found.time[0], found.time[-1])])
-        return FitPositions([attitude], replace(provenance, log=log), found)
+        return FitPositions([attitude], provenance.replaced(log=log), found)
 
     def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
         """Positions of a sensor of three channels whose directions the readings will show.
@@ -444,8 +442,8 @@ def _is_table(data: Any, segments: Any) -> bool:
     return "position" in FrameReader(data).names
 
 
-def _path_or_rows(table: Any, name: str, row: type) -> str | Path | list[dict[str, Any]]:
-    return table if isinstance(table, str | Path) else rows_of(table, name, Section(row).keys())
+def _path_or_rows(table: Any, name: str, row: type[Record]) -> str | Path | list[dict[str, Any]]:
+    return table if isinstance(table, str | Path) else rows_of(table, name, keys_of(row))
 
 
 def _origin(source: Any, record: type[R]) -> R | None:

@@ -32,12 +32,8 @@ Units = Mapping[str, str | None]
 class FrameReader(LogReader):
     """A frame, read like a log of one block.
 
-    Raises
-    ------
-    UsageError
-        It is of no known kind.
-    InputError
-        It has no row, or its columns are not of one length.
+    UsageError: it is of no known kind.
+    InputError: it has no row, or its columns are not of one length.
     """
 
     def __init__(self, frame: Any, *, name: str = "the frame") -> None:
@@ -124,10 +120,7 @@ def rows_of(frame: Any, name: str, keys: Collection[str] = ()) -> list[dict[str,
     keys : collection of str
         The coordinates of an xarray Dataset that are columns, as all of its data variables are.
 
-    Raises
-    ------
-    UsageError
-        The frame is of no known kind.
+    UsageError: the frame is of no known kind.
     """
     if hasattr(frame, "data_vars"):
         frame = {key: frame[key].values for key in frame.variables if key in frame.data_vars or key in keys}

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import groupby
 from math import sqrt
 from sys import maxsize
@@ -23,8 +24,7 @@ from tiltcal.core.detection import TEMPERATURE_JUMP, distances, outliers
 from tiltcal.core.model import Array
 from tiltcal.core.quantisation import DifferentValues, resolution
 from tiltcal.core.statistics import BLOCKS, Moments, moments_of
-from tiltcal.files.segments import Segment
-from tiltcal.frozen import frozen
+from tiltcal.files.tables import Segment
 from tiltcal.logs.recorded_readings import RecordedReadings
 
 PIECE = 1 << 18
@@ -47,7 +47,7 @@ Rails = Mapping[str, tuple[float, float]]
 """The lowest and the highest reading of channels, unit."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Sums:
     """The sums over the samples of a piece without those that are far off or have no number.
 
@@ -72,7 +72,7 @@ class Sums:
     channels: Mapping[str, Moments]
 
 
-@frozen
+@dataclass(frozen=True)
 class Line:
     """A straight line through some values, one after the other: their sums.
 
@@ -117,7 +117,7 @@ class Line:
         return float(np.sign(slope)) * max(abs(slope) - CERTAIN * scatter, 0.0) * (self.n - 1)
 
 
-@frozen
+@dataclass(frozen=True)
 class Temperatures:
     """The temperatures of a piece without those that are far off, which have ``jumped``."""
 
@@ -126,7 +126,7 @@ class Temperatures:
     moments: Moments | None
 
 
-@frozen
+@dataclass(frozen=True)
 class Piece:
     """Some samples of an interval.
 

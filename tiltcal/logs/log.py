@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
-from tiltcal.frozen import frozen
 from tiltcal.logs.streams import ByteReader, HashingReader, keep_freed_memory, read_ahead, sha256_of
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ Progress = Callable[[int, int | None], None]
 """Called with the bytes of a log that have been read, and with its size where that is known."""
 
 
-@frozen
+@dataclass(frozen=True)
 class LogBlock:
     """Some rows of a log, in order.
 
@@ -61,7 +61,7 @@ class LogBlock:
         return np.stack([self.values[index] for index in columns]).T
 
 
-@frozen
+@dataclass(frozen=True)
 class LogSource:
     """The source of a log: where it is read from, and how.
 
@@ -144,11 +144,8 @@ class LogReader(ABC):
         needs_time : bool
             Refuse a column of times that begins with what is none; without it, these are missing.
 
-        Raises
-        ------
-        InputError
-            A row cannot be parsed, a needed column holds no numbers, or the file is damaged; once the iterator comes
-            to it.
+        InputError: a row cannot be parsed, a needed column holds no numbers, or the file is damaged; once the iterator
+            comes to it.
         """
         keep_freed_memory()
         blocks = self._blocks(tuple(columns), time, frames)
@@ -230,12 +227,8 @@ class LogWriter(ABC):
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
         """Write a row for each row of the log's own blocks, in order, with the columns that belong behind theirs.
 
-        Raises
-        ------
-        UsageError
-            The format has no place for what a column holds.
-        OSError
-            The disk is full.
+        UsageError: the format has no place for what a column holds.
+        OSError: the disk is full.
         """
 
 

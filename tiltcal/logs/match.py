@@ -21,7 +21,7 @@ from tiltcal.core.pair.online import Online, OnlineHistory
 from tiltcal.core.pair.record import StageRecord
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
-from tiltcal.files.provenance_record import LogRecord, PairProvenance
+from tiltcal.files.results import LogRecord, PairProvenance
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.pair_log import PairLog, read_pair_log

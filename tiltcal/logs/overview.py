@@ -31,10 +31,7 @@ def look_over(
     time : int, optional
         Where the time stands, in seconds or ISO 8601; rows are counted where there is none.
 
-    Raises
-    ------
-    InputError
-        A row cannot be parsed, or the log is damaged.
+    InputError: a row cannot be parsed, or the log is damaged.
     """
     wanted = (*prepared.angles, *_ABSENT)
     compensated = set(wanted) <= set(log.names)

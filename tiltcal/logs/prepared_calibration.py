@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from datetime import date, timedelta
 from math import inf
 from pathlib import Path
@@ -14,7 +14,6 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.summary import objections
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.uncertainty import stated_uncertainty
-from tiltcal.frozen import frozen
 from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME, SensorColumns
 from tiltcal.logs.compensation_kernel import Kernel, PairKernel, RowRemarks, TiltKernel
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 _EXAMPLES = {"magnetometer": "mx,my,mz", "velocity": "u,v,w"}
 
 
-@frozen
+@dataclass(frozen=True)
 class ApplyOptions:
     """How a calibration is to be applied; the attributes are arguments of :func:`tiltcal.logs.apply.apply_log`."""
 
@@ -70,10 +69,7 @@ class ApplyOptions:
     def vectors(self) -> dict[str, tuple[str, ...]]:
         """Return the columns of the vectors that are asked for, by role.
 
-        Raises
-        ------
-        UsageError
-            A vector has not three columns, or an option needs another.
+        UsageError: a vector has not three columns, or an option needs another.
         """
         given = {"magnetometer": self.magnetometer, "velocity": self.velocity}
         found = {role: _three_columns(role, names) for role, names in given.items() if names}
@@ -92,7 +88,7 @@ class ApplyOptions:
                 raise UsageError(f"--{name} is for a folder of calibrations (--calibrations)")
 
 
-@frozen
+@dataclass(frozen=True)
 class PreparedCalibration:
     """A calibration, ready for the rows of one log: a kernel may remember those that have passed.
 
@@ -178,12 +174,8 @@ def prepare(
     remarks : RowRemarks, optional
         On the rows of other calibrations too.
 
-    Raises
-    ------
-    UsageError
-        The calibration is of pairs, and the options are for tilt.
-    InputError
-        The calibration cannot be applied.
+    UsageError: the calibration is of pairs, and the options are for tilt.
+    InputError: the calibration cannot be applied.
     """
     vectors, averaging = options.vectors(), options.averaging()
     stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}

@@ -9,8 +9,8 @@ from typing import Any
 from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import SensorIdentity
-from tiltcal.files.provenance_record import LogRecord
-from tiltcal.files.segments import Segment
+from tiltcal.files.results import LogRecord
+from tiltcal.files.tables import Segment
 from tiltcal.logs.columns import TEMPERATURE, TIME, locate_readings
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import Progress

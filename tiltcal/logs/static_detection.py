@@ -22,7 +22,7 @@ from tiltcal.core.model import Array
 from tiltcal.core.rows import LongRuns, Rows, Span, Stillest, lost_rows, stuck_spans, window_scatter
 from tiltcal.core.statistics import BLOCKS
 from tiltcal.errors import EstimateError
-from tiltcal.files.segments import Segment
+from tiltcal.files.tables import Segment
 from tiltcal.logs.row_sums import Numbers, RowSums
 from tiltcal.logs.streams import read_ahead
 

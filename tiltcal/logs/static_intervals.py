@@ -18,9 +18,8 @@ from tiltcal.core.model import AXES
 from tiltcal.core.statistics import SampleSummary, summary_of
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
-from tiltcal.files.positions import TabledPosition
 from tiltcal.files.procedure import Position, Procedure
-from tiltcal.files.segments import Segment
+from tiltcal.files.tables import Segment, TabledPosition
 from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, IntervalSamples, Line
 from tiltcal.logs.recorded_readings import RecordedReadings
 
@@ -225,6 +224,7 @@ def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, n
     _require_few(len(jumped), f"the thermometer reads {jumped[0]:g} °C" if jumped else "", parts, file)
     known = [found.moments for found in temperatures if found.moments is not None]
     warming = reduce(Line.followed_by, (found.line for found in temperatures)).rise if temperatures else 0.0
+    rows = tuple((part.start, part.end) for part in parts)
     return StaticInterval(
         name,
         parts[0].name,
@@ -236,7 +236,7 @@ def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, n
         summary_of(known).mean if known else None,
         parts[0].line,
         warming if samples.before is None else max(warming, samples.before.rise, key=abs),
-        {"rows": tuple((part.start, part.end) for part in parts), **({"left_out": far} if far else {})}
+        {"rows": rows if len(rows) > 1 else rows[0], **({"left_out": far} if far else {})}
         | ({} if samples.times is None else {"time": stamp_of(samples.times[1])}),
     )
 

@@ -47,10 +47,7 @@ class StoredRows:
     def append(self, values: Sequence[Array]) -> None:
         """Store the next rows, shape (n,) of each column; they are one block.
 
-        Raises
-        ------
-        UsageError
-            The folder of temporary files has no room for them.
+        UsageError: the folder of temporary files has no room for them.
         """
         try:
             self._file.seek(0, 2)

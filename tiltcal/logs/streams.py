@@ -50,10 +50,7 @@ def log_source(log: str, *, live: bool = False) -> Iterator[tuple[BinaryIO, int 
         Hand on each line as it arrives, and let Ctrl-C end a stream that has no end of its own; see
         :class:`LiveStream`.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be opened.
+    UsageError: the file cannot be opened.
     """
     with _opened(log) as (opened, size):
         stream = cast("BinaryIO", PipeReader(opened)) if has_no_end(opened) else opened
@@ -147,10 +144,7 @@ def keep_freed_memory() -> None:
 def refused_by_system() -> Iterator[None]:
     """Raise an OSError with its number where the engine only quotes the system.
 
-    Raises
-    ------
-    OSError
-        The disk is full, or the system refuses something else.
+    OSError: the disk is full, or the system refuses something else.
     """
     import polars as pl
 
@@ -247,10 +241,7 @@ class HashingReader:
 def sha256_of(path: str | Path) -> str:
     """Return the SHA-256 of a whole file, hexadecimal.
 
-    Raises
-    ------
-    InputError
-        It is a pipe or a device, whose content is gone when it has been read.
+    InputError: it is a pipe or a device, whose content is gone when it has been read.
     """
     if os.path.exists(path) and not os.path.isfile(path):
         raise InputError("this is no file that can be read twice, and its checksum is needed: name a file", file=path)

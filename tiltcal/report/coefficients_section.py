@@ -13,7 +13,7 @@ from tiltcal.calibration.labels import symbol, unit_of, words
 from tiltcal.core.named_coefficients import values
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.derived_record import (
+from tiltcal.files.results import (
     DerivedCoverage,
     DerivedUncertainty,
     IntrinsicCoverage,

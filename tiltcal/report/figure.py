@@ -95,10 +95,7 @@ def in_characters(label: str) -> str:
 def write_figure(path: Path, size: tuple[float, float], plot: Callable[[Figure], None]) -> None:
     """Draw a figure of this size, inches, into an SVG file.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be written there.
+    UsageError: the file cannot be written there.
     """
     from matplotlib.figure import Figure
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from tiltcal.calibration.summary import fit_lines
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.fit_record import FitRecord, LevelFit, MountingFit
-from tiltcal.files.position_record import PositionRecord, PositionSet
+from tiltcal.files.results import FitRecord, LevelFit, MountingFit, PositionRecord, PositionSet
 from tiltcal.report.number_format import AlignedNumber, at_place, column, measured, plain, signed
 
 

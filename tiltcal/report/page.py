@@ -17,10 +17,7 @@ KEPT = 16
 def require_extra() -> None:
     """Check that the libraries of a report are installed, before anything is read.
 
-    Raises
-    ------
-    UsageError
-        One is not; the message names the extra.
+    UsageError: one is not; the message names the extra.
     """
     from importlib.util import find_spec
 

@@ -51,10 +51,7 @@ class PairDrawing:
 def draw_matching(path: Path, drawing: PairDrawing) -> None:
     """Write amplitude spectral densities as SVG (the source's figure 6), and beside them the course of the estimates.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be written there.
+    UsageError: the file cannot be written there.
     """
     write_figure(path, (8.0, 8.0 if drawing.course else 4.5), partial(_draw, drawing=drawing))
 

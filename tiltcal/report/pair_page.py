@@ -16,7 +16,7 @@ from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.pair import PairRecord, dump_pair
-from tiltcal.files.provenance_record import FileRecord
+from tiltcal.files.results import FileRecord
 from tiltcal.report.figure import SvgFigure, picture
 from tiltcal.report.number_format import AlignedNumber, column, grouped, measured, plain
 from tiltcal.report.page import render, require_extra

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.declaration import Section
-from tiltcal.files.position_record import CompletingRun
-from tiltcal.files.provenance_record import FileRecord, PairProvenance, Provenance
+from tiltcal.files.record import plain
+from tiltcal.files.results import FileRecord, PairProvenance, Provenance
 
 _VIRTUAL = "virtual"
 """The mark of a file that was made without a real sensor."""
@@ -66,7 +65,7 @@ def provenance_facts(provenance: Provenance | PairProvenance, source: FileRecord
 
 def _facts(provenance: Provenance | PairProvenance) -> Iterator[Fact]:
     yield Fact("Calibrated", period(provenance))
-    for name, value in _leaves(Section(type(provenance)).write(provenance)):
+    for name, value in _leaves(plain(provenance)):
         if name not in ("started", "ended") and not (name == "made_by" and notice(provenance)):
             label = _WORDS.get(name, name[:1].upper() + name[1:].replace("_", " ").replace(".", ": "))
             yield Fact(label, value, code=name.endswith(("sha256", "address")))
@@ -99,7 +98,7 @@ def procedure_facts(calibration: CalibrationRecord) -> list[Fact]:
     ]
     for label, completing in (("Mounting", run.mounting), ("Level", run.level)):
         if completing is not None:
-            kept = _leaves(Section(CompletingRun).write(completing))
+            kept = _leaves(plain(completing))
             said.append((label, "; ".join(f"{name.replace('_', ' ')} {value}" for name, value in kept)))
     return [Fact(label, value) for label, value in said if value]
 

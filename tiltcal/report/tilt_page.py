@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration
-from tiltcal.files.provenance_record import FileRecord
+from tiltcal.files.results import FileRecord
 from tiltcal.report.coefficients_section import (
     SOURCES,
     budget,
@@ -30,10 +30,7 @@ from tiltcal.report.validity import covered, not_covered
 def write_tilt_page(path: str | Path, calibration: CalibrationRecord) -> None:
     """Write the page of a calibration in memory.
 
-    Raises
-    ------
-    UsageError
-        The libraries of the extra ``report`` are not installed, or the page cannot be written there.
+    UsageError: the libraries of the extra ``report`` are not installed, or the page cannot be written there.
     """
     require_extra()
     check_writable(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +33,7 @@ def calibrated(wiring: Wiring, unit: str = "V") -> CalibrationRecord:
         mean = wiring(true) + rng.normal(0.0, NOISE, 2)
         summaries = {c: SampleSummary(float(v), 1e-3, 100, NOISE, 0.0, 9.0) for c, v in zip("xy", mean, strict=True)}
         measurements.append(Measurement(position.name, position.gravity, position.tilt, None, summaries))
-    return calibrate([MeasuredSensor(replace(SENSOR, unit=unit), measurements)], PLANE, BenchUncertainty(0.05))[0]
+    return calibrate([MeasuredSensor(SENSOR.replaced(unit=unit), measurements)], PLANE, BenchUncertainty(0.05))[0]
 
 
 def remarks(wiring: Wiring) -> list[str]:

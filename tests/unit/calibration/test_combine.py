@@ -27,9 +27,9 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.device import Model, Population
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.position_record import CompletingRun
 from tiltcal.files.procedure import Determines, Procedure
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.results import CompletingRun
 from tiltcal.files.uncertainty import Covariance, Uncertainty
 
 SENSOR = SensorIdentity("sca100t-d02", "S-1", "count", ("x", "y"))
@@ -291,12 +291,12 @@ def test_sound_sessions_are_seldom_refused(ratio: float, told: str) -> None:
 def test_another_sensor_is_refused(change: dict[str, str], why: str) -> None:
     drift = calibrated(TWO, measured(TWO, 2)).record
     with pytest.raises(UsageError, match=why):
-        combine([SCALE, Calibration(replace(drift, sensor=replace(drift.sensor, **change)))])
+        combine([SCALE, Calibration(replace(drift, sensor=drift.sensor.replaced(**change)))])
 
 
 def test_a_model_that_fit_was_not_told_does_not_contradict() -> None:
     drift = calibrated(TWO, measured(TWO, 2)).record
-    found = combine([SCALE, Calibration(replace(drift, sensor=replace(drift.sensor, model="recorded")))])
+    found = combine([SCALE, Calibration(replace(drift, sensor=drift.sensor.replaced(model="recorded")))])
     assert found.sensor.model == "sca100t-d02"
 
 
@@ -322,8 +322,8 @@ def test_what_is_not_stated_is_asked_for() -> None:
 def test_a_renewed_offset_holds_where_the_level_lay(warmth: float | None, holds: tuple[float, float] | None) -> None:
     """And not at the mean over the session before, nor over that of a mounting."""
     scale = calibrated(ZERO_45, measured(ZERO_45, 1, at=20.0)).record
-    mounted = [replace(scale.positions[0], position="mounted", temperature=30.0)]
-    run = replace(scale.procedure, mounting=CompletingRun(positions=("mounted",)))
+    mounted = [scale.positions[0].replaced(position="mounted", temperature=30.0)]
+    run = scale.procedure.replaced(mounting=CompletingRun(positions=("mounted",)))
     scale = replace(scale, procedure=run, positions=(*scale.positions, *mounted))
     assert CombinedSession.of(Calibration(scale)).temperature == (20.0, 0.0)
     at_level = [replace(measured(ZERO_45, 2, at=5.0)[0], position="again", temperature=warmth)]
@@ -356,7 +356,7 @@ def test_a_run_at_level_with_the_nominal_sensitivity_goes_with_a_whole_matrix() 
     warmer = float(np.mean([one.temperature for one in whole.positions])) - 24.0
     at_24 = whole.coefficients.offset - np.array([0.3, -0.1]) * warmer
     level = at_24 + whole.coefficients.sensitivity[:, 2]
-    run = calibrated(TWO, measured(TWO, 2), sensor=replace(SENSOR, serial="SIM-42")).record
+    run = calibrated(TWO, measured(TWO, 2), sensor=SENSOR.replaced(serial="SIM-42")).record
     shifted = Calibration(replace(run, coefficients=replace(run.coefficients, offset=level)))
     found = combine([whole, shifted])
     assert list(found.offset.values()) == pytest.approx(at_24, abs=0.02)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -57,7 +56,7 @@ def measured(up: Directions, noise: float, rng: np.random.Generator, channels: s
         )
         for number, row in enumerate(mean)
     ]
-    return MeasuredSensor(replace(SENSOR, serial=channels, channels=tuple(channels)), measurements)
+    return MeasuredSensor(SENSOR.replaced(serial=channels, channels=tuple(channels)), measurements)
 
 
 def calibrated(up: Directions, noise: float, rng: np.random.Generator) -> CalibrationRecord:

@@ -178,7 +178,7 @@ def test_one_channel_sees_the_turns_that_it_can() -> None:
     base = read_calibration(WITHOUT_PRIORS)
     alone = replace(
         base,
-        sensor=replace(base.sensor, channels=("x",)),
+        sensor=base.sensor.replaced(channels=("x",)),
         coefficients=replace(
             base.coefficients, channels=("x",), axes=("x",), offset=np.array([1024.0]), sensitivity=np.array([[819.0]])
         ),

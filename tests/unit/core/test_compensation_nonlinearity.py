@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients
 from tiltcal.errors import InputError
-from tiltcal.files.calibration import TILT, CalibrationRecord, SensorIdentity, dump_calibration
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration, tilt_record
 from tiltcal.files.document import parse_document
 
 
@@ -53,7 +53,7 @@ def test_the_file_keeps_it() -> None:
     calibration = CalibrationRecord(SensorIdentity("m", "s", "count", ("x", "y")), part([[0.006, -0.01], [0.0, 0.002]]))
     text = dump_calibration(calibration)
     assert "nonlinearity: {x: [0.006, -0.01], y: [0.0, 0.002]}" in text
-    again = TILT.read(parse_document(text)).coefficients.nonlinearity
+    again = tilt_record(parse_document(text)).coefficients.nonlinearity
     np.testing.assert_array_equal(again, [[0.006, -0.01], [0.0, 0.002]])
 
 
@@ -61,7 +61,7 @@ def test_the_file_keeps_it() -> None:
 def test_a_reading_with_several_angles_is_refused(bad: list[list[float]]) -> None:
     text = dump_calibration(CalibrationRecord(SensorIdentity("m", "s", "V", ("x",)), _single(bad)))
     with pytest.raises(InputError, match=r"calibration\.nonlinearity"):
-        TILT.read(parse_document(text))
+        tilt_record(parse_document(text))
 
 
 def _single(terms: list[list[float]]) -> Coefficients:

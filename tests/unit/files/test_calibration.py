@@ -16,16 +16,14 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import (
-    TILT,
     CalibrationRecord,
     SensorIdentity,
     dump_calibration,
     read_calibration,
+    tilt_record,
 )
 from tiltcal.files.document import parse_document
-from tiltcal.files.fit_record import FitRecord, WorstResidual
-from tiltcal.files.position_record import PositionRecord
-from tiltcal.files.provenance_record import Provenance
+from tiltcal.files.results import FitRecord, PositionRecord, Provenance, WorstResidual
 from tiltcal.files.uncertainty import Uncertainty
 
 EXAMPLE = """\
@@ -52,7 +50,7 @@ positions: [{position: level, mean: {x: 1024.6}}]
 
 
 def read(text: str) -> CalibrationRecord:
-    return TILT.read(parse_document(text, "c.yaml"))
+    return tilt_record(parse_document(text, "c.yaml"))
 
 
 def test_a_single_channel_may_have_other_columns() -> None:
@@ -267,7 +265,7 @@ def test_file_is_written_as_the_specification_shows() -> None:
 
 def test_unit_cannot_break_the_file() -> None:
     calibration = read(EXAMPLE)
-    strange = replace(calibration, sensor=replace(calibration.sensor, unit="a\nb: # c"))
+    strange = replace(calibration, sensor=calibration.sensor.replaced(unit="a\nb: # c"))
     assert read(dump_calibration(strange)).sensor.unit == "a\nb: # c"
 
 

@@ -14,19 +14,18 @@ from support import ROOT
 from support.command import tiltcal
 from support.pair_files import read_pair
 
-from tiltcal.cli.check import KINDS
 from tiltcal.errors import InputError
-from tiltcal.files.bench import BENCH as BENCH_FORMAT
-from tiltcal.files.bench import BenchFile
+from tiltcal.files.bench import BenchFile, bench_of
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.json_schema import json_schema
 from tiltcal.files.procedure_file import read_procedure
+from tiltcal.files.record import KINDS
 from tiltcal.files.twin import read_twin
 
 
 def read_bench(path: Path) -> BenchFile:
-    return BENCH_FORMAT.read(read_document(path))
+    return bench_of(read_document(path))
 
 
 READERS = {
@@ -102,7 +101,7 @@ def mapping_paths(node: dict[str, Any], root: dict[str, Any], lead: tuple[Any, .
     found = [lead] if node.get("additionalProperties") is False else []
     for key, value in node.get("properties", {}).items():
         found += mapping_paths(value, root, (*lead, key)) if isinstance(value, dict) else []
-    if "items" in node:
+    if isinstance(node.get("items"), dict):
         found += mapping_paths(node["items"], root, (*lead, 0))
     for choice in node.get("anyOf", []):
         found += mapping_paths(choice, root, lead)

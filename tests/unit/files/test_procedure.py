@@ -140,7 +140,7 @@ def test_damaged_record_names_the_journal_line() -> None:
     ("old", "new", "line", "key", "about"),
     [
         ("angle: 20\n", "", 9, "positions[1].tilt.x", "gives no angle"),
-        ("angle: 20", "angle: 120", 6, "angle", "more than 90"),
+        ("angle: 20", "angle: 120", 6, "angle", "at most 90"),
         ("reference: 24\n", "", 5, "determines", "'reference'"),
         ("drift: 1", "drift: 7", 5, "determines.drift", "at most 6"),
         ("[y, x]", "[x, x]", 5, "determines.axes", "twice"),
@@ -150,7 +150,7 @@ def test_damaged_record_names_the_journal_line() -> None:
         ("name: side", "name: up", 11, "positions[2]", "names are unique"),
         ("name: side", "name: up side", 11, "positions[2].name", "not a letter"),
         ("gravity: [0, 3, 4]", "gravity: [0, 0, 0]", 11, "positions[2].gravity", "no direction"),
-        ("gravity: [0, 3, 4]", "gravity: [0, 3]", 11, "positions[2].gravity", "three"),
+        ("gravity: [0, 3, 4]", "gravity: [0, 3]", 11, "positions[2].gravity", "a list of 3 values"),
         ("gravity: [0, 3, 4]", "gravity: [0, 3, 4], tilt: {}", 11, "positions[2]", "either tilt"),
         ("gravity: [0, 3, 4], ", "", 11, "positions[2]", "either tilt"),
         ("tilt: {}", "tilt: {x: 60, y: 60}", 9, "positions[0].tilt", "at once"),

@@ -10,7 +10,7 @@ import pytest
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.procedure_file import find_procedure, procedure_from_record, read_procedure
-from tiltcal.files.rotation import Rotation
+from tiltcal.files.rotation import PairSelection, Rotation
 
 OWN = """\
 tiltcal: 1
@@ -46,7 +46,8 @@ def test_the_shipped_one_is_the_two_pairs_of_the_source() -> None:
 
 def test_a_users_own_is_read_and_comes_again_from_its_record(own: Path) -> None:
     procedure = read_procedure(own)
-    assert procedure.rotation == Rotation("angle", (Pair("left", "right", "up"),), "Start the motor.", 12, 1e-6, 30.0)
+    pair = PairSelection(("left", "right"), "up")
+    assert procedure.rotation == Rotation("angle", (pair,), "Start the motor.", 12, 1e-6, 30.0)
     assert procedure_from_record(json.loads(json.dumps(procedure.record))) == procedure
 
 
@@ -81,12 +82,12 @@ def test_the_turns_of_the_command_line_take_the_place_of_the_files(own: Path) ->
         ("turns: 12", "turns: many", 9, "rotation.turns", "many"),
         ("converged: 1e-6", "converged: 0", 10, "rotation.converged", "more than 0"),
         ("patience: 30", "patience: -1", 11, "rotation.patience", "more than 0"),
-        ("[left, right]", "[left]", 8, "rotation.pairs[0].pair", "a pair has two channels, found 1"),
+        ("[left, right]", "[left]", 8, "rotation.pairs[0].pair", "a list of 2 values is needed here, found 1"),
         ("[left, right]", "[left, left]", 8, "rotation.pairs[0]", "four different channels"),
         ("orthogonal: up", "orthogonal: left", 8, "rotation.pairs[0]", "four different channels"),
         ("phase: angle", "phase: up", 8, "rotation.pairs[0]", "four different channels"),
         (", orthogonal: up", "", 8, "rotation.pairs[0]", "'orthogonal' is missing"),
-        ("    - {pair: [left, right], orthogonal: up}\n", "    []\n", 7, "rotation.pairs", "one or two pairs"),
+        ("    - {pair: [left, right], orthogonal: up}\n", "    []\n", 7, "rotation.pairs", "a list of 1 to 2 values"),
         ("  turns: 12", "    - {pair: [left, right], orthogonal: x}\n  turns: 12", 7, "rotation.pairs", "twice"),
         ("title: One pair", "title: One pair\nsamples: 5", 5, "samples", "unknown key"),
         ("title: One pair", "title: One pair\npositions: []", 5, "positions", "unknown key"),

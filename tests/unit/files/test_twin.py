@@ -81,7 +81,8 @@ def test_seed_of_the_address_comes_before_that_of_the_file(tmp_path: Path) -> No
         ("x: 818.2", "x: 0", 8, "truth.sensitivity.x", "own axis"),
         ("x: 818.2", "x: 1e-200", 8, "truth.sensitivity.x", "own axis"),
         (", z: -1.5", "", 9, "truth.sensitivity.y", "same columns"),
-        ("reference: 24, ", "reference: 1e300, ", 5, "truth", "would read more than 1e+12"),
+        ("reference: 24, ", "reference: 1e300, ", 10, "truth.temperature.reference", "at most 1000000000"),
+        ("ambient: 20", "ambient: 9e8", 5, "truth", "would read more than 1e+12"),
         ("reference: 24, ", "", 10, "truth.temperature", "'reference' is missing"),
         ("noise: {x: 0.6}", "noise: {x: -1}", 12, "truth.noise.x", "at least 0"),
         ("jig: 0.01", "gig: 0.01", 14, "truth.gig", "unknown key"),
@@ -135,7 +136,7 @@ def test_a_rotary_stage_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "line", "key", "about"),
     [
-        ("rate: 20", "rate: 500", 8, "truth.disk.rate", "do not fit on the virtual line"),
+        ("rate: 20", "rate: 500", 8, "truth.disk.rate", "at most 400"),
         ("rate: 20", "rate: 0", 8, "truth.disk.rate", "at least 0.001"),
         ("spin: 0.25", "spins: 0.25", 7, "truth.disk.spins", "did you mean 'spin'"),
         ("a2: {scale: 3.1}", "a2: {}", 12, "truth.disk.accelerometers.a2", "'scale' is missing"),

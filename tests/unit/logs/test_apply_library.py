@@ -17,7 +17,7 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import Array, Mounting, Thermal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.provenance_record import Provenance
+from tiltcal.files.results import Provenance
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.logs.apply import apply_frame
 
@@ -35,7 +35,7 @@ def calibrated(days: float, offset: tuple[float, float], u: float = 1.0, serial:
     coefficients = replace(LEVEL.coefficients, offset=np.array(offset), sensitivity=SCALE * np.eye(2))
     uncertainty = Uncertainty({"offset.x": u, "offset.y": u}, {"x": 0.0, "y": 0.0})
     return CalibrationRecord(
-        replace(LEVEL.sensor, serial=serial),
+        LEVEL.sensor.replaced(serial=serial),
         coefficients,
         uncertainty,
         limits=LEVEL.limits,
@@ -81,7 +81,7 @@ def test_a_history_is_named_in_a_line_at_a_prompt(tmp_path: Path) -> None:
 
 
 def changed(record: CalibrationRecord, days: float, **coefficients: Any) -> CalibrationRecord:
-    ended = replace(record.provenance, started=stamp(days - 0.01), ended=stamp(days))
+    ended = record.provenance.replaced(started=stamp(days - 0.01), ended=stamp(days))
     return replace(record, coefficients=replace(record.coefficients, **coefficients), provenance=ended)
 
 
@@ -299,7 +299,7 @@ def test_the_unit_that_is_stated_for_a_frame_is_that_of_every_sensor(tmp_path: P
 
 def test_a_calibration_without_a_date_is_named_where_it_is_missed(tmp_path: Path) -> None:
     record = calibrated(0, (1000, 1000))
-    kept(tmp_path, replace(record, provenance=replace(record.provenance, started=None, ended=None)))
+    kept(tmp_path, replace(record, provenance=record.provenance.replaced(started=None, ended=None)))
     with pytest.raises(UsageError, match=r"has no calibration of 'S-1'; .*left out: .*the calibration has no date"):
         tiltcal.open_calibrations(tmp_path).at("S-1", stamp(0))
 
@@ -377,7 +377,7 @@ def test_files_that_contradict_are_named(tmp_path: Path) -> None:
         tiltcal.open_calibrations(tmp_path).at("S-1", stamp(1))
     (tmp_path / "S-1-1.yaml").unlink()
     other = calibrated(5, (1000, 1000))
-    kept(tmp_path, replace(other, sensor=replace(other.sensor, model="sca100t-d01")))
+    kept(tmp_path, replace(other, sensor=other.sensor.replaced(model="sca100t-d01")))
     kept(tmp_path / ".", calibrated(0, (1000, 1000), serial="S-2"))
     Calibration(calibrated(9, (1000, 1000))).save(tmp_path / "S-1-9.yaml")
     with pytest.raises(InputError, match="its model is sca100t-d01 in one and sca100t-d02 in the other"):

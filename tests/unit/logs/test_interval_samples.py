@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tiltcal.core.model import Array
-from tiltcal.files.segments import Segment
+from tiltcal.files.tables import Segment
 from tiltcal.logs import interval_samples
 from tiltcal.logs.interval_samples import TO_THE_END, Line, sampled
 from tiltcal.logs.recorded_readings import RecordedReadings
@@ -61,7 +61,7 @@ class TestSeveralPieces:
         values = np.random.default_rng(3).normal(0.0, 1.0, (2, 30_720))
         (found,) = intervals(values, [segment(0, TO_THE_END)])
         means = values[0].reshape(10, 3072).mean(axis=1)
-        assert found.where["rows"] == ((0, 30_720),)
+        assert found.where["rows"] == (0, 30_720)
         assert found.summaries["x"].mean == pytest.approx(values[0].mean(), rel=1e-12)
         assert found.summaries["x"].noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
 

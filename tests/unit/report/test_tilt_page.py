@@ -16,9 +16,16 @@ from support import FIXTURES, WITHOUT_PRIORS
 from support.html_page import Page, undrawn
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.fit_record import FitRecord, SuspectPosition
-from tiltcal.files.position_record import PositionRecord, PositionSet, ProcedureRecord
-from tiltcal.files.provenance_record import FileRecord, Provenance, SegmentsRecord
+from tiltcal.files.results import (
+    FileRecord,
+    FitRecord,
+    PositionRecord,
+    PositionSet,
+    ProcedureRecord,
+    Provenance,
+    SegmentsRecord,
+    SuspectPosition,
+)
 from tiltcal.report.tilt_page import tilt_page
 
 SOURCE = FileRecord(name="S.yaml", sha256="0" * 64)
@@ -129,7 +136,7 @@ class TestRecords:
     @pytest.mark.usefixtures("undrawn")
     def test_a_real_sensor_is_not(self) -> None:
         known = golden("complete")
-        real = page_of(replace(known, provenance=replace(known.provenance, made_by="measurement")))
+        real = page_of(replace(known, provenance=known.provenance.replaced(made_by="measurement")))
         assert not [one for one in real.root.find("p") if one.attributes.get("role") == "note"]
         assert real.facts["Made by"] == "measurement"
         assert "virtual" not in " ".join(one.text for one in real.root.find("li"))
@@ -137,8 +144,8 @@ class TestRecords:
     @pytest.mark.usefixtures("undrawn")
     def test_nothing_of_the_provenance_is_left_out(self) -> None:
         known = golden("complete")
-        more = replace(
-            known.provenance, link_statistics={"sentences": 812, "damaged": 3}, segments=SegmentsRecord(found="so")
+        more = known.provenance.replaced(
+            link_statistics={"sentences": 812, "damaged": 3}, segments=SegmentsRecord(found="so")
         )
         facts = page_of(replace(known, provenance=more)).facts
         assert facts["Link statistics: damaged"] == "3"
@@ -227,7 +234,7 @@ class TestRecords:
 class TestVerdict:
     def judged(self, **fit: Any) -> str:
         known = golden("plane")
-        page = page_of(replace(known, fit=replace(known.fit, **{"degrees_of_freedom": 2, **fit})))
+        page = page_of(replace(known, fit=known.fit.replaced(**{"degrees_of_freedom": 2, **fit})))
         return " ".join(one.text for one in page.root.find("p"))
 
     def test_positions_that_agree(self) -> None:
@@ -258,7 +265,7 @@ class TestAnyFile:
         known = golden("complete")
         calibration = replace(
             known,
-            sensor=replace(known.sensor, serial=nasty, model=nasty, unit=nasty),
+            sensor=known.sensor.replaced(serial=nasty, model=nasty, unit=nasty),
             fit=FitRecord(notes=(nasty,), budget={nasty: {nasty: 1.0}}, residuals={nasty: {"x": 1.0}}),
             procedure=ProcedureRecord(name=nasty, title=nasty, set={nasty: PositionSet(tilt={"x": 1.0})}),
             positions=(PositionRecord(position=nasty, mean={"x": 1.0}, n=1),),
@@ -275,9 +282,9 @@ class TestAnyFile:
         names = dict(zip(known.fit.residuals, [*maths, *list(known.fit.residuals)[len(maths) :]], strict=True))
         calibration = replace(
             known,
-            sensor=replace(known.sensor, unit=" ".join(maths)),
-            fit=replace(known.fit, residuals={names[name]: row for name, row in known.fit.residuals.items()}),
-            positions=tuple(replace(one, position=names[one.position]) for one in known.positions),
+            sensor=known.sensor.replaced(unit=" ".join(maths)),
+            fit=known.fit.replaced(residuals={names[name]: row for name, row in known.fit.residuals.items()}),
+            positions=tuple(one.replaced(position=names[one.position]) for one in known.positions),
         )
         drawn = [text.text for figure in page_of(calibration).root.find("svg") for text in figure.find("text")]
         assert set(maths) <= set(drawn)

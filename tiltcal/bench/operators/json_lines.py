@@ -28,12 +28,8 @@ class JsonLinesRig:
     def position(self, ask: Mapping[str, Any]) -> object:
         """Ask, and wait for the answer.
 
-        Raises
-        ------
-        InputError
-            The line is not JSON.
-        Stopped
-            The program closed its stream, or is gone.
+        InputError: the line is not JSON.
+        Stopped: the program closed its stream, or is gone.
         """
         self._send(ask)
         return self._next()
@@ -66,10 +62,7 @@ class JsonLinesRig:
 def parsed(line: str) -> object:
     """Return the JSON of one line.
 
-    Raises
-    ------
-    InputError
-        It is not JSON, or an object has a key twice.
+    InputError: it is not JSON, or an object has a key twice.
     """
     try:
         return json.loads(line, parse_constant=_no_constant, object_pairs_hook=_once)

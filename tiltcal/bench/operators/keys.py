@@ -23,10 +23,7 @@ class Keys(Protocol):
     def choice(self, timeout: float | None) -> str | None:
         """Return the next key (:data:`ENTER` for Enter), or None when ``timeout`` seconds pass without one.
 
-        Raises
-        ------
-        Stopped
-            The input has ended.
+        Stopped: the input has ended.
         """
         ...
 

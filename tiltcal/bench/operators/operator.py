@@ -8,7 +8,7 @@ A procedure of positions is carried out by a :class:`PositionOperator`, one of a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from math import dist
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -18,7 +18,6 @@ from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import InputError
 from tiltcal.files.procedure import Position, Procedure
-from tiltcal.frozen import frozen
 
 if TYPE_CHECKING:
     from tiltcal.bench.position_result import PositionResult
@@ -32,7 +31,7 @@ Live = Callable[[], Mapping[str, Reading]]
 """Takes one sample of every sensor, by serial number."""
 
 
-@frozen
+@dataclass(frozen=True)
 class OperatorAnswer:
     """An answer of the operator, as the journal keeps it. An operator that quits raises ``Stopped`` instead.
 
@@ -57,10 +56,7 @@ class OperatorAnswer:
     def as_set(self, position: Position) -> Position:
         """Return a position with the angles and the temperature that the operator actually set.
 
-        Raises
-        ------
-        InputError
-            No direction has these angles, or they contradict the direction that was set.
+        InputError: no direction has these angles, or they contradict the direction that was set.
         """
         if self.temperature is not None:
             position = replace(position, temperature=self.temperature if position.temperature is not None else None)
@@ -102,10 +98,7 @@ class Operator(Protocol):
     def confirm_write(self, files: list[Path]) -> OperatorAnswer:
         """Answer ``yes``: the calibration files may be written.
 
-        Raises
-        ------
-        Stopped
-            They may not.
+        Stopped: they may not.
         """
         ...
 
@@ -140,10 +133,7 @@ class PositionOperator(Operator, Protocol):
     def refused(self, position: Position, why: str) -> None:
         """Handle a position that is refused; it is asked for again.
 
-        Raises
-        ------
-        Stopped
-            The operator gives up.
+        Stopped: the operator gives up.
         """
         ...
 
@@ -152,7 +142,7 @@ class PositionOperator(Operator, Protocol):
         ...
 
 
-@frozen
+@dataclass(frozen=True)
 class StageTurn:
     """One turn of a stage, with what is known by then.
 
@@ -194,20 +184,14 @@ class RotationOperator(Operator, Protocol):
     def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
         """Let the stage turn: ``ready``.
 
-        Raises
-        ------
-        Stopped
-            The operator quits.
+        Stopped: the operator quits.
         """
         ...
 
     def poll(self) -> OperatorAnswer | None:
         """Return ``stop`` where the operator has said so, without waiting.
 
-        Raises
-        ------
-        Stopped
-            The operator quits.
+        Stopped: the operator quits.
         """
         ...
 

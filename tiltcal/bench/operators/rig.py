@@ -231,10 +231,7 @@ class RigRotationOperator(_Rig):
 def understood(said: object, words: Sequence[str] = TO_POSITION) -> OperatorAnswer:
     """Return the answer of what a rig returned; ``words`` are the answers that it may give.
 
-    Raises
-    ------
-    InputError
-        It is not an answer; the message says what is wrong with it.
+    InputError: it is not an answer; the message says what is wrong with it.
     """
     if not isinstance(said, Mapping):
         raise InputError('an answer is an object such as {"answer": "ready"}')

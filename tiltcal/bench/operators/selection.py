@@ -32,10 +32,7 @@ def open_operator(
     plain : bool
         Whether a terminal gets lines only.
 
-    Raises
-    ------
-    UsageError
-        No such operator, or one that the bench cannot have.
+    UsageError: no such operator, or one that the bench cannot have.
     """
     needed = {"terminal": {"input": sys.stdin, "error": sys.stderr}, "json": {"input": sys.stdin, "output": sys.stdout}}
     for name, stream in needed.get(str(chosen), {}).items():

@@ -336,10 +336,7 @@ class TerminalRotationOperator(_Terminal):
 def direction(typed: str) -> tuple[float, ...]:
     """Return a typed direction as a unit vector.
 
-    Raises
-    ------
-    InputError
-        Not three numbers, or all zero.
+    InputError: not three numbers, or all zero.
     """
     try:
         parts = [float(part) for part in typed.replace(",", " ").split()]

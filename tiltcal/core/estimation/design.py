@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
 
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.core.orientation import STRAIGHT
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 
-@frozen
+@dataclass(frozen=True)
 class Observation:
     """The mean reading in one position.
 
@@ -51,7 +50,7 @@ class Observation:
     noise_unknown: bool = False
 
 
-@frozen
+@dataclass(frozen=True)
 class Prior:
     """Value and uncertainty of a coefficient before anything is measured.
 
@@ -65,7 +64,7 @@ class Prior:
     u: float = 0.0
 
 
-@frozen
+@dataclass(frozen=True)
 class Design:
     """Which coefficients are to be determined, and how well the bench sets what it sets.
 
@@ -135,7 +134,7 @@ class Design:
         return tuple(name for model in self.models for name in model.coefficients)
 
 
-@frozen
+@dataclass(frozen=True)
 class SensorObservations:
     """Observations of one sensor of a fixture.
 

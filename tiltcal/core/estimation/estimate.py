@@ -9,6 +9,7 @@ set have a fit of their own (:mod:`tiltcal.core.estimation.free`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import degrees, sqrt
 
 import numpy as np
@@ -32,7 +33,6 @@ from tiltcal.core.estimation.solve import (
 from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.core.named_coefficients import DeterminedCoefficients
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 LARGEST_THERMOMETER = 5.0
 """Standard deviation of a temperature above which no thermometer explains the residuals, °C."""
@@ -53,7 +53,7 @@ JIG_NOT_SHOWN = (
 ABOVE_NOISE = "the residuals are larger than noise and attitudes explain: is the sensor linear, and was it still?"
 
 
-@frozen
+@dataclass(frozen=True)
 class AttitudeError:
     """Attitude error of a position, as the readings show it.
 
@@ -73,7 +73,7 @@ class AttitudeError:
     p: float
 
 
-@frozen
+@dataclass(frozen=True)
 class Estimate(DeterminedCoefficients):
     """Coefficients of one sensor, with their uncertainty and the residuals.
 

@@ -15,6 +15,7 @@ equipments* (2014), which minimises the same misfits.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import cos, inf, radians, sqrt
 
 import numpy as np
@@ -26,7 +27,6 @@ from tiltcal.core.estimation.identifiability import undetermined
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 DIFFERENT_ATTITUDE = 5.0
 """Attitudes closer than this are one attitude taken again, degrees."""
@@ -60,7 +60,7 @@ _ADVICE = (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class FreeFit:
     """Offset, unit, and upper-triangular sensitivity, unit/g, from the length of gravity in n attitudes.
 
@@ -177,7 +177,7 @@ def count_distinct(attitudes: Array) -> int:
     return count
 
 
-@frozen
+@dataclass(frozen=True)
 class _Linearised:
     """Gravity, g, its misfit, and the derivatives of that by the readings, shape (n, 3)."""
 

@@ -8,7 +8,7 @@ by itself. The coefficients follow as the estimator does, when the readings ther
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import hypot, radians, sqrt
 
@@ -18,7 +18,6 @@ from tiltcal.core.estimation.design import Observation, SensorObservations
 from tiltcal.core.estimation.equations import HYSTERESIS
 from tiltcal.core.estimation.estimate import Estimate, estimate
 from tiltcal.core.model import AXES, Array
-from tiltcal.frozen import frozen
 
 ALIKE = 1.5
 """Temperatures that are no further apart are one temperature met twice, °C."""
@@ -27,7 +26,7 @@ SIGNIFICANT = 3.0
 """Standard uncertainties above which the difference of two readings at one temperature is hysteresis."""
 
 
-@frozen
+@dataclass(frozen=True)
 class Loop:
     """The largest difference between two readings in one position at one temperature.
 

@@ -7,7 +7,7 @@ covariance needs no readings.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from operator import itemgetter
@@ -23,7 +23,6 @@ from tiltcal.core.estimation.solve import solved_at
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.uncertainty_budget import Budget
-from tiltcal.frozen import frozen
 
 STRONG = 0.9
 """A correlation from here on is named."""
@@ -32,7 +31,7 @@ WORTH = 0.8
 """A position is proposed where it brings the largest uncertainty below this share of what it was."""
 
 
-@frozen
+@dataclass(frozen=True)
 class PlannedPosition:
     """Position of a planned session: up in the sensor frame, g; °C; degrees; the fixture stands as before."""
 
@@ -43,7 +42,7 @@ class PlannedPosition:
     held: bool = False
 
 
-@frozen
+@dataclass(frozen=True)
 class Prediction:
     """Uncertainty that a planned session will reach in named coefficients, and degrees of freedom to check them.
 

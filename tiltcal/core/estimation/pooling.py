@@ -17,6 +17,7 @@ B. Widrow, I. Kollár, *Quantization noise*, Cambridge (2008), chapter 9.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from math import inf, sqrt
 
@@ -25,7 +26,6 @@ import numpy as np
 from tiltcal.core.model import Array
 from tiltcal.core.quantisation import noise_under_rounding, rounding_left
 from tiltcal.core.statistics import BLOCKS, SampleSummary
-from tiltcal.frozen import frozen
 
 STEPS = 50
 """Most Newton steps of the inverse of the trigamma function, which takes about five."""
@@ -65,7 +65,7 @@ COARSE = 0.5
 """Noise below this share of the reading's step leaves a rounding error in a mean."""
 
 
-@frozen
+@dataclass(frozen=True)
 class CorrelatedNoise:
     """Noise whose memory is longer than a block of samples.
 

@@ -17,6 +17,7 @@ refused with the pace at which one lag describes it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import sqrt
@@ -28,7 +29,6 @@ from tiltcal.core.model import Array
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of, row_noise
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 LEG_LAGS = 4.0
 """A leg must last so many lags: else the element does not follow."""
@@ -70,7 +70,7 @@ _DISTANCES = (1, 2, 4, 8)  # of second differences, in means: a step of the ther
 _TINY = np.finfo(float).tiny
 
 
-@frozen
+@dataclass(frozen=True)
 class RampFit:
     """The drift that a record shows.
 

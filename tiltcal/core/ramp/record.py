@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,6 @@ from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.quantisation import StepFinder
 from tiltcal.errors import EstimateError
-from tiltcal.frozen import frozen
 
 MOST = 4096
 """Means that a record has at least, where it has so many rows."""
@@ -38,7 +38,7 @@ _FIRST = 5  # rows whose median is the temperature that a record begins with
 _SQUARE_OF_90_PERCENT = 2.706  # what the square of a normal variable of variance 1 is below in 90 % of cases
 
 
-@frozen
+@dataclass(frozen=True)
 class RampRecord:
     """Means of consecutive rows of a record.
 
@@ -142,7 +142,7 @@ def row_noise(values: Array) -> float:
     return float(np.sqrt(np.quantile(np.diff(values, 4) ** 2, 0.9) / (70.0 * _SQUARE_OF_90_PERCENT)))
 
 
-@frozen
+@dataclass(frozen=True)
 class Leg:
     """A part of a record in which the temperature goes one way.
 

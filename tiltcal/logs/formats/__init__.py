@@ -7,18 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from tiltcal.errors import UsageError
-from tiltcal.frozen import frozen
 from tiltcal.logs.log import LogReader, LogSource, LogWriter, Progress
 from tiltcal.logs.streams import STANDARD, log_source
 from tiltcal.stated_arguments import require_boolean
 
 
-@frozen
+@dataclass(frozen=True)
 class LogFormat:
     """A format of logs.
 

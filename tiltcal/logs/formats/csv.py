@@ -48,10 +48,7 @@ class CsvReader(LogReader):
     line_end : str
         LF or CRLF, as the first line has it.
 
-    Raises
-    ------
-    InputError
-        The file is empty or no text, or its header names a column twice.
+    InputError: the file is empty or no text, or its header names a column twice.
     """
 
     header_line = 1

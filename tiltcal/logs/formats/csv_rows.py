@@ -19,14 +19,13 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.frozen import frozen
 from tiltcal.logs.log import LogBlock
 from tiltcal.logs.text_to_numbers import is_cut, numbers, seconds
 
@@ -43,7 +42,7 @@ UTF8_BOM = b"\xef\xbb\xbf"
 _UNUSED = "\x1f\x1e\x1d\x1c\x01\x02\x03\x04\x05\x06\x0e\x0f\x10\x11\x12\x13\x14\x15\x16\x17"
 
 
-@frozen(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CsvBlock(LogBlock):
     """Some rows of a CSV log, in order.
 
@@ -133,7 +132,7 @@ def parse_rows(
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class _Rows:
     """Rows that are parsed; see :class:`CsvBlock`."""
 

@@ -44,10 +44,7 @@ class ColumnTypes:
     others : tuple of int
         Indices of the columns whose text is needed.
 
-    Raises
-    ------
-    InputError
-        A column has no name.
+    InputError: a column has no name.
     """
 
     def __init__(self, names: Sequence[str], needed: Sequence[int], time: int | None, *, file: str) -> None:
@@ -66,10 +63,7 @@ class ColumnTypes:
     def typed(self, block: CsvBlock) -> CsvBlock:
         """Return a block with its columns as a frame.
 
-        Raises
-        ------
-        InputError
-            A column of numbers goes on with something else.
+        InputError: a column of numbers goes on with something else.
         """
         import polars as pl
 

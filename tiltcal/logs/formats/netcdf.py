@@ -75,12 +75,8 @@ class NetcdfReader(LogReader):
 
     Its columns are all variables; those that hold readings have one dimension, the same.
 
-    Raises
-    ------
-    UsageError
-        The libraries are not there.
-    InputError
-        The file is no NetCDF-4, or damaged.
+    UsageError: the libraries are not there.
+    InputError: the file is no NetCDF-4, or damaged.
     """
 
     def __init__(self, source: LogSource) -> None:
@@ -136,10 +132,7 @@ class NetcdfReader(LogReader):
     def dimension(self, columns: Sequence[int]) -> str:
         """Along which the columns have their rows.
 
-        Raises
-        ------
-        InputError
-            A column has none or several, they differ, or there is no row.
+        InputError: a column has none or several, they differ, or there is no row.
         """
         along: dict[str, str] = {}
         for name in (self.names[index] for index in columns):
@@ -257,11 +250,7 @@ class NetcdfWriter(LogWriter):
         self._sink.flush()
         columns = list(first[0].values)
         dimension, like = log.dimension(columns), log.attributes(log.names[columns[0]])
-        with (
-            interrupts_held() as check_interrupts,
-            _refusing_to_add(log.name),
-            h5netcdf.File(self._sink, "r+") as file,
-        ):
+        with interrupts_held() as check_interrupts, _refusing_to_add(log.name), h5netcdf.File(self._sink, "r+") as file:
             chunk = len(first[0])
             variables = {name: self._variable(file, name, dimension, like, chunk) for name in self._added}
             _write_chunks(variables, (table for _, table in chain([first], rows)), chunk, check_interrupts)

@@ -40,10 +40,7 @@ _OF_THE_ENGINE = "ARROW:schema"
 class ParquetReader(LogReader):
     """A log in Parquet; see :class:`tiltcal.logs.log.LogReader`.
 
-    Raises
-    ------
-    InputError
-        The file is no Parquet file, damaged, or without a row.
+    InputError: the file is no Parquet file, damaged, or without a row.
     """
 
     def __init__(self, source: LogSource) -> None:

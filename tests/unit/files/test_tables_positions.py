@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tiltcal.errors import InputError
-from tiltcal.files.positions import TabledPosition, read_positions
+from tiltcal.files.tables import TabledPosition, read_positions
 
 
 def read(tmp_path: Path, text: str, channels: tuple[str, ...] = ("x", "y")) -> list[TabledPosition]:

@@ -8,7 +8,7 @@ import pytest
 from support.recordings import RECORDINGS, needs
 
 from tiltcal.errors import InputError
-from tiltcal.files.segments import Segment, read_segments
+from tiltcal.files.tables import Segment, read_segments
 
 
 def read(tmp_path: Path, text: str) -> list[Segment]:

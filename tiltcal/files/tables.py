@@ -1,0 +1,230 @@
+"""Small tables in CSV or JSON, read as strictly as YAML: positions with their mean readings, and segments of a log.
+
+An error names file, line and column.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from io import StringIO
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+from tiltcal.core.gravity_direction import Vector, normalised
+from tiltcal.core.model import AXES
+from tiltcal.errors import InputError
+from tiltcal.files.document import Document, document_of, parse_document, read_text
+from tiltcal.files.procedure import Temperature
+from tiltcal.files.record import AboveZero, Count, FromOne, Number, Record, Text, about, keys_of
+from tiltcal.files.refusal import Quoted
+
+_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]+)?)([eE][-+]?[0-9]+)?")
+
+Table = str | Path | Sequence[Mapping[str, Any]]
+"""A file of CSV, or of a JSON list of objects; or such rows."""
+
+
+def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iterator[Document]:
+    """Read a small table and yield its rows, each with its line; a blank field of CSV is an absent one.
+
+    ``file`` is what messages call it; ``keys`` are the columns, and whether each is needed. An InputError where the
+    header or a row does not fit them, or the text is neither CSV nor JSON.
+    """
+    if not isinstance(table, str | Path):
+        rows: Iterable[Document] = document_of(list(table), str(file)).items()
+    elif (text := read_text(table)).lstrip().startswith(("[", "{")):  # a CSV header begins with a name
+        rows = parse_document(text, str(file), "JSON").items()
+    else:
+        rows = _csv_rows(text, str(file), keys)
+    for row in rows:
+        _require_columns(row, keys)
+        yield row
+
+
+def _require_columns(row: Document, keys: Mapping[str, bool]) -> None:
+    row.require_keys(row.members(), [*sorted(keys, key=lambda name: not keys[name])])
+    needed = [name for name, is_needed in keys.items() if is_needed]
+    row.require_keys([name for name in needed if row.data.get(name) is not None], needed, complete=True)
+
+
+def _csv_rows(text: str, file: str, keys: Mapping[str, bool]) -> Iterator[Document]:
+    rows = csv.reader(StringIO(text, newline=""), strict=True)
+    try:
+        header = [name.strip() for name in next(rows, [])]
+        _check_header(header, file, keys)
+        line = rows.line_num + 1
+        for row in rows:
+            if row and len(row) != len(header):
+                raise InputError(f"the row has {len(row)} fields, the header {len(header)}", file=file, line=line)
+            if row:
+                fields = {name: field.strip() for name, field in zip(header, row, strict=True) if field.strip()}
+                data = {name: field if _NUMBER.fullmatch(field) else Quoted(field) for name, field in fields.items()}
+                yield Document(data, {(): line}, file)
+            line = rows.line_num + 1
+    except csv.Error as failure:
+        raise InputError(f"not CSV: {failure}", file=file, line=rows.line_num) from None
+
+
+def _check_header(header: list[str], file: str, keys: Mapping[str, bool]) -> None:
+    if not header:
+        raise InputError("the file is empty", file=file)
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+        why = f"the header {header[0]!r} is a single column: separate the columns with commas"
+        raise InputError(why, file=file, line=1)
+    twice = [name for name in header if header.count(name) > 1]
+    if twice:
+        raise InputError(f"the column {twice[0]!r} is there twice", file=file, line=1)
+    _require_columns(Document(dict.fromkeys(header, ""), {(): 1}, file), keys)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Rows of a log during which the sensor was held still, from 0 after the header, the end exclusive.
+
+    Up is a unit vector in the sensor frame, None where the position's name gives it by the procedure.
+    """
+
+    name: str
+    start: int
+    end: int
+    gravity: Vector | None
+    line: int | None
+
+
+class Direction(Record, kw_only=True):
+    """The direction that points up, as a row of a table gives it."""
+
+    gx: Annotated[
+        Number | None,
+        about("with `gy` and `gz` the direction that points up, where the position is not the procedure's"),
+    ] = None
+    gy: Annotated[Number | None, about("likewise")] = None
+    gz: Annotated[Number | None, about("likewise")] = None
+
+    def vector(self, row: Document) -> Vector | None:
+        """Return the direction as a unit vector, None where the row has none; an InputError where it is incomplete."""
+        parts = {"gx": self.gx, "gy": self.gy, "gz": self.gz}
+        missing = [name for name, value in parts.items() if value is None]
+        if len(missing) == len(parts):
+            return None
+        if missing:
+            raise row.error(f"{', '.join(missing)} is missing; a direction has all of gx, gy and gz")
+        with row.locating():
+            return normalised([value or 0.0 for value in parts.values()])
+
+
+class SegmentRow(Direction, kw_only=True):
+    """One row of a segments file."""
+
+    position: Annotated[Text, about("its name, the procedure's or another one")]
+    start: Annotated[Count, about("first row of the log, counted from 0 after its header")]
+    end: Annotated[Count, about("the row after the last one")]
+
+
+def read_segments(segments: Table) -> list[Segment]:
+    """Read and check a segments file.
+
+    ``segments`` are CSV with the columns ``position,start,end`` and, all three or none, ``gx,gy,gz``; or a JSON list of
+    objects with these keys; or such rows. A position may come more than once: in consecutive rows they are parts of one
+    placement that was interrupted, elsewhere the sensor was put there again. An InputError names file, line and column.
+    """
+    path = segments if isinstance(segments, str | Path) else "the segments"
+    read = []
+    for row in table_rows(segments, path, keys_of(SegmentRow)):
+        stated = row.read(SegmentRow)
+        if stated.start >= stated.end:
+            raise row.error(f"the end {stated.end} is not after the start {stated.start}; the end is exclusive", "end")
+        read.append(Segment(stated.position, stated.start, stated.end, stated.vector(row), row.line))
+    if not read:
+        raise InputError("the file has no segment", file=path)
+    for before, after in pairwise(sorted(read, key=lambda segment: segment.start)):
+        if after.start < before.end:
+            also = "and" if before.line is None else f"and, by line {before.line},"
+            raise InputError(
+                f"rows {after.start} to {min(before.end, after.end) - 1} belong to {after.name!r} {also} to "
+                f"{before.name!r}; segments do not overlap",
+                file=path,
+                line=after.line,
+            )
+    return read
+
+
+@dataclass(frozen=True)
+class TabledPosition:
+    """One row of a table of positions.
+
+    Up is a unit vector in the sensor frame, None where the position's name gives it; means and their standard
+    uncertainties are by channel, in the sensor's unit; what the table does not state is None.
+    """
+
+    name: str
+    gravity: Vector | None
+    mean: dict[str, float]
+    u: dict[str, float] | None
+    n: int | None
+    temperature: float | None
+    line: int | None
+
+
+class TabledRow(Direction, kw_only=True):
+    """One row of a table of positions, as it stands in its file."""
+
+    position: Annotated[Text, about("its name")]
+    x: Annotated[Number | None, about("mean reading, unit; needed where the sensor has the channel")] = None
+    y: Annotated[Number | None, about("likewise")] = None
+    z: Annotated[Number | None, about("likewise")] = None
+    ux: Annotated[
+        AboveZero | None,
+        about(
+            "standard uncertainty of the mean, unit; in every row or in none, where rounding to the last digit counts"
+        ),
+    ] = None
+    uy: Annotated[AboveZero | None, about("likewise")] = None
+    uz: Annotated[AboveZero | None, about("likewise")] = None
+    n: Annotated[FromOne | None, about("number of samples behind the means")] = None
+    temperature: Annotated[Temperature | None, about("°C")] = None
+
+
+def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition]:
+    """Read and check a table of positions, in the order of the file.
+
+    ``table`` is CSV with the columns ``position``, a mean for each channel (``x``, ...), and optionally a direction
+    (``gx``, ``gy``, ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``; or a JSON
+    list of objects with these keys; or such rows. An InputError names file, line and column.
+    """
+    absent = [f"{lead}{axis}" for axis in AXES if axis not in channels for lead in ("", "u")]
+    keys = {key: needed or key in channels for key, needed in keys_of(TabledRow).items() if key not in absent}
+    path = table if isinstance(table, str | Path) else "the table"
+    positions = [_position(row, channels) for row in table_rows(table, path, keys)]
+    if not positions:
+        raise InputError("the table has no position", file=path)
+    stated = [position for position in positions if position.u is not None]
+    if stated and len(stated) < len(positions):
+        silent = next(position for position in positions if position.u is None)
+        raise InputError(
+            f"{silent.name} has no uncertainty, and {stated[0].name} has one: give it for every position, or for none",
+            file=path,
+            line=silent.line,
+        )
+    return positions
+
+
+def tabled_channels(table: Table, axes: Sequence[str]) -> tuple[str, ...]:
+    """Return those of some axes that a table has a reading of."""
+    path = table if isinstance(table, str | Path) else "the table"
+    rows = [row.read(TabledRow) for row in table_rows(table, path, keys_of(TabledRow))]
+    return tuple(axis for axis in axes if any(getattr(row, axis) is not None for row in rows))
+
+
+def _position(row: Document, channels: Sequence[str]) -> TabledPosition:
+    stated = row.read(TabledRow)
+    mean, u = ({channel: getattr(stated, f"{lead}{channel}") for channel in channels} for lead in ("", "u"))
+    missing = [f"u{channel}" for channel, value in u.items() if value is None]
+    if 0 < len(missing) < len(channels):
+        raise row.error(f"{', '.join(missing)} is missing; give the uncertainty of every mean, or of none")
+    direction, n, temperature = stated.vector(row), stated.n, stated.temperature
+    return TabledPosition(stated.position, direction, mean, None if missing else u, n, temperature, row.line)
