@@ -40,13 +40,13 @@ class TestTemperaturePoint:
         )
 
     def test_one_that_stood_still_is_taken(self, tmp_path: Path) -> None:
-        result = self.fitted(tmp_path, cooling=0.2)
+        result = self.fitted(tmp_path, cooling=0.02)
         assert result.returncode == 0, result.stderr
 
     def test_a_log_without_times_on_standard_input_gives_the_same(self, tmp_path: Path) -> None:
         written = []
         for piped in (False, True):
-            result = self.fitted(tmp_path, 0.2, piped=piped)
+            result = self.fitted(tmp_path, 0.02, piped=piped)
             assert result.returncode == 0, result.stderr
             written.append((tmp_path / "S-1.yaml").read_text())
         assert written[1] == written[0].replace("name: log.csv", 'name: "-"')

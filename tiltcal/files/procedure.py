@@ -154,7 +154,7 @@ class Procedure:
     alignment: float = 0.0
     samples: int = 100
     settle: float = 2.0
-    soak: Soak = Soak(seconds=240.0, drift=0.06)
+    soak: Soak = Soak(seconds=20.0, drift=0.01)
     ramp: Ramp | None = None
     positions: tuple[Position, ...]
     record: Mapping[str, Any] = field(default_factory=dict, compare=False)
@@ -248,7 +248,7 @@ class ProcedureFile(Record, kw_only=True):
         Soak,
         about(
             "at a new temperature: the window, seconds, and the largest drift in it, °C",
-            usual="`{seconds: 240, drift: 0.06}`",
+            usual="`{seconds: 20, drift: 0.01}`",
         ),
     ] = Procedure.soak
     ramp: Annotated[
