@@ -51,7 +51,7 @@ def changed(pattern: str, replacement: str, name: str = "plane.yaml") -> str:
 @pytest.mark.parametrize(
     ("pattern", "replacement", "said"),
     [
-        (r"^    x: \{x: \d+(\.\d+)?, y: [-\d.]+\}", "    x: {x: 0, y: 11.4}", "x does not sense axis x"),
+        (r"^    x: \{x: \d+(\.\d+)?, y: [-\d.]+", "    x: {x: 0, y: 11.4", "x does not sense axis x"),
         (r'^  started: ".*"', '  started: "9999-12-31T23:59:59Z"', "is no date"),
     ],
 )

@@ -20,14 +20,14 @@ def test_serial_model_and_date_are_those_that_the_whole_file_gives(tmp_path: Pat
     (tmp_path / "a.yaml").write_text(MAVS)
     (tmp_path / "b.yml").write_text("# of hand\n" + MAVS.replace("SIM-42", "0042").replace("2000-01-01", "2001-03-04"))
     (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "c.yaml").write_text(MAVS.replace("2000-01-01T00:04", "1999-12-31T23:04"))
+    (tmp_path / "old" / "c.yaml").write_text(MAVS.replace("2000-01-01T00:16", "1999-12-31T23:16"))
     index = index_folder(tmp_path)
     assert not index.problems
     found = [(one.serial, one.model, one.date, Path(one.path).name) for one in index.files]
     assert found == [
-        ("0042", "sca100t-d02", datetime(2001, 3, 4, 0, 4, 0, 446000, UTC), "b.yml"),
-        ("SIM-42", "sca100t-d02", datetime(1999, 12, 31, 23, 4, 0, 446000, UTC), "c.yaml"),
-        ("SIM-42", "sca100t-d02", datetime(2000, 1, 1, 0, 4, 0, 446000, UTC), "a.yaml"),
+        ("0042", "sca100t-d02", datetime(2001, 3, 4, 0, 16, 4, 665000, UTC), "b.yml"),
+        ("SIM-42", "sca100t-d02", datetime(1999, 12, 31, 23, 16, 4, 665000, UTC), "c.yaml"),
+        ("SIM-42", "sca100t-d02", datetime(2000, 1, 1, 0, 16, 4, 665000, UTC), "a.yaml"),
     ]
 
 
