@@ -80,12 +80,8 @@ HIGHEST_I2C_RATE = 500.0
 class Adxl355Settings:
     """The settings of an address.
 
-    Attributes
-    ----------
-    range : int
-        Code.
-    step : int
-        The rate is 4000 Hz halved so often.
+    range: code.
+    step: the rate is 4000 Hz halved so often.
     """
 
     range: int = 1

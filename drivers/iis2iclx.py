@@ -67,12 +67,8 @@ DENSITY = 15e-6
 class Iis2iclxSettings:
     """The settings of an address.
 
-    Attributes
-    ----------
-    range : int
-        Code.
-    rate : float
-        Samples a second.
+    range: code.
+    rate: samples a second.
     """
 
     range: int = RANGES["2g"]

@@ -26,10 +26,7 @@ class PolledSensor(ABC):
     The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
     set up, so a reset shows as samples that do not come.
 
-    Parameters
-    ----------
-    rate : float
-        Samples a second.
+    rate: samples a second.
     """
 
     NAME: ClassVar[str]

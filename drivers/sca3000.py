@@ -55,18 +55,11 @@ COMMAND_SHIFT, WRITING = 2, 0b10
 class Sca3000Part:
     """One part of the family: its constants as far as they are known, and its wiring.
 
-    Attributes
-    ----------
-    name : str
-        Of the model.
-    schemes, addresses : tuple of str
-        How it can be connected, and an example of each way.
-    rate : float
-        Output data rate in normal mode, Hz.
-    any_range : bool
-        Whether the address of a real part must state ``counts_per_g``.
-    pointer_shift : int
-        On I2C the register pointer is the address shifted left by this many bits.
+    name: of the model.
+    schemes, addresses: how it can be connected, and an example of each way.
+    rate: output data rate in normal mode, Hz.
+    any_range: whether the address of a real part must state ``counts_per_g``.
+    pointer_shift: on I2C the register pointer is the address shifted left by this many bits.
     """
 
     name: str

@@ -49,16 +49,10 @@ RESTARTED = 0x010 | 0x004 | 0x002
 class Answer(NamedTuple):
     """One decoded answer frame.
 
-    Attributes
-    ----------
-    operation : int
-        Of the request that it answers: write and address, 6 bits.
-    status : int
-        Return status.
-    data : int
-        16 bits.
-    intact : bool
-        Whether the CRC fits.
+    operation: of the request that it answers: write and address, 6 bits.
+    status: return status.
+    data: 16 bits.
+    intact: whether the CRC fits.
     """
 
     operation: int

@@ -29,16 +29,10 @@ _SENTENCE = re.compile(
 class Sentence:
     """The content of one sentence.
 
-    Attributes
-    ----------
-    number : int
-        Its place in the sequence.
-    duty : tuple of float
-        T1/T2 of x and of y, each with its own period.
-    periods : tuple of float
-        T2 of x and of y, ticks.
-    temperature : float or None
-        °C; None if the sentence has none.
+    number: its place in the sequence.
+    duty: T1/T2 of x and of y, each with its own period.
+    periods: T2 of x and of y, ticks.
+    temperature: °C; None if the sentence has none.
     """
 
     number: int

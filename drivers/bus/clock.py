@@ -39,11 +39,8 @@ def session_clock(started: datetime, *, virtual: bool) -> Clock:
 class SystemClock:
     """The machine's clock.
 
-    Parameters
-    ----------
-    started_ns : int
-        The session's start in nanoseconds since 1970 UTC; a resumed session passes the start of the first run, so
-        that the pause shows in its times.
+    started_ns: the session's start in nanoseconds since 1970 UTC; a resumed session passes the start of the first run,
+        so that the pause shows in its times.
     """
 
     real = True

@@ -11,12 +11,8 @@ from pathlib import Path
 def no_permission(device: str, subsystem: str) -> str:
     """Return the message for a device node that this user may not open.
 
-    Parameters
-    ----------
-    device : str
-        The node, such as ``/dev/spidev0.0``.
-    subsystem : str
-        Its name in udev, such as ``spidev``; the usual group has this name without a trailing ``dev``.
+    device: the node, such as ``/dev/spidev0.0``.
+    subsystem: its name in udev, such as ``spidev``; the usual group has this name without a trailing ``dev``.
     """
     import grp
 
@@ -44,12 +40,8 @@ def no_serial_port(place: str) -> str:
 def missing_node(device: str, patterns: Sequence[str], otherwise: str) -> str:
     """Return the message for a device node that does not exist, with those of its kind that do.
 
-    Parameters
-    ----------
-    patterns : sequence of str
-        The names of such nodes in ``/dev``, such as ``spidev*``.
-    otherwise : str
-        What the message says if there is no such node.
+    patterns: the names of such nodes in ``/dev``, such as ``spidev*``.
+    otherwise: what the message says if there is no such node.
     """
     present = ", ".join(sorted(str(path) for pattern in patterns for path in Path("/dev").glob(pattern)))
     return f"{device} does not exist ({f'present: {present}' if present else otherwise})"
@@ -58,20 +50,12 @@ def missing_node(device: str, patterns: Sequence[str], otherwise: str) -> str:
 def node_error(device: str, cause: OSError, bus: str, *, subsystem: str, pattern: str, example: str) -> str | None:
     """Return the message for an error that every bus node has in common; None for another error.
 
-    Parameters
-    ----------
-    device : str
-        The node, such as ``/dev/spidev0.0``.
-    cause : OSError
-        What the operating system reported.
-    bus : str
-        The bus with its article, such as ``an SPI device``.
-    subsystem : str
-        Its name in udev, for :func:`no_permission`.
-    pattern : str
-        The names of such nodes in ``/dev``, such as ``spidev*``.
-    example : str
-        A node of this kind.
+    device: the node, such as ``/dev/spidev0.0``.
+    cause: what the operating system reported.
+    bus: the bus with its article, such as ``an SPI device``.
+    subsystem: its name in udev, for :func:`no_permission`.
+    pattern: the names of such nodes in ``/dev``, such as ``spidev*``.
+    example: a node of this kind.
     """
     name = bus.split()[1]
     if cause.errno == errno.ENOENT:

@@ -40,12 +40,8 @@ class Ads1115Twin(TwinLink):
     Its state is that of the part: the pointer, the config register, and the last conversion. All three follow from what
     was written; :meth:`recall` restores them in the twin of a resumed session.
 
-    Parameters
-    ----------
-    wiring : Wiring
-        The voltages at its inputs, sampled when a conversion starts.
-    clock : Clock
-        Session time; each transaction advances it by its bits at 100 kHz.
+    wiring: the voltages at its inputs, sampled when a conversion starts.
+    clock: session time; each transaction advances it by its bits at 100 kHz.
     """
 
     letter = "i"

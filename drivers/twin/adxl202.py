@@ -70,10 +70,7 @@ class EdgesTwin(LineTwin):
     The answer depends on the time alone: the edges of the next whole period. An edge that was not read at once is lost,
     and leaves a gap in the numbers.
 
-    Parameters
-    ----------
-    clock : Clock
-        Advances to the end of that period.
+    clock: advances to the end of that period.
     """
 
     letter = "e"

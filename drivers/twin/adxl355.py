@@ -56,10 +56,7 @@ HELD = {
 class Adxl355Registers(CountingUp):
     """The registers of one virtual part.
 
-    Parameters
-    ----------
-    settings : Adxl355Settings
-        What the driver is going to set; the truth is in counts of this range.
+    settings: what the driver is going to set; the truth is in counts of this range.
     """
 
     FLAG = CLEARED_BY = STATUS

@@ -33,12 +33,8 @@ def columns_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: 
 def draw_truth(channels: tuple[str, ...], offset: float, sensitivity: float, seed: int) -> Truth:
     """Return a device near its nominal coefficients; the tolerances are ours.
 
-    Parameters
-    ----------
-    offset : float
-        Nominal, unit.
-    sensitivity : float
-        Nominal, unit/g.
+    offset: nominal, unit.
+    sensitivity: nominal, unit/g.
     """
     within = part_errors(seed)
 

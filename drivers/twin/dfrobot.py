@@ -20,10 +20,7 @@ BYTE_SECONDS = 10 / 9600
 class DfrobotTwin(LineTwin):
     """The module on a serial line of 9600 baud.
 
-    Parameters
-    ----------
-    clock : Clock
-        Advances by the bytes of request and answer.
+    clock: advances by the bytes of request and answer.
     """
 
     letter = "r"

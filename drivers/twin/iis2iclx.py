@@ -43,10 +43,7 @@ WRITABLE = range(CTRL1, CTRL9 + 2)
 class Iis2iclxRegisters(CountingUp):
     """The registers of one virtual part.
 
-    Parameters
-    ----------
-    settings : Iis2iclxSettings
-        What the driver is going to set; the truth is in counts of this range.
+    settings: what the driver is going to set; the truth is in counts of this range.
     """
 
     FLAG, CLEARED_BY = STATUS, DATA

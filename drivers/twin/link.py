@@ -14,10 +14,7 @@ if TYPE_CHECKING:
 class TwinLink(ABC):
     """Base of the links to virtual parts: nothing is opened, so there is nothing to release.
 
-    Parameters
-    ----------
-    clock : Clock
-        Session time; a transaction advances it by the time that its bits take.
+    clock: session time; a transaction advances it by the time that its bits take.
     """
 
     letter: str

@@ -24,12 +24,8 @@ SAMPLING_BITS = 1
 class Mcp3208Twin(TwinLink):
     """An MCP3208 on the SPI bus, bit by bit, without state between frames.
 
-    Parameters
-    ----------
-    wiring : Wiring
-        The voltages at its inputs.
-    clock : Clock
-        Session time; each frame advances it by its bits at 1 MHz.
+    wiring: the voltages at its inputs.
+    clock: session time; each frame advances it by its bits at 1 MHz.
     """
 
     letter = "s"

@@ -41,12 +41,8 @@ class Registers(Protocol):
 class CountingUp(ABC):
     """Registers whose address counts up in a burst, with a flag for a new sample.
 
-    Parameters
-    ----------
-    after_reset : mapping of int to int
-        What registers hold after a reset; the others hold 0.
-    set_up : mapping of int to int
-        What the driver sets.
+    after_reset: what registers hold after a reset; the others hold 0.
+    set_up: what the driver sets.
     """
 
     FLAG: ClassVar[int]
@@ -98,10 +94,7 @@ class CountingUp(ABC):
 class SpiTwin(RecallingTwin):
     """A part with registers on the SPI bus, at 500 kHz.
 
-    Parameters
-    ----------
-    decode : callable
-        Returns the register of a command byte, and whether it writes.
+    decode: returns the register of a command byte, and whether it writes.
     """
 
     letter = "s"
@@ -143,10 +136,7 @@ class I2cTwin(RecallingTwin):
 
     The register pointer is kept from the write to the read of one transaction.
 
-    Parameters
-    ----------
-    decode : callable
-        Returns the register of the first byte that is written.
+    decode: returns the register of the first byte that is written.
     """
 
     letter = "i"

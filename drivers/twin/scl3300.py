@@ -49,14 +49,9 @@ ENABLE_ANGLES = bytes.fromhex("B0001F6F")
 class Scl3300Twin(RecallingTwin):
     """An SCL3300-D01 or SCA3300-D01 on the SPI bus, in its state after power-up.
 
-    Parameters
-    ----------
-    measuring : MeasuringRange
-        What the driver is going to set; a session that is resumed finds it set.
-    truth : Truth
-        In counts of ``measuring``.
-    clock : Clock
-        Session time; each frame lets it advance by its bits at 2 MHz.
+    measuring: what the driver is going to set; a session that is resumed finds it set.
+    truth: in counts of ``measuring``.
+    clock: session time; each frame lets it advance by its bits at 2 MHz.
     """
 
     letter = "s"

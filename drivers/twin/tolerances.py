@@ -22,20 +22,12 @@ def part_errors(seed: int) -> Callable[[float, str], float]:
 class Tolerances:
     """The tolerances of a model; every error is uniformly distributed within its limit.
 
-    Attributes
-    ----------
-    offset : float
-        g.
-    sensitivity, cross : float
-        Relative to the nominal sensitivity, and to the part's own.
-    drift : float
-        Of the offset, g/°C.
-    gain : float
-        Of the sensitivity, 1/°C.
-    noise : float
-        Standard deviation of one sample, g.
-    thermometer : float
-        °C.
+    offset: g.
+    sensitivity, cross: relative to the nominal sensitivity, and to the part's own.
+    drift: of the offset, g/°C.
+    gain: of the sensitivity, 1/°C.
+    noise: standard deviation of one sample, g.
+    thermometer: °C.
     """
 
     offset: float

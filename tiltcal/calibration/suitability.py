@@ -39,10 +39,7 @@ def require_suitable(
 ) -> None:
     """Refuse a device that reads no tilt, positions beyond its rails, and an unknown sensitivity, with a UsageError.
 
-    Parameters
-    ----------
-    based : bool
-        A base calibration states the sensitivity.
+    based: a base calibration states the sensitivity.
     """
     require_tilt(procedure, model)
     if not (model.scaled or based or procedure.determines.axes or procedure.determines.completes):

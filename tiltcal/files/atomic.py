@@ -66,24 +66,13 @@ def write_all(descriptor: int, data: bytes) -> None:
 
 
 def check_writable(path: str | Path, *read: str | Path) -> None:
-    """Check, before anything is measured, that a file can be written.
+    """Check, before anything is measured, that a file can be written, and replaces none that the command reads.
 
-    A file is made in the folder and removed: permission bits alone do not show a read-only disk.
-
-    Parameters
-    ----------
-    read : str or Path
-        Files that the command reads, which it must not replace.
-
-    UsageError: the folder is not there, is no folder or takes no file, or the target is a folder or may not be
-        replaced.
+    A file is made in the folder and removed: permission bits alone do not show a read-only disk. A UsageError where
+    the folder is not there, is no folder or takes no file, or the target is a folder or may not be replaced.
     """
     require_path("the output", path)
-    _check_place(path)
     require_apart(path, *read)
-
-
-def _check_place(path: str | Path) -> None:
     target = Path(os.path.realpath(path))
     folder = target.parent
     if os.path.isdir(target):
@@ -103,10 +92,7 @@ def _check_place(path: str | Path) -> None:
     except OSError as failure:
         raise _cannot_write(path, failure, "choose another name") from failure
     part = part_of(target)
-    try:
-        stream, named = _begun(part)
-    except OSError as failure:
-        raise _cannot_write(path, failure) from failure
+    stream, named = _begun(part, path)
     stream.close()
     if named:
         part.unlink()
@@ -121,10 +107,7 @@ def require_apart(path: str | Path, *read: str | Path) -> None:
 
 def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
     part = part_of(target)
-    try:
-        stream, named = _begun(part)
-    except OSError as failure:
-        raise _cannot_write(target, failure) from failure
+    stream, named = _begun(part, target)
     try:
         with stream:
             yield stream
@@ -150,10 +133,13 @@ def part_of(target: Path) -> Path:
     return target.with_name(f".tiltcal-{os.urandom(6).hex()}.part")
 
 
-def _begun(part: Path) -> tuple[BinaryIO, bool]:
+def _begun(part: Path, path: str | Path) -> tuple[BinaryIO, bool]:
     """Open a file without a name in the folder, or this one where the system has none; whether it has its name."""
-    nameless = _nameless(part.parent)
-    return (open(part, "x+b"), True) if nameless is None else (open(nameless, "w+b"), False)
+    try:
+        nameless = _nameless(part.parent)
+        return (open(part, "x+b"), True) if nameless is None else (open(nameless, "w+b"), False)
+    except OSError as failure:
+        raise _cannot_write(path, failure) from failure
 
 
 def _nameless(folder: Path) -> int | None:

@@ -3,6 +3,10 @@
 PyYAML alone reads ``1e-8`` as text, ``0042`` as 34, ``12:30`` as 750 and the second of two equal keys in silence. Here
 its parser gives only the events; the type of a record decides what a scalar means. Anchors, aliases and tags are
 refused: no file of ours needs them, and a bomb is made of them.
+
+msgspec converts a sound document at once. Where it refuses one, the data are taken part by part, which finds the
+place, also in a mapping with free keys, and converts what YAML allows and msgspec does not: numbers such as ``.5`` or
+``0x1d``, keys by their former names, and optional keys that hold nothing.
 """
 
 from __future__ import annotations
@@ -10,11 +14,12 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from math import isfinite
 from pathlib import Path
-from typing import Any, TypeVar
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
 import yaml
@@ -22,10 +27,12 @@ import yaml
 from tiltcal.errors import InputError, TiltcalError
 from tiltcal.files.moments import moment
 from tiltcal.files.record import FORMAT_VERSION, KINDS
-from tiltcal.files.refusal import FLOAT, NOT_FINITE, WHOLE, Quoted, numeral, refusal, repaired, unknown
+from tiltcal.files.refusal import FLOAT, NOT_FINITE, WHOLE, Quoted, beyond, numeral, refusal, unknown
 from tiltcal.stated_arguments import require_path, require_printable
 
 T = TypeVar("T")
+Alternative = tuple[Any, tuple[msgspec.Meta, ...]]
+"""A type without its annotations, and these."""
 Place = tuple[str | int, ...]
 
 SIZE_LIMIT = 4_000_000
@@ -134,7 +141,7 @@ class Document:
         if not self._has_quoted_values(self.data, self.place):
             with suppress(msgspec.ValidationError):
                 return msgspec.convert(self.data, record, strict=False)
-        return msgspec.convert(repaired(self.data, record, self.error), record, strict=False)
+        return msgspec.convert(_repaired(self, record), record, strict=False)
 
     def body(self, kind: str) -> Document:
         """Return a file without the keys ``tiltcal`` and ``kind``, which are checked."""
@@ -333,3 +340,102 @@ def _taken(data: Any, part: Document) -> Any:
     if data is None or isinstance(data, bool | int | float):
         return data
     raise part.error(f"a number or a text is needed, not a {type(data).__name__}")
+
+
+def _repaired(part: Document, kind: Any) -> Any:
+    """Return the data of a part as msgspec takes them; an InputError names the first place that a type refuses."""
+    value, alternatives = part.data, _alternatives(kind)
+    shape = next((one for one in (dict, list) if isinstance(value, one)), None)
+    base, metas = next((one for one in alternatives if _shape(one[0]) is shape), alternatives[0])
+    if base is Any:
+        return value
+    if _shape(base) != shape:
+        raise part.error(refusal(value, _shape(base) or base))
+    if shape is dict:
+        return _mapping(part, base)
+    if shape is list:
+        return _list(part, base, metas)
+    literals = [get_args(one) for one, _ in alternatives if getattr(one, "__origin__", None) is Literal]
+    return value if any(value in words for words in literals) else _scalar(part, base, metas)
+
+
+def _mapping(part: Document, base: Any) -> dict[str, Any]:
+    if get_origin(base) is not None:
+        name_kind, kind = get_args(base)
+        names = _words(_alternatives(name_kind)[0][1])
+        kinds, needed = dict.fromkeys(names or part.data, kind), set() if names else set(part.data)
+    else:
+        fields = msgspec.structs.fields(base)
+        kinds = {one.encode_name: one.type for one in fields}
+        needed = {one.encode_name for one in fields if one.required}
+        part = replace(part, data=_renamed(part, kinds))
+    part.require_keys(part.data, kinds)
+    part.require_keys(part.data, [name for name in kinds if name in needed or name in part.data], complete=True)
+    return {
+        name: _repaired(part.at(name), one)
+        for name, one in kinds.items()
+        if name in part.data and (name in needed or part.data[name] is not None)
+    }
+
+
+def _renamed(part: Document, kinds: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a section by the present names of its keys."""
+    metas = ((meta, name) for name, kind in kinds.items() for meta in getattr(kind, "__metadata__", ()))
+    former = {meta.extra["formerly"]: name for meta, name in metas if meta.extra and meta.extra.get("formerly")}
+    for name in part.data:
+        if (present := former.get(name)) in part.data:
+            raise part.error(f"this is the key {present!r} by its present and its former name: leave one out", name)
+    return {former.get(name, name): member for name, member in part.data.items()}
+
+
+def _list(part: Document, base: Any, metas: tuple[msgspec.Meta, ...]) -> list[Any]:
+    kinds, count = get_args(base), len(part.data)
+    least = most = None if kinds[-1] is Ellipsis else len(kinds)
+    for meta in metas:
+        least, most = meta.min_length or least, meta.max_length or most
+    if count < (least or 0) or count > (count if most is None else most):
+        bounds = f"{least}" if least == most else f"at least {least}" if most is None else f"{least or 0} to {most}"
+        bounds = f"at most {most}" if not least else bounds
+        raise part.error(f"a list of {bounds} values is needed here, found {count}")
+    fixed = kinds[:1] * count if kinds[-1] is Ellipsis else kinds
+    return [_repaired(item, kind) for item, kind in zip(part.items(), fixed, strict=True)]
+
+
+def _scalar(part: Document, base: Any, metas: tuple[msgspec.Meta, ...]) -> Any:
+    value = part.data
+    number = numeral(value, base) if base in (float, int) else value
+    if number is None:
+        raise part.error(refusal(value, base))
+    try:
+        if base is bool and isinstance(value, Quoted):
+            raise msgspec.ValidationError
+        msgspec.convert(number, Annotated[(base, *metas)] if metas else base, strict=False)
+    except msgspec.ValidationError:
+        if base in (float, int):
+            raise part.error(beyond(value, number, metas)) from None
+        says = next((meta.extra["says"] for meta in metas if meta.extra and "says" in meta.extra), "")
+        if says and isinstance(value, str) and value.strip():
+            raise part.error(f"{value!r} is not {says}") from None
+        raise part.error(refusal(value, _words(metas) or get_args(base) or base)) from None
+    return number
+
+
+def _alternatives(kind: Any, metas: tuple[msgspec.Meta, ...] = ()) -> list[Alternative]:
+    """Return what a type is, without its annotations and without None."""
+    if hasattr(kind, "__metadata__"):
+        return _alternatives(kind.__origin__, (*kind.__metadata__, *metas))
+    if get_origin(kind) in (Union, UnionType):
+        return [one for member in get_args(kind) if member is not NoneType for one in _alternatives(member, metas)]
+    return [(kind, metas)]
+
+
+def _shape(base: Any) -> type[Any] | None:
+    """Return whether a type is a mapping or a list; None for a scalar."""
+    origin = get_origin(base)
+    if (isinstance(base, type) and issubclass(base, msgspec.Struct)) or origin in (dict, Mapping):
+        return dict
+    return list if origin in (tuple, list) else None
+
+
+def _words(metas: tuple[msgspec.Meta, ...]) -> tuple[str, ...]:
+    return next((meta.extra["words"] for meta in metas if meta.extra and "words" in meta.extra), ())

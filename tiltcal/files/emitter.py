@@ -30,14 +30,8 @@ _FOLD = re.compile(r"(?<=[^\s\\]) (?=[^\s])")
 def yaml_text(data: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
     """Return a mapping as a YAML document, which ends in a newline; the same data gives the same text.
 
-    Parameters
-    ----------
-    data : mapping
-        Of str keys to None, bool, int, float, str, and mappings and sequences of these.
-    comments : mapping of str to str, optional
-        Remarks for the end of a key's line, by the key's dotted path.
-
-    InputError: NaN, an infinity, a text that is not Unicode, or data of another type.
+    It has str keys and None, bool, int, float, str, and mappings and sequences of these; ``comments`` stand at the end
+    of a key's line, by the key's dotted path. An InputError where a value is none of these, or not finite.
     """
     return "\n".join(_opened_mapping(data, 0, "", comments or {})) + "\n" if data else "{}\n"
 

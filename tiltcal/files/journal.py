@@ -25,6 +25,7 @@ import os
 import re
 from array import array
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, overload
@@ -188,7 +189,9 @@ def _read(stream: BinaryIO, path: Path) -> Journal:
         event, crc = _event(line[:-1], crc, path, number)
         size += len(line)
         if event.kind == END:
-            end = _checked_end(event, len(starts) - 1, digest.hexdigest(), path)
+            end = event.payload[0]
+            if end != {"events": len(starts) - 1, "sha256": digest.hexdigest()}:
+                raise JournalError("the end record does not fit the lines before it", file=path, line=number)
         else:
             starts.append(size)
             digest.update(line)
@@ -306,8 +309,6 @@ class JournalWriter:
 
 
 _dumps = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode
-
-
 _APPEND = os.O_RDWR | os.O_APPEND | os.O_CLOEXEC
 
 
@@ -392,7 +393,8 @@ def _is_event(line: Any) -> bool:
         case "live" | "resumed":
             return not payload
         case "a":
-            return len(payload) == 1 and _is_answer(payload[0])
+            with suppress(msgspec.ValidationError):
+                return len(payload) == 1 and msgspec.convert(payload[0], RecordedAnswer) is not None
         case "p" | "end":
             return len(payload) == 1 and isinstance(payload[0], dict)
         case str() if kind == HARDWARE_ERROR or _BUS.fullmatch(kind):
@@ -402,24 +404,9 @@ def _is_event(line: Any) -> bool:
     return False
 
 
-def _is_answer(answer: Any) -> bool:
-    try:
-        msgspec.convert(answer, RecordedAnswer)
-    except msgspec.ValidationError:
-        return False
-    return True
-
-
 def _is_bytes(value: Any) -> bool:
     return isinstance(value, str) and _BYTES.fullmatch(value) is not None
 
 
 def _is_count(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**63
-
-
-def _checked_end(event: Event, events: int, sha256: str, path: Path) -> dict[str, Any]:
-    end: dict[str, Any] = event.payload[0]
-    if end != {"events": events, "sha256": sha256}:
-        raise JournalError("the end record does not fit the lines before it", file=path, line=event.line)
-    return end

@@ -136,20 +136,31 @@ def _matching_of(entry: PairEntry, place: Document) -> Matching:
 
 def _entry_of(matching: Matching) -> PairEntry:
     """Return the section with the digits of the file, so that the file gives the same derived values again."""
-    matching = _rounded(matching)
-    rows = {stage: matching.components[stage].items() for stage in STAGES}
+    components = {
+        stage: {
+            name: Component(
+                round_to(one.sin, one.u_sin),
+                round_to(one.cos, one.u_cos),
+                significant(one.u_sin, _DIGITS),
+                significant(one.u_cos, _DIGITS),
+            )
+            for name, one in row.items()
+        }
+        for stage, row in matching.components.items()
+    }
+    p, q = round_to(matching.p, matching.u_p), round_to(matching.q, matching.u_q)
+    u_p, u_q = significant(matching.u_p, _DIGITS), significant(matching.u_q, _DIGITS)
+    suppression = Matching(matching.pair, p, q, u_p, u_q, components).suppression
     return PairEntry(
         pair=(matching.pair.first, matching.pair.second),
         orthogonal=matching.pair.orthogonal,
-        p=matching.p,
-        q=matching.q,
-        uncertainty=CoefficientUncertainty(p=matching.u_p, q=matching.u_q),
-        suppression=Suppression(**{name: significant(value, _DIGITS) for name, value in matching.suppression.items()}),
-        components={
-            stage: {name: (component.sin, component.cos) for name, component in row} for stage, row in rows.items()
-        },
+        p=p,
+        q=q,
+        uncertainty=CoefficientUncertainty(p=u_p, q=u_q),
+        suppression=Suppression(**{name: significant(value, _DIGITS) for name, value in suppression.items()}),
+        components={stage: {name: (c.sin, c.cos) for name, c in components[stage].items()} for stage in STAGES},
         component_uncertainty={
-            stage: {name: (component.u_sin, component.u_cos) for name, component in row} for stage, row in rows.items()
+            stage: {name: (c.u_sin, c.u_cos) for name, c in components[stage].items()} for stage in STAGES
         },
     )
 
@@ -168,27 +179,3 @@ def dump_pair(calibration: PairRecord) -> str:
         provenance=calibration.provenance,
     )
     return yaml_text(file_data("pair", file), comments)
-
-
-def _rounded(matching: Matching) -> Matching:
-    """Return a matching with the digits of the file."""
-    components = {
-        stage: {
-            name: Component(
-                round_to(component.sin, component.u_sin),
-                round_to(component.cos, component.u_cos),
-                significant(component.u_sin, _DIGITS),
-                significant(component.u_cos, _DIGITS),
-            )
-            for name, component in row.items()
-        }
-        for stage, row in matching.components.items()
-    }
-    return Matching(
-        matching.pair,
-        round_to(matching.p, matching.u_p),
-        round_to(matching.q, matching.u_q),
-        significant(matching.u_p, _DIGITS),
-        significant(matching.u_q, _DIGITS),
-        components,
-    )

@@ -135,14 +135,8 @@ class Ramp(Record, kw_only=True):
 class Procedure:
     """A procedure: the positions to measure in order, or the rotation of a stage; the keys are those of its file.
 
-    Attributes
-    ----------
-    angle : float or None
-        The one of the file, or that which the user gives in its place.
-    record : mapping
-        The procedure as plain data, before the user's angle and the turns were put in.
-    rotation : Rotation or None
-        What is done while a stage turns, in place of positions; such a procedure has none, and determines no tilt.
+    ``angle`` is the one of the file, or that which the user gives in its place; ``record`` is the file as plain data,
+    before the user's angle and turns were put in. A procedure with a rotation has no positions.
     """
 
     name: str

@@ -23,14 +23,9 @@ def shipped_procedures() -> dict[str, Path]:
 
 
 def find_procedure(name_or_path: str | Path, angle: float | None = None) -> Procedure:
-    """Return a shipped procedure by its name, or a user's by its path.
+    """Return a shipped procedure by its name, which comes first, or a user's by its path, such as ``./plane``.
 
-    Parameters
-    ----------
-    name_or_path : str or Path
-        A shipped name comes first; write ``./plane`` for a file of that name.
-    angle : float, optional
-        In place of the angle that the procedure leaves free, degrees.
+    ``angle`` takes the place of the angle that the procedure leaves free, degrees.
 
     UsageError: no such procedure, or an angle that it cannot take.
     InputError: the file is wrong; the message names file, line and key.

@@ -70,17 +70,7 @@ class Uncertainty(Mapping[str, float]):
     ``uncertainty["sensitivity.x.y"]`` is that of channel x along y, in unit/g; angles of the mounting are in degrees,
     temperature coefficients per °C, °C², ... What the file does not state is no key.
 
-    Attributes
-    ----------
-    standard : mapping of str to float
-        What the mapping holds.
-    single_reading : mapping of str to float
-        Of one reading of a log by channel, in its unit, and of its temperature, °C.
-    coverage_factor : mapping of str to float
-        By coefficient, what its standard uncertainty is multiplied with for an interval of 95 %.
-    alignment : float
-        How far the sensor may have turned about each axis since its coefficients were measured, degrees; it makes no
-        error where it was level when its offset was renewed.
+    The other sections are those of :class:`UncertaintySection`.
     """
 
     standard: Mapping[str, float] = field(default_factory=dict)

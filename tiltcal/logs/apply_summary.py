@@ -53,21 +53,13 @@ class ColumnWidths:
 class ApplySummary:
     """The counts of an applied log: rows by flag and by reason.
 
-    Attributes
-    ----------
-    rows : int
-        Written, every one that was read.
-    flags : Counter
-        Rows by flag.
-    reasons : Counter
-        Rows by bit of the reason; a row may have several.
-    bad_rows : int
-        Rows that could not be parsed and were kept as missing.
-    widths : dict of str to ColumnWidths
-        The columns that were to be watched, half widths of 95 % intervals: degrees, and of velocities their unit.
-    sensors : dict of str to ApplySummary
-        Of each sensor, by serial number, where the log has several; the whole then counts the worst flag of a row, and
-        every reason of it.
+    rows: written, every one that was read.
+    flags: rows by flag.
+    reasons: rows by bit of the reason; a row may have several.
+    bad_rows: rows that could not be parsed and were kept as missing.
+    widths: the columns that were to be watched, half widths of 95 % intervals: degrees, and of velocities their unit.
+    sensors: of each sensor, by serial number, where the log has several; the whole then counts the worst flag of a row,
+        and every reason of it.
     """
 
     rows: int = 0

@@ -40,12 +40,8 @@ GAP = 5.0
 class ReportedLog:
     """A log file and its summary.
 
-    Attributes
-    ----------
-    compensated : bool
-        Whether the log brought its tilt along; otherwise the calibration of the page was applied to it.
-    timed : bool
-        Whether its time is in seconds; otherwise rows are counted.
+    compensated: whether the log brought its tilt along; otherwise the calibration of the page was applied to it.
+    timed: whether its time is in seconds; otherwise rows are counted.
     """
 
     name: str

@@ -72,12 +72,8 @@ def grouped(count: int) -> str:
 class AlignedNumber:
     """A number in a column: the part before its decimal point, and the rest.
 
-    Attributes
-    ----------
-    whole, rest : str
-        Together the number's text.
-    before, behind : int
-        Characters that the widest number of the column has on either side.
+    whole, rest: together the number's text.
+    before, behind: characters that the widest number of the column has on either side.
     """
 
     whole: str

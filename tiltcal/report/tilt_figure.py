@@ -34,12 +34,8 @@ USUAL = 30.0
 class Curves:
     """The curves of one axis, shape (n,), degrees.
 
-    Attributes
-    ----------
-    before : ndarray or None
-        Error with the data sheet's coefficients; None where they are not known.
-    alone, reading : ndarray
-        Half the 95 % interval from the coefficients alone, and with the noise of one reading.
+    before: error with the data sheet's coefficients; None where they are not known.
+    alone, reading: half the 95 % interval from the coefficients alone, and with the noise of one reading.
     """
 
     tilt: Array

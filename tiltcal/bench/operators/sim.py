@@ -27,10 +27,7 @@ def _silent(line: str) -> None:
 class _Sim:
     """The two operators' common part.
 
-    Parameters
-    ----------
-    say : callable
-        Takes one line of talk; dropped by default.
+    say: takes one line of talk; dropped by default.
     """
 
     def __init__(self, say: Callable[[str], None] = _silent) -> None:
