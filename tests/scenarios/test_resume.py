@@ -30,7 +30,9 @@ def options(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """A session with every kind of event, whose chamber is quick: about 1,500 transactions."""
     folder = tmp_path_factory.mktemp("bench")
     complete = (ROOT / "procedures" / "complete.yaml").read_text()
-    (folder / "complete.yaml").write_text(complete.replace("soak: {seconds: 20,", "soak: {seconds: 0.5,"))
+    (folder / "complete.yaml").write_text(
+        complete.replace("soak: {seconds: 20, drift: 0.06, thermometer: 360}", "soak: {seconds: 0.5, drift: 0.3}")
+    )
     (folder / "twin.yaml").write_text(TWIN)
     return [
         *("measure", str(folder / "complete.yaml"), "--sensor", "sca100t-d02", "--serial", "S-1"),

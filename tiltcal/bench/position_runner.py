@@ -203,7 +203,9 @@ class PositionRunner:
         else:
             # A temperature that the operator types counts, because the thermometer may be far off.
             target = position.temperature if typed is None else None
-            window = Window(self._settings.soak, self._procedure.soak.drift, target)
+            soak, seconds = self._procedure.soak, self._settings.soak
+            late = None if soak.thermometer is None else soak.thermometer * seconds / soak.seconds
+            window = Window(seconds, soak.drift, target, late)
             self._soaked = None
         wait_until_still(self._sensors, self._clock, window, look)
         self._soaked = reached

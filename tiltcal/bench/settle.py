@@ -78,16 +78,24 @@ class Window:
         The largest change of temperature in it, °C; None where temperature does not matter.
     target : float or None
         The temperature that was asked for, °C; None where the thermometer does not count.
+    thermometer : float or None
+        The time over which the temperature must not change by more, seconds; None where it is that of the readings.
     """
 
     seconds: float
     temperature_drift: float | None = None
     target: float | None = None
+    thermometer: float | None = None
 
     @property
     def soaking(self) -> bool:
         """Whether temperature matters."""
         return self.temperature_drift is not None
+
+    @property
+    def drift_in_window(self) -> float | None:
+        """The largest change of temperature in the window of the readings, °C; None where it has its own window."""
+        return self.temperature_drift if self.thermometer is None else None
 
     @property
     def patience(self) -> float:
@@ -127,7 +135,7 @@ def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Cal
         if began is None:
             began = judged = now
         held.append((now, sample))
-        while len(held) > FEWEST_SAMPLES and now - held[1][0] >= window.seconds * LONG:
+        while len(held) > FEWEST_SAMPLES and now - held[1][0] >= max(window.seconds * LONG, window.thermometer or 0.0):
             held.popleft()
         if now >= judged + window.seconds / JUDGEMENTS:
             judged = now
@@ -149,14 +157,14 @@ def _unsettled(held: deque[Timed], models: Sequence[Model], window: Window) -> s
         start = next(index for index in range(len(held) - 1, -1, -1) if now - held[index][0] >= window.seconds)
         recent = list(islice(held, min(start, len(held) - FEWEST_SAMPLES), None))
         still = STEADY if window.soaking else STILL
-        moving = movement(recent, models, window.temperature_drift, still=still, shown=window.soaking)
+        moving = movement(recent, models, window.drift_in_window, still=still, shown=window.soaking)
         if moving is None and window.soaking:
-            moving = _drifting(held, models, SOAKS * window.seconds)
+            moving = _drifting(held, models, SOAKS * window.seconds) or _warming(held, models, window)
         if moving is None:
             return None
         why = moving
     if window.soaking and now - held[0][0] >= window.seconds * LONG:
-        return movement(list(held), models, window.temperature_drift, still=STEADY)
+        return movement(list(held), models, window.drift_in_window, still=STEADY) or _warming(held, models, window)
     return why
 
 
@@ -166,6 +174,17 @@ def _drifting(held: deque[Timed], models: Sequence[Model], seconds: float) -> st
     if now - held[0][0] < seconds:
         return f"steady for {now - held[0][0]:.0f} s of {seconds:.0f} s"
     return movement([reading for reading in held if now - reading[0] <= seconds], models, still=SOAKED)
+
+
+def _warming(held: deque[Timed], models: Sequence[Model], window: Window) -> str | None:
+    """Return by how much thermometers that are read change over their window, or that it has not passed yet."""
+    now = held[-1][0]
+    if window.thermometer is None or all(reading.temperature is None for reading in held[-1][1]):
+        return None
+    if now - held[0][0] < window.thermometer:
+        return f"the thermometer is read for {now - held[0][0]:.0f} s of {window.thermometer:.0f} s"
+    recent = [reading for reading in held if now - reading[0] <= window.thermometer]
+    return movement(recent, models, window.temperature_drift, still=SOAKED)
 
 
 def movement(

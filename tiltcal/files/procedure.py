@@ -117,7 +117,10 @@ class Soak(Record, kw_only=True):
     """The conditions for a new temperature to count as settled."""
 
     seconds: Annotated[AboveZero, about("the window, seconds")]
-    drift: Annotated[AboveZero, about("the largest drift in it, °C")]
+    drift: Annotated[AboveZero, about("the largest drift of the temperature in it, or in that of the thermometer, °C")]
+    thermometer: Annotated[
+        AboveZero | None, about("the window of a thermometer that is read and may be late, seconds")
+    ] = None
 
 
 class Ramp(Record, kw_only=True):
@@ -148,7 +151,7 @@ class Procedure:
     alignment: float = 0.0
     samples: int = 100
     settle: float = 2.0
-    soak: Soak = Soak(seconds=20.0, drift=0.01)
+    soak: Soak = Soak(seconds=20.0, drift=0.06, thermometer=360.0)
     ramp: Ramp | None = None
     positions: tuple[Position, ...]
     record: Mapping[str, Any] = field(default_factory=dict, compare=False)
@@ -242,7 +245,7 @@ class ProcedureFile(Record, kw_only=True):
         Soak,
         about(
             "at a new temperature: the window, seconds, and the largest drift in it, °C",
-            usual="`{seconds: 20, drift: 0.01}`",
+            usual="`{seconds: 20, drift: 0.06, thermometer: 360}`",
         ),
     ] = Procedure.soak
     ramp: Annotated[

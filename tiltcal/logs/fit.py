@@ -34,7 +34,7 @@ from tiltcal.files.tables import Segment, SegmentRow, TabledRow, read_positions,
 from tiltcal.logs.columns import named_columns, require_celsius, require_unit
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
-from tiltcal.logs.interval_samples import TO_THE_END, IntervalSamples, Rails, sampled
+from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, IntervalSamples, Rails, sampled
 from tiltcal.logs.log import Progress
 from tiltcal.logs.ramp import read_ramp
 from tiltcal.logs.recorded_readings import RecordedReadings, recorded_readings
@@ -277,7 +277,7 @@ class FitSource:
     def set_positions(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
         """Return positions in the directions of a procedure, or in those that the segments give."""
         thermal = procedure.determines.drift or procedure.determines.gain
-        soak = procedure.soak.seconds if thermal else 0.0
+        soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if thermal else 0.0
         intervals, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor, procedure, soak)
         return FitPositions(placed(intervals, procedure, file=self._name), provenance)
 

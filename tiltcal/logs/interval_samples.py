@@ -348,7 +348,7 @@ def _temperatures(values: Array) -> Temperatures:
 
 
 class RecentTemperatures:
-    """The temperatures of the latest rows, two million at most, for a soak in seconds."""
+    """The temperatures of the latest rows, two million at most, for so many seconds."""
 
     def __init__(self, soak: float, *, timed: bool) -> None:
         self._soak, self._timed = soak, timed
@@ -379,7 +379,7 @@ class RecentTemperatures:
         values = np.concatenate(self._blocks, axis=1)[:, : end - self._first]
         begin = max(first, start - (SOAKS - 1) * (end - start))
         if self._timed and np.isfinite(values[1, -1]):
-            early = np.flatnonzero(~(values[1] >= values[1, -1] - SOAKS * self._soak))
+            early = np.flatnonzero(~(values[1] >= values[1, -1] - self._soak))
             begin = self._first + (int(early[-1]) + 1 if len(early) else 0)
         if begin >= start:
             return None

@@ -153,11 +153,11 @@ def _placed(interval: StaticInterval, known: Mapping[str, Position]) -> Measurem
 
 def _require_steady(interval: StaticInterval, procedure: Procedure, file: str) -> None:
     """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
-    allowed = SOAKS * procedure.soak.drift
+    allowed, seconds = procedure.soak.drift, procedure.soak.thermometer or SOAKS * procedure.soak.seconds
     if abs(interval.warming) > allowed:
         raise InputError(
             f"segment {interval.name}: the temperature drifts by {interval.warming:+.2f} °C up to its end, more than "
-            f"the {allowed:g} °C that {procedure.name} allows in {SOAKS} soaks: thermometer and sensor are apart while "
+            f"the {allowed:g} °C that {procedure.name} allows in {seconds:g} s: thermometer and sensor are apart while "
             "they change; take rows where both stand still, or go slower",
             file=file,
             line=interval.line,

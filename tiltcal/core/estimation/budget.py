@@ -43,7 +43,7 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
     groups, dofs = _pooled_noise(solution)
     found = []
     for own in _by_sensor(solution):
-        by = solution.near.jacobian @ covariance[:, own]  # readings by coefficients
+        by = solution.near.times(covariance[:, own])  # readings by coefficients
         squares = np.square(by)
         noise = squares * (measured - rounding)[:, None]
         variance = {NOISE: noise.sum(axis=0), ADC: rounding @ squares}
@@ -101,5 +101,4 @@ def _by_error(solution: Solution, source: str, own: slice) -> Array:
     u = getattr(solution.errors, source)
     if u > 0.0:
         return np.asarray(covariance[own, columns] / u**2)
-    near = solution.near
-    return np.asarray(covariance[own] @ (near.jacobian.T @ near.jacobian[:, columns]).toarray())
+    return np.asarray(covariance[own] @ solution.near.normal[:, columns])

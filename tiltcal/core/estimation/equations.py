@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, radians
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +25,6 @@ from tiltcal.core.estimation.attitude import heading_rotations, tangent_basis, t
 from tiltcal.core.estimation.design import SensorObservations
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix
 
 Indices = NDArray[np.intp]
 
@@ -93,13 +89,39 @@ class Linearised:
 
     Attributes
     ----------
+    values : ndarray, shape (readings, few)
+        Derivatives of each reading by the few unknowns on which it depends.
+    columns : ndarray of int, shape (readings, few)
+        Which these are.
+    unknowns : int
+        How many there are.
     measured : ndarray, shape (readings,)
         The share of noise and rounding in the variance of each reading; the rest is the square of uncertain attitudes.
     """
 
     residual: Array
-    jacobian: csr_matrix
+    values: Array
+    columns: Indices
+    unknowns: int
     measured: Array
+
+    @cached_property
+    def normal(self) -> Array:
+        """Products of the derivatives by all unknowns, summed over the readings, shape (unknowns, unknowns)."""
+        places = self.columns[:, :, None] * self.unknowns + self.columns[:, None, :]
+        products = self.values[:, :, None] * self.values[:, None, :]
+        size = self.unknowns
+        return np.asarray(np.bincount(places.ravel(), products.ravel(), size * size).reshape(size, size), dtype=float)
+
+    @cached_property
+    def gradient(self) -> Array:
+        """Products of derivatives and residuals, shape (unknowns,)."""
+        products = self.values * self.residual[:, None]
+        return np.asarray(np.bincount(self.columns.ravel(), products.ravel(), self.unknowns), dtype=float)
+
+    def times(self, table: Array) -> Array:
+        """Return the derivatives times a table, shape (unknowns, k) or (unknowns,): (readings, k) or (readings,)."""
+        return np.asarray(np.einsum("rf,rf...->r...", self.values, table[self.columns]))
 
 
 class Equations:
@@ -197,8 +219,6 @@ class Equations:
         ``shortened`` is by how much the attitude angles that are left uncertain shorten gravity on average, shape
         (settings,).
         """
-        from scipy.sparse import csr_matrix
-
         up, by_angle, rotations, by_heading = self._directions(z, shortened)
         warmer = z[self.errors[THERMOMETER]]
         residuals, values, columns, bent = [], [], [], []
@@ -228,12 +248,13 @@ class Equations:
             columns.append(np.hstack(column))
         # The square of an angle shortens gravity, and scatters by as much as it does so on average.
         sigma = np.sqrt(errors.noise * self.u**2 + np.concatenate(bent) ** 2)
-        counts = np.repeat([value.shape[1] for value in values], [len(value) for value in values])
-        data = np.concatenate([value.ravel() for value in values]) / np.repeat(sigma, counts)
-        where = np.concatenate([column.ravel() for column in columns])
-        rows = np.concatenate([[0], np.cumsum(counts)])
-        jacobian = csr_matrix((data, where, rows), shape=(len(sigma), self.unknowns))
-        return Linearised(np.concatenate(residuals) / sigma, jacobian, errors.noise * self.u**2 / sigma**2)
+        few = max(value.shape[1] for value in values)
+        table, where = (
+            np.concatenate([np.pad(part, ((0, 0), (0, few - part.shape[1]))) for part in parts])
+            for parts in (values, columns)
+        )
+        measured = errors.noise * self.u**2 / sigma**2
+        return Linearised(np.concatenate(residuals) / sigma, table / sigma[:, None], where, self.unknowns, measured)
 
     def unexplained(self, z: Array) -> Array:
         """Return measured minus modelled readings in the positions as set, shape (readings,), in the sensors' units."""

@@ -250,8 +250,7 @@ def _notes(solution: Solution, estimated: Mapping[str, EstimatedVariance], dof: 
         notes.append(ABOVE_NOISE)
     if jig is not None and not jig.information:
         angles = solution.equations.errors[JIG]
-        follows = solution.covariance[: len(solution.equations.names)] @ solution.near.jacobian.T
-        if np.any(np.abs(follows @ solution.near.jacobian[:, angles]) > 0.0):
+        if np.any(solution.covariance[: len(solution.equations.names)] @ solution.near.normal[:, angles]):
             notes.append(JIG_NOT_SHOWN)
     return notes
 

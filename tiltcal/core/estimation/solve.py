@@ -200,8 +200,8 @@ def _round(
 
 def _normal(near: Linearised, weights: Array, missing: Array) -> tuple[Array, Array, float]:
     """Return normal matrix, gradient and sum of squares of readings and of what is stated of the unknowns."""
-    normal = (near.jacobian.T @ near.jacobian).toarray() + np.diag(weights**2)
-    gradient = near.jacobian.T @ near.residual + weights**2 * missing
+    normal = near.normal + np.diag(weights**2)
+    gradient = near.gradient + weights**2 * missing
     return normal, gradient, float(near.residual @ near.residual + np.sum((weights * missing) ** 2))
 
 
@@ -227,7 +227,9 @@ def projected(solution: Solution, source: str) -> ProjectedResiduals:
     others = np.flatnonzero(moving)
     weights[own] = 0.0
     near = solution.near
-    near = replace(near, residual=near.residual + near.jacobian[:, own] @ z[own])  # with these errors put back
+    back = np.zeros_like(z)
+    back[own] = z[own]
+    near = replace(near, residual=near.residual + near.times(back))  # with these errors put back
     normal, gradient, squares = _normal(near, weights, equations.start() - z)
     inverse = _inverse(normal[np.ix_(others, others)])
     across = normal[np.ix_(own, others)] @ inverse
