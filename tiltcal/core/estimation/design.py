@@ -73,12 +73,15 @@ class StatedCoefficients:
 
     Attributes
     ----------
+    names : tuple of str
+        The coefficient that each value is of, first of all.
     rows : ndarray, shape (k, coefficients)
         By the names of the design.
     values : ndarray, shape (k,)
     covariance : ndarray, shape (k, k)
     """
 
+    names: tuple[str, ...]
     rows: Array
     values: Array
     covariance: Array

@@ -264,6 +264,7 @@ class Equations:
         return up, by_angle, rotations, (_PER_LEAN @ rotations) @ z[self.errors[TABLE]]
 
     def _statements(self) -> tuple[Array, Array]:
+        """Return the rows and the target of what is stated; the estimate starts at what is stated last."""
         assumed = np.flatnonzero((self.prior_u > 0.0) & (self.prior_u < inf))
         rows = [np.eye(len(self.names))[assumed] / self.prior_u[assumed, None]]
         targets, start = [self.prior_value[assumed] / self.prior_u[assumed]], 0
@@ -271,6 +272,8 @@ class Equations:
             stop = start + len(sensor.design.names)
             for stated in sensor.design.stated:
                 u = np.sqrt(np.diag(stated.covariance))
+                at = start + np.array([sensor.design.names.index(name) for name in stated.names], dtype=np.intp)
+                self.prior_value[at], self.prior_u[at] = stated.values, u
                 values, vectors = np.linalg.eigh(stated.covariance / np.outer(u, u))
                 white = (vectors / np.sqrt(np.maximum(values, _ROUNDED))).T / u
                 rows.append(np.zeros((len(u), len(self.names))))
