@@ -51,12 +51,12 @@ def measured(
     """What the true sensor reads in the positions, with noise and an attitude off for each that is set anew."""
     rng = np.random.default_rng(seed)
     measurements: list[Measurement] = []
-    before, lean = None, np.zeros(3)
+    before, turn = None, np.zeros(3)
     for position in procedure.positions:
         if position.gravity != before:
-            lean, before = np.append(np.radians(JIG) * rng.normal(size=2), 0.0), position.gravity
+            turn, before = np.radians(JIG) * rng.normal(size=3), position.gravity
         temperature = position.temperature if at is None else at
-        gravity = np.array(position.gravity) + lean
+        gravity = np.array(position.gravity) + np.cross(turn, position.gravity)
         reading = truth.predict(gravity[None], None if temperature is None else np.array([temperature]))[0]
         summaries = {
             channel: SampleSummary(float(value + NOISE * rng.normal()), NOISE * 10, 100, NOISE)
@@ -300,8 +300,7 @@ def test_an_offset_whose_level_nobody_stated_gives_way_where_it_contradicts() ->
     """The cooler stood 0.6° askew, 9 counts, and its session states no jig; the drift does not suffer."""
     drift = MeasuredSensor(SENSOR, measured(TWO, 2), NOMINAL, base=SCALE.record)
     run = calibrate([drift], TWO, BenchUncertainty())[0]
-    askew = replace(run, coefficients=replace(run.coefficients, offset=run.coefficients.offset + np.array([9.0, 0.0])))
-    found = combine([SCALE, Calibration(askew)])
+    found = combine([SCALE, shifted(run, (9.0, 0.0))])
     assert found.offset == pytest.approx(SCALE.offset, abs=0.3)
     assert found.coefficients.thermal.drift[0, 0] == pytest.approx(0.3, abs=0.02)
     assert any("does not state how level it was" in note for note in found.fit.notes)
