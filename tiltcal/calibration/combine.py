@@ -159,6 +159,7 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
         )
     thermometers = [fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0 for fit in fits]
     jigs = [fit.jig_degrees for fit in fits if fit.jig_degrees is not None]
+    tables = [fit.table_degrees for fit in fits if fit.table_degrees is not None]
     bent = [s.coefficients.nonlinearity.shape[1] for s in scaled if s.coefficients.nonlinearity is not None]
     design = Design(
         sessions[0].coefficients.channels,
@@ -167,6 +168,8 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
         max((thermal.gain.shape[1] for thermal in thermals), default=0),
         thermals[0].reference if thermals else 0.0,
         max(jigs) if jigs else None,
+        table=max(tables) if tables else None,
+        heading=max(fit.heading_degrees or 0.0 for fit in fits),
         thermometer=max(thermometers),
         nonlinearity=max(bent, default=0),
     )
@@ -232,7 +235,8 @@ def _disagreement(sessions: Sequence[CombinedSession], design: Design, seen: Seq
         jig = sqrt(sum(count * size**2 for size, count in shown) / max(sum(count for _, count in shown), 1))
     together, alone = estimate(seen, replace(design, jig=jig)), []
     for session in observed:
-        own = replace(_design([session]), jig=jig, reference=design.reference, thermometer=design.thermometer)
+        own = replace(_design([session]), jig=jig, table=design.table, heading=design.heading)
+        own = replace(own, reference=design.reference, thermometer=design.thermometer)
         alone.append(estimate([one for one in seen if one.position.startswith(f"{session.label}/")], own))
     dof, chi_square = sum(one.dof for one in alone), sum(one.chi_square or 0.0 for one in alone)
     rise, more = (together.chi_square or 0.0) - chi_square, together.dof - dof

@@ -247,6 +247,16 @@ def test_positions_of_one_journal_count_once() -> None:
     assert any("positions count once" in note for note in twice.fit.notes)
 
 
+def test_the_lean_of_one_table_is_common_to_all_sessions() -> None:
+    """Two sessions on one table of 0.1°: its lean is common, so that their offsets are no better than 0.1° of 817."""
+    pair = []
+    for seed in (1, 2):
+        one = MeasuredSensor(SENSOR, measured(ZERO_45, seed, at=24.0), NOMINAL)
+        pair.append(Calibration(calibrate([one], ZERO_45, BenchUncertainty(JIG, table=0.1))[0]))
+    found = combine(pair)
+    assert found.uncertainty["offset.x"] > np.radians(0.1) * 817.0
+
+
 def test_a_file_without_positions_enters_by_its_values_and_covariance() -> None:
     drift = calibrated(TWO, measured(TWO, 2))
     fitted, entered = combine([SCALE, drift]), combine([SCALE, Calibration(by_values(drift.record))])
