@@ -23,7 +23,7 @@ from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.model import AXES, Thermal, polynomial
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.rounding import plus_minus
-from tiltcal.errors import UsageError
+from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, require_same_sensor
 from tiltcal.files.results import NOISE_ALONE
 
@@ -182,7 +182,8 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
         priors = {name: Prior(at[name], u) for name, u in lent.items()} | priors
     priors = {name: prior for name, prior in priors.items() if name in design.names and name not in measured}
     by_values = [session for session in sessions if not (session.observed or session.counted)]
-    stated = tuple(session.statement(replace(design, priors=priors)) for session in by_values)
+    slope = next((thermal.drift[:, 0] for thermal in thermals if thermal.drift.size), np.zeros(len(design.channels)))
+    stated = tuple(session.statement(replace(design, priors=priors), slope) for session in by_values)
     for session in by_values:
         for name in sorted(session.exact & set(design.names)):
             if any(name in other.measured for other in sessions if other is not session):
@@ -233,7 +234,10 @@ def _disagreement(sessions: Sequence[CombinedSession], design: Design, seen: Seq
     if jig is None:
         shown = [(session.jig or 0.0, session.record.fit.degrees_of_freedom or 0) for session in observed]
         jig = sqrt(sum(count * size**2 for size, count in shown) / max(sum(count for _, count in shown), 1))
-    together, alone = estimate(seen, replace(design, jig=jig)), []
+    try:
+        together, alone = estimate(seen, replace(design, jig=jig)), []
+    except EstimateError as failure:
+        raise EstimateError(f"the calibrations, fitted together: {failure}") from failure
     for session in observed:
         own = replace(_design([session]), jig=jig, table=design.table, heading=design.heading)
         own = replace(own, reference=design.reference, thermometer=design.thermometer)

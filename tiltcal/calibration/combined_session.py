@@ -164,8 +164,10 @@ class CombinedSession:
             for one, last in zip(self.positions, before, strict=False)
         ]
 
-    def statement(self, design: Design) -> StatedCoefficients:
+    def statement(self, design: Design, slope: Array) -> StatedCoefficients:
         """Return what the file states of the coefficients of a design that it has measured.
+
+        ``slope`` is the drift that the temperature of a file without one is worth, unit/°C, shape (channels,).
 
         EstimateError: it states no uncertainty. UsageError: its drift has another order, or its sensitivity other axes.
         """
@@ -196,16 +198,20 @@ class CombinedSession:
             and not (name.startswith("offset.") and design.thermal and at is None)
         ]
         stated = stated.chosen(kept)
-        rows = np.array([[float(name == other) for other in design.names] for name in stated.names])
+        rows = np.array([[float(name == other) for other in design.names] for name in stated.names]).reshape(
+            -1, len(design.names)
+        )
         wider = np.maximum(stated.factors / NORMAL_FACTOR, 1.0)
         covariance = stated.covariance * np.outer(wider, wider)
+        warmer = at[0] - design.reference if at is not None else 0.0
         for k, name in enumerate(stated.names):
             if not name.startswith("offset."):
                 continue
             channel = name.split(".")[1]
-            for order in range(1, design.drift + 1 if at else 0):
-                column = design.names.index(f"temperature.offset.{channel}.{order}")
-                rows[k, column] = ((at or (0.0, 0.0))[0] - design.reference) ** order
+            if thermal is None and at is not None:
+                covariance[k, k] += (slope[design.channels.index(channel)] * at[1]) ** 2
+            for order in range(1, design.drift + 1):
+                rows[k, design.names.index(f"temperature.offset.{channel}.{order}")] = warmer**order
             for axis, along in zip(AXES, self._gravity, strict=True):  # a column that it lacks is in its offset
                 if axis in design.axes and axis not in self.coefficients.axes:
                     rows[k, design.names.index(f"sensitivity.{channel}.{axis}")] = along
