@@ -11,26 +11,24 @@ import numpy as np
 import tiltcal
 from tiltcal.calibration.combined_session import KINDS, CombinedSession
 from tiltcal.calibration.estimate_record import (
-    DIGITS,
-    SHARE_DIGITS,
     derived_record,
+    fit_record,
     rounded,
     rounded_covariance,
     uncertainty_of,
 )
-from tiltcal.core.combination import ASSUMED, Combination
-from tiltcal.core.estimation.estimate import NO_FREEDOM
+from tiltcal.core.estimation.design import Design
+from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
 from tiltcal.core.model import Limits
-from tiltcal.core.rounding import significant
 from tiltcal.core.uncertainty_inputs import is_turn
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
-from tiltcal.files.results import NOISE_ALONE, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.files.results import FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
 
 
 def combined_record(
-    sessions: Sequence[CombinedSession], found: Combination, remarks: Sequence[str]
+    sessions: Sequence[CombinedSession], found: Estimate, design: Design, remarks: Sequence[str]
 ) -> CalibrationRecord:
     """Return the calibration that a combination gives, with remarks on what it left out."""
     records = [session.record for session in sessions]
@@ -47,7 +45,7 @@ def combined_record(
         uncertainty=_uncertainty(sessions, found),
         limits=_limits(records, [session.record for session in scaled] or records),
         derived=derived.replaced(assumed=kept),
-        fit=_fit(sessions, found, renamed, remarks),
+        fit=_fit(sessions, found, design, renamed, remarks),
         procedure=_procedure(sessions, renamed),
         positions=positions,
         provenance=combined_provenance(sessions),
@@ -56,27 +54,24 @@ def combined_record(
 
 def _fit(
     sessions: Sequence[CombinedSession],
-    found: Combination,
+    found: Estimate,
+    design: Design,
     renamed: Mapping[tuple[int, str], str],
     remarks: Sequence[str],
 ) -> FitRecord:
-    """Return how well the sessions agree in themselves and with each other."""
+    """Return how well the positions of all sessions agree, by their new names."""
     fits = [session.record.fit for session in sessions]
-    dofs = [fit.degrees_of_freedom for fit in fits]
-    sources = {fit.uncertainty_from for fit in fits if fit.uncertainty_from}
-    left = [note for fit in fits for note in fit.notes if note != NO_FREEDOM or not found.dof]
-    judged = all(fit.chi_square is not None or not fit.degrees_of_freedom for fit in fits)
-    assumed = {name for statement in found.statements if statement.label == ASSUMED for name in statement.names}
-    chi_square = found.chi_square + sum(fit.chi_square or 0.0 for fit in fits)
-    return FitRecord(
-        residuals={renamed[n, name]: row for n, fit in enumerate(fits) for name, row in fit.residuals.items()},
-        degrees_of_freedom=None if None in dofs else sum(dof or 0 for dof in dofs) + found.dof,
-        chi_square=significant(chi_square, DIGITS) if judged else None,
-        uncertainty_from=NOISE_ALONE if NOISE_ALONE in sources else "; ".join(sorted(sources)) or None,
-        thermometer_celsius=max((fit.thermometer_celsius or 0.0 for fit in fits), default=0.0) or None,
-        budget=_budget(sessions, found),
-        notes=tuple(dict.fromkeys([f"combined of {' and '.join(map(_told, sessions))}", *remarks, *left])),
-        priors={name: u for fit in fits for name, u in fit.priors.items() if name in assumed},
+    names = {f"{sessions[n].label}/{name}": new for (n, name), new in renamed.items()}
+    suspects = [replace(attitude, position=names[attitude.position]) for attitude in found.attitudes]
+    found = replace(found, positions=tuple(names[position] for position in found.positions), attitudes=tuple(suspects))
+    noise = max(
+        u for record in (s.record for s in sessions) for one in record.positions for u in (one.u or {}).values()
+    )
+    told = [f"combined of {' and '.join(map(_told, sessions))}", *remarks]
+    notes = [note for fit in fits for note in fit.notes if note != NO_FREEDOM]
+    return fit_record(found, design, noise).replaced(
+        notes=tuple(dict.fromkeys([*told, *found.notes, *notes])),
+        priors={name: prior.u for name, prior in design.priors.items() if any(name in fit.priors for fit in fits)},
         not_covered=tuple(dict.fromkeys(error for fit in fits for error in fit.not_covered)),
         mounting=next((fit.mounting for fit in fits if fit.mounting), None),
         level=next((fit.level for fit in fits if fit.level), None),
@@ -90,7 +85,10 @@ def _procedure(sessions: Sequence[CombinedSession], renamed: Mapping[tuple[int, 
         name=" + ".join(session.record.procedure.name or session.label for session in sessions),
         title=f"Combined of {len(sessions)} calibrations",
         set={
-            renamed[n, name]: position for n, procedure in enumerate(each) for name, position in procedure.set.items()
+            renamed[n, name]: position
+            for n, procedure in enumerate(each)
+            for name, position in procedure.set.items()
+            if (n, name) in renamed
         },
         mounting=next((procedure.mounting for procedure in each if procedure.mounting), None),
         level=next((procedure.level for procedure in each if procedure.level), None),
@@ -105,22 +103,22 @@ def _told(session: CombinedSession) -> str:
 
 def _positions(sessions: Sequence[CombinedSession]) -> tuple[tuple[PositionRecord, ...], dict[tuple[int, str], str]]:
     """Return all positions, and the name that each has now by the number of its session and its name there."""
-    every = [(n, position.position) for n, session in enumerate(sessions) for position in session.record.positions]
-    every += [(n, name) for n, session in enumerate(sessions) for name in session.record.fit.residuals]
-    every += [(n, name) for n, session in enumerate(sessions) for name in session.record.procedure.set]
+    records = [(n, session.record) for n, session in enumerate(sessions) if not session.counted]
+    every = [(n, position.position) for n, record in records for position in record.positions]
+    every += [(n, name) for n, record in records for name in record.procedure.set]
     every = list(dict.fromkeys(every))
     count = [name for _, name in every]
     renamed = {
         (n, name): name if count.count(name) == 1 else f"{Path(sessions[n].label).stem}/{name}" for n, name in every
     }
     groups: list[list[PositionRecord]] = [[], [], []]
-    for n, session in enumerate(sessions):
-        for group, own in zip(groups, session.record.runs, strict=True):
+    for n, record in records:
+        for group, own in zip(groups, record.runs, strict=True):
             group += [position.replaced(position=renamed[n, position.position]) for position in own]
     return tuple(position for group in groups for position in group), renamed
 
 
-def _uncertainty(sessions: Sequence[CombinedSession], found: Combination) -> Uncertainty:
+def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncertainty:
     """Return the uncertainty of all coefficients, and that of a mounting with its covariance."""
     single: dict[str, float] = {}
     for session in sessions:
@@ -128,47 +126,30 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Combination) -> Unc
             single[name] = max(u, single.get(name, 0.0))
     both = uncertainty_of(found, single)
     both = replace(both, alignment=max(session.record.uncertainty.alignment for session in sessions))
-    mounting = next((session for session in sessions if is_turn(session.known.names).any()), None)
-    if mounting is None:
+    mounted = next((session.record for session in sessions if session.coefficients.mounting), sessions[0].record)
+    inputs = uncertainty_inputs(mounted.uncertainty, mounted.coefficients)
+    turns = np.flatnonzero(is_turn(inputs.names)).tolist()
+    if not turns:
         return both
-    known, stated = mounting.known, mounting.record.uncertainty
-    turns = np.flatnonzero(is_turn(known.names)).tolist()
-    across = np.zeros((len(found.names), len(turns)))
-    for statement, by in zip(found.statements, found.parts, strict=True):
-        if statement.label == mounting.label:
-            across = by @ known.covariance[np.ix_([known.names.index(name) for name in statement.names], turns)]
-    own = known.chosen(turns)
-    joint = np.block([[found.covariance, across], [across.T, own.covariance]])
-    mounted, factors = (
+    # What follows the coefficients of its own session follows those of the combination by as much.
+    own = [k for k, name in enumerate(inputs.names) if name in found.names and inputs.covariance[k, k] > 0.0]
+    size = np.sqrt(np.diag(inputs.covariance)[own])
+    correlations = inputs.covariance[np.ix_(own, own)] / np.outer(size, size)
+    follows = np.linalg.pinv(correlations, rcond=1e-9, hermitian=True) / np.outer(size, size)
+    places = [found.names.index(inputs.names[k]) for k in own]
+    across = found.covariance[:, places] @ follows @ inputs.covariance[np.ix_(own, turns)]
+    turned = inputs.chosen(turns)
+    joint = np.block([[found.covariance, across], [across.T, turned.covariance]])
+    angles, factors = (
         {name: value for name, value in named.items() if name.startswith("mounting.")}
-        for named in (stated, stated.coverage_factor)
+        for named in (mounted.uncertainty, mounted.uncertainty.coverage_factor)
     )
     return replace(
         both,
-        standard={**both.standard, **mounted},
+        standard={**both.standard, **angles},
         coverage_factor={**both.coverage_factor, **factors},
-        covariance=rounded_covariance((*found.names, *own.names), joint),
+        covariance=rounded_covariance((*found.names, *turned.names), joint),
     )
-
-
-def _budget(sessions: Sequence[CombinedSession], found: Combination) -> dict[str, dict[str, float]]:
-    """Return the share of each source in each variance, by the sessions' own budgets."""
-    shares: dict[str, dict[str, float]] = {}
-    measured = {statement.label: statement.names for statement in found.statements}
-    own = {
-        session.label: {
-            name: row for name, row in session.record.fit.budget.items() if name in measured.get(session.label, ())
-        }
-        for session in sessions
-    }
-    for k, name in enumerate(found.names):
-        row: dict[str, float] = {}
-        for label, column in found.budget.shares.items():
-            sources = own.get(label, {}).get(name) or {ASSUMED if label == ASSUMED else "other sessions": 1.0}
-            for source, share in sources.items():
-                row[source] = row.get(source, 0.0) + share * float(column[k])
-        shares[name] = {source: part for source, share in row.items() if (part := round(share, SHARE_DIGITS))}
-    return shares
 
 
 def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRecord]) -> Limits:

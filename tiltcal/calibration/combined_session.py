@@ -1,41 +1,48 @@
-"""One session of a combination: the coefficients that it measured, and those that it assumed."""
+"""One session of a combination: its positions, or what its calibration states of the coefficients."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
-from itertools import product
-from math import hypot
+from math import hypot, inf
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiltcal.calibration.calibration import Calibration
-from tiltcal.core.combination import Statement, conditional
+from tiltcal.core.coverage_factor import NORMAL_FACTOR
+from tiltcal.core.estimation.design import Design, Observation, StatedCoefficients
 from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.uncertainty_inputs import UncertaintyInputs, is_turn
+from tiltcal.core.statistics import BLOCKS
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.document import parse_document, read_text
-from tiltcal.files.results import NOISE_ALONE
-from tiltcal.files.uncertainty import stated_uncertainty
+from tiltcal.files.results import PositionRecord, PositionSet
+from tiltcal.files.uncertainty import stated_uncertainty, uncertainty_inputs
 
 KINDS = {"sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
 """The coefficients that ``derived.assumed`` names by their first word."""
 
+UNKNOWN_JIG = 5.0
+"""Standard uncertainty of a set angle where a session states and shows none and others state theirs, degrees."""
+
 
 @dataclass(frozen=True)
 class CombinedSession:
-    """One calibration, with what messages call it and the SHA-256 of its file."""
+    """One calibration, with what messages call it and the SHA-256 of its file.
+
+    ``counted`` where another calibration of the combination holds the same positions; ``by_values`` where its positions
+    cannot be fitted with those of the others.
+    """
 
     label: str
     sha256: str
     record: CalibrationRecord
+    counted: bool = False
+    by_values: bool = False
 
     @classmethod
     def of(cls, given: Calibration | str | Path) -> CombinedSession:
@@ -50,6 +57,21 @@ class CombinedSession:
     def coefficients(self) -> Coefficients:
         return self.record.coefficients
 
+    @property
+    def journal(self) -> str | None:
+        """The SHA-256 of its journal."""
+        journal = self.record.provenance.journal
+        return None if journal is None else journal.sha256
+
+    @property
+    def origins(self) -> set[str]:
+        """The checksums of the calibrations whose measurements it holds, its own among them."""
+        provenance = self.record.provenance
+        origins = {self.sha256, *(source.sha256 for source in provenance.sources if source.sha256)}
+        if provenance.base is not None and provenance.base.sha256 and not self.assumes("sensitivity"):
+            origins.add(provenance.base.sha256)
+        return origins
+
     def assumes(self, kind: str) -> str | None:
         """Return what the session has assumed of ``sensitivity`` or ``temperature``; None where it measured it."""
         return next((name for name in self.record.derived.assumed if name.startswith(f"{kind}:")), None)
@@ -58,29 +80,50 @@ class CombinedSession:
     def assumed(self) -> frozenset[str]:
         """The coefficients that were not measured, those that the data sheet states among them."""
         starts = tuple(start for kind, all_ in KINDS.items() if self.assumes(kind) for start in all_)
-        found = frozenset(name for name in values(self.coefficients) if starts and name.startswith(starts))
-        return found | set(self.record.fit.priors)
+        names = frozenset(name for name in values(self.coefficients) if starts and name.startswith(starts))
+        return names | set(self.record.fit.priors)
 
-    @cached_property
-    def known(self) -> UncertaintyInputs:
-        """The inputs of the combination that are uncertain."""
-        try:
-            stated = stated_uncertainty(self.record.uncertainty, self.coefficients).inputs
-        except EstimateError as failure:
-            raise EstimateError(f"{self.label}: {failure}") from failure
-        return stated.chosen(np.flatnonzero(np.diag(stated.covariance) > 0.0))
+    @property
+    def measured(self) -> frozenset[str]:
+        """The coefficients that it has, and has not assumed."""
+        return frozenset(values(self.coefficients)) - self.assumed
 
     @property
     def exact(self) -> frozenset[str]:
         """The coefficients that were measured and whose uncertainty is not stated."""
-        return frozenset(values(self.coefficients)) - self.assumed - set(self.known.names)
+        stated = uncertainty_inputs(self.record.uncertainty, self.coefficients)
+        uncertain = {name for name, variance in zip(stated.names, np.diag(stated.covariance), strict=True) if variance}
+        return self.measured - uncertain
+
+    @cached_property
+    def positions(self) -> tuple[PositionRecord, ...]:
+        """The positions that determined its offset: a level renews it at its own temperature."""
+        own, _, levelled = self.record.runs
+        return levelled or own
 
     @property
-    def places(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Which of :attr:`known` are measured coefficients, and which assumed ones."""
-        names = self.known.names
-        assumed = np.array([name in self.assumed for name in names], dtype=bool)
-        return ~assumed & ~is_turn(names), assumed
+    def observed(self) -> bool:
+        """Whether it has positions that were set, with their uncertainty, and they give its coefficients."""
+        fit, places = self.record.fit, self.record.procedure.set
+        if (
+            self.counted
+            or self.by_values
+            or fit.level
+            or fit.ramp
+            or fit.distinct_attitudes is not None
+            or not self.positions
+        ):
+            return False
+        return all(
+            one.u and one.position in places and (places[one.position].gravity or places[one.position].tilt)
+            for one in self.positions
+        )
+
+    @property
+    def jig(self) -> float | None:
+        """The standard uncertainty of a set angle that it states or shows, degrees; None where it does neither."""
+        fit = self.record.fit
+        return fit.jig_estimated_degrees if fit.jig_degrees is None else fit.jig_degrees
 
     @property
     def temperature(self) -> tuple[float, float] | None:
@@ -88,82 +131,100 @@ class CombinedSession:
         thermal, fit = self.coefficients.thermal, self.record.fit
         if thermal is not None:
             return thermal.reference, 0.0
-        own, _, levelled = self.record.runs  # a level renews the offset at its own temperature
-        met = [position.temperature for position in levelled or own if position.temperature is not None]
+        met = [position.temperature for position in self.positions if position.temperature is not None]
         if not met:
             return None
         stated = fit.thermometer_celsius
         return float(np.mean(met)), hypot(float(np.std(met)), stated or fit.thermometer_estimated_celsius or 0.0)
 
     @property
-    def gravity(self) -> Array | None:
-        """Up in the sensor's frame, where it is the same in every position of the session."""
-        seen = [
-            np.array(position.gravity if position.tilt is None else gravity_from_tilt(position.tilt))
-            for position in self.record.procedure.set.values()
-            if position.gravity is not None or position.tilt is not None
+    def _gravity(self) -> Array:
+        """Up in the sensor's frame where all its positions have one direction; otherwise 0, shape (3,)."""
+        places = [_gravity(place) for place in self.record.procedure.set.values() if place.gravity or place.tilt]
+        same = bool(places) and all(np.allclose(place, places[0], atol=1e-6) for place in places)
+        return places[0] if same and self.assumes("sensitivity") else np.zeros(3)
+
+    def observations(self, design: Design) -> list[Observation]:
+        """Return its positions for the estimator, named after the session."""
+        places = self.record.procedure.set
+        looser = (self.jig or UNKNOWN_JIG) / design.jig if design.jig and self.jig != 0.0 else 1.0
+        before = [None, *(places[one.position] for one in self.positions)]
+        return [
+            Observation(
+                f"{self.label}/{one.position}",
+                _gravity(places[one.position]),
+                np.array([one.mean[c] for c in design.channels]),
+                np.array([(one.u or {})[c] for c in design.channels]),
+                one.temperature,
+                places[one.position].heading,
+                held=last is not None and _setting(last) == _setting(places[one.position]),
+                dof=np.full(len(design.channels), inf if (one.n or 0) < 2 else min(BLOCKS, one.n or 0) - 1.0),
+                looser=max(looser, 1e-3),
+            )
+            for one, last in zip(self.positions, before, strict=False)
         ]
-        return seen[0] if seen and all(np.allclose(gravity, seen[0], atol=1e-6) for gravity in seen) else None
 
-    @property
-    def level_unstated(self) -> bool:
-        """Whether nothing is stated of how level a session lay that determined no sensitivity."""
-        return bool(self.assumes("sensitivity")) and self.record.fit.uncertainty_from == NOISE_ALONE
+    def statement(self, design: Design, slope: Array) -> StatedCoefficients:
+        """Return what the file states of the coefficients of a design that it has measured.
 
-    def statement(self, target: Coefficients, *, unstated_levels: bool) -> tuple[Statement, str]:
-        """Return what the session states of a sensor with the axes and temperature terms of a target; and a remark.
+        ``slope`` is the drift that the temperature of a file without one is worth, unit/°C, shape (channels,).
 
-        The offset is left out where its temperature is not known, and without ``unstated_levels`` that of a session
-        whose level is not stated.
+        EstimateError: it states no uncertainty. UsageError: its drift has another order, or its sensitivity other axes.
         """
-        known, (measured, assumed) = self.known, self.places
-        both = np.flatnonzero(measured | assumed)
-        joint, own = known.chosen(both), known.chosen(np.flatnonzero(measured))
-        conditioned, by = conditional(joint.names, joint.covariance, measured[both])
-        stated, uncertain = values(self.coefficients), known.chosen(np.flatnonzero(assumed)).names
-        value = vector_of(self.coefficients, own.names)
-        columns = [(name, -by[:, k]) for k, name in enumerate(uncertain)]
-        given: dict[str, Array] = {}
-        for name, column in (*columns, *self._along_gravity(target, uncertain, own.names)):
-            if name in values(target):
-                given[name] = column
-            else:  # the target's offset holds what this axis adds
-                value = value + column * stated[name]
-        why = self._no_offset(target, unstated_levels)
-        kept = [k for k, name in enumerate(own.names) if not (why and name.startswith("offset."))]
-        at = self.temperature if target.thermal is not None else None
-        statement = Statement(
-            label=self.label,
-            names=tuple(own.names[k] for k in kept),
-            values=value[kept],
-            covariance=conditioned[np.ix_(kept, kept)],
-            factors=own.factors[kept],
-            temperature=None if at is None else at[0],
-            u_temperature=0.0 if at is None else at[1],
-            given=tuple(given),
-            given_values=np.array([stated.get(name, 0.0) for name in given]),
-            by_given=np.array(list(given.values())).reshape(len(given), len(own.names)).T[kept],
+        try:
+            stated = stated_uncertainty(self.record.uncertainty, self.coefficients).inputs.without_turn
+        except EstimateError as failure:
+            raise EstimateError(f"{self.label}: {failure}") from failure
+        at, thermal = self.temperature, self.coefficients.thermal
+        for what in ("drift", "gain") if thermal is not None else ():
+            own, order = getattr(thermal, what).shape[1], getattr(design, what)
+            if own and own != order:
+                raise UsageError(
+                    f"the {what} of {self.label} has order {own} and that of another calibration {order}: a polynomial "
+                    "of one order is not weighed against one of another; combine one of them"
+                )
+        if not self.assumes("sensitivity") and set(self.coefficients.axes) != set(design.axes):
+            raise UsageError(
+                f"{self.label} determines the sensitivity to {', '.join(self.coefficients.axes)} and another "
+                f"calibration to {', '.join(design.axes)}: an offset of the one is not that of the other; combine "
+                "sessions of the same axes"
+            )
+        kept = [
+            k
+            for k, name in enumerate(stated.names)
+            if name in design.names
+            and name not in self.assumed
+            and stated.covariance[k, k] > 0.0
+            and not (name.startswith("offset.") and design.thermal and at is None)
+        ]
+        stated = stated.chosen(kept)
+        rows = np.array([[float(name == other) for other in design.names] for name in stated.names]).reshape(
+            -1, len(design.names)
         )
-        return statement, why
+        wider = np.maximum(stated.factors / NORMAL_FACTOR, 1.0)
+        covariance = stated.covariance * np.outer(wider, wider)
+        warmer = at[0] - design.reference if at is not None else 0.0
+        for k, name in enumerate(stated.names):
+            if not name.startswith("offset."):
+                continue
+            channel = name.split(".")[1]
+            if thermal is None and at is not None:
+                covariance[k, k] += (slope[design.channels.index(channel)] * at[1]) ** 2
+            for order in range(1, design.drift + 1):
+                rows[k, design.names.index(f"temperature.offset.{channel}.{order}")] = warmer**order
+            for axis, along in zip(AXES, self._gravity, strict=True):  # a column that it lacks is in its offset
+                if axis in design.axes and axis not in self.coefficients.axes:
+                    rows[k, design.names.index(f"sensitivity.{channel}.{axis}")] = along
+        return StatedCoefficients(stated.names, rows, vector_of(self.coefficients, stated.names), covariance)
 
-    def _no_offset(self, target: Coefficients, unstated_levels: bool) -> str:
-        """Return why the offset of the session is left out; empty where it is not."""
-        if self.level_unstated and not unstated_levels:
-            return f"{self.label} does not state how level it was (--jig), and its offset contradicts: it is left out"
-        if target.thermal is not None and self.temperature is None:
-            return f"{self.label} states no temperature: its offset is left out"
-        return ""
 
-    def _along_gravity(
-        self, target: Coefficients, uncertain: Sequence[str], own: Sequence[str]
-    ) -> Iterator[tuple[str, Array]]:
-        """Yield the sensitivities that the session took as exact, or left out, and how its values follow them."""
-        if self.gravity is None or not self.assumes("sensitivity"):
-            return
-        for channel, (axis, along) in product(target.channels, zip(AXES, self.gravity, strict=True)):
-            name = f"sensitivity.{channel}.{axis}"
-            if name not in uncertain and (axis in target.axes or axis in self.coefficients.axes):
-                yield name, np.array([float(row == f"offset.{channel}") * along for row in own])
+def _gravity(place: PositionSet) -> Array:
+    """Return up in the sensor's frame as set, shape (3,)."""
+    return np.array(place.gravity if place.tilt is None else gravity_from_tilt(place.tilt), dtype=float)
+
+
+def _setting(place: PositionSet) -> tuple[object, ...]:
+    return tuple(_gravity(place)), place.heading
 
 
 def _sha(text: str) -> str:

@@ -125,6 +125,8 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         degrees_of_freedom=found.dof,
         uncertainty_from=_source_of_uncertainty(found, design),
         jig_degrees=None if design.free else design.jig,
+        table_degrees=design.table,
+        heading_degrees=design.heading or None,
         jig_estimated_degrees=None if found.estimated_jig is None else significant(found.estimated_jig, SHARE_DIGITS),
         thermometer_celsius=design.thermometer or None,
         thermometer_estimated_celsius=None

@@ -22,12 +22,12 @@ from tiltcal.files.atomic import check_writable
 )
 @options.file_option("-o", "--output", required=True, help="The calibration file to write.")
 def command(calibrations: tuple[Path, ...], mounting: str, output: Path) -> None:
-    """Combine calibrations of one sensor from several sessions, each with its covariance.
+    """Combine calibrations of one sensor from several sessions: their positions are fitted again, together.
 
-    What one session alone has measured is taken from it: the scale from the vise, the drift from the overnight run.
-    What several have measured is their weighted mean. A difference that sessions in agreement have once in 1000 times
-    is refused with the figures; one that they have once in 20 times is noted. An assumed sensitivity, nominal or of a
-    --base, is no information. Offsets are converted to the reference temperature of the first session with a drift.
+    So the scale comes from the vise, and the drift from the overnight run. A difference that sessions in agreement
+    have once in 1000 times is refused with the figures; one that they have once in 20 times is noted. An assumed
+    sensitivity, nominal or of a --base, is no information. Positions of one journal count once. A file without
+    positions enters by its values and their covariance.
     """
     from tiltcal.calibration.combine import combine
     from tiltcal.calibration.summary import summary

@@ -200,6 +200,10 @@ class FitRecord(Record, kw_only=True):
     jig_degrees: Annotated[FiniteFromZero | None, about("the stated standard uncertainty of a set angle, degrees")] = (
         None
     )
+    table_degrees: Annotated[
+        FiniteFromZero | None, about("the stated standard uncertainty of the lean of the table, degrees")
+    ] = None
+    heading_degrees: Annotated[FiniteFromZero | None, about("that of a heading, degrees")] = None
     jig_estimated_degrees: Annotated[
         FiniteFromZero | None,
         about(

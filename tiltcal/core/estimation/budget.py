@@ -47,8 +47,8 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
         squares = np.square(by)
         noise = squares * (measured - rounding)[:, None]
         variance = {NOISE: noise.sum(axis=0), ADC: rounding @ squares}
-        if weights[:n].any():
-            variance[PRIOR] = np.sum((covariance[own, :n] * weights[:n]) ** 2, axis=1)
+        if len(equations.prior_target):
+            variance[PRIOR] = np.sum((covariance[own, :n] @ equations.prior_rows.T) ** 2, axis=1)
         for source, columns in equations.errors.items():
             if weights[columns].any():
                 variance[source] = np.sum((covariance[own, columns] * weights[columns]) ** 2, axis=1)

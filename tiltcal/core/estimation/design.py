@@ -36,6 +36,8 @@ class Observation:
         The part of ``u`` that quantisation gives.
     noise_unknown : bool
         Nothing else is in ``u``, because nothing is known of the noise: one number for all readings.
+    looser : float
+        By what the design's jig is multiplied here: sessions set their positions each with its own.
     """
 
     position: str
@@ -48,6 +50,7 @@ class Observation:
     dof: Array | float = inf
     adc: Array | float = 0.0
     noise_unknown: bool = False
+    looser: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,26 @@ class Prior:
 
     value: float
     u: float = 0.0
+
+
+@dataclass(frozen=True)
+class StatedCoefficients:
+    """What a calibration file states: ``rows @ coefficients`` is ``values``, with a covariance.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The coefficient that each value is of, first of all.
+    rows : ndarray, shape (k, coefficients)
+        By the names of the design.
+    values : ndarray, shape (k,)
+    covariance : ndarray, shape (k, k)
+    """
+
+    names: tuple[str, ...]
+    rows: Array
+    values: Array
+    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -93,6 +116,8 @@ class Design:
         By the coefficient's dotted name.
     nominal : float
         Sensitivity of the model, unit/g; 0 where it is not known.
+    stated : tuple of StatedCoefficients
+        What calibrations of the sensor state of coefficients jointly, beside the priors.
     """
 
     channels: tuple[str, ...]
@@ -107,6 +132,7 @@ class Design:
     nonlinearity: int = 0
     priors: Mapping[str, Prior] = field(default_factory=dict)
     nominal: float = 0.0
+    stated: tuple[StatedCoefficients, ...] = ()
 
     @property
     def assumes_sensitivity(self) -> bool:

@@ -38,6 +38,9 @@ UNKNOWN_TABLE = radians(5.0)
 SAME_DIRECTION = 1e-6
 """Refuse two sensors whose directions for one position differ by more, g."""
 
+_ROUNDED = 1e-9
+"""Eigenvalue of a correlation below which it is what rounding leaves of zero."""
+
 _PER_LEAN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
@@ -136,7 +139,9 @@ class Equations:
     gravity : ndarray, shape (places, 3)
         As set, in the fixture's frame.
     prior_value, prior_u : ndarray, shape (coefficients,)
-        What is stated of them; infinite u for nothing, 0 for one that is held at its value.
+        What is stated of each; infinite u for nothing, 0 for one that is held at its value.
+    prior_rows, prior_target : ndarray, shape (statements, coefficients) and (statements,)
+        All that is stated of them, over its uncertainty: ``prior_rows @ coefficients`` is ``prior_target``.
     exact : bool
         Whether a reading has no uncertainty that is known: chi-square is then no test.
     errors : mapping of str to slice
@@ -157,6 +162,7 @@ class Equations:
         priors = [sensor.design.priors.get(name) for sensor in sensors for name in sensor.design.names]
         self.prior_value = np.array([prior.value if prior else 0.0 for prior in priors])
         self.prior_u = np.array([prior.u if prior else inf for prior in priors])
+        self.prior_rows, self.prior_target = self._statements()
         temperatures, count = self._number_temperatures()
         self.exact = False
         self.channels = self._channels(temperatures)
@@ -198,13 +204,12 @@ class Equations:
         return np.concatenate([self.prior_value, np.zeros(self.unknowns - len(self.names))])
 
     def weights(self, errors: BenchErrors) -> Array:
-        """Return one over the standard uncertainty that is stated of each unknown, 0 for none, shape (unknowns,)."""
+        """Return one over the standard uncertainty of each error of the bench, 0 for none, shape (unknowns,)."""
         weights = np.zeros(self.unknowns)
-        assumed = (self.prior_u > 0.0) & (self.prior_u < inf)
-        weights[: len(self.names)][assumed] = 1.0 / self.prior_u[assumed]
         stated = {THERMOMETER: errors.thermometer, TABLE: errors.table, HEADING: errors.heading, JIG: errors.jig}
         for source, u in stated.items():
             weights[self.errors[source]] = 1.0 / u if u else 0.0
+        weights[self.errors[JIG]] /= np.repeat(self.looser, 2)
         return weights
 
     def moving(self, errors: BenchErrors) -> NDArray[np.bool_]:
@@ -279,12 +284,32 @@ class Equations:
             return up, by_angle, rotations, None
         return up, by_angle, rotations, (_PER_LEAN @ rotations) @ z[self.errors[TABLE]]
 
+    def _statements(self) -> tuple[Array, Array]:
+        """Return the rows and the target of what is stated; the estimate starts at what is stated last."""
+        assumed = np.flatnonzero((self.prior_u > 0.0) & (self.prior_u < inf))
+        rows = [np.eye(len(self.names))[assumed] / self.prior_u[assumed, None]]
+        targets, start = [self.prior_value[assumed] / self.prior_u[assumed]], 0
+        for sensor in self.sensors:
+            stop = start + len(sensor.design.names)
+            for stated in sensor.design.stated:
+                u = np.sqrt(np.diag(stated.covariance))
+                at = start + np.array([sensor.design.names.index(name) for name in stated.names], dtype=np.intp)
+                self.prior_value[at], self.prior_u[at] = stated.values, u
+                values, vectors = np.linalg.eigh(stated.covariance / np.outer(u, u))
+                white = (vectors / np.sqrt(np.maximum(values, _ROUNDED))).T / u
+                rows.append(np.zeros((len(u), len(self.names))))
+                rows[-1][:, start:stop] = white @ stated.rows
+                targets.append(white @ stated.values)
+            start = stop
+        return np.vstack(rows), np.concatenate(targets)
+
     def _place_positions(self) -> None:
         """Number the positions of all sensors by name, and the settings of the fixture."""
         self.places: dict[str, int] = {}
         gravity: list[Array] = []
         headings: list[float] = []
         settings: list[int] = []
+        looser: dict[int, float] = {}
         for sensor in self.sensors:
             back = np.array(sensor.orientation, dtype=float).T
             before: int | None = None
@@ -296,6 +321,7 @@ class Equations:
                     headings.append(heading)
                     held = one.held and before is not None
                     settings.append(settings[before or 0] if held else max(settings, default=-1) + 1)
+                    looser.setdefault(settings[-1], one.looser)
                 elif np.max(np.abs(direction - gravity[number])) > SAME_DIRECTION or heading != headings[number]:
                     raise EstimateError(
                         f"position {one.position}: two sensors of the fixture name different directions for it; check "
@@ -304,6 +330,7 @@ class Equations:
                 before = number
         self.gravity, self.headings = np.array(gravity), headings
         self.settings: Indices = np.array(settings, dtype=np.intp)
+        self.looser = np.array([looser[setting] for setting in sorted(looser)])
 
     def _number_temperatures(self) -> tuple[list[Indices], int]:
         """Number the temperature errors; sensors that read the same temperatures have one thermometer."""

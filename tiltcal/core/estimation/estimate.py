@@ -263,8 +263,9 @@ def _attitudes(solution: Solution) -> tuple[AttitudeError, ...]:
     own = solution.z[columns].reshape(-1, 2)
     covariance = solution.covariance[columns, columns].reshape(len(own), 2, len(own), 2)
     settings = np.arange(len(own))
-    values, vectors = np.linalg.eigh(jig**2 * np.eye(2) - covariance[settings, :, settings])
-    seen = values > 1e-6 * jig**2
+    stated = (jig * equations.looser) ** 2
+    values, vectors = np.linalg.eigh(stated[:, None, None] * np.eye(2) - covariance[settings, :, settings])
+    seen = values > 1e-6 * stated[:, None]
     along = np.einsum("sij,si->sj", vectors, own)
     squares = np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1)
     count = seen.sum(axis=1)

@@ -69,7 +69,7 @@ class Solution:
         equations, errors = self.equations, self.errors
         moving = equations.moving(errors)
         stated = int(np.count_nonzero(equations.weights(errors)[moving]))
-        dof = len(equations.u) + stated - int(np.count_nonzero(moving))
+        dof = len(equations.u) + len(equations.prior_target) + stated - int(np.count_nonzero(moving))
         if not equations.table_stated:
             variance = np.diag(self.covariance)[equations.errors[TABLE]]
             dof -= int(np.count_nonzero(variance < _SHOWN * errors.table**2))
@@ -190,7 +190,7 @@ def _round(
 ) -> tuple[Linearised, Array, Array, float]:
     """Return the equations about ``z``, the step of the unknowns, their covariance, and chi-square behind the step."""
     near = equations.at(z, errors, shortened)
-    normal, gradient, squares = _normal(near, equations.weights(errors), equations.start() - z)
+    normal, gradient, squares = _normal(equations, near, equations.weights(errors), z)
     some = np.flatnonzero(moving)
     covariance = np.zeros_like(normal)
     covariance[np.ix_(some, some)] = _inverse(normal[np.ix_(some, some)])
@@ -198,11 +198,15 @@ def _round(
     return near, step, covariance, max(float(squares - gradient @ step), 0.0)
 
 
-def _normal(near: Linearised, weights: Array, missing: Array) -> tuple[Array, Array, float]:
+def _normal(equations: Equations, near: Linearised, weights: Array, z: Array) -> tuple[Array, Array, float]:
     """Return normal matrix, gradient and sum of squares of readings and of what is stated of the unknowns."""
+    rows, n = equations.prior_rows, len(equations.names)
+    missing = equations.prior_target - rows @ z[:n]
     normal = near.normal + np.diag(weights**2)
-    gradient = near.gradient + weights**2 * missing
-    return normal, gradient, float(near.residual @ near.residual + np.sum((weights * missing) ** 2))
+    normal[:n, :n] += rows.T @ rows
+    gradient = near.gradient - weights**2 * z
+    gradient[:n] += rows.T @ missing
+    return normal, gradient, float(near.residual @ near.residual + missing @ missing + np.sum((weights * z) ** 2))
 
 
 def _inverse(normal: Array) -> Array:
@@ -230,7 +234,7 @@ def projected(solution: Solution, source: str) -> ProjectedResiduals:
     back = np.zeros_like(z)
     back[own] = z[own]
     near = replace(near, residual=near.residual + near.times(back))  # with these errors put back
-    normal, gradient, squares = _normal(near, weights, equations.start() - z)
+    normal, gradient, squares = _normal(equations, near, weights, z)
     inverse = _inverse(normal[np.ix_(others, others)])
     across = normal[np.ix_(own, others)] @ inverse
     direct = normal[np.ix_(own, own)]
