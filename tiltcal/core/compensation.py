@@ -177,6 +177,8 @@ class Compensation:
         From the sensor's frame to the application's; None where they are one.
     solves_z : bool
         Whether g_z, which two channels do not see, is needed and solved for.
+    temperatures : tuple of float, or None
+        The range that the calibration covers, °C.
     on_edge : bool
         Whether the mounting turns such a sensor by more than 45° from upright and from upside down.
 
@@ -244,7 +246,7 @@ class Compensation:
             {axis: (_sine_of_limit(low, -1), _sine_of_limit(high, +1)) for axis, (low, high) in limits.tilt.items()},
             self.axes,
         )
-        self._temperatures = overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
+        self.temperatures = overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
 
     @property
     def angles(self) -> tuple[str, ...]:
@@ -355,8 +357,8 @@ class Compensation:
         known = None
         if temperature is not None:
             known = np.isfinite(temperature)
-            if self._temperatures is not None:
-                low, high = self._temperatures
+            if self.temperatures is not None:
+                low, high = self.temperatures
                 mark(out, known & ((temperature < low) | (temperature > high)), SUSPECT, TEMPERATURE_RANGE)
         if self._thermal is None:
             return None
