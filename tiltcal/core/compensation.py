@@ -177,6 +177,8 @@ class Compensation:
         From the sensor's frame to the application's; None where they are one.
     solves_z : bool
         Whether g_z, which two channels do not see, is needed and solved for.
+    reach : dict of int to tuple of float
+        The range of each axis by its place, as components of gravity, g.
     temperatures : tuple of float, or None
         The range that the calibration covers, °C.
     on_edge : bool
@@ -242,7 +244,7 @@ class Compensation:
             self._squares = max(1.0 - length, SHORTEST) ** 2 - _ROUNDING, min(1.0 + length, LONGEST) ** 2 + _ROUNDING
 
         self._rails = _bounds(limits.reading, coefficients.channels)
-        self._reach = _bounds(
+        self.reach = _bounds(
             {axis: (_sine_of_limit(low, -1), _sine_of_limit(high, +1)) for axis, (low, high) in limits.tilt.items()},
             self.axes,
         )
@@ -434,7 +436,7 @@ class Compensation:
 
     def _judge_tilt(self, own: Array, out: Compensated) -> None:
         """Mark rows that tilt a sensor axis further than the calibration covers."""
-        for axis, (low, high) in self._reach.items():
+        for axis, (low, high) in self.reach.items():
             argument = own[axis]
             measured = np.abs(argument) <= CLIP_LIMIT + _ROUNDING
             mark(out, measured & ((argument < low) | (argument > high)), SUSPECT, TILT_RANGE)

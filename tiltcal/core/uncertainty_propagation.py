@@ -11,7 +11,7 @@ the angles it is a gradient again, except at an edge: at ±90° of a tilt the in
 the arcsine, and where an angle of three axes comes from a length near zero, an error across it counts too.
 
 A file has one coverage factor: the largest, by the effective degrees of freedom (GUM, eq. G.2b), that a component of
-gravity has in 18 attitudes and at the ends of the temperature range; for means that without the noise of readings.
+gravity has in 18 attitudes within the calibrated range and at its temperatures; for means that without noise.
 """
 
 from __future__ import annotations
@@ -165,6 +165,14 @@ class Propagation:
         reference = 0.0 if self._thermal is None else self._thermal.reference
         ends = np.array([reference, *(self._compensation.temperatures or ())]) - reference
         gravity = _ATTITUDES / np.linalg.norm(_ATTITUDES, axis=0)
+        axes = self._compensation.axes
+        for axis, (low, high) in self._compensation.reach.items():
+            row = gravity[AXES.index(axes[axis])]
+            np.clip(row, low, high, out=row)
+        if axes == ("x", "y"):
+            gravity[2] = np.copysign(
+                np.sqrt(np.maximum(1.0 - gravity[0] ** 2 - gravity[1] ** 2, 0.0)), self._rotation[2, 2]
+            )
         gravity = np.tile(gravity, len(ends))
         rows, by_reading, by_temperature = self._derivatives(gravity, np.repeat(ends, len(gravity[0]) // len(ends)))
         usual, wide = self._covariances(rows, self._covariance), self._covariances(rows, widened)
