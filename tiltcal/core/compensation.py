@@ -177,6 +177,10 @@ class Compensation:
         From the sensor's frame to the application's; None where they are one.
     solves_z : bool
         Whether g_z, which two channels do not see, is needed and solved for.
+    reach : dict of int to tuple of float
+        The range of each axis by its place, as components of gravity, g.
+    temperatures : tuple of float, or None
+        The range that the calibration covers, °C.
     on_edge : bool
         Whether the mounting turns such a sensor by more than 45° from upright and from upside down.
 
@@ -240,11 +244,11 @@ class Compensation:
             self._squares = max(1.0 - length, SHORTEST) ** 2 - _ROUNDING, min(1.0 + length, LONGEST) ** 2 + _ROUNDING
 
         self._rails = _bounds(limits.reading, coefficients.channels)
-        self._reach = _bounds(
+        self.reach = _bounds(
             {axis: (_sine_of_limit(low, -1), _sine_of_limit(high, +1)) for axis, (low, high) in limits.tilt.items()},
             self.axes,
         )
-        self._temperatures = overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
+        self.temperatures = overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
 
     @property
     def angles(self) -> tuple[str, ...]:
@@ -355,8 +359,8 @@ class Compensation:
         known = None
         if temperature is not None:
             known = np.isfinite(temperature)
-            if self._temperatures is not None:
-                low, high = self._temperatures
+            if self.temperatures is not None:
+                low, high = self.temperatures
                 mark(out, known & ((temperature < low) | (temperature > high)), SUSPECT, TEMPERATURE_RANGE)
         if self._thermal is None:
             return None
@@ -432,7 +436,7 @@ class Compensation:
 
     def _judge_tilt(self, own: Array, out: Compensated) -> None:
         """Mark rows that tilt a sensor axis further than the calibration covers."""
-        for axis, (low, high) in self._reach.items():
+        for axis, (low, high) in self.reach.items():
             argument = own[axis]
             measured = np.abs(argument) <= CLIP_LIMIT + _ROUNDING
             mark(out, measured & ((argument < low) | (argument > high)), SUSPECT, TILT_RANGE)

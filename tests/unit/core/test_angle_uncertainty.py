@@ -19,7 +19,6 @@ from scipy.special import ndtri
 
 from tiltcal.core.angle_uncertainty import AngleUncertainty, CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.coverage_factor import CoverageFactors
 from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
@@ -339,14 +338,25 @@ class TestRows:
 
 
 class TestExpansion:
-    @pytest.mark.parametrize("dof", [1.0, 2.0, 5.0, 30.0, 1e4])
-    @pytest.mark.parametrize("known", [0.0, 0.3, 4.0])
-    def test_welch_and_satterthwaite(self, dof: float, known: float) -> None:
-        """GUM, eq. G.2b, with scipy's quantiles."""
-        stretched = (scipy.stats.t.ppf(0.975, dof) / NORMAL) ** 2
-        _, found = CoverageFactors().whole(np.array([1.0]), np.array([stretched]), np.array([known]))
-        assert found[0] == pytest.approx(scipy.stats.t.ppf(0.975, dof * (1.0 + known) ** 2), rel=1e-3)
+    """A file has one coverage factor, by the GUM's eq. G.2b with scipy's quantiles."""
 
-    def test_what_is_narrowed_is_narrowed_alone(self) -> None:
-        _, found = CoverageFactors().whole(np.array([1.0, 0.0]), np.array([0.64, 0.0]), np.array([1.0, 1.0]))
-        np.testing.assert_allclose(found, [NORMAL * sqrt(1.64 / 2.0), NORMAL], rtol=1e-9)
+    ONE = Coefficients(("x",), ("x",), np.array([1024.0]), np.array([[819.0]]))
+
+    @pytest.mark.parametrize("dof", [2.0, 5.0, 30.0])
+    @pytest.mark.parametrize("noise", [0.0, 0.3, 4.0])
+    def test_welch_and_satterthwaite(self, dof: float, noise: float) -> None:
+        factors = np.array([scipy.stats.t.ppf(0.975, dof)])
+        doubt = UncertaintyInputs(("offset.x",), np.eye(1), factors, np.array([noise]))
+        found = result_of(self.ONE, doubt, np.array([[1024.0]]), np.zeros(1))
+        u = degrees(np.hypot(1.0, noise) / 819.0)
+        assert found.standard[0, 0] == pytest.approx(u, rel=1e-3)
+        expected = u * scipy.stats.t.ppf(0.975, dof * (1.0 + noise**2) ** 2)
+        assert found.expanded[0, 0] == pytest.approx(expected, rel=2e-3)
+
+    def test_the_worst_attitude_gives_the_factor_of_all_rows(self) -> None:
+        """The sensitivity has 2 degrees of freedom, and counts at 90° alone; level rows have the same factor."""
+        factors = np.array([NORMAL, scipy.stats.t.ppf(0.975, 2.0)])
+        doubt = UncertaintyInputs(("offset.x", "sensitivity.x.x"), np.diag([1.0, 4.0]), factors, np.zeros(1))
+        found = result_of(self.ONE, doubt, np.array([[1024.0], [1433.5]]), np.zeros(2))
+        wide = NORMAL * sqrt((1.0 + 4.0 * (factors[1] / NORMAL) ** 2) / 5.0)
+        np.testing.assert_allclose(found.expanded[:, 0], wide * found.standard[:, 0], rtol=2e-3)

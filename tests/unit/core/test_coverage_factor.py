@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiltcal.core.coverage_factor import CoverageFactors, welch_satterthwaite
+from tiltcal.core.coverage_factor import welch_satterthwaite
 
 
 def test_the_example_of_the_guide() -> None:
@@ -19,13 +19,3 @@ def test_a_part_without_weight_leaves_the_degrees_infinite() -> None:
     """Such a part came from a sensor whose noise was far below its jig."""
     tiny = np.array([1e-157, 0.0, 5.98e-157, 2.33e-160])
     assert np.all(np.isinf(welch_satterthwaite(np.full(4, 0.05), [(tiny, 1.0)])))
-
-
-def test_a_ratio_that_is_the_same_everywhere_need_not_be_looked_up() -> None:
-    rng = np.random.default_rng(3)
-    estimated, known = rng.uniform(0.1, 2.0, (2, 500))
-    factors = CoverageFactors()
-    widened = 1.7 * estimated
-    variance, expected = factors.whole(estimated, widened, known)
-    np.testing.assert_array_equal(variance, estimated + known)
-    np.testing.assert_allclose(factors.whole(estimated, 1.7, known)[1], expected, rtol=1e-4)
