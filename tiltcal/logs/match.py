@@ -18,7 +18,7 @@ from tiltcal.core.pair.matching import PairCoefficients, drifts, solve
 from tiltcal.core.pair.matching import match as match_demodulated
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online, OnlineHistory
-from tiltcal.core.pair.record import StageRecord
+from tiltcal.core.pair.stage import StageRecord
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance

@@ -12,9 +12,8 @@ from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import Demodulation, demodulate
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import sum_weights
-from tiltcal.core.pair.record import StageRecord, stage_record
 from tiltcal.core.pair.spin import estimated_angle
-from tiltcal.core.pair.turns import STANDSTILL, require_turns
+from tiltcal.core.pair.stage import STANDSTILL, StageRecord, require_turns, stage_record
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.logs.columns import TIME, locate_columns, require_degrees
 from tiltcal.logs.log import LogReader

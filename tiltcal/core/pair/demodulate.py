@@ -14,7 +14,7 @@ that is sampled, and no more than the sine wave passes steps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -55,12 +55,9 @@ def harmonic_columns(angle: Array, harmonics: int) -> Array:
     return columns
 
 
-def summed_products(block: Array, angle: Array, row: Array, readings: Array) -> Iterator[tuple[int, Array]]:
-    """Yield block numbers, and the products of all columns and readings of shape (channels, n), summed over each."""
-    table = np.concatenate([harmonic_columns(angle, HARMONICS), row[None, :], readings])
-    for start, end in pairwise([0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]):
-        part = table[:, start:end]
-        yield int(block[start]), part @ part.T
+def regression_columns(angle: Array, row: Array, readings: Array) -> Array:
+    """Return the columns of the regression and the readings behind them, shape (READINGS + channels, n)."""
+    return np.concatenate([harmonic_columns(angle, HARMONICS), row[None, :], readings])
 
 
 def moved(products: Array, rows: Array | int) -> Array:
@@ -83,8 +80,7 @@ def demodulate(
     EstimateError
         The rows cannot determine the components.
     """
-    whole = np.ones(len(angle), dtype=bool) if whole is None else whole
-    places = np.flatnonzero(whole)
+    places = np.arange(len(angle)) if whole is None else np.flatnonzero(whole)
     if not len(places):
         raise EstimateError("no row of the record has an angle and all readings")
     size = ceil(max(float(angle[places[-1]] - angle[places[0]]), 1.0) / (MOST_BLOCKS - 1))
@@ -96,9 +92,11 @@ def demodulate(
     for start in range(0, len(places), CHUNK):
         rows = places[start : start + CHUNK]
         values = np.stack([column[rows] for column in readings]) - pilot[:, None]
-        block = np.maximum.accumulate(np.floor(angle[rows] / size))
-        for number, products in summed_products(block, angle[rows], rows / len(angle) - 0.5, values):
-            blocks[number] = blocks.get(number, 0.0) + products
+        table = regression_columns(angle[rows], rows / len(angle) - 0.5, values)
+        block = np.maximum.accumulate(np.floor(angle[rows] / size)).astype(np.int64)
+        for first, end in pairwise([0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]):
+            part, number = table[:, first:end], int(block[first])
+            blocks[number] = blocks.get(number, 0.0) + part @ part.T
     result = regress(np.stack([blocks[number] for number in sorted(blocks)]), channels)
     result.coefficients[-2] += pilot
     return replace(result, rounding=_rounding(result, step, angle[beginning])) if step else result

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tiltcal.core.pair.demodulate import harmonic_columns
-from tiltcal.core.pair.turns import follow
+from tiltcal.core.pair.stage import follow
 
 
 def test_the_harmonics_are_sines_and_cosines_at_every_angle() -> None:

@@ -17,7 +17,7 @@ import tiltcal
 from tiltcal.core.pair.demodulate import MOST_BLOCKS, Demodulation, demodulate
 from tiltcal.core.pair.matching import Matching, PairCoefficients, match, solve
 from tiltcal.core.pair.model import Pair, matched_sum, matching_coefficients
-from tiltcal.core.pair.turns import follow, require_turns
+from tiltcal.core.pair.stage import follow, require_turns
 from tiltcal.errors import EstimateError
 
 PAIR = Pair("a1", "a2", "a4")
