@@ -119,7 +119,7 @@ class Demodulation:
     record and the drift over all of it, in the unit of the readings. ``inverse`` times a variance is their covariance
     in white noise; ``residual`` is the covariance of what is left, and ``rounding`` the variance of each component
     from the rounding of the readings, which all turns share, unit². ``scores`` are products of sin θ and cos θ with
-    what is left, and ``weights`` with each other, per block of turns.
+    what is left, and ``weights`` with each other, per block of turns. A mix is a weight for each channel.
     """
 
     channels: tuple[str, ...]
@@ -131,12 +131,20 @@ class Demodulation:
     weights: Array  # (blocks, 2, 2)
     rounding: Array  # (channels,)
 
-    def mix(self, weights: dict[str, float]) -> Array:
-        """Weights by name as a row for all channels, shape (channels,)."""
-        return np.array([weights.get(channel, 0.0) for channel in self.channels])
+    def of(self, channels: Sequence[str]) -> Demodulation:
+        """Return the regression of some of the channels, in this order."""
+        chosen = [self.channels.index(channel) for channel in channels]
+        return replace(
+            self,
+            channels=tuple(channels),
+            coefficients=self.coefficients[:, chosen],
+            residual=self.residual[np.ix_(chosen, chosen)],
+            scores=self.scores[..., chosen],
+            rounding=self.rounding[chosen],
+        )
 
     def components(self, mix: Array) -> Array:
-        """sin and cos component of a mix of channels, shape (2,)."""
+        """sin and cos component of a mix, shape (2,)."""
         return np.asarray(self.coefficients[:2] @ mix)
 
     def covariance(self, mix: Array) -> Array:

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import ceil, exp, hypot, inf, sqrt
+from math import ceil, hypot, inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,9 @@ from tiltcal.errors import EstimateError
 
 MEMORY = 100.0
 """Turns after which a row counts 1/e."""
+
+REMEMBERED = 4.0
+"""Times the memory after which a turn does not count at all."""
 
 STANDS, GAP, TURNS_BACK = "the stage stands still", "the stream has a gap", "the stage runs backwards"
 COARSE = (
@@ -144,7 +147,7 @@ class TurnStream:
     def _close(self, rows: slice, by_part: NDArray[np.int64], end: int, events: list[Turn | Notice]) -> None:
         """Hand a turn on, its rows counted by the parts of the turn, or say why not."""
         readings = self._readings[:, rows]
-        counts = np.isfinite(readings).all(axis=0)
+        counts = np.asarray(np.isfinite(readings).all(axis=0))
         count, used, visited = len(counts), int(np.count_nonzero(counts)), int(np.count_nonzero(by_part))
         typical = max(float(np.median(by_part)), 1.0)
         why = ""
@@ -274,28 +277,17 @@ class TrimmingLoops:
 
 
 class Recursive:
-    """Recursive least squares with exponential forgetting, on the channels of a stream."""
+    """Least squares with exponential forgetting over the turns of a stream."""
 
     def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
         self.p = self.q = 0.0
-        self._white = (inf, inf)
+        self._u = inf, inf
         self._pair, self._channels = pair, tuple(channels)
-        self._fade = exp(-1.0 / MEMORY)
-        self._products: Array | None = None
-        self._squared_weights = 0.0
-        self._latest: deque[Turn] = deque(maxlen=round(2 * MEMORY))
+        self._turns: deque[Turn] = deque(maxlen=round(REMEMBERED * MEMORY))
 
     def coefficients(self) -> PairCoefficients:
         """p and q as they are now; the uncertainties are infinite before the first estimate."""
-        if not self._latest:
-            return PairCoefficients(0.0, 0.0, inf, inf)
-        # How the latest turns scatter shows how much noise there is at the turning.
-        since = self._latest[-1].end - np.array([turn.end for turn in self._latest])
-        recent = regress(moved(np.stack([turn.products for turn in self._latest]), since), self._channels)
-        colour = sqrt(
-            recent.colour(recent.mix(dict(zip(self._pair.channels, (1.0 - self.p, 1.0, self.q), strict=True))))
-        )
-        return PairCoefficients(self.p, self.q, self._white[0] * colour, self._white[1] * colour)
+        return PairCoefficients(self.p, self.q, *self._u)
 
     def update(self, turn: Turn) -> None:
         """Go on by one turn, and solve for p and q.
@@ -303,18 +295,21 @@ class Recursive:
         Raises
         ------
         EstimateError
-            The sums do not determine p and q, which stay as they were.
+            The turns do not determine p and q, which stay as they were.
         """
-        products, rows = turn.products, float(turn.products[ONE, ONE])
-        if self._products is not None:
-            products = self._fade * moved(self._products, turn.end - self._latest[-1].end) + products
-        self._products = products
-        self._squared_weights = self._fade**2 * self._squared_weights + rows
-        self._latest.append(turn)
-        solved = solve(regress(products[None], self._channels), self._pair)
+        self._turns.append(turn)
+        blocks = moved(
+            np.stack([one.products for one in self._turns]), turn.end - np.array([one.end for one in self._turns])
+        )
+        weights = np.exp((np.arange(len(blocks)) + 1.0 - len(blocks)) / MEMORY)[:, None, None]
+        faded, whole = (regress(some, self._channels) for some in (weights * blocks, blocks))
         # Faded rows carry less of the mean than whole ones would, and have less noise in it too.
-        fading = sqrt(self._squared_weights / float(products[ONE, ONE]))
-        self.p, self.q, self._white = solved.p, solved.q, (solved.u_p * fading, solved.u_q * fading)
+        rows = blocks[:, ONE, ONE]
+        fading = float(weights[:, 0, 0] ** 2 @ rows / (weights[:, 0, 0] @ rows))
+        # How all of these turns scatter shows how much noise there is at the turning.
+        combined = replace(faded, inverse=fading * faded.inverse, scores=whole.scores, weights=whole.weights)
+        solved = solve(combined, self._pair)
+        self.p, self.q, self._u = solved.p, solved.q, (solved.u_p, solved.u_q)
 
 
 @dataclass(frozen=True)
