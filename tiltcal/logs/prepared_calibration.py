@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
     from tiltcal.core.compensation import Compensation
     from tiltcal.core.earth_compensation import EarthFrameCompensation
-    from tiltcal.logs.averaging import Averaging
+    from tiltcal.logs.means import GroupSize
 
 
 _EXAMPLES = {"magnetometer": "mx,my,mz", "velocity": "u,v,w"}
@@ -58,13 +58,13 @@ class ApplyOptions:
             if value is not None and not self.uncertainty:
                 raise UsageError(f"{option} needs --uncertainty")
 
-    def averaging(self) -> Averaging | None:
+    def averaging(self) -> GroupSize | None:
         """Return how rows are put into means; None where they are not."""
         if self.average is None and self.every is None:
             return None
-        from tiltcal.logs.averaging import averaging
+        from tiltcal.logs.means import GroupSize
 
-        return averaging(self.average, self.every)
+        return GroupSize.of(self.average, self.every)
 
     def vectors(self) -> dict[str, tuple[str, ...]]:
         """Return the columns of the vectors that are asked for, by role.
@@ -111,7 +111,7 @@ class PreparedCalibration:
         Roles that are taken where the log has them.
     vectors : mapping of str to tuple of str
         The three columns of ``magnetometer`` and ``velocity``, where these are asked for.
-    averaging : Averaging or None
+    averaging : GroupSize or None
         How rows are put into means before the kernel sees them.
     readings : PreparedCalibration or None
         What judges the readings of which means are made.
@@ -132,7 +132,7 @@ class PreparedCalibration:
     roles: tuple[str, ...] = ()
     optional_roles: tuple[str, ...] = ()
     vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    averaging: Averaging | None = None
+    averaging: GroupSize | None = None
     sensors: tuple[SensorColumns, ...] = ()
     lagged: bool = False
     readings: PreparedCalibration | None = None
@@ -242,7 +242,7 @@ def _mounted(calibration: Calibration, angles: Mapping[str, float] | str, say: C
     return calibration.with_mounting(angles)
 
 
-def _roles(vectors: Mapping[str, tuple[str, ...]], averaging: Averaging | None) -> tuple[str, ...]:
+def _roles(vectors: Mapping[str, tuple[str, ...]], averaging: GroupSize | None) -> tuple[str, ...]:
     """Return the roles that a log must have besides readings."""
     heading = () if "magnetometer" in vectors or not vectors else (HEADING,)
     return (*heading, TIME) if averaging is not None and averaging.seconds else heading
