@@ -10,7 +10,8 @@ import scipy
 from support import accelerometer_disk as stage
 
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.logs.match import match, match_log, pairs_of
+from tiltcal.library.match import match
+from tiltcal.logs.match import match_log, pairs_of
 
 THETA = np.arange(0.0, 20 * 360.0, 7.0)
 PAIRS = [("a1", "a2", "a4")]
