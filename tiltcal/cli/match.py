@@ -14,7 +14,7 @@ from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
     from tiltcal.core.pair.matching import Matching
-    from tiltcal.logs.pair_log import PairLog
+    from tiltcal.logs.match import PairLog
     from tiltcal.report.pair_figures import PairDrawing
 
 _EXAMPLES = """\b

@@ -141,7 +141,7 @@ def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[st
     """Return the name of a log, and the spectra of the first pair in it."""
     from tiltcal.cli.match import spectra_of
     from tiltcal.logs.formats import open_log
-    from tiltcal.logs.pair_log import read_pair_log
+    from tiltcal.logs.match import read_pair_log
 
     matching = calibration.matchings[0]
     with progress_bar("report") as progress, open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows:
