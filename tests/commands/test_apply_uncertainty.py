@@ -18,8 +18,8 @@ import tiltcal
 from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.estimate_record import rounded, uncertainty_of
 from tiltcal.cli.apply import command
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.logs.apply_summary import ColumnWidths
