@@ -48,7 +48,6 @@ SERIAL_NOTES = ("serial", "serial_number", "sensor_serial_number", "instrument_s
 """The attributes or metadata of a log that may state its sensor."""
 
 _GROWTH, _DOUBLINGS = 8, 20  # steps of the time outside for each doubling of it, from an hour to 120 years
-_OF_UNCERTAINTY = {"reading_noise": None, "stability": None, "magnetometer_noise": None}
 
 
 def prepare_library(
@@ -245,7 +244,7 @@ class LibraryKernel:
             record = _without_lag(dated[0] if dated else calibration_at(self._history, time, self._stability))
             # With them stated, nothing looks for the sensor's model in each step.
             record = replace(record, limits=replace(record.limits, reading=self._rails, length=self._length))
-            options = replace(self._options, uncertainty=False, **_OF_UNCERTAINTY) if plain else self._options
+            options = self._options.without_uncertainty() if plain else self._options
             remarks = self._remarks if counts else RowRemarks()
             self._kernels[key] = prepare(record, options, remarks=remarks).kernel
         return self._kernels[key]
@@ -303,14 +302,14 @@ def _joined(history: SensorHistory, k: int) -> bool:
     )
 
 
-def _interpolated(before: Table, after: Table, share: Array) -> dict[str, Any]:
+def _interpolated(before: Mapping[str, Any], after: Mapping[str, Any], share: Array) -> dict[str, Any]:
     """Return the columns at a share of the time between two calibrations, shape (n,), from those of both."""
     table = {}
     for name, column in before.items():
         if name == "flag":
             table[name] = np.maximum(column, after[name])
         elif name == "reason":
-            table[name] = column | after[name]
+            table[name] = np.bitwise_or(column, after[name])
         elif name == HEADING:
             turn = (after[name] - column + 180.0) % 360.0 - 180.0
             table[name] = full_circle(column + share * turn, 360.0)

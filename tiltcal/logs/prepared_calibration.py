@@ -84,6 +84,10 @@ class ApplyOptions:
             raise UsageError("--magnetometer-noise needs --magnetometer and --uncertainty")
         return found
 
+    def without_uncertainty(self) -> ApplyOptions:
+        """Return these options for the results alone."""
+        return replace(self, uncertainty=False, reading_noise=None, stability=None, magnetometer_noise=None)
+
     def require_file(self) -> None:
         """Raise UsageError for what is for a folder of calibrations."""
         for name in ("serial", "stability", "start"):
