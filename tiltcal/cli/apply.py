@@ -182,7 +182,8 @@ def command(
     If CALIBRATION contains accelerometer pairs (from `tiltcal match`), the new columns are the matched sum of each pair
     and, with two pairs, the gradient signal and its components at twice the spin frequency over the previous turn.
     """
-    from tiltcal.logs.apply import apply_log, prepare_any
+    from tiltcal.library.apply import apply_log
+    from tiltcal.logs.apply import prepare_any
     from tiltcal.logs.prepared_calibration import ApplyOptions
 
     calibration, logs = (Path(files[0]), files[1:]) if calibrations is None else (calibrations, files)

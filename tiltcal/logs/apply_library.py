@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.calibration_library import calibration_at
+from tiltcal.calibration.calibration_folder import calibration_at
 from tiltcal.calibration.interpolation import Interval
+from tiltcal.calibration.record import limits_of
 from tiltcal.calibration.summary import objections
 from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.model import Array, polynomial
@@ -35,7 +35,7 @@ from tiltcal.logs.streams import sha256_of
 from tiltcal.logs.text_to_numbers import no_time_yet
 
 if TYPE_CHECKING:
-    from tiltcal.calibration.calibration_library import CalibrationLibrary
+    from tiltcal.calibration.calibration_folder import CalibrationFolder
     from tiltcal.calibration.interpolation import Stability
     from tiltcal.calibration.sensor_history import SensorHistory
     from tiltcal.files.calibration import CalibrationRecord
@@ -55,7 +55,7 @@ _GROWTH = 8  # steps of the time outside, for each doubling of it
 
 
 def prepare_library(
-    library: CalibrationLibrary,
+    library: CalibrationFolder,
     log: LogReader,
     options: ApplyOptions,
     columns: Mapping[str, str] | str = "",
@@ -90,7 +90,7 @@ def prepare_library(
 
 
 def _serials(
-    library: CalibrationLibrary, log: LogReader, options: ApplyOptions, say: Callable[[str], None]
+    library: CalibrationFolder, log: LogReader, options: ApplyOptions, say: Callable[[str], None]
 ) -> list[tuple[str, str]]:
     """Return the serial number of each sensor of a log, and what the names of its columns begin with."""
     noted = next((str(log.notes[key]) for key in SERIAL_NOTES if key in log.notes), None)
@@ -151,7 +151,7 @@ def _prepare_sensor(
         "calibration": ", ".join(calibration.name for calibration in calibrations),
         "sha256": ", ".join(sha256_of(calibration.path) for calibration in calibrations),
     }
-    template = prepare(Calibration(calibrations[-1].record), options, say, origin=origin)
+    template = prepare(calibrations[-1].record, options, say, origin=origin)
     kernel = LibraryKernel(history, stability, options, template, start, log)
     alone = ApplyOptions(options.first_order, mounting=options.mounting)
     readings = template.readings and _prepare_sensor(history, None, alone, start, log, lambda line: None)
@@ -192,7 +192,7 @@ class LibraryKernel:
         self._parts = 1 if not options.uncertainty and self._offset_alone else STEPS
         self._start, self._log = start, log
         channels = history.calibrations[-1].record.coefficients.channels
-        rails = Calibration(history.calibrations[-1].record).limits.reading
+        rails = limits_of(history.calibrations[-1].record).reading
         self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in channels}
         self._dates = np.array([calibration.date.timestamp() for calibration in history.calibrations])
         self._kernels: dict[int, tuple[Kernel, float]] = {}
@@ -288,7 +288,7 @@ class LibraryKernel:
             record = _without_lag(self._record_at(step, middle))
             # With them stated, nothing looks for the sensor's model in each step.
             record = replace(record, limits=replace(record.limits, reading=self._rails, length=self._length))
-            self._kernels[step] = prepare(Calibration(record), self._options, remarks=self._remarks).kernel, middle
+            self._kernels[step] = prepare(record, self._options, remarks=self._remarks).kernel, middle
         kernel, middle = self._kernels[step]
         if 0 <= step < _OUTSIDE:
             shifted = self._on_line(step // self._parts, values, time - middle)
@@ -299,7 +299,7 @@ class LibraryKernel:
 
     def _record_at(self, step: int, middle: float) -> CalibrationRecord:
         if not 0 <= step < _OUTSIDE:
-            return calibration_at(self._history, middle, self._stability).record
+            return calibration_at(self._history, middle, self._stability)
         k, part = divmod(step, self._parts)
         if k not in self._intervals:
             self._intervals[k] = self._history.interval(k)

@@ -13,13 +13,12 @@ import xarray
 from support import FIXTURES, WITHOUT_PRIORS
 
 import tiltcal
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import Array, Mounting, Thermal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.results import Provenance
 from tiltcal.files.uncertainty import Uncertainty
-from tiltcal.logs.apply import apply_frame
+from tiltcal.library.calibration import Calibration
 
 LEVEL = read_calibration(WITHOUT_PRIORS)
 START = datetime(2026, 1, 1, tzinfo=UTC)
@@ -293,8 +292,8 @@ def test_the_unit_that_is_stated_for_a_frame_is_that_of_every_sensor(tmp_path: P
     library = tiltcal.open_calibrations(tmp_path)
     frame = {"time": seconds(np.zeros(1))} | {name: np.array([1000.0]) for name in ("A_x", "A_y", "B_x", "B_y")}
     with pytest.raises(InputError, match="column 'A_x' is in V, and the calibration in count: convert the readings"):
-        apply_frame(library, frame, unit="V")
-    assert apply_frame(library, frame, unit="count")["A_flag"].tolist() == [1]
+        library.apply(frame, unit="V")
+    assert library.apply(frame, unit="count")["A_flag"].tolist() == [1]
 
 
 def test_a_calibration_without_a_date_is_named_where_it_is_missed(tmp_path: Path) -> None:

@@ -13,9 +13,9 @@ import pytest
 import xarray
 
 import tiltcal
-from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.apply import apply_log
+from tiltcal.library.apply import apply_log
+from tiltcal.library.calibration import Calibration, read
 from tiltcal.logs.averaging import averaging
 from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
@@ -180,7 +180,7 @@ def test_the_uncertainty_of_a_mean_holds(cal: Calibration, count: int) -> None:
     with_noise = reading + noise / np.sqrt(count)
     # A mean of `count` rows is told apart from a single one by its count alone.
     log = {"x": np.repeat(with_noise, 1), "y": 2.5 + 2.0 * g_y}
-    kernel = prepare(cal, ApplyOptions(uncertainty=True, average=count)).kernel
+    kernel = prepare(cal.record, ApplyOptions(uncertainty=True, average=count)).kernel
     table = kernel(RoleValues(np.column_stack([log["x"], log["y"]]), count=np.full(trials, count)))
     error = np.abs(table["tilt_x"] - np.degrees(np.arcsin(g_x)))
     assert 0.94 < np.mean(error <= table["U95_tilt_x"]) < 0.96
@@ -193,7 +193,7 @@ def test_that_the_noise_counts_as_white_is_told_where_there_is_an_uncertainty(
     cal: Calibration, options: dict[str, bool], told: int
 ) -> None:
     said: list[str] = []
-    prepare(cal, ApplyOptions(average=2, **options), say=said.append)
+    prepare(cal.record, ApplyOptions(average=2, **options), say=said.append)
     assert sum("the noise of readings counts as white" in line for line in said) == told
 
 
