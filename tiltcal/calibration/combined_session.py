@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.coverage_factor import NORMAL_FACTOR
-from tiltcal.core.estimation.design import Design, Observation, StatedCoefficients
-from tiltcal.core.gravity_direction import gravity_from_tilt
+from tiltcal.core.estimation.positions import Design, Observation, StatedCoefficients
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.statistics import BLOCKS

@@ -10,10 +10,9 @@ import numpy as np
 
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.verdict import Verdict, judge
-from tiltcal.core.gravity_direction import LEVEL, gravity_from_tilt, normalised
+from tiltcal.core.attitude import LEVEL, gravity_from_tilt, normalised, orientation
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.named_coefficients import CoefficientChange, values
-from tiltcal.core.orientation import orientation
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
 from tiltcal.files.results import NOISE_ALONE, PositionSet

@@ -95,7 +95,7 @@ def _record(path: Path, address: Address, model: Model) -> None:
     """Write the log for the calibration, a row each second, with its true tilt beside the readings."""
     from tiltcal.bench.device_setup import DeviceSetup
     from tiltcal.bench.virtual_bench import VirtualBench
-    from tiltcal.core.gravity_direction import gravity_from_tilt
+    from tiltcal.core.attitude import gravity_from_tilt
     from tiltcal.drivers.bus.clock import VirtualClock
 
     clock, device = VirtualClock(), DeviceSetup(model.name, "", str(address))

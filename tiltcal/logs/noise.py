@@ -33,16 +33,9 @@ from tiltcal.stated_arguments import require_above_zero, require_whole
 
 @dataclass(frozen=True)
 class NoiseFacts:
-    """What is known of the sensor beside its readings.
+    """What is stated of the sensor beside its readings: channels and unit, and sensitivities from a ``source``.
 
-    Attributes
-    ----------
-    channels : tuple of str
-        Its readings; empty where the log has to show them.
-    sensitivity : dict of str to float
-        Unit/g, per channel, or under ``*`` for all of them; empty where it is not known.
-    source : str
-        Where the sensitivity is from.
+    No ``channels`` are those of the log. ``sensitivity`` is in unit/g, per channel, or under ``*`` for all of them.
     """
 
     channels: tuple[str, ...]
@@ -58,31 +51,25 @@ class NoiseFacts:
         calibration: CalibrationRecord | str | Path | None,
         unit: str | None,
     ) -> NoiseFacts:
-        """Gather what model, address, calibration and user state.
-
-        Raises
-        ------
-        UsageError
-            They contradict each other.
-        """
+        """Gather what model, address, calibration and user state; a UsageError where they contradict each other."""
         model = find_model(sensor) if sensor else None
         if model is not None and address is not None:
             model = model.at(parse_address(address))
-        known = read_calibration(calibration) if isinstance(calibration, str | Path) else calibration
-        if known is not None and not isinstance(known, CalibrationRecord):
+        if isinstance(calibration, str | Path):
+            calibration = read_calibration(calibration)
+        if calibration is not None and not isinstance(calibration, CalibrationRecord):
             raise UsageError(f"--calibration takes a tilt calibration or its file, not {calibration!r}")
-        _refuse_contradiction(model, known, unit)
-        own_unit = unit or (known.sensor.unit if known else None) or (model.unit if model else None)
-        channels = tuple(model.channels) if model else known.sensor.channels if known else ()
-        if known is not None:
-            coefficients = known.coefficients
-            own = {c: coefficients.own_sensitivity(c) for c in coefficients.channels if c in coefficients.axes}
-            return cls(channels, own_unit, own, f"calibration of {known.sensor.serial}")
+        stated = _stated_unit(model, calibration, unit)
+        channels = tuple(model.channels) if model else calibration.sensor.channels if calibration else ()
+        if calibration is not None:
+            coefficients = calibration.coefficients
+            along = {c: coefficients.own_sensitivity(c) for c in coefficients.channels if c in coefficients.axes}
+            return cls(channels, stated, along, f"calibration of {calibration.sensor.serial}")
         if model is not None and model.scaled:
-            return cls(channels, own_unit, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}")
-        if own_unit in OF_G:
-            return cls(channels, own_unit, {"*": OF_G[own_unit]}, f"unit {own_unit}")
-        return cls(channels, own_unit, {}, "")
+            return cls(channels, stated, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}")
+        if stated in OF_G:
+            return cls(channels, stated, {"*": OF_G[stated]}, f"unit {stated}")
+        return cls(channels, stated, {}, "")
 
     def require_scale(self, target: NoiseTarget) -> None:
         """Raise UsageError for a target in degrees where nothing states how much a degree is."""
@@ -189,16 +176,20 @@ def _noise(channel: str, samples: Array, file: str, pace: SamplingInterval, aver
         return characterise(samples, pace.interval, averages)
 
 
-def _refuse_contradiction(model: Model | None, known: CalibrationRecord | None, unit: str | None) -> None:
+def _stated_unit(model: Model | None, calibration: CalibrationRecord | None, unit: str | None) -> str | None:
+    """Return the unit that is stated, once or several times; refuse what contradicts itself."""
     units = {
         "--sensor": model.unit if model else None,
-        "--calibration": known.sensor.unit if known else None,
+        "--calibration": calibration.sensor.unit if calibration else None,
         "--unit": unit,
     }
-    said = {name: known for name, known in units.items() if known is not None}
-    if len(set(said.values())) > 1:
-        raise UsageError("the readings have one unit: " + ", but ".join(f"{name} says {u}" for name, u in said.items()))
-    if model and known and set(known.sensor.channels) - set(model.channels):
+    stated = {option: unit for option, unit in units.items() if unit is not None}
+    if len(set(stated.values())) > 1:
+        contradiction = ", but ".join(f"{option} says {unit}" for option, unit in stated.items())
+        raise UsageError(f"the readings have one unit: {contradiction}")
+    if model and calibration and set(calibration.sensor.channels) - set(model.channels):
         raise UsageError(
-            f"--calibration is of {', '.join(known.sensor.channels)}, and {model.name} has {', '.join(model.channels)}"
+            f"--calibration is of {', '.join(calibration.sensor.channels)}, and {model.name} has "
+            f"{', '.join(model.channels)}"
         )
+    return next(iter(stated.values()), None)
