@@ -35,7 +35,7 @@ from tiltcal.core.detection import TILTED
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.core.ramp.record import RampRecord
-from tiltcal.core.statistics import summarise
+from tiltcal.core.samples import summarise
 from tiltcal.drivers.device import Reading
 from tiltcal.drivers.twin.fixture import Fixture
 from tiltcal.errors import HardwareError, InputError, JournalError, SensorError

@@ -47,7 +47,7 @@ NO_TIME = (
 
 if TYPE_CHECKING:
     from tiltcal.core.heading import FieldLength
-    from tiltcal.logs.averaging import Means
+    from tiltcal.logs.means import Means
 
 
 Applied = CalibrationRecord | PairRecord | CalibrationFolder | str | Path
@@ -299,7 +299,7 @@ class CompensatedLog:
     def _means(self) -> Means | None:
         if self.prepared.averaging is None:
             return None
-        from tiltcal.logs.averaging import Means
+        from tiltcal.logs.means import Means
 
         sensors = [sensor.of(self.channels) for sensor in self.prepared.sensors] or [SensorColumns("", self.channels)]
         time, heading = self.roles.get(TIME), self.roles.get(HEADING)

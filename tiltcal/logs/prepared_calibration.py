@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
     from tiltcal.core.compensation import Compensation
     from tiltcal.core.earth_compensation import EarthFrameCompensation
-    from tiltcal.logs.averaging import Averaging
+    from tiltcal.logs.means import GroupSize
 
 
 _EXAMPLES = {"magnetometer": "mx,my,mz", "velocity": "u,v,w"}
@@ -61,13 +61,13 @@ class ApplyOptions:
             if value is not None and not self.uncertainty:
                 raise UsageError(f"{option} needs --uncertainty")
 
-    def averaging(self) -> Averaging | None:
+    def averaging(self) -> GroupSize | None:
         """Return how rows are put into means; None where they are not."""
         if self.average is None and self.every is None:
             return None
-        from tiltcal.logs.averaging import averaging
+        from tiltcal.logs.means import GroupSize
 
-        return averaging(self.average, self.every)
+        return GroupSize.of(self.average, self.every)
 
     def vectors(self) -> dict[str, tuple[str, ...]]:
         """Return the columns of the vectors that are asked for, by role.
@@ -83,6 +83,10 @@ class ApplyOptions:
         if self.magnetometer_noise is not None and not (self.uncertainty and self.magnetometer):
             raise UsageError("--magnetometer-noise needs --magnetometer and --uncertainty")
         return found
+
+    def without_uncertainty(self) -> ApplyOptions:
+        """Return these options for the results alone."""
+        return replace(self, uncertainty=False, reading_noise=None, stability=None, magnetometer_noise=None)
 
     def require_file(self) -> None:
         """Raise UsageError for what is for a folder of calibrations."""
@@ -114,7 +118,7 @@ class PreparedCalibration:
         Roles that are taken where the log has them.
     vectors : mapping of str to tuple of str
         The three columns of ``magnetometer`` and ``velocity``, where these are asked for.
-    averaging : Averaging or None
+    averaging : GroupSize or None
         How rows are put into means before the kernel sees them.
     readings : PreparedCalibration or None
         What judges the readings of which means are made.
@@ -135,7 +139,7 @@ class PreparedCalibration:
     roles: tuple[str, ...] = ()
     optional_roles: tuple[str, ...] = ()
     vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    averaging: Averaging | None = None
+    averaging: GroupSize | None = None
     sensors: tuple[SensorColumns, ...] = ()
     lagged: bool = False
     readings: PreparedCalibration | None = None
@@ -245,7 +249,7 @@ def _mounted(
     return with_mounting(calibration, stated_mounting(angles))
 
 
-def _roles(vectors: Mapping[str, tuple[str, ...]], averaging: Averaging | None) -> tuple[str, ...]:
+def _roles(vectors: Mapping[str, tuple[str, ...]], averaging: GroupSize | None) -> tuple[str, ...]:
     """Return the roles that a log must have besides readings."""
     heading = () if "magnetometer" in vectors or not vectors else (HEADING,)
     return (*heading, TIME) if averaging is not None and averaging.seconds else heading

@@ -16,10 +16,10 @@ import tiltcal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.library.apply import apply_log
 from tiltcal.library.calibration import Calibration, read
-from tiltcal.logs.averaging import averaging
 from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
 from tiltcal.logs.formats.csv_types import ColumnTypes
+from tiltcal.logs.means import GroupSize
 from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
 
 CAL = """\
@@ -143,12 +143,12 @@ class TestGroups:
     @pytest.mark.parametrize("every", ["10q", "0s", "-1", "", "1.2.3s"])
     def test_a_wrong_time_is_refused(self, every: str) -> None:
         with pytest.raises(UsageError, match="--every takes a time such as 10s"):
-            averaging(None, every)
+            GroupSize.of(None, every)
 
     def test_both_are_refused(self, cal: Calibration) -> None:
         with pytest.raises(UsageError, match="give one of them"):
             cal.apply(rows(x=[2.5]), average=2, every="10s")
-        assert averaging(None, "5min").seconds == 300.0
+        assert GroupSize.of(None, "5min").seconds == 300.0
 
 
 def test_blocks_of_a_file_and_a_frame_give_the_same(cal: Calibration) -> None:
