@@ -1,4 +1,4 @@
-"""Matching accelerometer pairs by a recorded log: the library's ``match``, which ``tiltcal match`` calls.
+"""Matching accelerometer pairs by a recorded log.
 
 The log of a turning stage is read to its end, as one record, and demodulated; its spectra are those of the source.
 """
@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 import tiltcal
-from tiltcal.calibration.pair_calibration import PairCalibration
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import CHUNK, Demodulation, demodulate
 from tiltcal.core.pair.matching import Matching, PairCoefficients, drifts, solve
@@ -38,58 +37,6 @@ _LARGEST = 1e140
 """Reading whose squares can be summed up in double precision."""
 _TURNS_OF_SEGMENT = 8
 _LONGEST_SEGMENT = 1 << 18
-
-
-def match(
-    data: Any,
-    pairs: Sequence[tuple[str, str, str]],
-    *,
-    phase: str | None = None,
-    online: bool = False,
-    loops: bool = False,
-    skip_bad_rows: bool = False,
-    say: Callable[[str], None] = lambda line: None,
-) -> PairCalibration:
-    """Match pairs of accelerometers on a turning stage: scale factor p and misalignment q.
-
-    Parameters
-    ----------
-    data : str, Path or frame
-        A log (CSV, Parquet or NetCDF-4), or a frame of its columns.
-    pairs : sequence of (str, str, str)
-        One or two pairs: the columns of the first and the second accelerometer, and of one a quarter turn away.
-    phase : str, optional
-        The column of the stage angle, degrees. Without it the spin is estimated from the readings and the column
-        ``time``.
-    online : bool
-        Estimate turn by turn, as on a live stream; it takes the ``phase``.
-    loops : bool
-        With ``online``: by the two PID loops of the source, not the recursive estimator.
-    skip_bad_rows : bool
-        Leave out rows of a log that cannot be parsed, instead of raising.
-    say : callable, optional
-        Called with each remark about the data.
-
-    Returns
-    -------
-    PairCalibration
-
-    Raises
-    ------
-    UsageError
-        The pairs are not pairs.
-    InputError
-        A column is missing or has no values, or a row cannot be parsed.
-    EstimateError
-        The stage does not turn as it must.
-
-    Examples
-    --------
-    >>> print(tiltcal.match("disk.csv", [("a1", "a2", "a4")], phase="theta"))
-    """
-    return match_log(
-        *(data, pairs_of(pairs)), phase=phase, online=online, loops=loops, skip_bad_rows=skip_bad_rows, say=say
-    ).calibration
 
 
 @dataclass(frozen=True)
@@ -156,7 +103,7 @@ class PairLog:
 class MatchedLog:
     """A matching with the data that a figure of it shows: the log, and the course of the first pair's estimates."""
 
-    calibration: PairCalibration
+    calibration: PairRecord
     log: PairLog
     course: Sequence[OnlineHistory]
 
@@ -203,7 +150,7 @@ def match_log(
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
 ) -> MatchedLog:
-    """Match pairs, and keep what a figure shows; the arguments are those of :func:`match`.
+    """Match pairs, and keep what a figure shows; the arguments are those of :func:`tiltcal.match`.
 
     Raises
     ------
@@ -262,7 +209,7 @@ def match_log(
         matchings=matchings,
         provenance=provenance,
     )
-    return MatchedLog(PairCalibration(record), read, estimators[0].course if online else ())
+    return MatchedLog(record, read, estimators[0].course if online else ())
 
 
 def _with_rounding(estimate: PairCoefficients, demodulation: Demodulation, pair: Pair) -> PairCoefficients:

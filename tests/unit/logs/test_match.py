@@ -14,7 +14,8 @@ from support import accelerometer_disk as stage
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.logs.match import match, match_log
+from tiltcal.library.match import match
+from tiltcal.logs.match import match_log
 
 THETA = np.arange(0.0, 20 * 360.0, 7.0)
 PAIR = ("a1", "a2", "a4")
