@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -41,7 +42,8 @@ def tiltcal(*args: str, site: Path, cwd: Path) -> subprocess.CompletedProcess[st
 
 
 def test_it_is_listed(installed: Path, tmp_path: Path) -> None:
-    assert "pendulum  Example pendulum" in tiltcal("devices", site=installed, cwd=tmp_path).stdout
+    listed = tiltcal("devices", site=installed, cwd=tmp_path).stdout
+    assert re.search("^pendulum +Example pendulum", listed, re.MULTILINE)
 
 
 def test_it_is_measured_and_replayed(installed: Path, tmp_path: Path) -> None:

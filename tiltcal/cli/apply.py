@@ -32,7 +32,7 @@ Examples:
 """
 
 
-@click.command(epilog=_EXAMPLE)
+@options.command(epilog=_EXAMPLE)
 @click.argument("files", metavar="CALIBRATION LOG...", nargs=-1, required=True)
 @click.option(
     "--calibrations",

@@ -26,7 +26,7 @@ Examples:
 """
 
 
-@click.command(epilog=_EXAMPLES)
+@options.command(epilog=_EXAMPLES)
 @click.argument("procedure")
 @click.argument("log", type=click.Path(path_type=Path))
 @options.file_option(

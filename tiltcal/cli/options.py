@@ -24,6 +24,49 @@ BASE = (
 )
 
 
+HEADINGS = {
+    "Sensor": "--sensor --address --serial --bench --calibration --base --unit",
+    "Data": "--columns --segments --table --pair --orthogonal --phase --skip-bad-rows",
+    "Result": "--output --uncertainty --golden --limit --to --name --fixed --allow --figure --segments-out --interval",
+    "Positions": "--operator --procedure --tilt --samples --settle --closing --turns --resume --journal --plain",
+    "Recording": "--rate --rows --for",
+    "Known of the bench": "--jig --thermometer --noise --table-lean --heading-uncertainty --alignment "
+    "--typical-temperature --gravity --window",
+    "Mounting and heading": "--mounting --magnetometer --velocity --declination",
+    "A folder of calibrations": "--calibrations --start --stability",
+    "Means": "--average --every --target --target-range --averages",
+    "Uncertainty": "--reading-noise --magnetometer-noise",
+    "Method": "--first-order --online --loops --scheduler",
+}
+"""The headings of a long help, and their options, the most used first; all others are under "Other"."""
+
+SHORT = 7
+"""Most options that are listed without headings."""
+
+
+class Command(click.Command):
+    """A command whose options are listed below headings, the most used first."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        options = [one for one in self.get_params(ctx) if isinstance(one, click.Option)]
+        described = {max(one.opts, key=len): one.get_help_record(ctx) for one in options}
+        shown = {name: record for name, record in described.items() if record is not None}
+        order = {name: heading for heading, names in HEADINGS.items() for name in names.split()}
+        if len(shown) <= SHORT:
+            order = dict.fromkeys(order, "Options")
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for name in (*(name for name in order if name in shown), *(name for name in shown if name not in order)):
+            heading = order.get(name, "Options" if len(shown) <= SHORT else "Other")
+            sections.setdefault(heading, []).append(shown[name])
+        for heading, records in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
+
+
+command = partial(click.command, cls=Command)
+"""Make a command of a function."""
+
+
 class NumberFromZero(click.FloatRange):
     """A number from 0, or above it; the library refuses what is none in the same words."""
 
