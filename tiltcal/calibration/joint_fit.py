@@ -19,7 +19,7 @@ from tiltcal.core.model import AXES, Limits
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import significant
 from tiltcal.core.statistics import SampleSummary
-from tiltcal.drivers.device import Model, deviation_within
+from tiltcal.drivers.model import Model, deviation_within
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure

@@ -19,7 +19,7 @@ from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, Predict
 from tiltcal.core.mounting_rotation import angle_uncertainty, solve_mounting
 from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.core.statistics import summarise
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure

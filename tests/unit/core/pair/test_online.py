@@ -11,7 +11,7 @@ from support import accelerometer_disk as disk
 
 from tiltcal.core.pair.model import Pair, matching_coefficients
 from tiltcal.core.pair.online import Online
-from tiltcal.drivers.twin.gradiometer import CHANNELS, Disk, Gradiometer
+from tiltcal.drivers.stage import CHANNELS, Disk, Gradiometer
 
 PAIR = Pair("a1", "a2", "a4")
 TRUTH = disk.truth()
