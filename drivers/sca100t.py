@@ -139,8 +139,10 @@ class Sca61t:
         BusError: the transaction failed, or every bit of the sample is the same.
         DeviceFault: a word that is a fault of the part.
         """
-        answers = [self._fresh(command, 0, 0) for command in self.COMMANDS.values()]
-        answers.append(self._fresh(RWTR, 0))
+        answers = []
+        for frame in (*((command, 0, 0) for command in self.COMMANDS.values()), (RWTR, 0)):
+            self._clock.sleep(REFRESH)
+            answers.append(require_length(self._link.exchange(bytes(frame)), len(frame), "frame"))
         check_data_line(b"".join(answers))
         words = map(self._checked, self.COMMANDS, answers)
         self._words = dict(zip(self.COMMANDS, words, strict=True))
@@ -166,11 +168,6 @@ class Sca61t:
                 "parity error or broken interconnection): switch its supply off and on; if it stays, replace the part"
             )
         return word
-
-    def _fresh(self, *frame: int) -> bytes:
-        """Exchange a frame that reads a register, after the reload time of the register."""
-        self._clock.sleep(REFRESH)
-        return require_length(self._link.exchange(bytes(frame)), len(frame), "frame")
 
 
 class Sca100t(Sca61t):
@@ -214,7 +211,8 @@ class Sca100t(Sca61t):
         return SelfTest(channel, before, deflected, self._word(channel, read))
 
     def _word(self, channel: str, command: int) -> int:
-        frame = self._fresh(command, 0, 0)
+        self._clock.sleep(REFRESH)
+        frame = require_length(self._link.exchange(bytes([command, 0, 0])), 3, "frame")
         check_data_line(frame)
         # An element that is pushed is at its rail.
         return Sca61t._checked(self, channel, frame)
