@@ -120,14 +120,13 @@ def _tilt_page(
 
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:
     """Return the overview of a log; apply the calibration if the log is raw."""
-    from tiltcal.calibration.calibration import Calibration
     from tiltcal.logs.columns import TIME, named_columns
     from tiltcal.logs.formats import open_log
     from tiltcal.logs.overview import look_over
     from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
     from tiltcal.report.log_section import ReportedLog
 
-    prepared = prepare(Calibration(calibration), ApplyOptions(), file=file)
+    prepared = prepare(calibration, ApplyOptions(), file=file)
     with (
         progress_bar("report") as progress,
         open_log(log, skip_bad_rows=skip_bad_rows, digest=True, progress=progress) as rows,
@@ -142,7 +141,7 @@ def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[st
     """Return the name of a log, and the spectra of the first pair in it."""
     from tiltcal.cli.match import spectra_of
     from tiltcal.logs.formats import open_log
-    from tiltcal.logs.pair_log import read_pair_log
+    from tiltcal.logs.match import read_pair_log
 
     matching = calibration.matchings[0]
     with progress_bar("report") as progress, open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.calibration.pair_calibration import HEADINGS, suppressed
+from tiltcal.calibration.pair_summary import HEADINGS, suppressed
 from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.files.atomic import check_writable, write_whole

@@ -1,26 +1,29 @@
-"""A calibration as a program holds it: the coefficients by name, where they hold, and what can be done with them."""
+"""A calibration as a program holds it, and the functions that read, compare and combine such calibrations."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Unpack, overload
 
-import tiltcal
-from tiltcal.calibration.apply_arguments import ApplyArguments, Frame
+from tiltcal.calibration.comparison import Comparison, compare_records
+from tiltcal.calibration.record import compensation_of, limits_of, record_in
+from tiltcal.calibration.stated_mounting import stated_mounting, with_mounting
 from tiltcal.calibration.summary import summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.errors import UsageError
 from tiltcal.files.atomic import write_whole
-from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, dump_calibration, tilt_record
-from tiltcal.files.document import Document, read_document
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
+from tiltcal.files.document import read_document
+from tiltcal.files.pair import PairRecord
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import Uncertainty, length_tolerance
-from tiltcal.stated_arguments import require_boolean
+from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.library.apply_arguments import ApplyArguments, Frame
+from tiltcal.library.pair_calibration import PairCalibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,18 +88,7 @@ class Calibration:
     @cached_property
     def limits(self) -> Limits:
         """Where the calibration holds, angles in radians; the rails are the model's where the file names none."""
-        limits, sensor = self.record.limits, self.sensor
-        if limits.reading or sensor.model == UNKNOWN_MODEL:
-            return limits
-        from tiltcal.drivers import find_model
-
-        try:
-            model = find_model(sensor.model)
-        except UsageError:
-            return limits
-        if model.unit != sensor.unit:
-            return limits
-        return replace(limits, reading=dict.fromkeys(sensor.channels, model.rails))
+        return limits_of(self.record)
 
     @property
     def derived(self) -> DerivedRecord:
@@ -136,11 +128,7 @@ class Calibration:
         EstimateError
             The sensitivity matrix cannot be inverted.
         """
-        require_boolean("--first-order", first_order)
-        limits = self.limits
-        if limits.length is None:
-            limits = replace(limits, length=length_tolerance(self.record.uncertainty, self.coefficients, limits))
-        return Compensation(self.coefficients, limits, first_order=first_order)
+        return compensation_of(self.record, first_order=first_order)
 
     @overload
     def apply(self, frame: Mapping[str, Any], **arguments: Unpack[ApplyArguments]) -> dict[str, Any]: ...
@@ -217,7 +205,7 @@ class Calibration:
         from tiltcal.logs.apply import apply_frame
 
         return apply_frame(
-            self,
+            self.record,
             frame,
             columns=columns,
             uncertainty=uncertainty,
@@ -248,8 +236,6 @@ class Calibration:
         UsageError
             An angle that there is not, or out of range.
         """
-        from tiltcal.calibration.stated_mounting import stated_mounting, with_mounting
-
         return Calibration(with_mounting(self.record, stated_mounting(angles)))
 
     def save(self, path: str | Path) -> None:
@@ -302,18 +288,72 @@ def read(path: str | Path) -> Calibration | Any:
     InputError
         Anything in it is wrong; the message names file, line and key.
     """
-    return calibration_in(read_document(path))
+    record = record_in(read_document(path))
+    return PairCalibration(record) if isinstance(record, PairRecord) else Calibration(record)
 
 
-def calibration_in(document: Document) -> Calibration | tiltcal.PairCalibration:
-    """Return the calibration of a document, of either kind; an InputError where anything in it is wrong."""
-    if document.kind == "pair":
-        from tiltcal.files.pair import pair_record
+def compare(old: Calibration, new: Calibration) -> Comparison:
+    """Compare two calibrations of one sensor.
 
-        return tiltcal.PairCalibration(pair_record(document))
-    calibration = Calibration(tilt_record(document))
-    try:
-        Compensation(calibration.coefficients)
-    except EstimateError as failure:
-        raise InputError(str(failure), file=document.file) from failure
-    return calibration
+    The verdict allows for the number of coefficients that are compared: of two calibrations of an unchanged sensor it
+    calls 5 % different.
+
+    Raises
+    ------
+    UsageError
+        They are not tilt calibrations of one sensor; the message names what differs.
+
+    Examples
+    --------
+    >>> print(tiltcal.compare(tiltcal.read("spring.yaml"), tiltcal.read("autumn.yaml")))
+    """
+    for calibration in (old, new):
+        if not isinstance(calibration, Calibration):
+            raise UsageError(
+                f"compare takes two tilt calibrations, as tiltcal.read returns them, not a {type(calibration).__name__}"
+            )
+    return compare_records(old.record, new.record)
+
+
+def combine(
+    calibrations: Sequence[Calibration | str | Path] | Calibration | str | Path,
+    *,
+    mounting: Mapping[str, float] | str = "",
+) -> Calibration:
+    """Combine calibrations of one sensor from several sessions.
+
+    The positions of all of them are fitted again, as those of one session; positions of one journal count once. A
+    calibration without positions that were set (free positions, a ramp, a renewed level) enters by its coefficients and
+    their covariance. What a session has assumed, such as a nominal sensitivity or that of its base, is no information.
+
+    Parameters
+    ----------
+    calibrations : sequence of Calibration, str or Path
+        Calibrations, or their files. One alone is enough with a mounting, and needs no sequence.
+    mounting : mapping of str to float, or str
+        How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of the calibrations' own.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    UsageError
+        They are not of one sensor, or chi-square rises over that of the separate fits by as much as it does in one of a
+        thousand combinations of sessions that agree; the message names files and figures.
+    EstimateError
+        A calibration states no uncertainty, or together they determine no sensor.
+
+    Examples
+    --------
+    >>> both = tiltcal.combine(["S-0042.yaml"], mounting="roll=180")
+    """
+    from tiltcal.calibration.combine import combine_records
+
+    if isinstance(calibrations, str | Path | Calibration):
+        calibrations = [calibrations]
+    if not isinstance(calibrations, Iterable):
+        raise UsageError(f"combine takes tilt calibrations or their files, not {calibrations!r}")
+    records = [one.record if isinstance(one, Calibration) else one for one in calibrations]
+    return Calibration(combine_records(records, mounting))

@@ -37,33 +37,33 @@ _SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 
 @dataclass(frozen=True)
-class Averaging:
+class GroupSize:
     """The size of a group of rows that becomes one mean: so many rows of the log, or so many seconds."""
 
     rows: int | None = None
     seconds: float | None = None
 
-
-def averaging(rows: int | None, every: str | float | timedelta | None) -> Averaging:
-    """Return what ``--average`` and ``--every`` say; one of them is given."""
-    if (rows is None) == (every is None):
-        raise UsageError("--average and --every each say what belongs into a mean: give one of them")
-    if rows is not None:
-        require_whole("--average", rows, 1, "rows")
-        return Averaging(rows=rows)
-    given = every.total_seconds() if isinstance(every, timedelta) else every
-    found = _DURATION.fullmatch(str(given).strip())
-    try:
-        seconds = float(found[1]) * _SECONDS[found[2] or "s"] if found else 0.0
-    except ValueError:
-        seconds = 0.0
-    if not (seconds > 0.0 and is_number(seconds)):
-        raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every}")
-    return Averaging(seconds=seconds)
+    @classmethod
+    def of(cls, rows: int | None, every: str | float | timedelta | None) -> GroupSize:
+        """Return what ``--average`` and ``--every`` state; one of them is given."""
+        if (rows is None) == (every is None):
+            raise UsageError("--average and --every each say what belongs into a mean: give one of them")
+        if rows is not None:
+            require_whole("--average", rows, 1, "rows")
+            return cls(rows=rows)
+        text = str(every.total_seconds() if isinstance(every, timedelta) else every).strip()
+        match = _DURATION.fullmatch(text)
+        try:
+            seconds = float(match[1]) * _SECONDS[match[2] or "s"] if match else 0.0
+        except ValueError:
+            seconds = 0.0
+        if not (seconds > 0.0 and is_number(seconds)):
+            raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every}")
+        return cls(seconds=seconds)
 
 
 @dataclass(frozen=True, kw_only=True)
-class AveragedBlock(LogBlock):
+class BlockOfMeans(LogBlock):
     """Some means of rows of a log, in order.
 
     Attributes
@@ -103,7 +103,7 @@ class Means:
         What messages call the log.
     """
 
-    averaging: Averaging
+    size: GroupSize
     names: Sequence[str]
     sensors: Sequence[SensorColumns]
     judged: Callable[[LogBlock], Table]
@@ -111,7 +111,7 @@ class Means:
     heading: int | None = None
     log: str | None = None
 
-    def blocks(self, blocks: Iterable[LogBlock]) -> Iterator[AveragedBlock]:
+    def blocks(self, blocks: Iterable[LogBlock]) -> Iterator[BlockOfMeans]:
         """Yield the means of the rows of blocks with all their columns; the last mean may be of fewer rows."""
         pending: LogBlock | None = None
         bad = done = 0
@@ -130,12 +130,12 @@ class Means:
 
     def added(self, block: LogBlock, table: Table) -> Table:
         """Return the columns of a block of means: the count, and its flags, of readings and of headings apart too."""
-        if not isinstance(block, AveragedBlock):
+        if not isinstance(block, BlockOfMeans):
             raise TypeError("a block of means is needed")
         marked = dict(table)
         for sensor, flags, reasons in zip(self.sensors, block.flags.T, block.reasons.T, strict=True):
-            own = {name: table[name] for name in (f"{sensor.lead}flag", f"{sensor.lead}reason")}
-            marked |= mark_columns(own, reasons > 0, flags, reasons)
+            judged = {name: table[name] for name in (f"{sensor.lead}flag", f"{sensor.lead}reason")}
+            marked |= mark_columns(judged, reasons > 0, flags, reasons)
             lost = (flags == FAIL) & (reasons & GRAVITY_LENGTH > 0)
             for name in table if lost.any() else ():
                 if name.startswith(tuple(sensor.lead + kind for kind in _FROM_TILT)):
@@ -144,16 +144,16 @@ class Means:
 
     def _groups(self, block: LogBlock, done: int) -> NDArray[np.int64]:
         """Return the number of each row's group, ascending; ``done`` rows are before these."""
-        if self.averaging.rows is not None:
-            return (done + np.arange(len(block))) // self.averaging.rows
+        if self.size.rows is not None:
+            return (done + np.arange(len(block))) // self.size.rows
         time = block.values[self.time or 0]
-        known = np.isfinite(time)
-        if not known.any() and any(np.isfinite(block.readings(one.readings)).any() for one in self.sensors):
+        timed = np.isfinite(time)
+        if not timed.any() and any(np.isfinite(block.readings(sensor.readings)).any() for sensor in self.sensors):
             raise InputError(no_time_yet(len(time), "to which mean of --every they belong"), file=self.log)
-        place = np.maximum.accumulate(np.where(known, np.arange(len(time)), 0))
+        place = np.maximum.accumulate(np.where(timed, np.arange(len(time)), 0))
         # Whole microseconds are exact where seconds are not; a border within half of one is where the row is.
-        micros = np.rint(np.where(known, time, time[place]) * 1e6) + 0.5
-        step = np.floor(micros / (float(self.averaging.seconds or 1.0) * 1e6))
+        micros = np.rint(np.where(timed, time, time[place]) * 1e6) + 0.5
+        step = np.floor(micros / (float(self.size.seconds or 1.0) * 1e6))
         changed = np.flatnonzero(step[1:] != step[:-1]) + 1
         # NaN differs from NaN: rows before the first time are one group.
         changed = changed[np.isfinite(step[changed - 1]) | np.isfinite(step[changed])]
@@ -161,7 +161,7 @@ class Means:
         groups[changed] = 1
         return np.cumsum(groups)
 
-    def _means(self, block: LogBlock, groups: NDArray[np.int64], bad: int) -> AveragedBlock:
+    def _means(self, block: LogBlock, groups: NDArray[np.int64], bad: int) -> BlockOfMeans:
         starts = np.flatnonzero(np.diff(groups, prepend=groups[0] - 1))
         complete = np.array([np.isfinite(block.readings(sensor.readings)).all(axis=1) for sensor in self.sensors])
         shared, rows = _counted(np.logical_or.reduce(complete), starts)
@@ -187,7 +187,7 @@ class Means:
             else:
                 values[index] = _mean(column, used_for.get(index, shared), starts, strict=index in strict)
         frame = None if block.frame is None else self._frame(block.frame, groups, shared, values)
-        return AveragedBlock(
+        return BlockOfMeans(
             values, frame=frame, counts=counts, rows=rows, flags=flags, reasons=reasons, apart=apart, bad_rows=bad
         )
 

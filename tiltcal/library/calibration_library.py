@@ -1,34 +1,18 @@
-"""A folder of calibrations: the library's ``open_calibrations``, and the calibration of a sensor at any time."""
+"""A folder of calibrations as a program holds it: the calibration of a sensor at any time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import date
-from difflib import get_close_matches
-from functools import cached_property
-from itertools import groupby
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Unpack, overload
 
-from tiltcal.calibration.apply_arguments import ApplyArguments, Frame
-from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.interpolation import Stability, extrapolate
-from tiltcal.calibration.sensor_history import (
-    DAY,
-    DatedCalibration,
-    SensorHistory,
-    estimated_stability,
-    stated_stability,
-)
-from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration import read_calibration
-from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
-from tiltcal.files.moments import moment
-from tiltcal.stated_arguments import require_from_zero, require_path, require_text
-
-FLEET = 50
-"""Most other sensors that are read to estimate how far one wanders."""
+from tiltcal.calibration.calibration_folder import CalibrationFolder
+from tiltcal.calibration.interpolation import Stability
+from tiltcal.calibration.sensor_history import SensorHistory
+from tiltcal.files.calibration_folder import FolderIndex
+from tiltcal.library.apply_arguments import ApplyArguments, Frame
+from tiltcal.library.calibration import Calibration
 
 
 class CalibrationLibrary:
@@ -51,26 +35,21 @@ class CalibrationLibrary:
     """
 
     def __init__(self, folder: str | Path) -> None:
-        require_path("the folder", folder)
-        self.folder = Path(folder)
-        self._histories: dict[str, SensorHistory] = {}
+        self.records = CalibrationFolder(folder)
+        self.folder = self.records.folder
 
     def __repr__(self) -> str:
         return f"<CalibrationLibrary of {self.folder}>"
 
-    @cached_property
+    @property
     def index(self) -> FolderIndex:
         """The files, without their content."""
-        return index_folder(self.folder)
-
-    @cached_property
-    def _files(self) -> dict[str, list[CalibrationFile]]:
-        return {serial: list(files) for serial, files in groupby(self.index.files, key=attrgetter("serial"))}
+        return self.records.index
 
     @property
     def serials(self) -> tuple[str, ...]:
         """The serial numbers, in order."""
-        return tuple(self._files)
+        return self.records.serials
 
     def history(self, serial: str) -> SensorHistory:
         """Return the calibrations of a sensor.
@@ -82,12 +61,7 @@ class CalibrationLibrary:
         InputError
             A file is wrong, or two contradict each other.
         """
-        require_text("--serial", serial)
-        if serial not in self._histories:
-            if serial not in self._files:
-                raise UsageError(self._unknown(serial))
-            self._histories[serial] = SensorHistory.of([self._dated(file) for file in self._files[serial]])
-        return self._histories[serial]
+        return self.records.history(serial)
 
     def stability(self, serial: str, stated: float | None = None) -> Stability:
         """Return how far a sensor wanders.
@@ -98,11 +72,7 @@ class CalibrationLibrary:
         stated : float, optional
             The standard deviation of the offset's change in one day, mg, in place of an estimate.
         """
-        require_from_zero("--stability", stated)
-        history = self.history(serial)
-        if stated is not None:
-            return stated_stability(history, stated)
-        return estimated_stability(history, [history, *self._fleet(history)])
+        return self.records.stability(serial, stated)
 
     def at(self, serial: str, time: str | date, *, stability: float | None = None) -> Calibration:
         """Return the calibration of a sensor at a time: between two of them, or the nearest one.
@@ -122,7 +92,7 @@ class CalibrationLibrary:
         InputError
             The time is not one, a file is wrong, or two contradict each other.
         """
-        return calibration_at(self.history(serial), moment(time).timestamp(), self.stability(serial, stability))
+        return Calibration(self.records.at(serial, time, stability))
 
     @overload
     def apply(
@@ -182,35 +152,7 @@ class CalibrationLibrary:
         """
         from tiltcal.logs.apply import apply_frame
 
-        return apply_frame(self, frame, serial=serial, stability=stability, start=start, **options)
-
-    def _dated(self, file: CalibrationFile) -> DatedCalibration:
-        record = read_calibration(file.path)
-        started, date = date_of(record, file.path)
-        return DatedCalibration(record, date, started, file.path, Path(file.path).relative_to(self.folder).as_posix())
-
-    def _fleet(self, history: SensorHistory) -> list[SensorHistory]:
-        """Return the histories of other sensors of the same model and unit that have several calibrations."""
-        sensor = history.sensor
-        found: list[SensorHistory] = []
-        others = sorted(self._files.items(), key=lambda item: -len(item[1]))
-        for serial, files in others:
-            if serial == sensor.serial or files[0].model != sensor.model or len(files) < 2 or len(found) == FLEET:
-                continue
-            try:
-                other = self.history(serial)
-            except InputError:  # it is named where that sensor is asked for
-                continue
-            if (other.sensor.unit, other.sensor.channels) == (sensor.unit, sensor.channels):
-                found.append(other)
-        return found
-
-    def _unknown(self, serial: str) -> str:
-        near = get_close_matches(serial, self._files, n=1)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
-        listed = ", ".join(self.serials[:12]) + (" ..." if len(self._files) > 12 else "")
-        unusable = f"; left out: {self.index.problems[0]}" if self.index.problems else ""
-        return f"{self.folder} has no calibration of {serial!r}{hint}; it has {listed or 'none at all'}{unusable}"
+        return apply_frame(self.records, frame, serial=serial, stability=stability, start=start, **options)
 
 
 def open_calibrations(folder: str | Path) -> CalibrationLibrary:
@@ -228,15 +170,3 @@ def open_calibrations(folder: str | Path) -> CalibrationLibrary:
     library = CalibrationLibrary(folder)
     library.index  # noqa: B018  (what is no folder is refused here)
     return library
-
-
-def calibration_at(history: SensorHistory, time: float, stability: Stability | None) -> Calibration:
-    """Return the calibration of a sensor at a time, seconds since 1970."""
-    dated = history.calibrations
-    times = [calibration.date.timestamp() for calibration in dated]
-    if time <= times[0]:
-        return Calibration(extrapolate(dated[0].record, (times[0] - time) / DAY, stability))
-    if time >= times[-1]:
-        return Calibration(extrapolate(dated[-1].record, (time - times[-1]) / DAY, stability))
-    k = max(i for i, date in enumerate(times) if date <= time)
-    return Calibration(history.interval(k).at((time - times[k]) / (times[k + 1] - times[k]), stability))

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from support import FIXTURES
 
-from tiltcal.calibration.calibration import Calibration, read
-from tiltcal.calibration.pair_calibration import PairCalibration
 from tiltcal.drivers import find_model
 from tiltcal.errors import InputError
+from tiltcal.library.calibration import Calibration, read
+from tiltcal.library.pair_calibration import PairCalibration
 
 FILE = """\
 tiltcal: 1

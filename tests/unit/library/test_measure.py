@@ -266,12 +266,12 @@ def test_at_the_bus_twelve_frames_of_ours_stand_on_the_stack(monkeypatch: pytest
     assert max(depths) <= 12, depths
 
 
-def test_measuring_tilt_loads_nothing_of_pairs() -> None:
+def test_measuring_tilt_loads_nothing_of_a_stage() -> None:
     program = f"""
 import sys
 from tiltcal.cli.main import run
 assert run({PLANE!r}) == 0
-pair = ("tiltcal.core.pair", "tiltcal.files.pair", "tiltcal.files.rotation", "tiltcal.bench.rotation", "channel_map")
+pair = ("tiltcal.files.rotation", "tiltcal.bench.rotation", "channel_map")
 print([name for name in sys.modules if any(one in name for one in pair)])
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)

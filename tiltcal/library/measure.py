@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import tiltcal
 from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.operators.selection import open_operator
 from tiltcal.bench.sensor_set import open_device
@@ -16,7 +15,6 @@ from tiltcal.bench.session import Session, SessionResult
 from tiltcal.bench.session_calibration import changes_in_words
 from tiltcal.bench.session_start import StatedSession, start_session
 from tiltcal.bench.virtual_bench import VirtualBench
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.level import NO_LEVEL, level_summary
 from tiltcal.calibration.summary import NOT_FOLLOWED, summary, verdict
 from tiltcal.drivers.bus.address import parse_address
@@ -24,6 +22,8 @@ from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.model import Sensor, link_in_words
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.library.calibration import Calibration
+from tiltcal.library.pair_calibration import PairCalibration
 from tiltcal.stated_arguments import of_python, require_boolean, require_path
 
 
@@ -217,13 +217,13 @@ def open_sensor(model: str, address: str) -> Iterator[Sensor]:
 
 def _results(
     session: Session, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
-) -> Calibration | tiltcal.PairCalibration | list[Calibration]:
+) -> Calibration | PairCalibration | list[Calibration]:
     """Return what a session found, and remark what limits it."""
     for name, statistics in outcome.ending.link_statistics_by_serial.items():
         remark(f"{name}: {link_in_words(statistics)}")
     records, determines = list(outcome.calibrations.values()), session.plan.procedure.determines
     if session.plan.procedure.rotation is not None:
-        pair = tiltcal.PairCalibration(records[0])  # type: ignore[arg-type]
+        pair = PairCalibration(records[0])  # type: ignore[arg-type]
         (result or unheard)(str(pair))
         return pair
     calibrations = [Calibration(record) for record in records if isinstance(record, CalibrationRecord)]

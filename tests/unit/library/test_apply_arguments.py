@@ -6,7 +6,7 @@ import inspect
 from typing import get_overloads, get_type_hints
 
 import tiltcal
-from tiltcal.calibration.apply_arguments import ApplyArguments
+from tiltcal.library.apply_arguments import ApplyArguments
 
 
 def test_they_are_those_of_apply() -> None:

@@ -7,7 +7,7 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 
-from tiltcal.core.orientation import STRAIGHT, orientation
+from tiltcal.core.attitude import STRAIGHT, orientation
 from tiltcal.errors import InputError
 
 
