@@ -16,8 +16,8 @@ from tiltcal.drivers.registers import (
     I2C,
     SPI,
     Field,
-    Part,
     Range,
+    RegisterPart,
     Registers,
     RegisterSensor,
     Thermometer,
@@ -76,7 +76,7 @@ def _with_revision(sensor: RegisterSensor) -> Mapping[str, str]:
     return {"revision": str(sensor.register(0x03)), **sensor.part.range_in_words, **said}
 
 
-ADXL355 = Part(
+ADXL355 = RegisterPart(
     name="adxl355",
     title="Analog Devices ADXL355 three-axis accelerometer, ±2, ±4 or ±8 g, SPI or I2C",
     short="ADXL355",
@@ -128,7 +128,7 @@ ADXL355 = Part(
 # It measures x and y in the plane of its package and has no z. Reserved registers are never written: that may damage
 # the part for good.
 
-IIS2ICLX = Part(
+IIS2ICLX = RegisterPart(
     name="iis2iclx",
     title="ST IIS2ICLX two-axis inclinometer, ±0.5, ±1, ±2 or ±3 g, SPI or I2C",
     short="IIS2ICLX",
@@ -248,7 +248,7 @@ def _lock_in_words(lock: int) -> str:
     return "unlocked" if lock else "locked"
 
 
-def at_any_range(part: Part, address: Address) -> Part:
+def at_any_range(part: RegisterPart, address: Address) -> RegisterPart:
     """Return an SCA3000 with the options of an address; on I2C alone, a real one has to state its sensitivity."""
     required = len(part.addresses) == 1 and part.addresses[0].startswith("i2c") and not address.simulated
     # ±1 g must stay clear of the overload codes, and one count must be less than 1 g.
@@ -260,11 +260,11 @@ def at_any_range(part: Part, address: Address) -> Part:
     return replace(part, ranges={"": Range(0, counts)}, rate=rate, pointer=pointer)
 
 
-def _with_thermometer(part: Part) -> Part:
+def _with_thermometer(part: RegisterPart) -> RegisterPart:
     return replace(part, thermometer=SCA3000_THERMOMETER, bursts=((0x13, 2), *SCA3000.bursts))
 
 
-SCA3000 = Part(
+SCA3000 = RegisterPart(
     name="sca3000-i2c",
     title="VTI (Murata) SCA3000 three-axis accelerometer of any range, I2C",
     short="SCA3000",
@@ -306,7 +306,7 @@ SCA3000 = Part(
 )
 
 
-def _sca3000(variant: str, counts_per_g: float, rate: float, buses: str = "SPI", extent: str = "") -> Part:
+def _sca3000(variant: str, counts_per_g: float, rate: float, buses: str = "SPI", extent: str = "") -> RegisterPart:
     """Return a part of the family; one with I2C as well has a bit that switches it off."""
     on_i2c = "I2C" in buses
     extent = extent or f"{counts_per_g:g} count/g"

@@ -1,9 +1,9 @@
 """Parts with numbers in byte registers, on SPI or I2C: a row of facts, from which driver and virtual part are made.
 
-A :class:`Part` says where its numbers lie (:class:`Field`), what is written before it measures, and how it shows a new
+A :class:`RegisterPart` says where its numbers lie (:class:`Field`), what is written before it measures, and how it shows a new
 sample. The driver decodes by these facts and the virtual part encodes by them. What a part does beyond them, such as a
 factory trim that a reset may lose, is a function in its row. The rows of tiltcal are in :mod:`tiltcal.drivers.parts`; a
-row of another package is a sensor model by the entry point of its :meth:`Part.model`.
+row of another package is a sensor model by the entry point of its :meth:`RegisterPart.model`.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class Write(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class RegisterPart:
     """The facts of a part with registers, with the source of each number beside the row.
 
     Attributes
@@ -221,8 +221,8 @@ class Part:
     fastest_on_i2c: float = inf
     identity: tuple[int, tuple[bytes, ...]] | None = None
     reset: Write | None = None
-    set_up: Callable[[Part], tuple[tuple[Write, ...], ...]] = lambda part: ()
-    settling: Callable[[Part], float] = lambda part: 0.0
+    set_up: Callable[[RegisterPart], tuple[tuple[Write, ...], ...]] = lambda part: ()
+    settling: Callable[[RegisterPart], float] = lambda part: 0.0
     dropped: int = 0
     new_sample: tuple[int, int] | None = None
     cleared_by: int | None = None
@@ -242,7 +242,7 @@ class Part:
         **in_words(sensor.read()),
     }
     options: tuple[str, ...] = ("range", "rate")
-    configure: Callable[[Part, Address], Part] = lambda part, address: part.at_range_and_rate(address)
+    configure: Callable[[RegisterPart, Address], RegisterPart] = lambda part, address: part.at_range_and_rate(address)
     bus: Bus | None = None
 
     @property
@@ -277,7 +277,7 @@ class Part:
         """Those of its addresses."""
         return tuple(address.partition(":")[0] for address in self.addresses)
 
-    def at_range_and_rate(self, address: Address) -> Part:
+    def at_range_and_rate(self, address: Address) -> RegisterPart:
         """Return the part with the options ``range`` and ``rate`` of an address."""
         rate = address.number("rate", self.rate)
         known = min(self.rates, key=lambda one: abs(one - rate), default=rate)
@@ -337,9 +337,9 @@ class RegisterSensor:
         What the functions of the row keep of the part from one set-up to the next.
     """
 
-    part: Part
+    part: RegisterPart
 
-    def __init__(self, part: Part, link: Link, clock: Clock) -> None:
+    def __init__(self, part: RegisterPart, link: Link, clock: Clock) -> None:
         self.part = part
         self.link = link
         self._clock = clock
@@ -480,7 +480,7 @@ class VirtualRegisters(RecallingPart):
     truth: in counts of the range that the driver sets.
     """
 
-    def __init__(self, part: Part, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+    def __init__(self, part: RegisterPart, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         super().__init__(truth, fixture, clock)
         self._part = part
         self.letter = part.bus.letter if part.schemes[0] == "package" and part.bus else part.schemes[0][0]
