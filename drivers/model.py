@@ -123,7 +123,7 @@ class Model:
     sensitivity_spread : float
         Standard deviation of the sensitivity between parts, relative.
     cross_axis_limit : float
-        Largest root sum square of the two cross-axis sensitivities, relative; 0 where no source states it.
+        Largest sensitivity to each of the other axes, relative; 0 where no source states it.
     nonlinearity : tuple of float
         Typical square and cube of the response to a g, pure numbers; empty where no source states them.
     rails : tuple of float

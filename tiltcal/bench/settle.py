@@ -10,7 +10,7 @@ from operator import mul
 
 from tiltcal.bench.sensor_set import Sample, SensorSet
 from tiltcal.core.detection import is_still
-from tiltcal.core.statistics import drift
+from tiltcal.core.samples import drift
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.model import Model
 

@@ -20,7 +20,7 @@ from tiltcal.errors import UsageError
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.calibration import read_calibration
 from tiltcal.library.measure import measure
-from tiltcal.report.page import require_extra
+from tiltcal.report.figure import require_extra
 
 if TYPE_CHECKING:
     from tiltcal.core.model import Array
@@ -83,7 +83,7 @@ def command(folder: Path, seed: int) -> None:
     except UsageError as missing:
         click.echo(f"   no picture and no page: {missing}")
         return
-    from tiltcal.report.tilt_figure import draw_tilt_error
+    from tiltcal.report.calibration_figures import draw_tilt_error
 
     title = f"{MODEL} on the virtual bench, tilts within ±{REACH['x']:g}°"
     draw_tilt_error(picture, rows["time"], rows["temperature"], before, after, title)

@@ -15,7 +15,7 @@ from tiltcal.errors import UsageError
 if TYPE_CHECKING:
     from tiltcal.core.pair.matching import Matching
     from tiltcal.logs.match import PairLog
-    from tiltcal.report.pair_figures import PairDrawing
+    from tiltcal.report.record_figures import PairDrawing
 
 _EXAMPLES = """\b
 Examples:
@@ -77,7 +77,7 @@ def command(
     from tiltcal.files.atomic import check_writable
     from tiltcal.library.pair_calibration import PairCalibration
     from tiltcal.logs.match import match_log, pairs_of
-    from tiltcal.report.pair_figures import draw_matching
+    from tiltcal.report.record_figures import draw_matching
 
     wanted = pairs_of(_triples(pairs, orthogonals))
     for path in filter(None, (output, figure)):
@@ -106,7 +106,7 @@ def spectra_of(matching: Matching, log: PairLog) -> PairDrawing:
     EstimateError
         The record is too short for them.
     """
-    from tiltcal.report.pair_figures import PairDrawing
+    from tiltcal.report.record_figures import PairDrawing
 
     frequency, densities = log.densities(matching)
     turning = log.frequency or log.turns / (log.rows + log.missing)

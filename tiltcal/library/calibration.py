@@ -256,9 +256,9 @@ class Calibration:
         UsageError
             The extra ``report`` is not installed, or the page cannot be written there.
         """
-        from tiltcal.report.tilt_page import write_tilt_page
+        from tiltcal.report.page import write_page
 
-        write_tilt_page(path, self.record)
+        write_page(path, self.record)
 
     def __eq__(self, other: object) -> bool:
         """Whether both give the same file."""

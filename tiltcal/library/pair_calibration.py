@@ -104,9 +104,9 @@ class PairCalibration:
         UsageError
             The extra ``report`` is not installed, or the page cannot be written there.
         """
-        from tiltcal.report.pair_page import write_pair_page
+        from tiltcal.report.page import write_page
 
-        write_pair_page(path, self.record)
+        write_page(path, self.record)
 
     def __eq__(self, other: object) -> bool:
         """Whether both give the same file."""

@@ -18,7 +18,7 @@ from tiltcal.calibration.suitability import require_tilt
 from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import significant
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, InputError, UsageError

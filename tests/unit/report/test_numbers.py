@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from tiltcal.core.rounding import bracketed
-from tiltcal.report.number_format import at_place, column, grouped, half_width, measured, plain
+from tiltcal.report.numbers import aligned, at_place, grouped, half_width, measured, plain
 
 
 @pytest.mark.parametrize(
@@ -54,7 +56,7 @@ def test_thousands_are_parted() -> None:
 
 
 def test_a_column_is_aligned_on_its_points() -> None:
-    found = column(["1026.12(75)", "−7.9", "3", "", "0.2(1) × 10⁻³"])
-    assert [one.whole for one in found] == ["1026", "−7", "3", "", "0"]
-    assert [one.rest for one in found] == [".12(75)", ".9", "", "", ".2(1) × 10⁻³"]
-    assert {(one.before, one.behind) for one in found} == {(4, 12)}
+    cells = aligned(["1026.12(75)", "−7.9", "3", "", "0.2(1) × 10⁻³"])
+    parts = [re.fullmatch(r'<span .*width:4.4ch">(.*)</span><span .*width:12ch">(.*)</span>', cell) for cell in cells]
+    assert [part[1] for part in parts if part] == ["1026", "−7", "3", "", "0"]
+    assert [part[2] for part in parts if part] == [".12(75)", ".9", "", "", ".2(1) × 10⁻³"]

@@ -1,11 +1,11 @@
-"""Numbers with the digits that their uncertainty allows, aligned on the decimal point."""
+"""Numbers on a page: with the digits that their uncertainty allows, aligned on the decimal point."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from decimal import Decimal
-from math import isfinite
+from html import escape
+from math import floor, isfinite, log10
 
 from tiltcal.core.rounding import bracketed, round_to_place
 
@@ -43,6 +43,12 @@ def plain(value: float, digits: int) -> str:
     return signed(text.rstrip("0").rstrip(".") if "." in text else text)
 
 
+def three_digits(values: Iterable[float]) -> int:
+    """Return the number of decimals that gives the largest of some numbers three digits."""
+    scale = max(map(abs, values), default=0.0)
+    return min(max(2 - floor(log10(scale)), 0), 12) if scale > 0.0 else 2
+
+
 def half_width(value: float) -> str:
     """Return half the width of an interval with two digits: ``0.28``, ``310``."""
     if not (isfinite(value) and value > 0.0):
@@ -58,6 +64,11 @@ def at_place(value: float, decimals: int) -> str:
     return signed(round_to_place(value, -decimals))
 
 
+def at_place_if_stated(value: float | None, decimals: int) -> str:
+    """Return a number with this number of decimals; nothing of one that is not stated or not finite."""
+    return "" if value is None or not isfinite(value) else at_place(value, decimals)
+
+
 def signed(text: str) -> str:
     """Return the text of a number with a minus sign as wide as a digit."""
     return text.replace("-", MINUS)
@@ -68,33 +79,29 @@ def grouped(count: int) -> str:
     return f"{count:,}".replace(",", "\u202f")
 
 
-@dataclass(frozen=True)
-class AlignedNumber:
-    """A number in a column: the part before its decimal point, and the rest.
+class Html(str):
+    """Text that is markup; whatever else a page is given is escaped."""
 
-    whole, rest: together the number's text.
-    before, behind: characters that the widest number of the column has on either side.
-    """
-
-    whole: str
-    rest: str
-    before: int
-    behind: int
-
-    def __str__(self) -> str:
-        return self.whole + self.rest
+    def __html__(self) -> str:
+        return self
 
 
-def column(texts: Iterable[str]) -> list[AlignedNumber]:
+def aligned(texts: Iterable[str]) -> list[Html]:
     """Return the numbers of a column, aligned on their decimal points."""
     parts = [_parted(text) for text in texts]
     before = max((len(whole) for whole, _ in parts), default=0)
     behind = max((len(rest) for _, rest in parts), default=0)
-    return [AlignedNumber(whole, rest, before, behind) for whole, rest in parts]
+    return [
+        Html(
+            f'<span class="w" style="width:{before + 0.4}ch">{escape(whole)}</span>'
+            f'<span class="r" style="width:{behind}ch">{escape(rest)}</span>'
+        )
+        for whole, rest in parts
+    ]
 
 
 def _parted(text: str) -> tuple[str, str]:
-    """Return the place of the decimal point, or of the end of the digits."""
+    """Return a number in two parts, at its decimal point or the end of its digits."""
     for index, character in enumerate(text):
         if not (character.isdigit() or character in MINUS + "+± "):
             return text[:index], text[index:]

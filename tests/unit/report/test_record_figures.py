@@ -16,7 +16,7 @@ from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import OnlineHistory
 from tiltcal.core.rounding import bracketed
-from tiltcal.report.pair_figures import PairDrawing, draw_matching
+from tiltcal.report.record_figures import PairDrawing, draw_matching
 
 
 class TestBrackets:
