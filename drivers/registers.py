@@ -1,7 +1,7 @@
 """Parts with numbers in byte registers, on SPI or I2C: a row of facts, from which driver and virtual part are made.
 
 A :class:`RegisterPart` says where its numbers lie (:class:`Field`), what is written before it measures, and how it
-shows a new sample. The driver decodes by these facts and the virtual part encodes by them. What a part does beyond them,
+shows a new sample. The driver decodes by these facts and the virtual part encodes by them. What it does beyond them,
 such as a factory trim that a reset may lose, is a function in its row. The rows of tiltcal are in
 :mod:`tiltcal.drivers.parts`; a row of another package is a sensor model by an entry point.
 """
