@@ -15,7 +15,7 @@ from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.estimation.positions import Design, Observation, StatedCoefficients
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.statistics import BLOCKS
+from tiltcal.core.samples import BLOCKS
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.document import parse_document, read_text

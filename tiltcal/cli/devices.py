@@ -9,7 +9,7 @@ import click
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.drivers import find_model, models
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 
 
 @options.command(epilog="Example: tiltcal devices sca100t-d02")

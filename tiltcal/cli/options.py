@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args
 
 import click
 
+from tiltcal.options import Option, flag_of, options_of
 from tiltcal.stated_arguments import require_above_zero, require_from_zero, require_whole
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 FILE = click.Path(path_type=Path)
 OPERATORS = click.Choice(["terminal", "json", "sim"])
@@ -26,17 +29,14 @@ BASE = (
 
 HEADINGS = {
     "Sensor": "--sensor --address --serial --bench --calibration --base --unit",
-    "Data": "--columns --segments --table --pair --orthogonal --phase --skip-bad-rows",
-    "Result": "--output --uncertainty --golden --limit --to --name --fixed --allow --figure --segments-out --interval",
+    "Data": "--columns --pair --orthogonal --phase --skip-bad-rows",
+    "Result": "--output --golden --limit --to --name --fixed --allow --figure --interval",
     "Positions": "--operator --procedure --tilt --samples --settle --closing --turns --resume --journal --plain",
     "Recording": "--rate --rows --for",
     "Known of the bench": "--jig --thermometer --noise --table-lean --heading-uncertainty --alignment "
-    "--typical-temperature --gravity --window",
-    "Mounting and heading": "--mounting --magnetometer --velocity --declination",
-    "A folder of calibrations": "--calibrations --start --stability",
-    "Means": "--average --every --target --target-range --averages",
-    "Uncertainty": "--reading-noise --magnetometer-noise",
-    "Method": "--first-order --online --loops --scheduler",
+    "--typical-temperature",
+    "Averages": "--target --target-range --averages",
+    "Method": "--online --loops",
 }
 """The headings of a long help, and their options, the most used first; all others are under "Other"."""
 
@@ -45,19 +45,17 @@ SHORT = 7
 
 
 class Command(click.Command):
-    """A command whose options are listed below headings, the most used first."""
+    """A command whose options are listed below headings: those of their declaration, else the most used first."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        options = [one for one in self.get_params(ctx) if isinstance(one, click.Option)]
-        described = {max(one.opts, key=len): one.get_help_record(ctx) for one in options}
-        shown = {name: record for name, record in described.items() if record is not None}
-        order = {name: heading for heading, names in HEADINGS.items() for name in names.split()}
-        if len(shown) <= SHORT:
-            order = dict.fromkeys(order, "Options")
+        options = {max(one.opts, key=len): one for one in self.get_params(ctx) if isinstance(one, click.Option)}
+        headings = {name: heading for heading, names in HEADINGS.items() for name in names.split()}
+        if len(options) <= SHORT or any(isinstance(one, Declared) for one in options.values()):
+            headings = {name: getattr(one, "group", "") or "Options" for name, one in options.items()}
         sections: dict[str, list[tuple[str, str]]] = {}
-        for name in (*(name for name in order if name in shown), *(name for name in shown if name not in order)):
-            heading = order.get(name, "Options" if len(shown) <= SHORT else "Other")
-            sections.setdefault(heading, []).append(shown[name])
+        for name in dict.fromkeys((*headings, *options)):
+            if name in options and (record := options[name].get_help_record(ctx)) is not None:
+                sections.setdefault(headings.get(name, "Other"), []).append(record)
         for heading, records in sections.items():
             with formatter.section(heading):
                 formatter.write_dl(records)
@@ -102,6 +100,40 @@ def _as_number(value: Any) -> Any:
         with suppress(ValueError):
             return kind(str(value))
     return value
+
+
+class Declared(click.Option):
+    """An option of a declaration, below the heading of its group."""
+
+    def __init__(self, names: Sequence[str], *, option: Option, kinds: tuple[Any, ...]) -> None:
+        self.group = option.group
+        if bool in kinds:
+            super().__init__(names, is_flag=True, default=False, help=option.help)
+            return
+        is_number = str not in kinds and bool({int, float} & set(kinds))
+
+        def checked(text: Any) -> Any:
+            value = _as_number(text) if is_number else text
+            if option.check is not None:
+                option.check(names[0], value)
+            elif is_number:
+                float(value)
+            return value
+
+        super().__init__(names, type=checked, default=option.default, metavar=option.metavar, help=option.help)
+
+
+def declared(declaration: type) -> Callable[[F], F]:
+    """Give a command the options of a declaration, in its order."""
+
+    def with_options(command: F) -> F:
+        for name, (option, kind) in reversed(options_of(declaration).items()):
+            if option.metavar is not None:
+                kinds = get_args(kind) or (kind,)
+                click.option(flag_of(name, option), name, cls=Declared, option=option, kinds=kinds)(command)
+        return command
+
+    return with_options
 
 
 file_option = partial(click.option, type=FILE)

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 
 from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import StepFinder, rounding_uncertainty
+from tiltcal.core.quantisation import StepFinder
+from tiltcal.core.samples import rounding_uncertainty
 from tiltcal.errors import EstimateError
 
 Kind = Literal["white", "flicker", "walk"]
