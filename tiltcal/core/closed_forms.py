@@ -112,7 +112,7 @@ def referenced_reading(reading: float, temperature: float, tempco: float, refere
 def referenced_tilt(
     reading: float, temperature: float, offset: float, scale: float, tempco: float, reference: float = 0.0
 ) -> float:
-    """Section C: tilt of one axis from the reading at the reference temperature, its offset there, and its scale factor.
+    """Section C: tilt of one axis from the reading at the reference temperature, its offset there, its scale factor.
 
     NaN where the argument of the arcsine is beyond ±1: section A asks that it be trapped near 90°.
     """
