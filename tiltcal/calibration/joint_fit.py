@@ -18,7 +18,7 @@ from tiltcal.core.model import AXES, Limits
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means
-from tiltcal.drivers.device import Model, deviation_within
+from tiltcal.drivers.model import Model, deviation_within
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure

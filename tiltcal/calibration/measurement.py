@@ -10,7 +10,7 @@ from tiltcal.core.attitude import STRAIGHT
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.samples import SampleSummary
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.results import PositionRecord
 from tiltcal.stated_arguments import require_from_zero

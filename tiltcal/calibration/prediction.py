@@ -19,7 +19,7 @@ from tiltcal.core.estimation.design import PlannedPosition, Prediction, predict_
 from tiltcal.core.estimation.positions import Design
 from tiltcal.core.mounting_rotation import angle_uncertainty, solve_mounting
 from tiltcal.core.samples import rounding_of_means
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure

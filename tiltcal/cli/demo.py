@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 import click
 
 from tiltcal.calibration.summary import summary
+from tiltcal.cli import options
 from tiltcal.cli.apply import command as apply
 from tiltcal.cli.report import write_report
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import Address, parse_address
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.calibration import read_calibration
@@ -29,7 +30,7 @@ MODEL, PROCEDURE, SERIAL = "sca100t-d02", "complete", "SIM-1"
 ROWS, REACH, TEMPERATURES = 1500, {"x": 40.0, "y": 35.0}, (22.0, 8.0)
 
 
-@click.command(epilog="Example: tiltcal demo demo")
+@options.command(epilog="Example: tiltcal demo demo")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False), default=Path("demo"))
 @click.option("--seed", default=1, show_default=True, help="The number of the virtual part.")
 def command(folder: Path, seed: int) -> None:

@@ -20,7 +20,7 @@ from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration

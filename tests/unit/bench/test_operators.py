@@ -17,7 +17,7 @@ from tiltcal.bench.position_result import PositionResult
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
-from tiltcal.drivers.device import Reading
+from tiltcal.drivers.model import Reading
 from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Determines, Position, Procedure
 
