@@ -18,17 +18,13 @@ from tiltcal.calibration.sensor_history import (
     DAY,
     DatedCalibration,
     SensorHistory,
-    estimated_stability,
     stated_stability,
 )
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import UsageError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
 from tiltcal.files.moments import moment
 from tiltcal.stated_arguments import require_from_zero, require_path, require_text
-
-FLEET = 50
-"""Most other sensors that are read to estimate how far one wanders."""
 
 
 class CalibrationLibrary:
@@ -96,13 +92,11 @@ class CalibrationLibrary:
         ----------
         serial : str
         stated : float, optional
-            The standard deviation of the offset's change in one day, mg, in place of an estimate.
+            The standard deviation of the offset's change in one day, mg; without it half of each change counts.
         """
         require_from_zero("--stability", stated)
         history = self.history(serial)
-        if stated is not None:
-            return stated_stability(history, stated)
-        return estimated_stability(history, [history, *self._fleet(history)])
+        return Stability() if stated is None else stated_stability(history, stated)
 
     def at(self, serial: str, time: str | date, *, stability: float | None = None) -> Calibration:
         """Return the calibration of a sensor at a time: between two of them, or the nearest one.
@@ -113,7 +107,7 @@ class CalibrationLibrary:
         time : str, datetime or date
             As text in ISO 8601; UTC where it names no zone.
         stability : float, optional
-            The standard deviation of the offset's change in one day, mg, in place of an estimate.
+            The standard deviation of the offset's change in one day, mg, in place of half of each change.
 
         Raises
         ------
@@ -164,7 +158,7 @@ class CalibrationLibrary:
         serial : str, optional
             Of the sensor; else that of the frame's attributes, or of its column names (``SERIAL_x``).
         stability : float, optional
-            The standard deviation of the offset's change in one day, mg, in place of an estimate.
+            The standard deviation of the offset's change in one day, mg, in place of half of each change.
         start : str or datetime, optional
             When the time of the frame is 0, as text in ISO 8601, where its time is relative.
         **options
@@ -188,22 +182,6 @@ class CalibrationLibrary:
         record = read_calibration(file.path)
         started, date = date_of(record, file.path)
         return DatedCalibration(record, date, started, file.path, Path(file.path).relative_to(self.folder).as_posix())
-
-    def _fleet(self, history: SensorHistory) -> list[SensorHistory]:
-        """Return the histories of other sensors of the same model and unit that have several calibrations."""
-        sensor = history.sensor
-        found: list[SensorHistory] = []
-        others = sorted(self._files.items(), key=lambda item: -len(item[1]))
-        for serial, files in others:
-            if serial == sensor.serial or files[0].model != sensor.model or len(files) < 2 or len(found) == FLEET:
-                continue
-            try:
-                other = self.history(serial)
-            except InputError:  # it is named where that sensor is asked for
-                continue
-            if (other.sensor.unit, other.sensor.channels) == (sensor.unit, sensor.channels):
-                found.append(other)
-        return found
 
     def _unknown(self, serial: str) -> str:
         near = get_close_matches(serial, self._files, n=1)
@@ -234,9 +212,12 @@ def calibration_at(history: SensorHistory, time: float, stability: Stability | N
     """Return the calibration of a sensor at a time, seconds since 1970."""
     dated = history.calibrations
     times = [calibration.date.timestamp() for calibration in dated]
+    ends = len(times) > 1
     if time <= times[0]:
-        return Calibration(extrapolate(dated[0].record, (times[0] - time) / DAY, stability))
+        interval = history.interval(0) if ends else None
+        return Calibration(extrapolate(dated[0].record, (times[0] - time) / DAY, stability, interval))
     if time >= times[-1]:
-        return Calibration(extrapolate(dated[-1].record, (time - times[-1]) / DAY, stability))
+        interval = history.interval(len(times) - 2) if ends else None
+        return Calibration(extrapolate(dated[-1].record, (time - times[-1]) / DAY, stability, interval))
     k = max(i for i, date in enumerate(times) if date <= time)
     return Calibration(history.interval(k).at((time - times[k]) / (times[k + 1] - times[k]), stability))

@@ -15,7 +15,6 @@ from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.combined_record import combined_provenance, combined_record
 from tiltcal.calibration.combined_session import CombinedSession
 from tiltcal.calibration.stated_mounting import mounting_in_words, stated_mounting, with_mounting
-from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import Estimate, estimate
 from tiltcal.core.estimation.hysteresis import with_hysteresis
@@ -23,6 +22,7 @@ from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.model import AXES, Thermal, polynomial
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.rounding import plus_minus
+from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, require_same_sensor
 from tiltcal.files.results import NOISE_ALONE

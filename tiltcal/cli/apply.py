@@ -47,7 +47,7 @@ Examples:
     "--stability",
     metavar="MG",
     help="With --calibrations --uncertainty: how far the offset wanders in one day, as a standard deviation in mg "
-    "(over n days √n times as far), instead of the estimate from the calibrations of the sensor or its fleet.",
+    "(over n days √n times as far), instead of half of its change between two calibrations.",
 )
 @click.option(
     "--start",

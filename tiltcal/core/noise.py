@@ -23,9 +23,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.model import Array
 from tiltcal.core.quantisation import StepFinder, rounding_uncertainty
+from tiltcal.core.uncertain import COVERAGE
 from tiltcal.errors import EstimateError
 
 Kind = Literal["white", "flicker", "walk"]

@@ -94,7 +94,7 @@ def apply_log(
     serial : str, optional
         With a folder: of the sensor; else that of the log's metadata, or of its column names (``SERIAL_x``).
     stability : float, optional
-        With a folder: the standard deviation of the offset's change in one day, mg, in place of an estimate.
+        With a folder: the standard deviation of the offset's change in one day, mg, in place of half of each change.
     start : str or datetime, optional
         With a folder: when the time of the log is 0, as text in ISO 8601, where its time is relative.
     magnetometer : sequence of str, or str

@@ -282,7 +282,9 @@ def _uncertain(
     """Return the kernel that adds uncertainties; report what it has to assume."""
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 
-    stated = stated_uncertainty(calibration.record.uncertainty, calibration.coefficients, reading_noise=reading_noise)
-    for remark in stated.remarks:
+    stated, remarks = stated_uncertainty(
+        calibration.record.uncertainty, calibration.coefficients, reading_noise=reading_noise
+    )
+    for remark in remarks:
         say(f"note: {remark}")
-    return CompensationWithUncertainty(compensation, calibration.coefficients, stated.inputs)
+    return CompensationWithUncertainty(compensation, calibration.coefficients, stated)

@@ -6,7 +6,7 @@ from functools import partial
 from operator import mul
 from typing import TYPE_CHECKING
 
-from tiltcal.core.coverage_factor import NORMAL_FACTOR
+from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.figure import CHANNELS, GREY, INK, RED, SvgFigure, picture
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.model import Array, Thermal, polynomial
+from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.figure import CHANNELS, GREY, SvgFigure, picture
 

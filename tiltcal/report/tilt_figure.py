@@ -14,6 +14,7 @@ import numpy as np
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Limits
+from tiltcal.core.uncertain import TURN
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.uncertainty import stated_uncertainty
@@ -92,7 +93,7 @@ def _curves(calibration: CalibrationRecord) -> dict[str, Curves]:
     coefficients, nominal = _unmounted(calibration.coefficients), _nominal(calibration)
     compensation = Compensation(coefficients)
     stated = (stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise) for noise in (0.0, None))
-    kernels = [CompensationWithUncertainty(compensation, coefficients, u.inputs.without_turn) for u in stated]
+    kernels = [CompensationWithUncertainty(compensation, coefficients, u.without(TURN)) for u, _ in stated]
     found = {}
     for axis, tilt in _reaches(calibration, compensation.axes).items():
         readings = coefficients.predict(_attitudes(axis, tilt))

@@ -20,15 +20,14 @@ from math import isfinite
 
 import numpy as np
 
-from tiltcal.core.coverage_factor import welch_satterthwaite
 from tiltcal.core.estimation.equations import ADC, JIG, NOISE, PRIOR, Indices
 from tiltcal.core.estimation.solve import EstimatedVariance, Solution
 from tiltcal.core.model import Array
-from tiltcal.core.uncertainty_budget import Budget
+from tiltcal.core.uncertain import Uncertain, welch_satterthwaite
 
 
-def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> list[Budget]:
-    """Return the uncertainty of each sensor's coefficients.
+def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> list[Uncertain]:
+    """Return the coefficients of each sensor with their uncertainty.
 
     Parameters
     ----------
@@ -42,7 +41,7 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
     rounding = measured * np.minimum(rounding**2 / errors.noise, 1.0)
     groups, dofs = _pooled_noise(solution)
     found = []
-    for own in _by_sensor(solution):
+    for sensor, own in zip(equations.sensors, _by_sensor(solution), strict=True):
         by = solution.near.times(covariance[:, own])  # readings by coefficients
         squares = np.square(by)
         noise = squares * (measured - rounding)[:, None]
@@ -70,7 +69,8 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
             by_angle = _by_error(solution, JIG, own)
             total = total + jig.value * by_angle @ by_angle.T
             variance[NOISE] = variance[NOISE] + jig.value * np.sum(by_angle**2, axis=1)
-        found.append(Budget(total, variance, welch_satterthwaite(np.diag(total), parts)))
+        dof = welch_satterthwaite(np.diag(total), parts)
+        found.append(Uncertain(sensor.design.names, solution.z[own], total, dof, variance))
     return found
 
 

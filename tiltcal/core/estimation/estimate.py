@@ -31,7 +31,7 @@ from tiltcal.core.estimation.solve import (
     with_estimated,
 )
 from tiltcal.core.model import Array, Coefficients, Thermal
-from tiltcal.core.named_coefficients import DeterminedCoefficients
+from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
 LARGEST_THERMOMETER = 5.0
@@ -74,11 +74,13 @@ class AttitudeError:
 
 
 @dataclass(frozen=True)
-class Estimate(DeterminedCoefficients):
+class Estimate:
     """Coefficients of one sensor, with their uncertainty and the residuals.
 
     Attributes
     ----------
+    uncertain : Uncertain
+        The coefficients by their dotted names, channel by channel.
     residuals : ndarray, shape (positions, channels)
         Measured minus modelled in the positions as they were set, in the sensor's unit.
     dof : int
@@ -105,6 +107,8 @@ class Estimate(DeterminedCoefficients):
         Errors of the bench that no position shows and that are not in the uncertainty.
     """
 
+    coefficients: Coefficients
+    uncertain: Uncertain
     positions: tuple[str, ...]
     residuals: Array
     dof: int
@@ -118,6 +122,14 @@ class Estimate(DeterminedCoefficients):
     noise_dof: float | None = None
     notes: tuple[str, ...] = ()
     not_covered: tuple[str, ...] = ()
+
+    def uncertainty(self) -> dict[str, float]:
+        """Return the standard uncertainty of each coefficient by its dotted name."""
+        return self.uncertain.by_name(self.uncertain.u)
+
+    def coverage_factors(self) -> dict[str, float]:
+        """Return the coverage factor of each one's 95 % interval by its dotted name."""
+        return self.uncertain.by_name(self.uncertain.factors)
 
     def suspects(self) -> list[AttitudeError]:
         """Return the positions that were further off than the stated jig allows, the worst first."""
@@ -205,7 +217,7 @@ def _estimates(
     attitudes = _attitudes(solution) if design.jig else ()
     residuals, row = equations.unexplained(solution.z), 0
     estimates = []
-    for number, (sensor, budget) in enumerate(zip(equations.sensors, budgets(solution, estimated), strict=True)):
+    for number, (sensor, uncertain) in enumerate(zip(equations.sensors, budgets(solution, estimated), strict=True)):
         channels = [channel for channel in equations.channels if channel.sensor == number]
         here = {observation.position for observation in sensor.observations}
         own = residuals[row : row + len(channels) * len(sensor.observations)]
@@ -216,8 +228,7 @@ def _estimates(
                 coefficients=_coefficients(
                     sensor, np.concatenate([solution.z[channel.coefficients] for channel in channels])
                 ),
-                names=sensor.design.names,
-                budget=budget,
+                uncertain=uncertain,
                 positions=tuple(observation.position for observation in sensor.observations),
                 residuals=own.reshape(len(channels), -1).T,
                 dof=dof,

@@ -18,6 +18,7 @@ from tiltcal.core.estimation.design import Observation, SensorObservations
 from tiltcal.core.estimation.equations import HYSTERESIS
 from tiltcal.core.estimation.estimate import Estimate, estimate
 from tiltcal.core.model import AXES, Array
+from tiltcal.core.uncertain import Uncertain
 
 ALIKE = 1.5
 """Temperatures that are no further apart are one temperature met twice, °C."""
@@ -86,14 +87,17 @@ def with_hysteresis(found: Estimate, sensor: SensorObservations) -> Estimate:
     stated = found.estimated_jig if sensor.design.jig is None else sensor.design.jig
     jig = stated or 0.0
     loops = largest_loops(found, sensor.observations, jig)
-    added = np.zeros_like(found.covariance)
+    added = np.zeros_like(found.uncertain.covariance)
     for column, channel in enumerate(found.coefficients.channels):
         if channel not in loops or not loops[channel].significant:
             continue
         for rows in _moved_together(sensor.observations):
             by = _follow(replace(sensor, design=replace(sensor.design, jig=jig)), rows, column, loops[channel])
             added += np.outer(by, by) / 12.0
-    return replace(found, budget=found.budget.with_known(added, HYSTERESIS)) if added.any() else found
+    if not added.any():
+        return found
+    loops_left = Uncertain.errors(found.uncertain.names, added, source=HYSTERESIS)
+    return replace(found, uncertain=found.uncertain + loops_left)
 
 
 def _follow(sensor: SensorObservations, rows: Sequence[int], column: int, loop: Loop) -> Array:

@@ -17,12 +17,12 @@ import numpy as np
 from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.equations import Equations
-from tiltcal.core.estimation.free import UNKNOWNS, planned_budget
+from tiltcal.core.estimation.free import UNKNOWNS, planned_uncertain
 from tiltcal.core.estimation.identifiability import CANDIDATES, WARMER, require_determined
 from tiltcal.core.estimation.solve import solved_at
 from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.uncertainty_budget import Budget
+from tiltcal.core.uncertain import Uncertain
 
 STRONG = 0.9
 """A correlation from here on is named."""
@@ -44,21 +44,20 @@ class PlannedPosition:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Uncertainty that a planned session will reach in named coefficients, and degrees of freedom to check them.
+    """Uncertainty that a planned session will reach in the coefficients, and degrees of freedom to check them.
 
     ``correlations`` are pairs that the plan hardly separates, the strongest first; ``worth_adding`` has a position, the
     coefficient that it helps most, and the share of its uncertainty that is left, best first.
     """
 
-    names: tuple[str, ...]
-    budget: Budget
+    uncertain: Uncertain
     dof: int
     correlations: tuple[tuple[str, str, float], ...]
     worth_adding: tuple[tuple[str, str, float], ...]
 
     def uncertainty(self) -> dict[str, float]:
         """Return the predicted standard uncertainty of each coefficient."""
-        return dict(zip(self.names, self.budget.u.tolist(), strict=True))
+        return self.uncertain.by_name(self.uncertain.u)
 
 
 def predict_uncertainty(
@@ -81,12 +80,10 @@ def predict_uncertainty(
     """
     budget = partial(_budget, design, noise=noise, sensitivity=sensitivity, drift=drift, adc=adc, sensors=sensors)
     own, dof = budget(positions)
-    names = design.names
     return Prediction(
-        names=names,
-        budget=own,
+        uncertain=own,
         dof=dof,
-        correlations=strong_correlations(names, own.covariance),
+        correlations=strong_correlations(design.names, own.covariance),
         worth_adding=_worth_adding(design, positions, budget, own.u, level=level),
     )
 
@@ -111,11 +108,11 @@ def _budget(
     drift: float,
     adc: float,
     sensors: int,
-) -> tuple[Budget, int]:
+) -> tuple[Uncertain, int]:
     """Return the uncertainty that a plan leaves, and its degrees of freedom, with all unknowns as in the data sheet."""
     if design.free:
         gravity = np.array([position.gravity for position in positions])
-        return planned_budget(gravity, float(np.hypot(noise, adc)), sensitivity), len(positions) - UNKNOWNS
+        return planned_uncertain(gravity, float(np.hypot(noise, adc)), sensitivity), len(positions) - UNKNOWNS
     stated = replace(design, jig=design.jig or 0.0)
     zero = np.zeros(len(design.channels))
     u = np.full(len(design.channels), max(np.hypot(noise, adc), 1e-12 * abs(sensitivity)))
@@ -157,7 +154,7 @@ def _nominal(design: Design, equations: Equations, sensitivity: float, drift: fl
 def _worth_adding(
     design: Design,
     positions: Sequence[PlannedPosition],
-    budget: Callable[[Sequence[PlannedPosition]], tuple[Budget, int]],
+    budget: Callable[[Sequence[PlannedPosition]], tuple[Uncertain, int]],
     before: Array,
     *,
     level: bool,
