@@ -9,13 +9,13 @@ from typing import Any
 import click
 import pytest
 
-from tiltcal.bench.measure import measure
 from tiltcal.bench.plan import plan
 from tiltcal.cli.main import group
 from tiltcal.cli.options import NumberFromZero
 from tiltcal.cli.talk import wrapped
 from tiltcal.errors import UsageError
-from tiltcal.logs.fit import fit
+from tiltcal.library.fit import fit
+from tiltcal.library.measure import measure
 from tiltcal.logs.prepared_calibration import ApplyOptions
 
 

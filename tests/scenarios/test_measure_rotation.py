@@ -302,7 +302,7 @@ def test_killed_at_a_random_moment_on_the_virtual_stage(
 
 
 def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
-    from tiltcal.bench.measure import measure
+    from tiltcal.library.measure import measure
 
     whole = (never_stopped / JOURNAL).read_bytes()
     golden = (never_stopped / "pair.yaml").read_bytes()

@@ -62,7 +62,7 @@ def test_killed_at_a_random_moment(
 
 def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
     """Within one process, at many more places than can be hit by killing: torn lines, the end record, its edges."""
-    from tiltcal.bench.measure import measure as measure_here
+    from tiltcal.library.measure import measure as measure_here
 
     whole = (never_stopped / JOURNAL).read_bytes()
     golden = (never_stopped / "S-1.yaml").read_bytes()
@@ -83,7 +83,7 @@ def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
 )
 def test_a_part_that_is_set_up_is_as_it_was(sensor: str, address: str, tmp_path: Path) -> None:
     """In another range than after a reset; cut in its start, in a sample, and where a position has just changed."""
-    from tiltcal.bench.measure import measure as measure_here
+    from tiltcal.library.measure import measure as measure_here
 
     options = ["--sensor", sensor, "--address", address, "--serial", "S-1", "-o", "S-1.yaml", "--operator", "sim"]
     done = tiltcal("measure", "cross-axis", *options, "--samples", "5", "--settle", "0.1", cwd=tmp_path)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
+from tiltcal.core.attitude import STRAIGHT, Orientation, orientation
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.device import Model

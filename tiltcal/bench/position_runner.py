@@ -30,8 +30,8 @@ from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.calibration import level
 from tiltcal.calibration.measurement import Measurement, missing_temperature
+from tiltcal.core.attitude import normalised
 from tiltcal.core.detection import TILTED
-from tiltcal.core.gravity_direction import normalised
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.core.ramp.record import RampRecord

@@ -20,9 +20,8 @@ from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import Demodulation, demodulate
 from tiltcal.core.pair.matching import PairCoefficients, solve
 from tiltcal.core.pair.model import FEWEST_TURNS, Pair
-from tiltcal.core.pair.online import Recursive
-from tiltcal.core.pair.record import stage_record
-from tiltcal.core.pair.turns import STANDSTILL, Notice, TurnStream, turning
+from tiltcal.core.pair.online import Notice, Recursive, TurnStream
+from tiltcal.core.pair.stage import STANDSTILL, stage_record, turning
 from tiltcal.errors import EstimateError
 
 TOO_FEW = f"at least {FEWEST_TURNS:g} are needed before it can stop"

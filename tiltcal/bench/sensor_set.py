@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tiltcal.bench.device_setup import DeviceSetup, with_thermometer
 from tiltcal.bench.event_log import EventLog, RecordedLink
 from tiltcal.bench.virtual_bench import VirtualBench
-from tiltcal.core.orientation import STRAIGHT, Orientation
+from tiltcal.core.attitude import STRAIGHT, Orientation
 from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock

@@ -21,7 +21,7 @@ from tiltcal.bench.sensor_set import SensorSet, connected, probe_devices
 from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.virtual_bench import VirtualBench
-from tiltcal.calibration.calibration import Calibration, calibration_in
+from tiltcal.calibration.record import record_in
 from tiltcal.calibration.verification import Verification, verify_positions
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.device import Reading
@@ -192,10 +192,10 @@ class Session:
         """Refuse a file that is no calibration of a sensor of the plan: the journal may be somebody else's."""
         identities = [(device.model_name, device.serial) for device in self.plan.sensors]
         try:
-            there = calibration_in(read_document(path))
+            there = record_in(read_document(path))
         except InputError:
             there = None
-        if isinstance(there, Calibration):
+        if isinstance(there, CalibrationRecord):
             replaceable = (there.sensor.model, there.sensor.serial) in identities
         else:
             bench = None if there is None else there.provenance.bench

@@ -7,7 +7,7 @@ from functools import cached_property
 from math import radians
 
 from tiltcal.bench.device_setup import DeviceSetup
-from tiltcal.core.gravity_direction import Vector
+from tiltcal.core.attitude import Vector
 from tiltcal.core.model import Mounting
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock

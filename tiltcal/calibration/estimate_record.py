@@ -9,8 +9,8 @@ from math import degrees
 import numpy as np
 
 from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation
-from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
+from tiltcal.core.estimation.positions import Design
 from tiltcal.core.model import AXES, Array, Coefficients, with_vector
 from tiltcal.core.mounting_angles import UNKNOWN_FACTOR
 from tiltcal.core.named_coefficients import values

@@ -29,9 +29,9 @@ from tiltcal.calibration.estimate_record import (
 )
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
-from tiltcal.core.estimation.attitude import heading_rotations
-from tiltcal.core.estimation.design import Observation
+from tiltcal.core.attitude import heading_rotations
 from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
+from tiltcal.core.estimation.positions import Observation
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.rounding import plus_minus, round_to, significant

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from tiltcal.core.orientation import STRAIGHT
+from tiltcal.core.attitude import STRAIGHT
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.statistics import SampleSummary

@@ -14,10 +14,10 @@ from tiltcal.calibration.joint_fit import design_of
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.calibration.suitability import require_tilt
-from tiltcal.core.estimation.design import Design
-from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, Prediction, predict_uncertainty
+from tiltcal.core.attitude import STRAIGHT, Orientation
+from tiltcal.core.estimation.design import PlannedPosition, Prediction, predict_uncertainty
+from tiltcal.core.estimation.positions import Design
 from tiltcal.core.mounting_rotation import angle_uncertainty, solve_mounting
-from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.core.statistics import summarise
 from tiltcal.drivers.device import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity

@@ -173,16 +173,17 @@ def command(
     numbers and times get their mean, all others the value of the first row. --uncertainty then adds u_random_tilt_x,
     which falls with √count, and u_common_tilt_x, which no averaging makes less.
 
-    With --calibrations each row takes the calibration of its time: between two calibrations of the sensor their
-    coefficients are interpolated linearly, and before the first and after the last one the nearest is taken and the
-    row has flag 3 and reason 64. The serial number is that of --serial, of the log's metadata, or of its columns: in a
+    With --calibrations each row takes the calibration of its time: between two calibrations of the sensor
+    gravity is interpolated from both, and before the first and after the last one the nearest is taken and the row has
+    flag 3 and reason 64. The serial number is that of --serial, of the log's metadata, or of its columns: in a
     log of several sensors S-1_x gives S-1_tilt_x, all sensors in one pass. --uncertainty then includes how far the
     coefficients wander.
 
     If CALIBRATION contains accelerometer pairs (from `tiltcal match`), the new columns are the matched sum of each pair
     and, with two pairs, the gradient signal and its components at twice the spin frequency over the previous turn.
     """
-    from tiltcal.logs.apply import apply_log, prepare_any
+    from tiltcal.library.apply import apply_log
+    from tiltcal.logs.apply import prepare_any
     from tiltcal.logs.prepared_calibration import ApplyOptions
 
     calibration, logs = (Path(files[0]), files[1:]) if calibrations is None else (calibrations, files)

@@ -13,8 +13,8 @@ from tiltcal.errors import UsageError
 from tiltcal.files.atomic import check_writable
 
 if TYPE_CHECKING:
-    from tiltcal.calibration.calibration import Calibration
     from tiltcal.files.calibration import CalibrationRecord
+    from tiltcal.library.calibration import Calibration
 
 _EXAMPLES = """\b
 Examples:
@@ -78,7 +78,8 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
     from tiltcal.calibration.level import level_summary
     from tiltcal.calibration.summary import mounting_summary, summary
     from tiltcal.files.procedure_file import find_procedure
-    from tiltcal.logs.fit import FOUND_ONLY, fit
+    from tiltcal.library.fit import fit
+    from tiltcal.logs.fit import FOUND_ONLY
 
     determines = find_procedure(procedure, settings["tilt"]).determines
     if segments_out is not None and (not determines.free or settings["table"] or settings["segments"] is not None):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from datetime import date, timedelta
 from itertools import chain
 from math import nan
 from pathlib import Path
@@ -13,10 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import tiltcal
-from tiltcal.calibration.calibration import read
+from tiltcal.calibration.calibration_folder import CalibrationFolder
+from tiltcal.calibration.record import record_in
 from tiltcal.errors import InputError
 from tiltcal.files.atomic import require_apart
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.document import read_document
+from tiltcal.files.pair import PairRecord
 from tiltcal.logs.apply_summary import ApplySummary, ColumnWidths
 from tiltcal.logs.cf_attributes import DEGREE, same_unit
 from tiltcal.logs.columns import (
@@ -45,115 +47,33 @@ NO_TIME = (
 
 if TYPE_CHECKING:
     from tiltcal.core.heading import FieldLength
-    from tiltcal.logs.averaging import Means
+    from tiltcal.logs.means import Means
 
 
-def apply_log(
-    calibration: tiltcal.Calibration | tiltcal.PairCalibration | tiltcal.CalibrationLibrary | str | Path,
+Applied = CalibrationRecord | PairRecord | CalibrationFolder | str | Path
+"""What can be applied: a calibration, its file, or a folder of them, of which each row takes that of its time."""
+
+
+def apply_to_log(
+    calibration: Applied,
     log: str | Path,
     output: str | Path,
+    options: ApplyOptions,
     *,
     columns: Mapping[str, str] | str = "",
-    uncertainty: bool = False,
-    first_order: bool = False,
-    reading_noise: float | None = None,
-    mounting: Mapping[str, float] | str = "",
-    serial: str | None = None,
-    stability: float | None = None,
-    start: str | date | None = None,
-    magnetometer: Sequence[str] | str = (),
-    velocity: Sequence[str] | str = (),
-    declination: float | None = None,
-    magnetometer_noise: float | None = None,
-    average: int | None = None,
-    every: str | float | timedelta | None = None,
     skip_bad_rows: bool = False,
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
 ) -> ApplySummary:
-    """Apply a calibration to a recorded log, whatever its size, and write the result.
+    """Apply a calibration to a recorded log, and write the result, whole or not at all.
 
-    Parameters
-    ----------
-    calibration : Calibration, PairCalibration, CalibrationLibrary, str or Path
-        A calibration, or its file; or a folder of calibrations, of which each row takes that of its time.
-    log : str or Path
-        CSV, Parquet or NetCDF-4, by the end of its name; ``-`` is CSV on standard input.
-    output : str or Path
-        Its name selects its format. It appears whole or not at all; ``-`` is CSV on standard output.
-    columns : mapping of str to str, or str
-        The column of each reading, such as ``{"x": "VoutX"}`` or ``"x=VoutX"``; without it, the column of its name.
-    uncertainty : bool
-        Add the standard uncertainty of every angle and half of its 95 % interval, degrees.
-    first_order : bool
-        Use Cross-axis Compensation eq. 6 in place of the whole matrix.
-    reading_noise : float, optional
-        Standard uncertainty of a reading of the log, in its unit, in place of that of a sample at the bench.
-    mounting : mapping of str to float, or str
-        How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of its own mounting.
-    serial : str, optional
-        With a folder: of the sensor; else that of the log's metadata, or of its column names (``SERIAL_x``).
-    stability : float, optional
-        With a folder: the standard deviation of the offset's change in one day, mg, in place of half of each change.
-    start : str or datetime, optional
-        With a folder: when the time of the log is 0, as text in ISO 8601, where its time is relative.
-    magnetometer : sequence of str, or str
-        The three columns of the magnetic field, such as ``"mx,my,mz"``: adds ``heading``, degrees.
-    velocity : sequence of str, or str
-        The three columns of a velocity, such as ``"u,v,w"``: adds ``v_east``, ``v_north`` and ``v_up`` in their
-        unit. It needs a magnetometer, or a heading among the columns.
-    declination : float, optional
-        How far magnetic north is east of true north, degrees; added to the heading, of a column as well.
-    magnetometer_noise : float, optional
-        With `uncertainty`: standard uncertainty of a component of the field, in its unit.
-    average : int, optional
-        Apply to the means of so many rows each, and add ``count``.
-    every : str, float or timedelta, optional
-        Apply to the means of so much time each, such as ``"10s"``, or in seconds, and add ``count``.
-    skip_bad_rows : bool
-        Keep rows that cannot be parsed, with flag 9, instead of raising.
-    say : callable
-        Called with each remark about what had to be assumed.
-    progress : callable, optional
-        Called with the bytes that have been read, after each block.
-
-    Returns
-    -------
-    ApplySummary
-        Rows by flag and reason.
-
-    Raises
-    ------
-    UsageError
-        A file cannot be opened or written, or the log has a column of a name that the result needs.
-    InputError
-        The calibration or the log is wrong, or a column is not there; the message names file and line.
-
-    Notes
-    -----
-    A damaged Parquet or NetCDF file can end the process in its library, or keep it there: run ``tiltcal apply`` in a
-    process of its own for files of doubtful origin.
+    The arguments, errors and what is returned are those of :func:`tiltcal.apply_log`.
     """
     require_path("the log", log)
     require_path("the output", output)
     require_way(log, output)
     if str(output) != STANDARD:
         require_apart(output, log, *([calibration] if isinstance(calibration, str | Path) else []))
-    options = ApplyOptions(
-        first_order=first_order,
-        uncertainty=uncertainty,
-        reading_noise=reading_noise,
-        mounting=mounting,
-        serial=serial,
-        stability=stability,
-        start=start,
-        magnetometer=magnetometer,
-        velocity=velocity,
-        declination=declination,
-        magnetometer_noise=magnetometer_noise,
-        average=average,
-        every=every,
-    )
     ready = prepare_any(calibration, options, say)
     with open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as reader:
         prepared = ready(reader, columns)
@@ -165,7 +85,7 @@ def apply_log(
 
 
 def apply_frame(
-    calibration: tiltcal.Calibration | tiltcal.PairCalibration | tiltcal.CalibrationLibrary,
+    calibration: CalibrationRecord | PairRecord | CalibrationFolder,
     frame: Any,
     *,
     columns: Mapping[str, str] | str = "",
@@ -217,7 +137,7 @@ def apply_frame(
 
 
 def prepare_any(
-    calibration: tiltcal.Calibration | tiltcal.PairCalibration | tiltcal.CalibrationLibrary | str | Path,
+    calibration: Applied,
     options: ApplyOptions,
     say: Callable[[str], None] = lambda line: None,
 ) -> Callable[[LogReader, Mapping[str, str] | str], PreparedCalibration]:
@@ -227,16 +147,15 @@ def prepare_any(
     InputError: the calibration is wrong.
     """
     if not isinstance(calibration, str | Path) or os.path.isdir(calibration):
-        from tiltcal.calibration.calibration_library import CalibrationLibrary, open_calibrations
         from tiltcal.logs.apply_library import prepare_library
 
-        found = open_calibrations(calibration) if isinstance(calibration, str | Path) else calibration
-        if isinstance(found, CalibrationLibrary):
-            return lambda log, columns: prepare_library(found, log, options, columns, say)
-        calibration = found
+        folder = CalibrationFolder(calibration) if isinstance(calibration, str | Path) else calibration
+        if isinstance(folder, CalibrationFolder):
+            return lambda log, columns: prepare_library(folder, log, options, columns, say)
+        calibration = folder
     options.require_file()
     if isinstance(calibration, str | Path):
-        path, stated = Path(calibration), read(calibration)
+        path, stated = Path(calibration), record_in(read_document(calibration))
         origin = {"calibration": path.name, "sha256": sha256_of(path)}
         prepared = prepare(stated, options, say, file=path, origin=origin)
     else:
@@ -380,7 +299,7 @@ class CompensatedLog:
     def _means(self) -> Means | None:
         if self.prepared.averaging is None:
             return None
-        from tiltcal.logs.averaging import Means
+        from tiltcal.logs.means import Means
 
         sensors = [sensor.of(self.channels) for sensor in self.prepared.sensors] or [SensorColumns("", self.channels)]
         time, heading = self.roles.get(TIME), self.roles.get(HEADING)

@@ -10,9 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tiltcal
-from tiltcal.calibration.calibration import Calibration
+from tiltcal.calibration.record import compensation_of
+from tiltcal.calibration.stated_mounting import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.calibration.summary import objections
+from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.pair import PairRecord
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME, SensorColumns
@@ -20,11 +24,10 @@ from tiltcal.logs.compensation_kernel import Kernel, PairKernel, RowRemarks, Til
 from tiltcal.stated_arguments import is_number, require_boolean, require_from_zero, require_text_or_none, shown
 
 if TYPE_CHECKING:
-    from tiltcal.calibration.pair_calibration import PairCalibration
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
     from tiltcal.core.compensation import Compensation
     from tiltcal.core.earth_compensation import EarthFrameCompensation
-    from tiltcal.logs.averaging import Averaging
+    from tiltcal.logs.means import GroupSize
 
 
 _EXAMPLES = {"magnetometer": "mx,my,mz", "velocity": "u,v,w"}
@@ -32,7 +35,7 @@ _EXAMPLES = {"magnetometer": "mx,my,mz", "velocity": "u,v,w"}
 
 @dataclass(frozen=True)
 class ApplyOptions:
-    """How a calibration is to be applied; the attributes are arguments of :func:`tiltcal.logs.apply.apply_log`."""
+    """How a calibration is to be applied; the attributes are arguments of :func:`tiltcal.apply_log`."""
 
     first_order: bool = False
     uncertainty: bool = False
@@ -58,13 +61,13 @@ class ApplyOptions:
             if value is not None and not self.uncertainty:
                 raise UsageError(f"{option} needs --uncertainty")
 
-    def averaging(self) -> Averaging | None:
+    def averaging(self) -> GroupSize | None:
         """Return how rows are put into means; None where they are not."""
         if self.average is None and self.every is None:
             return None
-        from tiltcal.logs.averaging import averaging
+        from tiltcal.logs.means import GroupSize
 
-        return averaging(self.average, self.every)
+        return GroupSize.of(self.average, self.every)
 
     def vectors(self) -> dict[str, tuple[str, ...]]:
         """Return the columns of the vectors that are asked for, by role.
@@ -80,6 +83,10 @@ class ApplyOptions:
         if self.magnetometer_noise is not None and not (self.uncertainty and self.magnetometer):
             raise UsageError("--magnetometer-noise needs --magnetometer and --uncertainty")
         return found
+
+    def without_uncertainty(self) -> ApplyOptions:
+        """Return these options for the results alone."""
+        return replace(self, uncertainty=False, reading_noise=None, stability=None, magnetometer_noise=None)
 
     def require_file(self) -> None:
         """Raise UsageError for what is for a folder of calibrations."""
@@ -111,7 +118,7 @@ class PreparedCalibration:
         Roles that are taken where the log has them.
     vectors : mapping of str to tuple of str
         The three columns of ``magnetometer`` and ``velocity``, where these are asked for.
-    averaging : Averaging or None
+    averaging : GroupSize or None
         How rows are put into means before the kernel sees them.
     readings : PreparedCalibration or None
         What judges the readings of which means are made.
@@ -132,7 +139,7 @@ class PreparedCalibration:
     roles: tuple[str, ...] = ()
     optional_roles: tuple[str, ...] = ()
     vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    averaging: Averaging | None = None
+    averaging: GroupSize | None = None
     sensors: tuple[SensorColumns, ...] = ()
     lagged: bool = False
     readings: PreparedCalibration | None = None
@@ -153,7 +160,7 @@ def _three_columns(role: str, names: Sequence[str] | str) -> tuple[str, ...]:
 
 
 def prepare(
-    calibration: Calibration | PairCalibration,
+    calibration: CalibrationRecord | PairRecord,
     options: ApplyOptions,
     say: Callable[[str], None] = lambda line: None,
     *,
@@ -179,22 +186,22 @@ def prepare(
     """
     vectors, averaging = options.vectors(), options.averaging()
     stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}
-    if not isinstance(calibration, Calibration):
-        if not isinstance(calibration, tiltcal.PairCalibration):
-            raise UsageError(f"name a calibration or its file, not {calibration!r}")
+    if isinstance(calibration, PairRecord):
         return _of_pairs(calibration, options, stated, str(file or "the calibration"))
+    if not isinstance(calibration, CalibrationRecord):
+        raise UsageError(f"name a calibration or its file, not {calibration!r}")
     if options.mounting:
         calibration = _mounted(calibration, options.mounting, say)
     coefficients, sensor = calibration.coefficients, calibration.sensor
     stated["serial"] = sensor.serial
-    for objection in objections(calibration.record):
+    for objection in objections(calibration):
         say(f"note: the calibration of {sensor.serial}: {objection}")
     remarks, readings = remarks or RowRemarks(), None
     if averaging is not None:
         readings = prepare(calibration, ApplyOptions(options.first_order))
-        calibration = Calibration(replace(calibration.record, limits=replace(calibration.limits, length=inf)))
+        calibration = replace(calibration, limits=replace(calibration.limits, length=inf))
     try:
-        compensation = calibration.compensation(first_order=options.first_order)
+        compensation = compensation_of(calibration, first_order=options.first_order)
         uncertain = _uncertain(calibration, compensation, options.reading_noise, say) if options.uncertainty else None
         if uncertain is not None and averaging is not None:
             say("note: the noise of readings counts as white: a mean of n rows has 1/√n of it")
@@ -220,29 +227,29 @@ def prepare(
 
 
 def _of_pairs(
-    calibration: PairCalibration, options: ApplyOptions, origin: Mapping[str, str], file: str
+    calibration: PairRecord, options: ApplyOptions, origin: Mapping[str, str], file: str
 ) -> PreparedCalibration:
     for name in ("first_order", "uncertainty", "mounting", "magnetometer", "velocity", "average", "every"):
         if getattr(options, name):
             raise UsageError(
                 f"--{name.replace('_', '-')} is for tilt calibrations; {file} is of pairs, which have no tilt"
             )
-    matched = calibration.compensation()
-    units = {channel: DEGREE for channel in matched.channels if channel == calibration.phase}
+    matched = PairCompensation(calibration.matchings, calibration.spin.phase)
+    units = {channel: DEGREE for channel in matched.channels if channel == calibration.spin.phase}
     return PreparedCalibration(PairKernel(matched), matched.channels, units, (), (), origin)
 
 
-def _mounted(calibration: Calibration, angles: Mapping[str, float] | str, say: Callable[[str], None]) -> Calibration:
+def _mounted(
+    calibration: CalibrationRecord, angles: Mapping[str, float] | str, say: Callable[[str], None]
+) -> CalibrationRecord:
     """Return the calibration in a known mounting; report one that is replaced."""
-    from tiltcal.calibration.stated_mounting import mounting_in_words
-
     own = calibration.coefficients.mounting
     if own is not None:
         say(f"note: --mounting replaces the mounting of the calibration, {mounting_in_words(own)}")
-    return calibration.with_mounting(angles)
+    return with_mounting(calibration, stated_mounting(angles))
 
 
-def _roles(vectors: Mapping[str, tuple[str, ...]], averaging: Averaging | None) -> tuple[str, ...]:
+def _roles(vectors: Mapping[str, tuple[str, ...]], averaging: GroupSize | None) -> tuple[str, ...]:
     """Return the roles that a log must have besides readings."""
     heading = () if "magnetometer" in vectors or not vectors else (HEADING,)
     return (*heading, TIME) if averaging is not None and averaging.seconds else heading
@@ -277,14 +284,12 @@ def _earth(
 
 
 def _uncertain(
-    calibration: Calibration, compensation: Compensation, reading_noise: float | None, say: Callable[[str], None]
+    calibration: CalibrationRecord, compensation: Compensation, reading_noise: float | None, say: Callable[[str], None]
 ) -> CompensationWithUncertainty:
     """Return the kernel that adds uncertainties; report what it has to assume."""
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 
-    stated, remarks = stated_uncertainty(
-        calibration.record.uncertainty, calibration.coefficients, reading_noise=reading_noise
-    )
+    stated, remarks = stated_uncertainty(calibration.uncertainty, calibration.coefficients, reading_noise=reading_noise)
     for remark in remarks:
         say(f"note: {remark}")
     return CompensationWithUncertainty(compensation, calibration.coefficients, stated)

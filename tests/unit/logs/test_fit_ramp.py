@@ -7,11 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from support.recordings import RECORDINGS, needs
 
-from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.core.ramp.fit import fit_ramp
 from tiltcal.core.ramp.record import RampRecord, legs_of, ramp_record
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.logs.fit import fit
+from tiltcal.library.calibration import Calibration, read
+from tiltcal.library.fit import fit
 
 REAL = RECORDINGS / "thermal_ramp.csv"
 LAG = 120.0

@@ -13,7 +13,7 @@ from math import dist
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
+from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import InputError

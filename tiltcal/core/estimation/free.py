@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.estimation.equations import NOISE
-from tiltcal.core.estimation.identifiability import undetermined
+from tiltcal.core.estimation.solve import undetermined
 from tiltcal.core.model import AXES, Array, ChannelModel
 from tiltcal.core.uncertain import NORMAL_FACTOR, Uncertain, coverage_factor
 from tiltcal.errors import EstimateError
