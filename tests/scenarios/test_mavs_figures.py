@@ -19,7 +19,7 @@ from support import FIXTURES
 from tiltcal.bench import settle
 from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.compensation import Compensation
-from tiltcal.drivers.twin.truth import Truth
+from tiltcal.drivers.virtual import Truth
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.twin import read_twin
 from tiltcal.library.measure import measure

@@ -13,8 +13,7 @@ from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.bench.session import Session
 from tiltcal.bench.session_plan import plan_session
-from tiltcal.drivers.twin.conversions import Conversions
-from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.drivers.virtual import Fixture, VirtualPart
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
@@ -186,7 +185,7 @@ def test_a_thermometer_that_is_five_minutes_late_is_waited_for(
     Path("twin.yaml").write_text(LATE)
     move = Fixture.move
     monkeypatch.setattr(Fixture, "move", lambda fixture, gravity, to=None: move(fixture, gravity, to, 1.0))
-    monkeypatch.setattr(Conversions, "temperature", lambda part: part._fixture.temperature(300.0))
+    monkeypatch.setattr(VirtualPart, "_celsius", lambda part: part._fixture.temperature(300.0))
     live = session("two-temperature", model="scl3300")
     live.probe()
 

@@ -28,10 +28,9 @@ from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.hysteresis import with_hysteresis
-from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, pooled
 from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.core.estimation.solve import solved_at
-from tiltcal.core.statistics import SampleSummary, summarise
+from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means, pooled, summarise
 
 Array = NDArray[np.float64]
 Sums = dict[str, list[float]]

@@ -24,7 +24,7 @@ from support.fuzz_inputs import (
 )
 from support.fuzz_targets import target
 from tiltcal.drivers import models
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import TiltcalError
 
 EVENTS = 25
@@ -206,7 +206,7 @@ def device(draw: Random) -> None:
     from tiltcal.drivers.bus import link_letter
     from tiltcal.drivers.bus.address import parse_address
     from tiltcal.drivers.bus.clock import VirtualClock
-    from tiltcal.drivers.device import SelfTesting
+    from tiltcal.drivers.model import SelfTesting
 
     model = draw.choice(known_models())
     where = parse_address(draw.choice(model.addresses))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from tiltcal.bench.recording import column_name
 from tiltcal.bench.sensor_set import Sample
 from tiltcal.core.pair.model import Pair
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.rotation import Rotation
 

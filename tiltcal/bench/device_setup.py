@@ -9,7 +9,7 @@ from functools import cached_property
 from tiltcal.core.attitude import STRAIGHT, Orientation, orientation
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer, bench_of
 from tiltcal.files.document import Document

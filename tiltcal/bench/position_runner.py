@@ -35,9 +35,9 @@ from tiltcal.core.detection import TILTED
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.core.ramp.record import RampRecord
-from tiltcal.core.statistics import summarise
-from tiltcal.drivers.device import Reading
-from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.core.samples import summarise
+from tiltcal.drivers.model import Reading
+from tiltcal.drivers.virtual import Fixture
 from tiltcal.errors import HardwareError, InputError, JournalError, SensorError
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position

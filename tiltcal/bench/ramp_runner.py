@@ -20,7 +20,7 @@ from tiltcal.bench.sensor_set import RECOVERY, Sample, SensorSet
 from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.bench.settle import Unsettled
 from tiltcal.core.ramp.record import RampRecord, ramp_record
-from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.drivers.virtual import Fixture
 from tiltcal.errors import SensorError, UsageError
 from tiltcal.files.procedure import Position, Ramp
 

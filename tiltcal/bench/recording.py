@@ -20,7 +20,7 @@ from tiltcal.bench.event_log import EventLog
 from tiltcal.bench.sensor_set import ConnectedSensor, Listener, SensorSet, connected, probe_devices
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
-from tiltcal.drivers.device import Reading, in_words
+from tiltcal.drivers.model import Reading, link_in_words
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import append_whole
 from tiltcal.files.bench import BenchFile
@@ -56,7 +56,9 @@ class RecordingTally:
     def losses_in_words(self) -> str:
         """The missing readings as the end of a line, and the link statistics as lines of text."""
         missing = f", {self.missing} readings missing ({self.why})" if self.missing else ""
-        return missing + "".join(f"\n{device}: {in_words(counts)}" for device, counts in self.link_statistics.items())
+        return missing + "".join(
+            f"\n{device}: {link_in_words(counts)}" for device, counts in self.link_statistics.items()
+        )
 
 
 class CsvRecorder:

@@ -20,7 +20,7 @@ from tiltcal.bench.session_plan import SessionPlan
 from tiltcal.core.pair.matching import Matching, match
 from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.drivers.bus.link import Interruption
-from tiltcal.drivers.device import StreamingSensor
+from tiltcal.drivers.model import StreamingSensor
 from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import BenchRecord, BenchSensorRecord, PairProvenance, SamplesRecord

@@ -20,7 +20,7 @@ from tiltcal.core.detection import (
     outliers,
 )
 from tiltcal.core.quantisation import resolution
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.model import Model, Reading
 
 POWER_ON = 85.0
 """The temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)."""

@@ -16,7 +16,7 @@ from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Interruption, Link
-from tiltcal.drivers.device import IdentifiedSensor, Model, Reading, Sensor, StreamingSensor
+from tiltcal.drivers.model import IdentifiedSensor, Model, Reading, Sensor, StreamingSensor
 from tiltcal.errors import BusError, HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity
 

@@ -24,7 +24,7 @@ from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.calibration.record import record_in
 from tiltcal.calibration.verification import Verification, verify_positions
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.drivers.device import Reading
+from tiltcal.drivers.model import Reading
 from tiltcal.errors import HardwareError, InputError, Stopped, TiltcalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration

@@ -12,9 +12,8 @@ from tiltcal.core.model import Mounting
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
-from tiltcal.drivers.device import Model
-from tiltcal.drivers.twin.fixture import Fixture
-from tiltcal.drivers.twin.truth import Truth
+from tiltcal.drivers.model import Model
+from tiltcal.drivers.virtual import Fixture, Truth
 from tiltcal.files.twin import read_twin
 
 

@@ -14,7 +14,7 @@ from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.estimation.positions import Design, Observation, StatedCoefficients
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.statistics import BLOCKS
+from tiltcal.core.samples import BLOCKS
 from tiltcal.core.uncertain import ALIGNMENT, READING, TURN
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration, tilt_record

@@ -121,18 +121,21 @@ def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: st
     """Return the overview of a log; apply the calibration if the log is raw."""
     from tiltcal.logs.columns import TIME, named_columns
     from tiltcal.logs.formats import open_log
+    from tiltcal.logs.kernel import prepare
+    from tiltcal.logs.options import ApplyOptions
     from tiltcal.logs.overview import look_over
-    from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
+    from tiltcal.options import complete
     from tiltcal.report.record_figures import ReportedLog
 
-    prepared = prepare(calibration, ApplyOptions(), file=file)
+    options = complete(ApplyOptions, {"columns": columns})
+    prepared = prepare(calibration, options, file=file)
     with (
         progress_bar("report") as progress,
         open_log(log, skip_bad_rows=skip_bad_rows, digest=True, progress=progress) as rows,
     ):
         clock = named_columns(columns, prepared.channels).get(TIME, TIME)
         time = rows.names.index(clock) if clock in rows.names else None
-        overview, compensated = look_over(rows, prepared, columns, time)
+        overview, compensated = look_over(rows, prepared, options, time)
         return ReportedLog(Path(rows.name).name, rows.sha256, overview, compensated, time is not None)
 
 

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import noise_under_rounding
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary, noise_under_rounding
 
 CHANCE = 1e-6
 """Probability of identical samples below which they are no chance."""
@@ -116,7 +115,7 @@ def is_still(
     Parameters
     ----------
     change, uncertainty : float
-        Of :func:`tiltcal.core.statistics.drift`.
+        Of :func:`tiltcal.core.samples.drift`.
     limit : float
         The largest change that counts as none, same unit.
     sigmas : float

@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import StepFinder, rounding_uncertainty
+from tiltcal.core.quantisation import StepFinder
+from tiltcal.core.samples import rounding_uncertainty
 from tiltcal.core.uncertain import COVERAGE
 from tiltcal.errors import EstimateError
 

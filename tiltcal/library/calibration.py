@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Unpack, overload
@@ -22,8 +21,9 @@ from tiltcal.files.document import read_document
 from tiltcal.files.pair import PairRecord
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty
-from tiltcal.library.apply_arguments import ApplyArguments, Frame
-from tiltcal.library.pair_calibration import PairCalibration
+from tiltcal.library.pair_calibration import Frame, PairCalibration
+from tiltcal.logs.options import ApplyOptions
+from tiltcal.options import complete, takes
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,63 +131,20 @@ class Calibration:
         return compensation_of(self.record, first_order=first_order)
 
     @overload
-    def apply(self, frame: Mapping[str, Any], **arguments: Unpack[ApplyArguments]) -> dict[str, Any]: ...
+    def apply(self, frame: Mapping[str, Any], **options: Unpack[ApplyOptions]) -> dict[str, Any]: ...
 
     @overload
-    def apply(self, frame: Frame, **arguments: Unpack[ApplyArguments]) -> Frame: ...
+    def apply(self, frame: Frame, **options: Unpack[ApplyOptions]) -> Frame: ...
 
-    def apply(
-        self,
-        frame: Any,
-        *,
-        columns: Mapping[str, str] | str = "",
-        uncertainty: bool = False,
-        first_order: bool = False,
-        reading_noise: float | None = None,
-        mounting: Mapping[str, float] | str = "",
-        magnetometer: Sequence[str] | str = (),
-        velocity: Sequence[str] | str = (),
-        declination: float | None = None,
-        magnetometer_noise: float | None = None,
-        average: int | None = None,
-        every: str | float | timedelta | None = None,
-        unit: str | None = None,
-        say: Callable[[str], None] = lambda line: None,
-    ) -> Any:
+    @takes(ApplyOptions)
+    def apply(self, frame: Any, **options: Any) -> Any:
         """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
 
         Parameters
         ----------
         frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
             A column for each reading, and for the temperature in °C where there is one.
-        columns : mapping of str to str, or str
-            The column of each reading, such as ``{"x": "VoutX"}``; without it, the column of its name.
-        uncertainty : bool
-            Add the standard uncertainty of every angle and half of its 95 % interval, degrees.
-        first_order : bool
-            Use Cross-axis Compensation, eq. 6, in place of the whole matrix.
-        reading_noise : float, optional
-            Standard uncertainty of a reading of the frame, in its unit, in place of that of a sample at the bench.
-        mounting : mapping of str to float, or str
-            How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of its own mounting.
-        magnetometer : sequence of str, or str
-            The three columns of the magnetic field, such as ``"mx,my,mz"``: adds ``heading``, degrees clockwise from
-            north of the horizontal part of +X. The magnetometer has the axes of the sensor.
-        velocity : sequence of str, or str
-            The three columns of a velocity, such as ``"u,v,w"``, in the application's frame: adds ``v_east``,
-            ``v_north`` and ``v_up`` in their unit. It needs a magnetometer, or a column of headings.
-        declination : float, optional
-            How far magnetic north is east of true north, degrees; added to the heading, of a column as well.
-        magnetometer_noise : float, optional
-            With `uncertainty`: standard uncertainty of a component of the field, in its unit.
-        average : int, optional
-            Apply to the means of so many rows each: the frame has a row for each mean, and ``count``.
-        every : str, float or timedelta, optional
-            Apply to the means of so much time each, such as ``"10s"``, or in seconds; it needs a column of times.
-        unit : str, optional
-            Of the readings; an xarray Dataset states it itself. One that is not the calibration's is refused.
-        say : callable
-            Called with each remark about what had to be assumed.
+        **options
 
         Returns
         -------
@@ -204,23 +161,7 @@ class Calibration:
         """
         from tiltcal.logs.apply import apply_frame
 
-        return apply_frame(
-            self.record,
-            frame,
-            columns=columns,
-            uncertainty=uncertainty,
-            first_order=first_order,
-            reading_noise=reading_noise,
-            mounting=mounting,
-            magnetometer=magnetometer,
-            velocity=velocity,
-            declination=declination,
-            magnetometer_noise=magnetometer_noise,
-            average=average,
-            every=every,
-            unit=unit,
-            say=say,
-        )
+        return apply_frame(self.record, frame, complete(ApplyOptions, options))
 
     def with_mounting(self, angles: Mapping[str, float] | str) -> Calibration:
         """Return this calibration for a sensor that sits in a known way; a mounting that it has is replaced.

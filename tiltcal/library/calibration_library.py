@@ -11,8 +11,10 @@ from tiltcal.calibration.calibration_folder import CalibrationFolder
 from tiltcal.calibration.interpolation import Stability
 from tiltcal.calibration.sensor_history import SensorHistory
 from tiltcal.files.calibration_folder import FolderIndex
-from tiltcal.library.apply_arguments import ApplyArguments, Frame
 from tiltcal.library.calibration import Calibration
+from tiltcal.library.pair_calibration import Frame
+from tiltcal.logs.options import ApplyOptions
+from tiltcal.options import complete, takes
 
 
 class CalibrationLibrary:
@@ -70,7 +72,7 @@ class CalibrationLibrary:
         ----------
         serial : str
         stated : float, optional
-            The standard deviation of the offset's change in one day, mg, in place of half of each change.
+            The standard deviation of the offset's change in one day, mg, in place of an estimate.
         """
         return self.records.stability(serial, stated)
 
@@ -83,7 +85,7 @@ class CalibrationLibrary:
         time : str, datetime or date
             As text in ISO 8601; UTC where it names no zone.
         stability : float, optional
-            The standard deviation of the offset's change in one day, mg, in place of half of each change.
+            The standard deviation of the offset's change in one day, mg, in place of an estimate.
 
         Raises
         ------
@@ -95,50 +97,20 @@ class CalibrationLibrary:
         return Calibration(self.records.at(serial, time, stability))
 
     @overload
-    def apply(
-        self,
-        frame: Mapping[str, Any],
-        *,
-        serial: str | None = None,
-        stability: float | None = None,
-        start: str | date | None = None,
-        **options: Unpack[ApplyArguments],
-    ) -> dict[str, Any]: ...
+    def apply(self, frame: Mapping[str, Any], **options: Unpack[ApplyOptions]) -> dict[str, Any]: ...
 
     @overload
-    def apply(
-        self,
-        frame: Frame,
-        *,
-        serial: str | None = None,
-        stability: float | None = None,
-        start: str | date | None = None,
-        **options: Unpack[ApplyArguments],
-    ) -> Frame: ...
+    def apply(self, frame: Frame, **options: Unpack[ApplyOptions]) -> Frame: ...
 
-    def apply(
-        self,
-        frame: Any,
-        *,
-        serial: str | None = None,
-        stability: float | None = None,
-        start: str | date | None = None,
-        **options: Any,
-    ) -> Any:
+    @takes(ApplyOptions)
+    def apply(self, frame: Any, **options: Any) -> Any:
         """Turn the raw readings of a frame into tilt, as ``tiltcal apply --calibrations`` does with a log.
 
         Parameters
         ----------
         frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
             Columns for the readings, the time, and the temperature in °C where there is one.
-        serial : str, optional
-            Of the sensor; else that of the frame's attributes, or of its column names (``SERIAL_x``).
-        stability : float, optional
-            The standard deviation of the offset's change in one day, mg, in place of half of each change.
-        start : str or datetime, optional
-            When the time of the frame is 0, as text in ISO 8601, where its time is relative.
         **options
-            Those of :meth:`Calibration.apply`.
 
         Returns
         -------
@@ -152,7 +124,7 @@ class CalibrationLibrary:
         """
         from tiltcal.logs.apply import apply_frame
 
-        return apply_frame(self.records, frame, serial=serial, stability=stability, start=start, **options)
+        return apply_frame(self.records, frame, complete(ApplyOptions, options))
 
 
 def open_calibrations(folder: str | Path) -> CalibrationLibrary:

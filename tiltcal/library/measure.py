@@ -19,7 +19,7 @@ from tiltcal.calibration.level import NO_LEVEL, level_summary
 from tiltcal.calibration.summary import NOT_FOLLOWED, summary, verdict
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.drivers.device import Sensor, in_words
+from tiltcal.drivers.model import Sensor, link_in_words
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.library.calibration import Calibration
@@ -220,7 +220,7 @@ def _results(
 ) -> Calibration | PairCalibration | list[Calibration]:
     """Return what a session found, and remark what limits it."""
     for name, statistics in outcome.ending.link_statistics_by_serial.items():
-        remark(f"{name}: {in_words(statistics)}")
+        remark(f"{name}: {link_in_words(statistics)}")
     records, determines = list(outcome.calibrations.values()), session.plan.procedure.determines
     if session.plan.procedure.rotation is not None:
         pair = PairCalibration(records[0])  # type: ignore[arg-type]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 from tiltcal.calibration.pair_summary import pair_summary
 from tiltcal.core.pair.compensation import PairCompensation
@@ -13,7 +13,11 @@ from tiltcal.core.pair.matching import Matching
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.pair import PairRecord, dump_pair
 from tiltcal.files.results import PairProvenance
-from tiltcal.library.apply_arguments import Frame
+from tiltcal.logs.options import ApplyOptions
+from tiltcal.options import complete
+
+Frame = TypeVar("Frame")
+"""A frame of any kind: the same kind comes back; without their stubs those of pandas and pyarrow are Any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,7 @@ class PairCalibration:
         """
         from tiltcal.logs.apply import apply_frame
 
-        return apply_frame(self.record, frame, columns=columns, **options)
+        return apply_frame(self.record, frame, complete(ApplyOptions, {"columns": columns, **options}))
 
     def save(self, path: str | Path) -> None:
         """Write the pair file, whole or not at all.

@@ -27,11 +27,12 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
 from tiltcal.files.uncertainty import length_tolerance
 from tiltcal.logs.columns import TEMPERATURE, TIME, SensorColumns, named_columns
-from tiltcal.logs.compensation_kernel import Kernel, LagCorrection, RoleValues, RowRemarks
+from tiltcal.logs.kernel import Kernel, LagCorrection, PreparedCalibration, RoleValues, RowRemarks, prepare
 from tiltcal.logs.log import LogReader, Table
-from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
+from tiltcal.logs.options import ApplyOptions, silent
 from tiltcal.logs.streams import sha256_of
 from tiltcal.logs.text_to_numbers import no_time_yet
+from tiltcal.options import complete
 
 if TYPE_CHECKING:
     from tiltcal.calibration.calibration_folder import CalibrationFolder
@@ -48,24 +49,29 @@ SERIAL_NOTES = ("serial", "serial_number", "sensor_serial_number", "instrument_s
 """The attributes or metadata of a log that may state its sensor."""
 
 _GROWTH, _DOUBLINGS = 8, 20  # steps of the time outside for each doubling of it, from an hour to 120 years
+_WITHOUT_UNCERTAINTY: ApplyOptions = {
+    "uncertainty": False,
+    "reading_noise": None,
+    "stability": None,
+    "magnetometer_noise": None,
+}
 
 
 def prepare_library(
     library: CalibrationFolder,
     log: LogReader,
     options: ApplyOptions,
-    columns: Mapping[str, str] | str = "",
-    say: Callable[[str], None] = lambda line: None,
 ) -> PreparedCalibration:
     """Find the calibrations of a log's sensors and make them ready.
 
     UsageError: the log and the options do not name a sensor of the folder, or name different ones.
     InputError: a calibration is wrong, or two contradict each other.
     """
-    start = None if options.start is None else moment(options.start).timestamp()
+    say = options["say"]
+    start = None if options["start"] is None else moment(options["start"]).timestamp()
     for problem in library.index.problems:
         say(f"note: left out: {problem}")
-    found = _serials(library, log, options, say)
+    found = _serials(library, log, options)
     leads = [lead for _, lead in found]
     parts = []
     for history in [library.history(serial) for serial, _ in found]:
@@ -74,23 +80,21 @@ def prepare_library(
         for calibration in history.calibrations[:-1]:
             for objection in objections(calibration.record):
                 say(f"note: {calibration.name}: {objection}")
-        stability = library.stability(history.sensor.serial, options.stability) if options.uncertainty else None
+        stability = library.stability(history.sensor.serial, options["stability"]) if options["uncertainty"] else None
         _say_stability(history, stability, say)
-        parts.append(_prepare_sensor(history, stability, options, start, log.name, say))
+        parts.append(_prepare_sensor(history, stability, options, start, log.name))
     others = parts[0].roles
-    named = named_columns(columns, [name for part in parts for name in part.channels], others)
+    named = named_columns(options["columns"], [name for part in parts for name in part.channels], others)
     roles = others if start is not None and named.get(TIME, TIME) not in log.names else (TIME, *others)
     if leads == [""]:
         return replace(parts[0], roles=roles)
     return _bench(leads, parts, log.names, roles)
 
 
-def _serials(
-    library: CalibrationFolder, log: LogReader, options: ApplyOptions, say: Callable[[str], None]
-) -> list[tuple[str, str]]:
+def _serials(library: CalibrationFolder, log: LogReader, options: ApplyOptions) -> list[tuple[str, str]]:
     """Return the serial number of each sensor of a log, and what the names of its columns begin with."""
     noted = next((str(log.notes[key]) for key in SERIAL_NOTES if key in log.notes), None)
-    serial = options.serial
+    serial, say = options["serial"], options["say"]
     if serial and noted and serial != noted:
         raise UsageError(f"{log.name} states the serial number {noted!r}, and --serial says {serial!r}: leave one out")
     if serial or noted:
@@ -142,17 +146,16 @@ def _prepare_sensor(
     options: ApplyOptions,
     start: float | None,
     log: str,
-    say: Callable[[str], None],
 ) -> PreparedCalibration:
     calibrations = history.calibrations
     origin = {
         "calibration": ", ".join(calibration.name for calibration in calibrations),
         "sha256": ", ".join(sha256_of(calibration.path) for calibration in calibrations),
     }
-    template = prepare(calibrations[-1].record, options, say, origin=origin)
+    template = prepare(calibrations[-1].record, options, origin=origin)
     kernel = LibraryKernel(history, stability, options, template, start, log)
-    alone = ApplyOptions(options.first_order, mounting=options.mounting)
-    readings = template.readings and _prepare_sensor(history, None, alone, start, log, lambda line: None)
+    alone = complete(ApplyOptions, {name: options[name] for name in ("first_order", "mounting")})
+    readings = template.readings and _prepare_sensor(history, None, alone, start, log)
     return replace(template, kernel=kernel, readings=readings)
 
 
@@ -183,12 +186,14 @@ class LibraryKernel:
         log: str,
     ) -> None:
         self.columns, self._remarks = template.kernel.columns, template.remarks[""]
-        self._stability, self._options = stability, options
+        self._stability = stability
+        self._options: ApplyOptions = {**options, "say": silent}
+        self._plain: ApplyOptions = {**self._options, **_WITHOUT_UNCERTAINTY}
         self._start, self._log = start, log
         last = history.calibrations[-1].record
         mounting = last.coefficients.mounting
         records = [one.record for one in history.calibrations]
-        if options.mounting:  # it replaces that of each
+        if options["mounting"]:  # it replaces that of each
             records = [replace(one, coefficients=replace(one.coefficients, mounting=mounting)) for one in records]
         self._length = max(length_tolerance(one.uncertainty, one.coefficients, one.limits) for one in records)
         rails = limits_of(last).reading
@@ -235,7 +240,7 @@ class LibraryKernel:
         share = (time - dates[k]) / (dates[k + 1] - dates[k])
         before = self._kernel(float(dates[k]), plain=True)(values)
         table = _interpolated(before, self._kernel(float(dates[k + 1]), plain=True, counts=False)(values), share)
-        if self._options.uncertainty:
+        if self._options["uncertainty"]:
             table |= {name: u for name, u in self._kernel(middle, counts=False)(values).items() if name not in table}
         return {name: table[name] for name in self.columns}
 
@@ -246,7 +251,7 @@ class LibraryKernel:
             record = _without_lag(dated[0] if dated else calibration_at(self._history, time, self._stability))
             # With them stated, nothing looks for the sensor's model in each step.
             record = replace(record, limits=replace(record.limits, reading=self._rails, length=self._length))
-            options = self._options.without_uncertainty() if plain else self._options
+            options = self._plain if plain else self._options
             remarks = self._remarks if counts else RowRemarks()
             self._kernels[key] = prepare(record, options, remarks=remarks).kernel
         return self._kernels[key]

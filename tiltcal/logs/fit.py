@@ -18,9 +18,9 @@ from tiltcal.calibration.suitability import require_tilt
 from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import significant
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
@@ -35,6 +35,7 @@ from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, IntervalSamples, Rails, sampled
 from tiltcal.logs.log import Progress
+from tiltcal.logs.options import FitOptions
 from tiltcal.logs.ramp import read_ramp
 from tiltcal.logs.recorded_readings import RecordedReadings, recorded_readings
 from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
@@ -47,68 +48,35 @@ from tiltcal.logs.static_intervals import (
     unplaced,
 )
 from tiltcal.logs.streams import imported_meanwhile, sha256_of
-from tiltcal.stated_arguments import is_number, require_boolean, require_name, require_whole, shown
-
-SHORTEST = 4
-"""Rows of a window over which a sensor can be still."""
-
-LOCAL_GRAVITY = (9.7, 9.9)
-"""Gravity on the ground is between these, m/s²."""
+from tiltcal.stated_arguments import require_name
 
 R = TypeVar("R", LogRecord, FileRecord, SegmentsRecord)
 
 FOUND_ONLY = "--window and --segments-out are for `tiltcal fit free` without --segments, which finds them"
 
 
-@dataclass(frozen=True)
-class FitOptions:
-    """What is stated of recorded data; the attributes are arguments of :func:`tiltcal.fit`."""
-
-    serial: str | None = None
-    unit: str | None = None
-    sensor: str | None = None
-    segments: Any = None
-    table: bool | None = None
-    columns: Mapping[str, str] | str = ""
-    jig: float | None = None
-    thermometer: float | None = None
-    table_lean: float | None = None
-    heading: float | None = None
-    tilt: float | None = None
-    gravity: float | None = None
-    window: int | None = None
-    alignment: float | None = None
-    base: str | Path | None = None
-
-
 def fit_recorded(
     procedure: str | Path,
     data: Any,
     options: FitOptions,
-    say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
 ) -> CalibrationRecord:
     """Calibrate a sensor from recorded data; arguments and errors are those of :func:`tiltcal.fit`."""
-    steps = find_procedure(procedure, options.tilt).with_alignment(options.alignment)
+    steps = find_procedure(procedure, options["tilt"]).with_alignment(options["alignment"])
     steps.require_positions()
-    table = _is_table(data, options.segments) if options.table is None else options.table
-    require_boolean("--table", table)
-    source = FitSource(data, options.segments, table, options.columns, options.window, progress)
+    table = _is_table(data, options["segments"]) if options["table"] is None else options["table"]
+    source = FitSource(data, options["segments"], table, options["columns"], options["window"], progress)
     source.require_sound(steps)
-    require_no_jig(steps, options.jig)
-    bench = BenchUncertainty(options.jig, options.thermometer, options.table_lean, options.heading)
-    gravity, base = options.gravity, options.base
-    if gravity is not None and not (is_number(gravity, LOCAL_GRAVITY[0]) and gravity <= LOCAL_GRAVITY[1]):
-        raise UsageError(
-            f"--gravity {shown(gravity)}: local gravity is between {LOCAL_GRAVITY[0]:g} and {LOCAL_GRAVITY[1]:g} m/s²"
-        )
-    model = find_model(options.sensor) if options.sensor else None
+    require_no_jig(steps, options["jig"])
+    bench = BenchUncertainty(options["jig"], options["thermometer"], options["table_lean"], options["heading"])
+    gravity, base, say = options["gravity"], options["base"], options["say"]
+    model = find_model(options["sensor"]) if options["sensor"] else None
     if model is not None:
         require_tilt(steps, model)
-    serial = _serial(options.serial, base)
+    serial = _serial(options["serial"], base)
     known = bases_of(steps, base, [serial]).get(serial)
     own = None if known is None else known.calibration
-    identity = _identity(own, model, steps, options.unit, serial)
+    identity = _identity(own, model, steps, options["unit"], serial)
     if own is None and model is None:
         identity = identity.replaced(channels=source.channels(steps, say))
     nominal = None if model is None or model.unit != identity.unit else model
@@ -188,7 +156,6 @@ class FitSource:
             )
         if self.window is not None and not (free and self.finds):
             raise UsageError(FOUND_ONLY)
-        require_whole("--window", self.window, SHORTEST, "rows")
 
     def require_unit(self, unit: str) -> None:
         """Raise InputError for a table in an xarray Dataset whose means are in another unit; a log is checked later."""

@@ -26,7 +26,7 @@ from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import SensorColumns
 from tiltcal.logs.log import LogBlock, Table
 from tiltcal.logs.text_to_numbers import no_time_yet, texts_of_times
-from tiltcal.stated_arguments import is_number, require_whole
+from tiltcal.stated_arguments import is_number
 
 if TYPE_CHECKING:
     import polars as pl
@@ -44,13 +44,12 @@ class GroupSize:
     seconds: float | None = None
 
     @classmethod
-    def of(cls, rows: int | None, every: str | float | timedelta | None) -> GroupSize:
-        """Return what ``--average`` and ``--every`` state; one of them is given."""
-        if (rows is None) == (every is None):
+    def of(cls, rows: int | None, every: str | float | timedelta | None) -> GroupSize | None:
+        """Return what ``--average`` and ``--every`` state; None where neither is given."""
+        if rows is not None and every is not None:
             raise UsageError("--average and --every each say what belongs into a mean: give one of them")
-        if rows is not None:
-            require_whole("--average", rows, 1, "rows")
-            return cls(rows=rows)
+        if every is None:
+            return None if rows is None else cls(rows=rows)
         text = str(every.total_seconds() if isinstance(every, timedelta) else every).strip()
         match = _DURATION.fullmatch(text)
         try:

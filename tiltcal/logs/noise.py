@@ -18,7 +18,7 @@ from tiltcal.core.noise import FEWEST_SAMPLES, ChannelNoise, NoiseScale, charact
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.columns import OF_G
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.logs.columns import TIME, locate_columns, locate_readings, named_columns

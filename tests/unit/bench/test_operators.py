@@ -15,9 +15,9 @@ from tiltcal.bench.operators.sim import SimOperator
 from tiltcal.bench.operators.terminal import TerminalOperator
 from tiltcal.bench.position_result import PositionResult
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
-from tiltcal.drivers.device import Reading
+from tiltcal.drivers.model import Reading
 from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Determines, Position, Procedure
 

@@ -19,9 +19,9 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.calibration.mounting import mount
 from tiltcal.core.model import Array, Coefficients, Mounting, Thermal
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
-from tiltcal.drivers.device import Model, Population
+from tiltcal.drivers.model import Model, Population
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Determines, Procedure

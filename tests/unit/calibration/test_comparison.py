@@ -10,7 +10,7 @@ import pytest
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.library.calibration import Calibration

@@ -12,7 +12,7 @@ from tiltcal.calibration.interpolation import Interval, Stability, extrapolate
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement
 from tiltcal.core.model import Coefficients
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.uncertainty import Uncertainty

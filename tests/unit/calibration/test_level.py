@@ -16,7 +16,7 @@ from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.level import NO_LEVEL, NO_NOISE, level, level_summary
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.model import Array, Mounting, vector_of, with_vector
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure_file import find_procedure

@@ -14,10 +14,10 @@ from tiltcal.bench.device_setup import DeviceSetup
 from tiltcal.bench.event_log import EventLog, RecordedClock
 from tiltcal.bench.virtual_bench import VirtualBench
 from tiltcal.drivers import find_model
-from tiltcal.drivers import scl3300_frames as frames
+from tiltcal.drivers import scl3300 as frames
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.device import Model, Sensor
+from tiltcal.drivers.model import Model, Sensor
 from tiltcal.errors import BusError, DeviceFault, SensorError
 from tiltcal.files.journal import JournalWriter, read_journal
 

@@ -20,11 +20,12 @@ from tiltcal.errors import UsageError
 from tiltcal.library.apply import apply_log
 from tiltcal.library.calibration import Calibration, read
 from tiltcal.library.pair_calibration import PairCalibration
-from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import rows_of
+from tiltcal.logs.kernel import RoleValues, prepare
 from tiltcal.logs.log import LogBlock
-from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
+from tiltcal.logs.options import ApplyOptions
+from tiltcal.options import complete
 
 ROWS = 40_000  # more than a chunk of the kernel, and no multiple of one
 CAL = FIXTURES / "mavs.yaml"
@@ -237,7 +238,7 @@ def test_results_do_not_depend_on_where_blocks_end(name: str) -> None:
     """Files are cut into blocks, frames are not: sums in another order would differ in the last bit."""
     found = read(FIXTURES / f"{name}.yaml")
     assert isinstance(found, Calibration)
-    kernel = prepare(found.record, ApplyOptions(uncertainty=True)).kernel
+    kernel = prepare(found.record, complete(ApplyOptions, {"uncertainty": True})).kernel
     draw = np.random.default_rng(2)
     span = abs(np.diag(found.coefficients.sensitivity)).max()
     channels = len(found.coefficients.channels)

@@ -16,11 +16,12 @@ import tiltcal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.library.apply import apply_log
 from tiltcal.library.calibration import Calibration, read
-from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
 from tiltcal.logs.formats.csv_types import ColumnTypes
+from tiltcal.logs.kernel import RoleValues, prepare
 from tiltcal.logs.means import GroupSize
-from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
+from tiltcal.logs.options import ApplyOptions
+from tiltcal.options import complete
 
 CAL = """\
 tiltcal: 1
@@ -148,7 +149,7 @@ class TestGroups:
     def test_both_are_refused(self, cal: Calibration) -> None:
         with pytest.raises(UsageError, match="give one of them"):
             cal.apply(rows(x=[2.5]), average=2, every="10s")
-        assert GroupSize.of(None, "5min").seconds == 300.0
+        assert GroupSize.of(None, "5min") == GroupSize(seconds=300.0)
 
 
 def test_blocks_of_a_file_and_a_frame_give_the_same(cal: Calibration) -> None:
@@ -180,7 +181,7 @@ def test_the_uncertainty_of_a_mean_holds(cal: Calibration, count: int) -> None:
     with_noise = reading + noise / np.sqrt(count)
     # A mean of `count` rows is told apart from a single one by its count alone.
     log = {"x": np.repeat(with_noise, 1), "y": 2.5 + 2.0 * g_y}
-    kernel = prepare(cal.record, ApplyOptions(uncertainty=True, average=count)).kernel
+    kernel = prepare(cal.record, complete(ApplyOptions, {"uncertainty": True, "average": count})).kernel
     table = kernel(RoleValues(np.column_stack([log["x"], log["y"]]), count=np.full(trials, count)))
     error = np.abs(table["tilt_x"] - np.degrees(np.arcsin(g_x)))
     assert 0.94 < np.mean(error <= table["U95_tilt_x"]) < 0.96
@@ -193,7 +194,7 @@ def test_that_the_noise_counts_as_white_is_told_where_there_is_an_uncertainty(
     cal: Calibration, options: dict[str, bool], told: int
 ) -> None:
     said: list[str] = []
-    prepare(cal.record, ApplyOptions(average=2, **options), say=said.append)
+    prepare(cal.record, complete(ApplyOptions, {"average": 2, "say": said.append, **options}))
     assert sum("the noise of readings counts as white" in line for line in said) == told
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.rounding import plus_minus
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import InputError
 from tiltcal.files.procedure import Position, Procedure
 

@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn
 from tiltcal.core.detection import TEMPERATURES
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import InputError, Stopped, UsageError
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.stated_arguments import of_python

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn, pair_in_words
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Position, Procedure
 

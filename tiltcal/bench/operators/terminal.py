@@ -16,7 +16,7 @@ from tiltcal.bench.operators.keys import ENTER, Keys
 from tiltcal.bench.operators.operator import Live, OperatorAnswer, StageTurn, pair_in_words
 from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import HardwareError, InputError, Stopped
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.printable import printable

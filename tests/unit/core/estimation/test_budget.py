@@ -18,9 +18,9 @@ from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
-from tiltcal.core.estimation.pooling import pooled
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.solve import solved_at, start_as_set
+from tiltcal.core.samples import pooled
 from tiltcal.core.uncertain import coverage_factor, welch_satterthwaite
 from tiltcal.errors import EstimateError
 

@@ -18,12 +18,11 @@ from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.estimate import LEAN, Estimate, estimate
 from tiltcal.core.estimation.hysteresis import with_hysteresis
-from tiltcal.core.estimation.pooling import TIMES, _by_correlation_time, correlated_noise, noise_of_means
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.model import Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.mounting_rotation import solve_mounting
-from tiltcal.core.statistics import SampleSummary, summarise
+from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means, summarise
 from tiltcal.core.uncertain import coverage_factor
 
 Array = NDArray[np.float64]
@@ -161,19 +160,14 @@ class TestCorrelatedNoise:
         assert np.mean(hits) >= 0.93 - 3 * np.std(hits) / sqrt(20)
         assert np.mean(alarms) > 0.8
 
-    def test_the_mean_of_what_is_expected_of_short_records(self) -> None:
-        """3,000 autoregressive records of 300 samples, 200 of them a correlation time: mean and true factor."""
-        noise = scipy.signal.lfilter(
-            [1.0], [1.0, -0.995], np.random.default_rng(12).standard_normal((3000, 2600)), axis=1
-        )[:, 2300:]
-        blocks = noise.reshape(3000, 10, 30).mean(axis=2)
-        off = blocks - blocks.mean(axis=1, keepdims=True)
-        squares = np.sum(off**2, axis=1)
-        expected, factors = _by_correlation_time()
-        place = np.searchsorted(TIMES, -1.0 / np.log(0.995) / 30)
-        mean = np.mean(np.sum(off[:, :-1] * off[:, 1:], axis=1) / squares)
-        assert expected[place] == pytest.approx(mean, abs=0.012)
-        assert factors[place] == pytest.approx(np.std(blocks.mean(axis=1)) / np.sqrt(np.mean(squares) / 90), rel=0.05)
+    @pytest.mark.parametrize("memory", [0.95, 0.99, 0.995])
+    def test_the_factor_is_that_of_many_records(self, memory: float) -> None:
+        """3,000 positions of 300 samples, 20 to 200 of which are a correlation time: their means scatter so much."""
+        summaries = records(np.random.default_rng(12), memory, 3000)
+        correlated = correlated_noise(summaries)
+        assert correlated is not None
+        apparent = sqrt(np.mean([one.noise**2 for one in summaries]))
+        assert correlated.factor == pytest.approx(np.std([one.mean for one in summaries]) / apparent, rel=0.1)
 
     def test_white_noise_raises_no_alarm(self) -> None:
         rng = np.random.default_rng(6)

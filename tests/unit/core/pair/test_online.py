@@ -11,7 +11,7 @@ from support import accelerometer_disk as disk
 
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
-from tiltcal.drivers.twin.gradiometer import Disk, Gradiometer
+from tiltcal.drivers.stage import Disk, Gradiometer
 
 PAIR = Pair("a1", "a2", "a4")
 TRUTH = disk.truth()

@@ -16,7 +16,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.bus.edges import Edge, unpack_edges
+from tiltcal.drivers.bus.gpio import Edge, unpack_edges
 from tiltcal.errors import BusError, HardwareError, UsageError
 from tiltcal.files.journal import JournalWriter, read_journal
 

@@ -1,4 +1,4 @@
-"""DFRobot's TOY0048: a Murata SCA100T-D02 behind a microcontroller on a serial line.
+"""A sensor model of a third party: DFRobot's TOY0048, a Murata SCA100T-D02 behind a microcontroller on a serial line.
 
 ::
 
@@ -17,26 +17,19 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import reduce
 from operator import xor
-from typing import TYPE_CHECKING
 
 from tiltcal.drivers import sca100t
-from tiltcal.drivers.bus.link import Interruption
-from tiltcal.drivers.device import Model, Reading, from_twin, in_words
-from tiltcal.drivers.lines import CHUNK
-from tiltcal.drivers.registers import in_counts
+from tiltcal.drivers.bus.address import Address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Interruption, Link
+from tiltcal.drivers.model import Model, Reading, link_in_words
+from tiltcal.drivers.registers import in_words
+from tiltcal.drivers.virtual import HeldPose, Truth, VirtualLine
 from tiltcal.errors import BusError, DeviceFault
 
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
-
-REQUEST = bytes.fromhex("55AA02FD")
-HEADER = bytes.fromhex("55AA")
-
+REQUEST, HEADER = bytes.fromhex("55AA02FD"), bytes.fromhex("55AA")
 LENGTH = 8
 """Bytes of an answer, with header and checksum."""
-
 ATTEMPTS = 10
 """Requests for one sample before the driver raises an error."""
 
@@ -58,47 +51,36 @@ def parse_answer(received: bytes) -> Reading | None:
     return None
 
 
-class DfrobotSca100t:
-    """The driver of the module, on a serial line."""
+class Dfrobot:
+    """The driver of the module; it counts the answers that it used, and the damaged ones that it requested again."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
-        self._used = self._damaged = 0
+        self._counts = {"answers": 0, "damaged": 0}
 
     def probe(self) -> Mapping[str, str]:
-        """Return a sample, and the link statistics, as text; the errors are those of :meth:`read`."""
-        reading = self.read()
-        return in_counts(reading.values) | {
-            "temperature": f"{reading.temperature:.1f} °C (not trimmed)",
-            "link": in_words(self.link_statistics()),
-        }
+        return in_words(self.read()) | {"link": link_in_words(self._counts)}
 
     def read(self) -> Reading:
-        """Request one sample: x and y in counts and the temperature in °C.
-
-        Raises
-        ------
-        BusError
-            No data, or no valid answer.
-        DeviceFault
-            A word below 102.
-        """
         received = b""
         for _ in range(ATTEMPTS):
             self._link.exchange(b"", 0)
-            received = self._link.exchange(REQUEST, CHUNK)
+            received = self._link.exchange(REQUEST, 4096)
             try:
                 while len(received) < LENGTH:
-                    received += self._link.exchange(b"", CHUNK)
+                    received += self._link.exchange(b"", 4096)
             except Interruption:
                 raise
             except BusError:  # a byte was lost: part of an answer is a damaged one
                 pass
             reading = parse_answer(received)
-            if reading is not None:
-                self._used += 1
-                return _sane(reading)
-            self._damaged += 1
+            if reading is None:
+                self._counts["damaged"] += 1
+                continue
+            self._counts["answers"] += 1
+            if min(reading.values) < sca100t.LOWEST_SANE_WORD:
+                raise DeviceFault(f"it reads {reading.values}, the fault signal of its sensor: switch it off and on")
+            return reading
         raise BusError(
             f"{ATTEMPTS} requests got no answer 55 AA ... with its checksum; the last one got "
             f"{received[:LENGTH].hex(' ')}: is the baud rate right, and is it this module?"
@@ -108,22 +90,33 @@ class DfrobotSca100t:
         """Do nothing: the module sends no data without a request."""
 
     def link_statistics(self) -> Mapping[str, int]:
-        """Return the counts of used and of damaged answers; the latter were requested again."""
-        return {"answers": self._used, "damaged": self._damaged}
+        return dict(self._counts)
 
 
-def _sane(reading: Reading) -> Reading:
-    for channel, word in zip("xy", reading.values, strict=True):
-        if word < sca100t.LOWEST_SANE_WORD:
-            raise DeviceFault(
-                f"{channel} reads {word:.0f} count, and words below {sca100t.LOWEST_SANE_WORD} are the SCA100T's fault "
-                "signal: switch the module off and on; if it stays, replace it"
-            )
-    return reading
+class VirtualDfrobot(VirtualLine):
+    """The virtual module at 9600 baud: the virtual SCA100T behind a serial line."""
+
+    letter = "r"
+
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        super().__init__(truth, fixture, clock)
+        self._sensor = sca100t.VirtualSca100t(truth, fixture, clock)
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        self._require_line(silent=count > 0)
+        if out != REQUEST:
+            return b""
+        payload = b""
+        for command in (sca100t.RDAX, sca100t.RDAY):
+            payload += sca100t.decode_word(self._sensor.exchange(bytes([command, 0, 0]))).to_bytes(2, "big")
+            self._clock.sleep(sca100t.REFRESH)
+        payload += self._sensor.exchange(bytes([sca100t.RWTR, 0]))[1:]
+        self._clock.sleep((len(REQUEST) + LENGTH) * 10 / 9600)
+        return (HEADER + payload + bytes([checksum(payload)]))[:count]
 
 
-def _configured(address: Address) -> Model:
-    """Return the model, and require a baud rate in the address."""
+def _at(address: Address) -> Model:
+    """Require a baud rate in the address of a real module."""
     if not address.simulated:
         address.text("baudrate")
     return DFROBOT_SCA100T
@@ -135,12 +128,9 @@ DFROBOT_SCA100T = replace(
     title="DFRobot TOY0048 module with a Murata SCA100T-D02, ±90°, serial",
     schemes=("serial",),
     addresses=("serial:///dev/ttyUSB0?baudrate=9600",),
-    driver=DfrobotSca100t,
-    twin=from_twin("dfrobot", "DfrobotTwin"),
-    not_modelled=(
-        *(line for line in sca100t.D02.not_modelled if "self-test" not in line and "chip select" not in line),
-        "the microcontroller of the module: it answers at once and without damage",
-    ),
+    driver=Dfrobot,
+    twin=VirtualDfrobot,
+    not_modelled=(*sca100t.D02.not_modelled, "the microcontroller: it answers at once and without damage"),
     spi=None,
-    configure=_configured,
+    configure=_at,
 )

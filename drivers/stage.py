@@ -1,30 +1,44 @@
-"""The virtual gradiometer: four accelerometers on an inclined rotary stage, sample by sample and line by line.
+"""Four accelerometers on a rotary stage: a device prints their readings and the stage angle on a line.
 
-Each accelerometer measures, along its tangent at θ + φ,
+This is :mod:`tiltcal.drivers.columns` with the columns of a gravity gradient instrument, and with a virtual stage for
+``sim:``. The address may name other columns::
+
+    serial:///dev/ttyUSB0?columns=theta,a1,a2,-,a4&separator=semicolon
+
+Each virtual accelerometer measures, along its tangent at θ + φ,
 
     a (sin + δP cos) + R (Γxx - Γyy) / 2 sin 2(θ + φ) + R Γxy cos 2(θ + φ) + noise
 
 and reads scale * (that + second_order * that²) + offset + drift * time. The common acceleration a results from the
 inclination of the stage and may vary. Every number is a function of the seed and the sample's number, so a stream can
-start anywhere. Source: Misalignment Angle Compensation during Scale Factor Matching (2018), eq. 1, 3 and 4.
+start anywhere.
+
+Source: Misalignment Angle Compensation during Scale Factor Matching (2018), figure 1 and eq. 1, 3 and 4.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import cos, log, pi, radians, sin, sqrt
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.twin.noise import normal
-from tiltcal.drivers.twin.streaming import StreamingTwin
-from tiltcal.drivers.twin.tolerances import part_errors
-from tiltcal.drivers.twin.truth import Truth
+from tiltcal.drivers.columns import (
+    SEPARATORS,
+    SERIAL_COLUMNS,
+    UNKNOWN,
+    UNSTATED,
+    ColumnLayout,
+    ColumnsSensor,
+    columns_of,
+)
+from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth, normal, part_errors
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.columns import ColumnLayout
-    from tiltcal.drivers.twin.fixture import HeldPose
+    from tiltcal.drivers.model import Model
 
 PHASES = (0.0, 180.0, 90.0, 270.0)
 """Where a1, a2, a3 and a4 sit, degrees."""
@@ -190,7 +204,7 @@ class StageTruth(Truth):
         return cls((TIME, THETA, *CHANNELS), {}, {}, seed=seed, disk=disk)
 
 
-def gradiometer_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingTwin:
+def virtual_stage(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
     """Return a stage that prints the columns of an address; a skipped or unknown column is 0.
 
     Parameters
@@ -207,7 +221,7 @@ def gradiometer_twin(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clo
         readings = dict(zip(CHANNELS, sample.readings, strict=True))
         return columns.line({TIME: number / disk.rate, THETA: sample.theta, **readings})
 
-    return StreamingTwin(truth, clock, line, period=1.0 / disk.rate, baudrate=BAUDRATE)
+    return StreamingPart(truth, fixture, clock, line, period=1.0 / disk.rate, baudrate=BAUDRATE)
 
 
 def draw_truth(seed: int) -> StageTruth:
@@ -229,3 +243,51 @@ def draw_truth(seed: int) -> StageTruth:
 def _wander(time: float) -> float:
     """Return a slow variation within ±1."""
     return 0.5 * sum(sin(2.0 * pi * time / period) for period in _WANDER_PERIODS)
+
+
+PRINTED = "time,theta,a1,a2,a3,a4"
+"""Default columns: seconds, the stage angle in degrees, the four readings."""
+
+
+def _configured(address: Address) -> Model:
+    """Return the model with the options of the address."""
+    columns = columns_of(address, PRINTED)
+    return replace(
+        GRADIOMETER,
+        channels=columns.channels,
+        unit=address.text("unit", "mA" if address.simulated else UNSTATED),
+        driver=partial(ColumnsSensor, columns),
+        twin=partial(virtual_stage, columns),
+    )
+
+
+_PRINTED = ColumnLayout(tuple(PRINTED.split(",")), SEPARATORS["any"])
+
+GRADIOMETER = replace(
+    SERIAL_COLUMNS,
+    name="gradiometer",
+    title="four accelerometers on a rotary stage, as numbers on a line",
+    channels=_PRINTED.channels,
+    unit="mA",
+    addresses=(f"serial:///dev/ttyUSB0?columns={PRINTED}",),
+    # Matching a pair does not need the value of 1 g.
+    sensitivity=UNKNOWN,
+    scaled=False,
+    thermometer=False,
+    driver=partial(ColumnsSensor, _PRINTED),
+    twin=partial(virtual_stage, _PRINTED),
+    not_modelled=(
+        "a stage that starts, stops or changes its speed: it turns steadily from the beginning of the session",
+        "the stage's bearing, vibration and angular acceleration",
+        "output and pendulous axes: only the misalignment in the plane of the disk couples",
+        "bandwidth and delay of the accelerometers, and of the encoder behind them",
+        "temperature, and the memory fault (parity) of other parts",
+        "loss and damage on the line",
+    ),
+    default_truth=draw_truth,
+    options=("columns", "separator", "unit"),
+    configure=_configured,
+)
+
+MODELS = {GRADIOMETER.name: GRADIOMETER}
+"""By the name that the user types."""

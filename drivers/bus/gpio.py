@@ -17,13 +17,12 @@ from struct import Struct
 from time import sleep
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
-from tiltcal.drivers.bus.device_node_errors import missing_node, no_permission
-from tiltcal.drivers.bus.library import import_library
+from tiltcal.drivers.bus.nodes import import_library, missing_node, no_permission
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus import Device
     from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.device import Model
 
 RECORD = Struct("<QBBI")
 
@@ -79,7 +78,7 @@ def unpack_edges(records: bytes) -> Iterator[Edge]:
         yield Edge(time_ns, line, bool(rising), number)
 
 
-def open_gpio(address: Address, model: Model) -> GpioLink:
+def open_gpio(address: Address, model: Device) -> GpioLink:
     """Open a ``gpio:`` address.
 
     Parameters

@@ -15,8 +15,8 @@ from support import accelerometer_disk as disk
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.twin.fixture import Fixture, _rotated
-from tiltcal.drivers.twin.gradiometer import Accelerometer, Disk, Gradiometer
+from tiltcal.drivers.stage import Accelerometer, Disk, Gradiometer
+from tiltcal.drivers.virtual import Fixture, _rotated
 
 QUIET = Disk(noise=0.0)
 

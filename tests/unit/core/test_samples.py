@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.core.statistics import drift, moments_of, summarise, summary_of
+from tiltcal.core.samples import drift, moments_of, summarise, summary_of
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=50))

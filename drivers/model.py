@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
-from importlib import import_module
 from math import sqrt
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus import Bus
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.twin.fixture import HeldPose
-    from tiltcal.drivers.twin.truth import Truth
+    from tiltcal.drivers.bus.spi import SpiPort
+    from tiltcal.drivers.virtual import HeldPose, Truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,28 +76,6 @@ class Sensor(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class SpiPort:
-    """The SPI settings that a part accepts.
-
-    Attributes
-    ----------
-    modes : tuple of int
-        Clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
-    fastest : int or None
-        Highest clock, Hz; None where no source states it.
-    speed : int or None
-        Clock if the address states none, Hz; None is the fastest.
-    slowest : int
-        Lowest clock at which the part's words do not change while they are read, Hz.
-    """
-
-    modes: tuple[int, ...]
-    fastest: int | None
-    speed: int | None = None
-    slowest: int = 1
-
-
-@dataclass(frozen=True, slots=True)
 class Population:
     """The mean temperature curves of the parts of a model.
 
@@ -144,7 +123,7 @@ class Model:
     sensitivity_spread : float
         Standard deviation of the sensitivity between parts, relative.
     cross_axis_limit : float
-        Largest root sum square of the two cross-axis sensitivities, relative; 0 where no source states it.
+        Largest sensitivity to each of the other axes, relative; 0 where no source states it.
     nonlinearity : tuple of float
         Typical square and cube of the response to a g, pure numbers; empty where no source states them.
     rails : tuple of float
@@ -178,6 +157,8 @@ class Model:
         be detected.
     configure : callable or None
         ``configure(address)`` returns this model with the facts that these options state; None without such options.
+    bus : Bus or None
+        What opens its ``package:`` addresses: the bus of a package that adds the model, where tiltcal has none.
     """
 
     name: str
@@ -206,6 +187,7 @@ class Model:
     configure: Callable[[Address], Model] | None = None
     cross_axis_limit: float = 0.0
     nonlinearity: tuple[float, ...] = ()
+    bus: Bus | None = None
 
     @property
     def thermometer_rounding(self) -> float:
@@ -216,6 +198,15 @@ class Model:
     def senses_tilt(self) -> bool:
         """Whether the readings are components of gravity, x, y and z, and nothing else."""
         return set(self.channels) <= {"x", "y", "z"}
+
+    def drawn(self, seed: int) -> Truth:
+        """Return a plausible part, the same one for one seed.
+
+        UsageError: the model has no default twin.
+        """
+        if self.default_truth is None:
+            raise UsageError(f"{self.name} has no default twin; name one with twin=FILE")
+        return self.default_truth(seed)
 
     def at(self, address: Address) -> Model:
         """Return this model as it is connected at an address.
@@ -280,21 +271,6 @@ class IdentifiedSensor(Protocol):
         ...
 
 
-def in_words(link_statistics: Mapping[str, int]) -> str:
+def link_in_words(link_statistics: Mapping[str, int]) -> str:
     """Return link statistics as text: ``120 sentences, 3 damaged, 1 lost``."""
     return ", ".join(f"{number} {what}" for what, number in link_statistics.items())
-
-
-def from_twin(module: str, name: str, *first: Any) -> Callable[..., Any]:
-    """Return a function of a twin's module, which is imported at its first call: a real sensor loads no twin.
-
-    Parameters
-    ----------
-    first
-        Arguments before those of a call.
-    """
-    return partial(_call, f"tiltcal.drivers.twin.{module}", name, *first)
-
-
-def _call(module: str, name: str, *arguments: Any) -> Any:
-    return getattr(import_module(module), name)(*arguments)

@@ -1,11 +1,29 @@
-"""Messages for errors of the operating system on device nodes: the cause, and what to try."""
+"""What the buses of an operating system share: their Python packages, and the errors of their device nodes."""
 
 from __future__ import annotations
 
 import errno
 import os
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import Any
+
+from tiltcal.errors import HardwareError
+
+
+def import_library(module: str, needed: str, install: str) -> Any:
+    """Import a module of a package that one bus needs.
+
+    needed: what needs which package, for the message: ``SPI needs the Python package spidev, for Linux only``.
+    install: what pip installs.
+
+    HardwareError: the package is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as cause:
+        raise HardwareError(f"{needed}: install it with  pip install {install}") from cause
 
 
 def no_permission(device: str, subsystem: str) -> str:
