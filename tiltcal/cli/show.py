@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 def command(calibration: Path, matrix: bool) -> None:
     """Print the coefficients of a calibration with their standard uncertainties, and how uncertain a tilt is.
 
-    With --matrix it also prints A (g/unit) and b (unit) at the reference temperature: gravity is A (u - b), in the frame
-    of the application, of the readings u. `tiltcal export` has it for programs.
+    With --matrix it also prints A (g/unit) and b (unit) at the reference temperature: gravity is A (u - b), in the
+    frame of the application, of the readings u. `tiltcal export` has it for programs.
     """
     from tiltcal.calibration.pair_summary import pair_summary
     from tiltcal.calibration.record import record_in
