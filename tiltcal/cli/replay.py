@@ -17,7 +17,7 @@ from tiltcal.errors import NEGATIVE_VERDICT, JournalError, UsageError
 from tiltcal.files.atomic import require_apart, whole_file, write_whole
 
 
-@click.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")
+@options.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")
 @click.argument("journal", type=click.Path(path_type=Path))
 @options.file_option(
     "-o", "--output", help="The calibration file to write [standard output]; for several sensors a folder."
