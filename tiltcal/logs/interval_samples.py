@@ -50,7 +50,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Interval:
+class LogInterval:
     """One attitude of a log: segments of one name that follow each other.
 
     Attributes
@@ -138,11 +138,13 @@ class Interval:
         return own if begin >= start else max(own, rise(before[np.isfinite(before)]), key=abs)
 
 
-def intervals_in(record: RecordedReadings, segments: Sequence[Segment]) -> list[Interval]:
+def intervals_in(record: RecordedReadings, segments: Sequence[Segment]) -> list[LogInterval]:
     """Return the intervals of a log: segments of one name that follow each other are parts of one."""
     groups = [list(parts) for _, parts in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
     ends = [0, *(parts[-1].end for parts in groups)]
-    return [Interval(parts, record, max((end for end in ends if end <= parts[0].start), default=0)) for parts in groups]
+    return [
+        LogInterval(parts, record, max((end for end in ends if end <= parts[0].start), default=0)) for parts in groups
+    ]
 
 
 def step_of(record: RecordedReadings) -> float:

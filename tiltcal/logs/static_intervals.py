@@ -19,7 +19,7 @@ from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.tables import Segment, TabledPosition
-from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, Interval, Rails, intervals_in, step_of
+from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, LogInterval, Rails, intervals_in, step_of
 from tiltcal.logs.recorded_readings import RecordedReadings
 
 FEWEST_ROWS = 2
@@ -212,7 +212,7 @@ def _require_not_stuck_everywhere(measurements: Sequence[Measurement], file: str
             )
 
 
-def _interval(interval: Interval, step: float, rails: Rails, soak: float, name: str, file: str) -> StaticInterval:
+def _interval(interval: LogInterval, step: float, rails: Rails, soak: float, name: str, file: str) -> StaticInterval:
     parts, record = interval.parts, interval.record
     _require_rows(parts, record, file)
     samples = interval.samples(step)
