@@ -11,6 +11,7 @@ import numpy as np
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Limits
+from tiltcal.core.uncertain import TURN
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.uncertainty import stated_uncertainty
@@ -47,7 +48,7 @@ def tilt_uncertainty(calibration: CalibrationRecord) -> dict[str, TiltUncertaint
         stated = (
             stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise) for noise in (0.0, None)
         )
-        kernels = [CompensationWithUncertainty(compensation, coefficients, u.inputs.without_turn) for u in stated]
+        kernels = [CompensationWithUncertainty(compensation, coefficients, u.without(TURN)) for u, _ in stated]
     except EstimateError:
         return {}
     by_axis = {}
