@@ -126,9 +126,8 @@ def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tup
     if captured is None or not (os.path.isfile(path) and os.path.isfile(path.parent / captured.name)):
         return [], []
     from tiltcal.bench.session import Session
-    from tiltcal.calibration.comparison import compare_records
-    from tiltcal.calibration.verdict import judge
-    from tiltcal.files.calibration import CalibrationRecord, changes_between
+    from tiltcal.calibration.comparison import changes_between, compare_records, judge
+    from tiltcal.files.calibration import CalibrationRecord
 
     journal = path.parent / captured.name
     made = Session.of_journal(journal).replay()
