@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import degrees, radians
 
@@ -98,3 +98,12 @@ def _nominal(calibration: CalibrationRecord) -> Compensation | None:
         channels, channels, np.full(len(channels), model.offset), model.sensitivity * np.eye(len(channels))
     )
     return Compensation(nominal, Limits())
+
+
+def tilt_uncertainty_lines(calibration: CalibrationRecord) -> Iterator[str]:
+    """Yield by axis half the 95 % interval of a tilt near level and at the ends of its range, from the coefficients."""
+    for axis, uncertain in tilt_uncertainty(calibration).items():
+        tilt, half = uncertain.tilt, uncertain.alone
+        level, low, high = half[np.argmin(np.abs(tilt))], half[0], half[-1]
+        ends = f"{low:.2g}° at {tilt[0]:.0f}°, {high:.2g}° at {tilt[-1]:.0f}°"
+        yield f"  tilt {axis} within  ± {level:.2g}° near level, {ends}  (95 %)"

@@ -160,7 +160,7 @@ def interrupts_held() -> Iterator[Callable[[], None]]:
         Raises KeyboardInterrupt where Ctrl-C came; so does the end of the block.
     """
     before = signal.getsignal(signal.SIGINT)
-    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+    if not callable(before) or threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
     held: list[int] = []
@@ -276,7 +276,7 @@ class PipeReader:
     def ended_by_ctrl_c(self) -> Iterator[None]:
         """Let Ctrl-C end the stream, and leave what was read of it."""
         before = signal.getsignal(signal.SIGINT)
-        if before is not signal.default_int_handler:
+        if not callable(before) or threading.current_thread() is not threading.main_thread():
             yield
             return
 
