@@ -9,8 +9,9 @@ TYPE_CHECKING = False
 """Not that of ``typing``: until ``tiltcal.__main__`` runs, Ctrl-C is Python's, so nothing slow is imported."""
 
 if TYPE_CHECKING:
-    from tiltcal.bench.measure import measure, open_sensor
+    from tiltcal.bench.measure import measure
     from tiltcal.bench.plan import plan
+    from tiltcal.bench.sensors import open_sensor
     from tiltcal.calibration.calibration import Calibration, read
     from tiltcal.calibration.calibration_library import CalibrationLibrary, open_calibrations
     from tiltcal.calibration.combine import combine
@@ -57,7 +58,7 @@ _HOME = {
     "measure": "tiltcal.bench.measure",
     "noise": "tiltcal.logs.noise",
     "open_calibrations": "tiltcal.calibration.calibration_library",
-    "open_sensor": "tiltcal.bench.measure",
+    "open_sensor": "tiltcal.bench.sensors",
     "plan": "tiltcal.bench.plan",
     "read": "tiltcal.calibration.calibration",
 }
