@@ -26,8 +26,6 @@ from tiltcal.bench.operators import Answer, Message
 from tiltcal.bench.sensors import ConnectedSensor, SensorSet, letter_of, named_error
 from tiltcal.bench.setup import Device, Setup
 from tiltcal.core.model import Array
-from tiltcal.core.pair.model import FEWEST_TURNS
-from tiltcal.core.pair.turns import follow
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.bus.clock import VirtualClock
@@ -263,15 +261,18 @@ class Playback:
         return RecordedSample(self._next + 1, self.now_ns, readings, fresh, live, counts)
 
     def _gives_up(self, number: int) -> bool:
-        """Return whether a device is given up: the next position lacks it, and no transaction of it comes."""
+        """Return whether a device that has failed is given up: where it would be read, another one is.
+
+        One that streams may hold a reading without a transaction; it is given up where the next position lacks it.
+        """
         name, event = self._names[number], self._peek()
-        if name in self._given_up:
-            return True
+        if name in self._given_up or name not in self.failures or name == SensorSet.THERMOMETER:
+            return name in self._given_up
         coming = self.next_accepted
-        if name == SensorSet.THERMOMETER or len(self._names) == 1 or name not in self.failures:
-            return False
         lacking = coming is None or name not in coming.by_serial(self._names)
-        if lacking and event is not None and event.payload[2:] != ((number,) if number else ()):
+        streams = letter_of(self.setup.devices[number]) in STREAMS
+        another = event is not None and event.payload[2:] != ((number,) if number else ())
+        if len(self._names) > 1 and another and (lacking or not streams):
             self._given_up.add(name)
         return name in self._given_up
 
@@ -311,6 +312,8 @@ class RecordedSession:
         The samples of a ramp since the last position.
     turned : AcceptedPosition or None
         The end of a rotation.
+    stopped_at : int
+        The samples before the operator last asked the stage to stop.
     """
 
     def __init__(self, journal: Journal) -> None:
@@ -322,7 +325,7 @@ class RecordedSession:
         self.leg: list[RecordedSample] = []
         self._rows = array("d")
         self.turned: AcceptedPosition | None = None
-        self.stopped = False
+        self.stopped_at = 0
         self.tipped = False
         self._ramp: dict[str, list[tuple[float, ...]]] = {serial: [] for serial in self.sensors}
         self.spans = ReadingSpans(list(self.sensors.values()))
@@ -390,8 +393,7 @@ class RecordedSession:
         elif question == "tip":
             self.tipped, self._sampling = True, False
         elif answer.word == "stop":
-            # One that came too early was refused.
-            self.stopped = len(self._rows) > 0 and float(np.ptp(follow(self.rotation_rows()[:, 1]))) >= FEWEST_TURNS
+            self.stopped_at = len(self.rotation_rows())
 
     def _accept(self, noted: AcceptedPosition, event: Event) -> None:
         """Take an accepted position; a JournalError where its samples do not give what was accepted."""

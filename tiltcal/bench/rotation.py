@@ -27,7 +27,7 @@ from tiltcal.core.pair.matching import Matching, PairCoefficients, match, solve
 from tiltcal.core.pair.model import FEWEST_TURNS, Pair
 from tiltcal.core.pair.online import Recursive
 from tiltcal.core.pair.record import stage_record
-from tiltcal.core.pair.turns import STANDSTILL, Notice, TurnStream, turning
+from tiltcal.core.pair.turns import STANDSTILL, Notice, TurnStream, follow, turning
 from tiltcal.drivers.device import Model, Reading
 from tiltcal.errors import EstimateError, SensorError, UsageError
 from tiltcal.files.journal import POSITION
@@ -483,7 +483,8 @@ def _ended(session: RecordedSession, whole: WholeRotation) -> str:
     """Return why a rotation ended; a journal of format 1 does not say it."""
     if session.turned is not None:
         return session.turned.ended
-    if session.stopped:
+    angle = follow(session.rotation_rows()[: session.stopped_at, 1])
+    if len(angle) and np.ptp(angle) >= FEWEST_TURNS:  # a stop that came too early was refused
         return STOPPED
     rotation = session.setup.steps.rotation
     return CONVERGED if rotation is not None and whole.turns < rotation.turns - 1 else ALL_TURNS

@@ -327,23 +327,24 @@ class Session:
         return answer
 
     def _heard(self, question: Mapping[str, Any]) -> Answer | None:
-        """Return the answer of the operator; None where there is none yet."""
+        """Return the answer of the operator, None where there is none yet; one that is not understood is refused."""
         if self._operator is None:
             raise Stopped("the session has no operator")
-        try:
-            said = self._operator.ask(question)
-            if said is None and question["ask"] == "poll":
-                return None
-            if said == {"answer": LOOK}:
-                self._show_reading(question)
-                return None
-            answer = understood(said, WORDS[question["ask"]])
-        except InputError as error:
-            self.refuse(question.get("position", "rotation"), str(error))
-            return None
-        if answer.word == "quit":
-            raise Stopped("the operator program answered quit")
-        return answer
+        while True:
+            try:
+                said = self._operator.ask(question)
+                if said is None and question["ask"] == "poll":
+                    return None
+                if said == {"answer": LOOK}:
+                    self._show_reading(question)
+                    return None
+                answer = understood(said, WORDS[question["ask"]])
+            except InputError as error:
+                self.refuse(question.get("position", "rotation"), str(error))
+                continue
+            if answer.word == "quit":
+                raise Stopped("the operator program answered quit")
+            return answer
 
     def tell(self, event: str, **fields: Any) -> None:
         """Tell the operator what has happened."""
