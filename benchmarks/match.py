@@ -21,7 +21,7 @@ from tiltcal.core.pair.demodulate import CHUNK
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
 from tiltcal.logs.formats import open_log
-from tiltcal.logs.pair_log import read_pair_log
+from tiltcal.logs.match import read_pair_log
 
 PAIR = Pair("a1", "a2", "a4")
 CHANNELS = ("a1", "a2", "a3", "a4")

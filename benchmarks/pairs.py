@@ -23,7 +23,7 @@ from tiltcal.core.pair.demodulate import demodulate
 from tiltcal.core.pair.matching import solve
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.pair.online import Online
-from tiltcal.core.pair.turns import follow
+from tiltcal.core.pair.stage import follow
 
 PAIR = Pair("a1", "a2", "a4")
 SCALE = np.array([3.383, 3.415, 3.390])

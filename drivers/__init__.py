@@ -6,7 +6,7 @@ There is one module per sensor or converter, and a virtual part of the same name
 
 The user selects a model by name. The built-in models are in a table and are imported only when used. A third party adds
 a model by an entry point in the group ``tiltcal.devices``, with the name of the model, that loads a
-:class:`~tiltcal.drivers.device.Model`. A plug-in never replaces a built-in model.
+:class:`~tiltcal.drivers.model.Model`. A plug-in never replaces a built-in model.
 """
 
 from __future__ import annotations
@@ -24,42 +24,27 @@ from tiltcal.stated_arguments import require_text
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from tiltcal.drivers.device import Model
+    from tiltcal.drivers.model import Model
 
 __all__ = ["find_model", "models"]
 
 PLUG_INS = "tiltcal.devices"
 
 _BUILT_IN = {
-    "sca100t-d01": "tiltcal.drivers.sca100t:D01",
-    "sca100t-d02": "tiltcal.drivers.sca100t:D02",
-    "sca100t-d01-analog": "tiltcal.drivers.analog:SCA100T_D01",
-    "sca100t-d02-analog": "tiltcal.drivers.analog:SCA100T_D02",
-    "adxl202-analog": "tiltcal.drivers.analog:ADXL202",
-    "adxl202e-analog": "tiltcal.drivers.analog:ADXL202E",
-    "adxl210-analog": "tiltcal.drivers.analog:ADXL210",
-    "thermistor": "tiltcal.drivers.thermistor:THERMISTOR",
-    "adxl202": "tiltcal.drivers.adxl202:ADXL202",
-    "adxl202e": "tiltcal.drivers.adxl202:ADXL202E",
-    "adxl210": "tiltcal.drivers.adxl202:ADXL210",
-    "serial-columns": "tiltcal.drivers.columns:SERIAL_COLUMNS",
-    "modbus-columns": "tiltcal.drivers.modbus:MODBUS_COLUMNS",
-    "gradiometer": "tiltcal.drivers.gradiometer:GRADIOMETER",
-    "dfrobot-sca100t": "tiltcal.drivers.dfrobot:DFROBOT_SCA100T",
-    "sca3000-d01": "tiltcal.drivers.sca3000:D01",
-    "sca3000-e02": "tiltcal.drivers.sca3000:E02",
-    "sca3000-e04": "tiltcal.drivers.sca3000:E04",
-    "sca3000-e05": "tiltcal.drivers.sca3000:E05",
-    "sca3000-i2c": "tiltcal.drivers.sca3000:I2C",
-    "scl3300": "tiltcal.drivers.scl3300:SCL3300",
-    "sca3300-d01": "tiltcal.drivers.scl3300:SCA3300",
-    "adxl355": "tiltcal.drivers.adxl355:ADXL355",
-    "sca103t-d04": "tiltcal.drivers.sca103t:SCA103T_D04",
-    "sca103t-d05": "tiltcal.drivers.sca103t:SCA103T_D05",
-    "sca61t-fahh1g": "tiltcal.drivers.sca103t:SCA61T_FAHH1G",
-    "sca61t-fa1h1g": "tiltcal.drivers.sca103t:SCA61T_FA1H1G",
-    "iis2iclx": "tiltcal.drivers.iis2iclx:IIS2ICLX",
+    **dict.fromkeys(("sca100t-d01", "sca100t-d02"), "sca100t"),
+    **dict.fromkeys(("sca100t-d01-analog", "sca100t-d02-analog"), "analog"),
+    **dict.fromkeys(("adxl202-analog", "adxl202e-analog", "adxl210-analog", "thermistor"), "analog"),
+    **dict.fromkeys(("adxl202", "adxl202e", "adxl210"), "adxl202"),
+    "serial-columns": "columns",
+    "modbus-columns": "modbus",
+    "gradiometer": "stage",
+    **dict.fromkeys(("sca3000-d01", "sca3000-e02", "sca3000-e04", "sca3000-e05", "sca3000-i2c"), "parts"),
+    **dict.fromkeys(("scl3300", "sca3300-d01"), "scl3300"),
+    "adxl355": "parts",
+    **dict.fromkeys(("sca103t-d04", "sca103t-d05", "sca61t-fahh1g", "sca61t-fa1h1g"), "sca100t"),
+    "iis2iclx": "parts",
 }
+"""The module of each model, in the order of the list of devices."""
 
 
 def find_model(name: str) -> Model:
@@ -101,8 +86,7 @@ def models() -> Iterator[Model]:
 
 
 def _built_in(name: str) -> Model:
-    module, _, attribute = _BUILT_IN[name].partition(":")
-    model: Model = getattr(import_module(module), attribute)
+    model: Model = import_module(f"tiltcal.drivers.{_BUILT_IN[name]}").MODELS[name]
     return model
 
 
@@ -136,7 +120,7 @@ def _refuse_rivals(name: str, claims: list[EntryPoint]) -> None:
 
 def _loaded(entry: EntryPoint) -> Model:
     """Load the model of an entry point, and turn every failure of its import into a UsageError."""
-    from tiltcal.drivers.device import Model
+    from tiltcal.drivers.model import Model
 
     try:
         model = entry.load()
@@ -148,7 +132,7 @@ def _loaded(entry: EntryPoint) -> Model:
     if not isinstance(model, Model):
         raise UsageError(
             f"sensor model {entry.name!r} of package {_package(entry)!r}: {entry.value!r} is a "
-            f"{type(model).__name__}, not a tiltcal.drivers.device.Model"
+            f"{type(model).__name__}, not a tiltcal.drivers.model.Model"
         )
     if model.name != entry.name:
         raise UsageError(

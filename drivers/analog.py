@@ -1,8 +1,8 @@
-"""Analog sensors of two axes behind a converter: SCA100T, and ADXL202 with its duty cycle through an RC filter.
+"""Analog sensors behind a converter: SCA100T and ADXL202 (through an RC filter), and thermistors; with virtual parts.
 
-Both are ratiometric: offset and sensitivity are shares of the supply. Readings and coefficients are therefore in volts
-*referred to a supply of 5 V*, ``5 * Vout / Vdd``, and do not depend on the present supply. The address states where it
-is connected::
+The sensors are ratiometric: offset and sensitivity are shares of the supply. Readings and coefficients are therefore in
+volts *referred to a supply of 5 V*, ``5 * Vout / Vdd``, and do not depend on the present supply. The address states
+where it is connected::
 
     ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2     measured at input 2, with each sample
     ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&vdd=4.98     stated
@@ -10,21 +10,47 @@ is connected::
 
 An SCA100T has X at pin 11 (OUT_1) and Y at pin 5 (OUT_2); ``x`` and ``y`` name the inputs that they are wired to.
 
+A thermistor is in a divider: a thermometer for sensors without one::
+
+    ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&supply=2&beta=3950&r0=10000&t0=25&fixed=10000
+    mcp3208+spi:///dev/spidev0.1?channel=3&vref=5.0&a=1.129e-3&b=2.341e-4&c=8.775e-8&fixed=10000&to=supply
+
+``channel`` is its input, ``fixed`` the divider's other resistor in Ω, and ``to`` the potential at its other end:
+``ground`` (the default) or ``supply``. Its curve is that of Steinhart and Hart, temperature in K, resistance in Ω::
+
+    1/T = a + b ln R + c (ln R)³
+
+or that of a ``beta`` in K, with ``r0`` Ω at ``t0`` °C (default 25 °C), which is the same curve with c = 0::
+
+    1/T = 1/T0 + ln(R / R0) / beta
+
 Sources: SCA100T Series data sheet, Murata doc. 8261800 Rev. B2; ADXL202/210 data sheet Rev. B and ADXL202E data sheet
-Rev. A, Analog Devices; A Solid State Tilt Meter for Current Meter Attitude Determination.
+Rev. A, Analog Devices; A Solid State Tilt Meter for Current Meter Attitude Determination; Steinhart and Hart,
+Calibration curves for thermistors, Deep-Sea Research 15 (1968).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from math import cbrt, exp, inf, log, sqrt
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers import adxl202, sca100t
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.converter import NOMINAL, FrontEnd, Supply, find_front_end, require_apart, take_input, take_supply
-from tiltcal.drivers.device import Model, Reading, from_twin
+from tiltcal.drivers.converters import (
+    NOMINAL,
+    FrontEnd,
+    Supply,
+    Wiring,
+    find_front_end,
+    require_apart,
+    take_input,
+    take_supply,
+)
+from tiltcal.drivers.model import Model, Reading
+from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, Truth, uniform
 from tiltcal.errors import DeviceFault
 
 if TYPE_CHECKING:
@@ -41,25 +67,30 @@ LOWEST_SANE, HIGHEST_SANE = 0.05 * NOMINAL, 0.95 * NOMINAL
 """After a memory parity error an SCA100T holds both outputs below 0.25 V; above 95 % of the supply it is in its
 self-test or its interconnection is broken. The duty cycles of an ADXL202 stay within these limits too."""
 
+BANDWIDTH = 10.0
+"""Assumed bandwidth of the RC filter of an ADXL202, Hz; it sets the noise of the virtual part."""
+
+SCA100T_NOT_MODELLED = (
+    "long-term drift, temperature hysteresis, shock",
+    "self-test pins, and its digital port, which the analog outputs do not need",
+)
+ADXL202_NOT_MODELLED = (
+    "the pulses: their ripple after the RC filter, and the load of the filter",
+    "offsets, cross-axis sensitivity and drift of a part are our estimates: no source states them",
+    "nonlinearity",
+    "the memory fault (parity) of other parts: this part has no such memory",
+)
+
 
 @dataclass(frozen=True)
 class AnalogPart:
     """The constants of one analog sensor.
 
-    Attributes
-    ----------
-    digital : Model
-        The same part at its digital port, with the same tolerances.
-    share_per_g : float
-        Nominal sensitivity, shares of the supply per g.
-    supply : tuple of float
-        Lowest and highest supply, V.
-    parity_signal : bool
-        Whether both outputs near ground are the fault signal of the part.
-    interval : float
-        Time after which the noise of a sample is independent of the previous one, s.
-    not_modelled : tuple of str
-        What the twin does not model of this part.
+    digital: the same part at its digital port, with the same tolerances.
+    share_per_g: nominal sensitivity, shares of the supply per g.
+    supply: lowest and highest, V.
+    parity_signal: whether both outputs near ground are the fault signal of the part.
+    interval: time after which the noise of a sample is independent of the previous one, s.
     """
 
     title: str
@@ -71,165 +102,391 @@ class AnalogPart:
     not_modelled: tuple[str, ...]
 
     @property
-    def name(self) -> str:
-        """What the user types."""
-        return f"{self.digital.name}-analog"
-
-    @property
     def sensitivity(self) -> float:
         """Nominal, V/g referred to 5 V."""
         return NOMINAL * self.share_per_g
 
+    def at(self, address: Address) -> Model:
+        """Return the model of the part as it is connected at an address."""
+        front_end = find_front_end(address)
+        numbers = {channel: take_input(address, channel, front_end, place) for place, channel in enumerate(CHANNELS)}
+        supply = take_supply(address, front_end, *self.supply)
+        require_apart(address, {**numbers, "supply": supply.number})
+        wired = WiredAnalog(self, front_end, tuple(numbers.values()), supply)
+        return Model(
+            name=f"{self.digital.name}-analog",
+            title=self.title,
+            channels=CHANNELS,
+            unit="V",
+            schemes=front_end.schemes,
+            addresses=(
+                "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2",
+                "mcp3208+spi:///dev/spidev0.1?x=0&y=1&vref=5.0",
+            ),
+            offset=ZERO,
+            sensitivity=self.sensitivity,
+            offset_spread=self.digital.offset_spread,
+            sensitivity_spread=self.digital.sensitivity_spread,
+            cross_axis_limit=self.digital.cross_axis_limit,
+            nonlinearity=self.digital.nonlinearity,
+            rails=(LOWEST_SANE, HIGHEST_SANE),
+            resolution=front_end.step * NOMINAL / supply.volts,
+            interval=self.interval,
+            thermometer=False,
+            driver=partial(AnalogSensor, wired),
+            twin=wired.virtual,
+            not_modelled=(
+                *self.not_modelled,
+                "response time: a new position and a new temperature take effect at once, without ringing",
+                "supply: ripple, drift, start-up time, ratiometric error",
+                "converter: offset, gain error, nonlinearity, noise, charge taken from the sensor's output",
+                "an input without a wire, which floats on the real part: it reads 0 V",
+            ),
+            default_truth=self.draw,
+            spi=front_end.spi,
+            options=(*CHANNELS, "supply", "vdd", *front_end.options),
+            configure=self.at,
+        )
+
+    def draw(self, seed: int) -> Truth:
+        """Draw the part of the digital port, in V referred to a supply of 5 V."""
+        digital = self.digital
+        truth = digital.drawn(seed)
+        step = self.sensitivity / digital.sensitivity
+        return replace(
+            truth,
+            offset={name: ZERO + step * (offset - digital.offset) for name, offset in truth.offset.items()},
+            sensitivity={
+                name: {axis: step * sensitivity for axis, sensitivity in row.items()}
+                for name, row in truth.sensitivity.items()
+            },
+            drift={name: tuple(step * k for k in drift) for name, drift in truth.drift.items()},
+            noise={name: step * noise for name, noise in truth.noise.items()},
+            thermometer_error=0.0,
+        )
+
 
 @dataclass(frozen=True)
 class WiredAnalog:
-    """The wiring of a sensor to a converter.
+    """A sensor at the inputs of a converter: those of x and y."""
 
-    Attributes
-    ----------
-    numbers : tuple of int
-        The inputs of x and y.
-    """
-
+    part: AnalogPart
     front_end: FrontEnd
     numbers: tuple[int, ...]
     supply: Supply
+
+    def virtual(self, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+        """Return a virtual converter with a sensor at its inputs; the truth is in V referred to 5 V."""
+        return self.front_end.twin(SensorWiring(self, truth, fixture, clock))
 
 
 class AnalogSensor:
     """The driver of an analog sensor behind any converter."""
 
-    def __init__(self, part: AnalogPart, wired: WiredAnalog, link: Link, clock: Clock) -> None:
-        self._part = part
+    def __init__(self, wired: WiredAnalog, link: Link, clock: Clock) -> None:
         self._wired = wired
         self._converter = wired.front_end.driver(link, clock)
+        self._supply = 0.0
+        """Of the last sample, V."""
 
     def probe(self) -> Mapping[str, str]:
         """Return a sample, the supply and the converter as text; the errors are those of :meth:`read`."""
-        values, supply = self._sample()
+        values = self.read().values
         said = {
             channel: f"{value:.4f} V, referred to {NOMINAL:g} V"
             for channel, value in zip(CHANNELS, values, strict=True)
         }
-        return {**said, "supply": self._wired.supply.said(supply), "converter": self._wired.front_end.description}
+        wired = self._wired
+        return {**said, "supply": wired.supply.said(self._supply), "converter": wired.front_end.description}
 
     def read(self) -> Reading:
         """Take one sample: x and y in V, referred to a supply of 5 V.
 
-        Raises
-        ------
-        BusError
-            The converter does not answer.
-        DeviceFault
-            A supply outside the range of the sensor, or its fault signal.
+        BusError: the converter does not answer.
+        DeviceFault: a supply outside the range of the sensor, or its fault signal.
         """
-        values, _ = self._sample()
+        shares, self._supply = self._wired.supply.shares(self._converter, self._wired.numbers)
+        values = tuple(NOMINAL * share for share in shares)
+        if self._wired.part.parity_signal and max(values) < LOWEST_SANE:
+            raise DeviceFault(
+                f"both outputs are below {LOWEST_SANE:g} V, the part's fault signal (memory parity error), or are not "
+                "connected: check the wiring, then switch its supply off and on; if it stays, replace the part"
+            )
         return Reading(values)
 
     def discard(self) -> None:
         """Do nothing: every read is a new conversion."""
 
-    def _sample(self) -> tuple[tuple[float, ...], float]:
-        """Return both readings in V referred to 5 V, and the supply in V."""
-        shares, supply = self._wired.supply.shares(self._converter, self._wired.numbers)
-        values = tuple(NOMINAL * share for share in shares)
-        if self._part.parity_signal and max(values) < LOWEST_SANE:
-            raise DeviceFault(
-                f"both outputs are below {LOWEST_SANE:g} V, the part's fault signal (memory parity error), or are not "
-                "connected: check the wiring, then switch its supply off and on; if it stays, replace the part"
-            )
-        return values, supply
 
+class SensorWiring(Wiring):
+    """A virtual sensor of two axes at a converter."""
 
-def _wire(part: AnalogPart, address: Address) -> WiredAnalog:
-    """Return the wiring of an address."""
-    front_end = find_front_end(address)
-    numbers = {channel: take_input(address, channel, front_end, place) for place, channel in enumerate(CHANNELS)}
-    supply = take_supply(address, front_end, *part.supply)
-    require_apart(address, {**numbers, "supply": supply.number})
-    return WiredAnalog(front_end, tuple(numbers.values()), supply)
+    def __init__(self, wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        super().__init__(truth, fixture, clock, wired.supply)
+        self._parity_signal = wired.part.parity_signal
+        self._channels = dict(zip(wired.numbers, truth.channels, strict=True))
 
-
-def _model(part: AnalogPart, address: Address) -> Model:
-    """Return the model of a part as it is connected at an address."""
-    wired = _wire(part, address)
-    front_end = wired.front_end
-    return Model(
-        name=part.name,
-        title=part.title,
-        channels=CHANNELS,
-        unit="V",
-        schemes=front_end.schemes,
-        addresses=(
-            "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2",
-            "mcp3208+spi:///dev/spidev0.1?x=0&y=1&vref=5.0",
-        ),
-        offset=ZERO,
-        sensitivity=part.sensitivity,
-        offset_spread=part.digital.offset_spread,
-        sensitivity_spread=part.digital.sensitivity_spread,
-        cross_axis_limit=part.digital.cross_axis_limit,
-        nonlinearity=part.digital.nonlinearity,
-        rails=(LOWEST_SANE, HIGHEST_SANE),
-        resolution=front_end.step * NOMINAL / wired.supply.volts,
-        interval=part.interval,
-        thermometer=False,
-        driver=partial(AnalogSensor, part, wired),
-        twin=from_twin("analog", "analog_twin", part.parity_signal, wired),
-        not_modelled=(
-            *part.not_modelled,
-            "response time: a new position and a new temperature take effect at once, without ringing",
-            "supply: ripple, drift, start-up time, ratiometric error",
-            "converter: offset, gain error, nonlinearity, noise, charge taken from the sensor's output",
-            "an input without a wire, which floats on the real part: it reads 0 V",
-        ),
-        default_truth=from_twin("analog", "draw_truth", part),
-        spi=front_end.spi,
-        options=(*CHANNELS, "supply", "vdd", *front_end.options),
-        configure=partial(_model, part),
-    )
+    def share(self, number: int, now_ns: int) -> float:
+        """Return the voltage at an input, as a share of the supply."""
+        channel = self._channels.get(number)
+        if channel is None:
+            return 0.0
+        if self._parity_signal and self.truth.fault(now_ns / 1e9).kind == "parity":
+            return 0.05 * uniform(self.truth.seed, f"parity {channel}", now_ns)
+        temperature = self.fixture.temperature(self.truth.lag)
+        return self.truth.sample(channel, self.fixture.gravity, temperature, now_ns, now_ns) / NOMINAL
 
 
 def _sca100t(digital: Model, share_per_g: float) -> Model:
-    part = AnalogPart(
-        title=digital.title.replace("SPI", "analog outputs behind a converter"),
-        digital=digital,
-        share_per_g=share_per_g,
-        supply=(4.75, 5.25),
-        parity_signal=True,
-        interval=digital.interval,
-        not_modelled=(
-            "long-term drift, temperature hysteresis, shock",
-            "self-test pins, and its digital port, which the analog outputs do not need",
-        ),
-    )
-    return _model(part, parse_address("sim:"))
+    title = digital.title.replace("SPI", "analog outputs behind a converter")
+    part = AnalogPart(title, digital, share_per_g, (4.75, 5.25), True, digital.interval, SCA100T_NOT_MODELLED)
+    return part.at(parse_address("sim:"))
 
 
 def _adxl202(digital: Model) -> Model:
-    part = AnalogPart(
-        title=f"{digital.title} through an RC filter behind a converter",
-        digital=digital,
-        # The output of the filter is the duty cycle, as a share of the supply.
-        share_per_g=digital.sensitivity,
-        supply=(3.0, 5.25),
-        parity_signal=False,
-        interval=0.5 / BANDWIDTH,
-        not_modelled=(
-            "the pulses: their ripple after the RC filter, and the load of the filter",
-            "offsets, cross-axis sensitivity and drift of a part are our estimates: no source states them",
-            "nonlinearity",
-            "the memory fault (parity) of other parts: this part has no such memory",
+    """Return the model of a part whose filter gives the duty cycle, as a share of the supply."""
+    title = f"{digital.title} through an RC filter behind a converter"
+    interval = 0.5 / BANDWIDTH
+    part = AnalogPart(title, digital, digital.sensitivity, (3.0, 5.25), False, interval, ADXL202_NOT_MODELLED)
+    return part.at(parse_address("sim:"))
+
+
+# --- Thermistors ---
+
+ZERO_CELSIUS = 273.15
+"""K."""
+
+OPTIONS = ("channel", "beta", "r0", "t0", "a", "b", "c", "fixed", "to", "supply", "vdd")
+"""Of an address, without those of the converter."""
+
+SUPPLY = (1.0, 5.5)
+"""Limits of the converters, V; a divider works with any supply."""
+
+SHORTED, OPEN = 0.005, 0.995
+"""Shares of the supply that only a broken divider reaches."""
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """The curve of Steinhart and Hart, 1/T = a + b ln R + c (ln R)³ in K and Ω.
+
+    Attributes
+    ----------
+    a, b, c : float
+        1/K. ``b`` is positive and ``c`` is not negative, so the temperature falls as the resistance rises.
+    """
+
+    a: float
+    b: float
+    c: float
+
+    @classmethod
+    def from_beta(cls, beta: float, r0: float, t0: float) -> Curve:
+        """Return the curve of a beta in K through r0 in Ω at t0 in °C."""
+        return cls(1.0 / (t0 + ZERO_CELSIUS) - log(r0) / beta, 1.0 / beta, 0.0)
+
+    def celsius(self, ohms: float) -> float:
+        """Return the temperature at a resistance, °C.
+
+        DeviceFault: the curve has no temperature there.
+        """
+        x = log(ohms)
+        inverse = self.a + self.b * x + self.c * x**3
+        if inverse <= 0.0:
+            raise DeviceFault(
+                f"the thermistor's curve has no temperature at {ohms:.4g} Ω: check its coefficients, their units "
+                "(1/K, Ω) and the fixed resistor"
+            )
+        return 1.0 / inverse - ZERO_CELSIUS
+
+    def ohms(self, celsius: float) -> float:
+        """Return the resistance at a temperature, Ω: the real root of the cubic, by Cardano's formula."""
+        rest = self.a - 1.0 / (celsius + ZERO_CELSIUS)
+        if self.c == 0.0:
+            return exp(-rest / self.b)
+        p, q = self.b / self.c, rest / self.c
+        # The product of the two cube roots is -p/3.
+        first = cbrt(sqrt((p / 3.0) ** 3 + (q / 2.0) ** 2) - q / 2.0)
+        return exp(first - p / (3.0 * first))
+
+
+@dataclass(frozen=True)
+class Divider:
+    """A thermistor and a fixed resistor across a supply.
+
+    Attributes
+    ----------
+    fixed : float
+        Ω.
+    grounded : bool
+        Whether the thermistor is tied to ground and not to the supply.
+    """
+
+    curve: Curve
+    fixed: float
+    grounded: bool
+
+    def share(self, celsius: float) -> float:
+        """Return the output at a temperature, as a share of the supply."""
+        ohms = self.curve.ohms(celsius)
+        return (ohms if self.grounded else self.fixed) / (ohms + self.fixed)
+
+    def celsius(self, share: float) -> float:
+        """Return the temperature for an output as a share of the supply, °C.
+
+        DeviceFault: the thermistor or its wire is open or shorted.
+        """
+        if not SHORTED < share < OPEN:
+            found = "shorted" if (share <= SHORTED) == self.grounded else "open, or not connected"
+            raise DeviceFault(
+                f"the divider output is {100 * share:.1f} % of its supply, so the thermistor is {found}: check it, "
+                "its wires and the fixed resistor"
+            )
+        ratio = share / (1.0 - share)
+        return self.curve.celsius(self.fixed * (ratio if self.grounded else 1.0 / ratio))
+
+
+@dataclass(frozen=True)
+class WiredThermistor:
+    """A thermistor at an input of a converter."""
+
+    front_end: FrontEnd
+    number: int
+    divider: Divider
+    supply: Supply
+
+    def virtual(self, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+        """Return a virtual converter with a thermistor at one of its inputs."""
+        return self.front_end.twin(ThermistorWiring(self, truth, fixture, clock))
+
+
+class Thermistor:
+    """The driver of a thermistor behind any converter."""
+
+    def __init__(self, wired: WiredThermistor, link: Link, clock: Clock) -> None:
+        self._wired = wired
+        self._converter = wired.front_end.driver(link, clock)
+        self._supply = 0.0
+        """Of the last sample, V."""
+
+    def probe(self) -> Mapping[str, str]:
+        """Return temperature, supply and converter as text; the errors are those of :meth:`read`."""
+        celsius = self.read().temperature
+        return {
+            "temperature": f"{celsius:.2f} °C",
+            "supply": self._wired.supply.said(self._supply),
+            "converter": self._wired.front_end.description,
+        }
+
+    def read(self) -> Reading:
+        """Take one sample: only the temperature, no values.
+
+        BusError: the converter does not answer.
+        DeviceFault: an open or shorted thermistor, or no supply.
+        """
+        (share,), self._supply = self._wired.supply.shares(self._converter, (self._wired.number,))
+        return Reading((), self._wired.divider.celsius(share))
+
+    def discard(self) -> None:
+        """Do nothing: every read is a new conversion."""
+
+
+class ThermistorWiring(Wiring):
+    """A virtual thermistor's divider at a converter; of the truth its seed, supply, errors and faults are used."""
+
+    def __init__(self, wired: WiredThermistor, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        super().__init__(truth, fixture, clock, wired.supply)
+        self._wired = wired
+
+    def share(self, number: int, now_ns: int) -> float:
+        """Return the voltage at an input, as a share of the supply."""
+        if number != self._wired.number:
+            return 0.0
+        stuck = self.truth.fault(now_ns / 1e9).kind == "stuck"
+        temperature = self.truth.ambient if stuck else self.fixture.temperature()
+        return self._wired.divider.share(temperature + self.truth.thermometer_error)
+
+
+def _curve(address: Address) -> Curve:
+    """Return the curve of an address; only a virtual thermistor has a default."""
+    hart = [name for name in ("a", "b", "c") if name in address.options]
+    if hart:
+        if "beta" in address.options:
+            address.refuse("options 'beta' and 'a', 'b', 'c' exclude each other: give one curve")
+        a, b, c = (address.number(name) for name in ("a", "b", "c"))
+        if b <= 0.0 or c < 0.0:
+            address.refuse("a thermistor's Steinhart-Hart coefficients have b above 0 and c not below 0 (in 1/K, Ω)")
+        return Curve(a, b, c)
+    if "beta" not in address.options and not address.simulated:
+        address.refuse("the thermistor's curve is missing (add beta=...&r0=..., or a=...&b=...&c=...)")
+    beta = address.number("beta", 3950.0, low=100.0, high=20_000.0)
+    r0 = address.number("r0", 10_000.0 if address.simulated else None, low=1.0)
+    return Curve.from_beta(beta, r0, address.number("t0", 25.0, low=-100.0, high=300.0))
+
+
+def _wire_thermistor(address: Address) -> WiredThermistor:
+    """Return the wiring of an address."""
+    front_end = find_front_end(address)
+    tied = address.text("to", "ground")
+    if tied not in ("ground", "supply"):
+        address.refuse(f"option to={tied} is neither ground nor supply")
+    fixed = address.number("fixed", 10_000.0 if address.simulated else None, low=1.0)
+    number = take_input(address, "channel", front_end, 3)
+    supply = take_supply(address, front_end, *SUPPLY)
+    require_apart(address, {"channel": number, "supply": supply.number})
+    return WiredThermistor(front_end, number, Divider(_curve(address), fixed, tied == "ground"), supply)
+
+
+def _ideal_thermistor(seed: int) -> Truth:
+    return Truth(channels=(), offset={}, sensitivity={}, seed=seed, jig=JIG, time_constant=TIME_CONSTANT)
+
+
+def thermistor_at(address: Address) -> Model:
+    """Return the thermistor as it is connected at an address."""
+    wired = _wire_thermistor(address)
+    front_end = wired.front_end
+    return Model(
+        name="thermistor",
+        title="NTC thermistor in a divider behind a converter, temperature only",
+        channels=(),
+        unit="°C",
+        schemes=front_end.schemes,
+        addresses=(
+            "ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&supply=2&beta=3950&r0=10000&t0=25&fixed=10000",
+            "mcp3208+spi:///dev/spidev0.1?channel=3&vref=5.0&beta=3950&r0=10000&t0=25&fixed=10000",
         ),
+        # It has no channel, so these values have no effect.
+        offset=0.0,
+        sensitivity=1.0,
+        offset_spread=0.0,
+        sensitivity_spread=0.0,
+        rails=(-inf, inf),
+        resolution=0.0,
+        interval=0.01,
+        thermometer=True,
+        driver=partial(Thermistor, wired),
+        twin=wired.virtual,
+        not_modelled=(
+            "lag behind the chamber, self-heating, noise",
+            "the memory fault (parity) of other parts",
+            "tolerance of the curve and of the fixed resistor, resistance of the wires",
+            "supply: ripple, drift",
+            "converter: offset, gain error, nonlinearity, noise, charge taken from the divider",
+        ),
+        default_truth=_ideal_thermistor,
+        spi=front_end.spi,
+        options=(*OPTIONS, *front_end.options),
+        configure=thermistor_at,
     )
-    return _model(part, parse_address("sim:"))
 
 
-BANDWIDTH = 10.0
-"""Assumed bandwidth of the RC filter of an ADXL202, Hz; it sets the noise of the virtual part."""
-
-SCA100T_D01 = _sca100t(sca100t.D01, 0.8)
-SCA100T_D02 = _sca100t(sca100t.D02, 0.4)
-ADXL202 = _adxl202(adxl202.ADXL202)
-ADXL202E = _adxl202(adxl202.ADXL202E)
-ADXL210 = _adxl202(adxl202.ADXL210)
+MODELS = {
+    model.name: model
+    for model in (
+        _sca100t(sca100t.D01, 0.8),
+        _sca100t(sca100t.D02, 0.4),
+        *map(_adxl202, adxl202.MODELS.values()),
+        thermistor_at(parse_address("sim:")),
+    )
+}
+"""By the name that the user types."""

@@ -16,6 +16,7 @@ one the device is calibrated without these checks, and the session says so.
 from __future__ import annotations
 
 import re
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -23,14 +24,31 @@ from functools import cached_property, partial
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.device import Model, Reading, from_twin, in_words
-from tiltcal.drivers.lines import UNUSABLE, LineBuffer, shown
+from tiltcal.drivers.model import Model, Reading, link_in_words
+from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, StreamingPart, Truth, part_errors
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
+
+CHUNK = 4096
+"""The largest number of bytes to take at once."""
+
+LONGEST = 1024
+"""Longest line; a longer one means a wrong baud rate, or a device that sends no text."""
+
+PATIENCE = 10.0
+"""Seconds from its first byte in which a line must be complete; a slower one is given up."""
+
+SILENCE = 0.1
+"""Seconds without a byte after which a line begins; a line that is being sent has shorter pauses."""
+
+UNUSABLE = 50
+"""Unusable lines in a row before a driver raises an error."""
+
+_LINE_END = re.compile(rb"[\r\n]+")
 
 AXES = ("x", "y", "z")
 TEMPERATURE = "temperature"
@@ -66,6 +84,99 @@ RAIL = 1e12
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
 _NUMBER = re.compile(rb"[+-]?(?:[0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
+
+
+class LineBuffer:
+    """Splits the bytes of a device into lines.
+
+    The first piece after the start, or after :meth:`discard`, may be the tail of a line; it is a whole one where the
+    device was silent before it.
+
+    Parameters
+    ----------
+    clock : Clock
+        Times a line, and the silence before it.
+    """
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self._link = link
+        self._clock = clock
+        self._ready: deque[bytes] = deque()
+        self._rest = b""
+        self._begun = self._emptied = False
+
+    def next(self) -> tuple[bytes, bool]:
+        """Return the next line that is not empty, without its end.
+
+        Returns
+        -------
+        line : bytes
+        whole : bool
+            False if its beginning may be missing.
+
+        BusError: silence, bytes without a line end, or line ends alone.
+        """
+        for _ in range(UNUSABLE):
+            began_ns: int | None = None
+            while not self._ready:
+                self._listen()
+                now_ns = self._clock.now_ns()
+                began_ns = now_ns if began_ns is None else began_ns
+                if not self._ready:
+                    self._require_soon(began_ns, now_ns)
+            line, whole = self._ready.popleft(), self._begun
+            self._begun = True
+            if line:
+                return line, whole
+        raise BusError(f"{UNUSABLE} lines arrived and all were empty: does the device send text?")
+
+    def discard(self) -> None:
+        """Discard what has arrived."""
+        self._restart()
+        self._link.exchange(b"", 0)
+        self._emptied = True
+
+    def _restart(self) -> None:
+        self._ready.clear()
+        self._rest = b""
+        self._begun = self._emptied = False
+
+    def _require_soon(self, began_ns: int, now_ns: int) -> None:
+        if now_ns - began_ns > PATIENCE * 1e9:
+            piece = self._rest
+            self._restart()
+            raise BusError(
+                f"no whole line came in {PATIENCE:g} s, only {shown(piece)}: does the device end its lines, and is "
+                "this its baud rate?"
+            )
+
+    def _listen(self) -> None:
+        asked_ns = self._clock.now_ns()
+        try:
+            arrived = self._link.exchange(b"", CHUNK)
+        except BusError:
+            # Data after a reconnection do not continue the partial line from before.
+            self._restart()
+            raise
+        if self._emptied:
+            # Nothing was waiting in the port, so a long wait for the first byte was silence on the line.
+            self._begun = self._clock.now_ns() - asked_ns > SILENCE * 1e9
+            self._emptied = False
+        pieces = _LINE_END.split(self._rest + arrived)
+        self._rest = pieces.pop()
+        self._ready.extend(pieces)
+        if not pieces and len(self._rest) > LONGEST:
+            endless = self._rest
+            self._restart()
+            raise BusError(
+                f"{len(endless)} bytes came without a line end, beginning with {shown(endless)}: is the baud rate "
+                "right, and does the device send text?"
+            )
+
+
+def shown(line: bytes) -> str:
+    """Return the first characters of a line for a message, quoted and escaped."""
+    return repr(line[:60])[1:]
 
 
 @dataclass(frozen=True)
@@ -129,7 +240,7 @@ class ColumnsSensor:
         """Return the numbers of a new line, and the link statistics, as text; the errors are those of :meth:`read`."""
         self.discard()
         reading = self.read()
-        return numbers_in_words(self._columns.channels, reading) | {"link": in_words(self.link_statistics())}
+        return numbers_in_words(self._columns.channels, reading) | {"link": link_in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """Return the next line of numbers.
@@ -209,6 +320,46 @@ def require_name(address: Address, name: str) -> None:
         address.refuse(f"column {name!r}: did you mean {TEMPERATURE!r}?")
 
 
+def virtual_columns(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
+    """Return a device that prints the columns of an address 100 times a second; a skipped column is 0."""
+
+    def line(number: int) -> bytes:
+        gravity, element, now_ns = fixture.gravity, fixture.temperature(truth.lag), clock.now_ns()
+        numbers = {name: truth.sample(name, gravity, element, now_ns, number) for name in columns.channels}
+        return columns.line({**numbers, TEMPERATURE: fixture.temperature() + truth.thermometer_error})
+
+    return StreamingPart(truth, fixture, clock, line)
+
+
+def draw_truth(channels: tuple[str, ...], offset: float, sensitivity: float, seed: int) -> Truth:
+    """Return a device near its nominal coefficients; the tolerances are ours.
+
+    offset: nominal, unit.
+    sensitivity: nominal, unit/g.
+    """
+    within = part_errors(seed)
+
+    def row(channel: str) -> dict[str, float]:
+        return {
+            axis: sensitivity * (1.0 + within(0.03, f"sensitivity {axis}"))
+            if axis == channel
+            else sensitivity * within(0.02, f"cross {channel} {axis}")
+            for axis in "xyz"
+        }
+
+    return Truth(
+        channels=channels,
+        offset={channel: offset + sensitivity * within(0.05, f"offset {channel}") for channel in channels},
+        sensitivity={channel: row(channel) for channel in channels},
+        reference=24.0,
+        drift={channel: (sensitivity * within(0.001, f"drift {channel}"),) for channel in channels},
+        noise=dict.fromkeys(channels, abs(sensitivity) * 0.001),
+        seed=seed,
+        jig=JIG,
+        time_constant=TIME_CONSTANT,
+    )
+
+
 def _configured(address: Address) -> Model:
     """Return the model with the options of the address."""
     columns = columns_of(address, "x,y,temperature" if address.simulated else None)
@@ -216,8 +367,8 @@ def _configured(address: Address) -> Model:
     return replace(
         model,
         driver=partial(ColumnsSensor, columns),
-        twin=from_twin("columns", "columns_twin", columns),
-        default_truth=from_twin("columns", "draw_truth", columns.channels, model.offset, model.sensitivity),
+        twin=partial(virtual_columns, columns),
+        default_truth=partial(draw_truth, columns.channels, model.offset, model.sensitivity),
     )
 
 
@@ -275,14 +426,17 @@ SERIAL_COLUMNS = Model(
     interval=0.0,
     thermometer=True,
     driver=partial(ColumnsSensor, _ANY),
-    twin=from_twin("columns", "columns_twin", _ANY),
+    twin=partial(virtual_columns, _ANY),
     not_modelled=(
         "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
         "loss and damage on the line",
         "a receive buffer: lines that are not read at once are lost",
         "the memory fault (parity) of other parts",
     ),
-    default_truth=from_twin("columns", "draw_truth", _ANY.channels, 0.0, 1.0),
+    default_truth=partial(draw_truth, _ANY.channels, 0.0, 1.0),
     options=("columns", "separator", "unit", "offset", "sensitivity", "low", "high"),
     configure=_configured,
 )
+
+MODELS = {SERIAL_COLUMNS.name: SERIAL_COLUMNS}
+"""By the name that the user types."""

@@ -29,11 +29,13 @@ from tiltcal.drivers.columns import (
     TEMPERATURE,
     TIME,
     channels_of,
+    draw_truth,
     numbers_in_words,
     require_name,
     with_numbers,
 )
-from tiltcal.drivers.device import Model, Reading, from_twin
+from tiltcal.drivers.model import Model, Reading
+from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -220,6 +222,62 @@ class ModbusColumns:
         return {first + place: answer[2 + 2 * place : 4 + 2 * place] for place in range(number)}
 
 
+ANSWER_SECONDS = 0.020
+"""Time from a request to the end of its answer, s."""
+NUMBERS_PER_SECOND = 100.0
+"""How often a virtual device has new ones."""
+VIRTUAL_TIMEOUT = 1.0
+NO_SUCH_FUNCTION, NO_SUCH_REGISTER = 1, 2
+
+
+class VirtualModbus(VirtualPart):
+    """A device with the columns of an address in its registers."""
+
+    letter = "m"
+
+    def __init__(self, layout: RegisterLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        super().__init__(truth, fixture, clock)
+        self._layout = layout
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Answer one request; see :class:`~tiltcal.drivers.bus.modbus.ModbusLink`."""
+        if self._fault().kind == "silent":
+            self._clock.sleep(VIRTUAL_TIMEOUT)
+            raise BusError("the virtual device does not answer: a fault that its twin file names")
+        self._clock.sleep(ANSWER_SECONDS)
+        function, first, number = struct.unpack(">BHH", out)
+        if function != self._layout.function:
+            return bytes([function | FAILED, NO_SUCH_FUNCTION])
+        held = self._registers()
+        if any(register not in held for register in range(first, first + number)):
+            return bytes([function | FAILED, NO_SUCH_REGISTER])
+        data = b"".join(held[register] for register in range(first, first + number))
+        return bytes([function, len(data)]) + data
+
+    def _registers(self) -> dict[int, bytes]:
+        held = {}
+        for column in self._layout.columns:
+            data = self._layout.arranged(self._packed(column))
+            held.update({column.first + place: data[2 * place : 2 * place + 2] for place in range(column.length)})
+        return held
+
+    def _packed(self, column: RegisterColumn) -> bytes:
+        number = self._number(column.name) / column.scale
+        if column.code in "fd":
+            return struct.pack(f">{column.code}", number)
+        bits = 16 * column.length
+        low, high = (0, 2**bits - 1) if column.code.isupper() else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+        return struct.pack(f">{column.code}", min(max(round(number), low), high))
+
+    def _number(self, name: str) -> float:
+        if name == TEMPERATURE:
+            return self._celsius()
+        now_ns, temperature = self._clock.now_ns(), self._fixture.temperature(self._truth.lag)
+        return self._truth.sample(
+            name, self._fixture.gravity, temperature, now_ns, int(now_ns / 1e9 * NUMBERS_PER_SECOND)
+        )
+
+
 def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
     """Return the registers of an address.
 
@@ -275,8 +333,8 @@ def _configured(address: Address) -> Model:
         model,
         interval=1.0 / address.number("rate", RATE, low=0.001, high=1000.0),
         driver=partial(ModbusColumns, layout),
-        twin=from_twin("modbus", "ModbusTwin", layout),
-        default_truth=from_twin("columns", "draw_truth", layout.channels, model.offset, model.sensitivity),
+        twin=partial(VirtualModbus, layout),
+        default_truth=partial(draw_truth, layout.channels, model.offset, model.sensitivity),
     )
 
 
@@ -296,7 +354,7 @@ MODBUS_COLUMNS = replace(
     ),
     interval=1.0 / RATE,
     driver=partial(ModbusColumns, _SIMULATED),
-    twin=from_twin("modbus", "ModbusTwin", _SIMULATED),
+    twin=partial(VirtualModbus, _SIMULATED),
     not_modelled=(
         "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
         "frames and checksums of RTU and TCP: the twin answers what is inside them",
@@ -306,3 +364,6 @@ MODBUS_COLUMNS = replace(
     options=("columns", "table", "order", "rate", UNIT, "offset", "sensitivity", "low", "high"),
     configure=_configured,
 )
+
+MODELS = {MODBUS_COLUMNS.name: MODBUS_COLUMNS}
+"""By the name that the user types."""

@@ -1,63 +1,560 @@
-"""Parts with byte registers and readings in counts: transactions, checks, and options."""
+"""Parts with numbers in byte registers, on SPI or I2C: a row of facts, from which driver and virtual part are made.
+
+A :class:`RegisterPart` says where its numbers lie (:class:`Field`), what is written before it measures, and how it
+shows a new sample. The driver decodes by these facts and the virtual part encodes by them. What it does beyond them,
+such as a factory trim that a reset may lose, is a function in its row. The rows of tiltcal are in
+:mod:`tiltcal.drivers.parts`; a row of another package is a sensor model by an entry point.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from math import ceil
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from math import ceil, inf, sqrt
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 from tiltcal.drivers.bus.link import require_length
-from tiltcal.errors import BusError
+from tiltcal.drivers.bus.spi import SpiPort
+from tiltcal.drivers.model import Model, Reading, deviation_within, typical_nonlinearity
+from tiltcal.drivers.virtual import RecallingPart, Tolerances
+from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus import Bus
     from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.virtual import HeldPose, Truth
 
-Register = Callable[[int], int]
-"""Converts a register to its byte on a bus."""
+Registers = Mapping[int, int]
+"""Contents by register."""
+
+Command = Callable[[int], int]
+"""Converts a register to the first byte of a transaction."""
 
 R = TypeVar("R")
 
+PERIODS = 6
+"""Timeout for a sample, in sample periods."""
+POLLS = 4
+"""How often the status is read in a sample period."""
+
+ANY_PORT = SpiPort((0,), 10_000_000, 1_000_000)
+ANY_PART = Tolerances(offset=0.1, sensitivity=0.1)
+"""Of a part whose source states none."""
+
+NEAR_RATE = 0.01
+"""A rate is one of the part's if it is within this share of it."""
+
+HIGHEST_REGISTER = 0x7F
+BIT_SECONDS = {"s": 1 / 500_000, "i": 1 / 100_000}
+"""Of the virtual parts, by the letter of the bus."""
+
+SPI, I2C = "spi:///dev/spidev0.0", "i2c:///dev/i2c-1?address="
+"""Example addresses; the user must state the I2C address."""
+
 
 @dataclass(frozen=True, slots=True)
-class RegisterPort:
-    """Registers of one byte, read in bursts and written one by one, on SPI or I2C.
+class Field:
+    """A number in registers.
 
     Attributes
     ----------
-    link : Link
-        Its letter is the bus.
-    read_command, write_command : callable
-        The first byte of an SPI frame, by register.
-    pointer : callable
-        The first byte of an I2C transaction, by register.
+    at : int
+        The first of its registers.
+    bits, size, shift : int
+        Its bits, its registers, and the bits without a meaning below it.
+    order : str
+        Whether the first register is the ``big`` or the ``little`` end.
+    signed : bool
+        Whether it is two's complement.
     """
 
-    link: Link
-    read_command: Register
-    write_command: Register
-    pointer: Register = int
+    at: int
+    bits: int
+    size: int = 2
+    shift: int = 0
+    order: Literal["big", "little"] = "big"
+    signed: bool = True
 
-    def read(self, first: int, count: int) -> bytes:
-        """Return ``count`` registers of one transaction, from ``first`` on in the order of the part.
+    def decode(self, registers: Registers) -> int:
+        """Return the number in the registers."""
+        raw = int.from_bytes(bytes(registers[self.at + place] for place in range(self.size)), self.order)
+        word = raw >> self.shift & (1 << self.bits) - 1
+        return word - (1 << self.bits) if self.signed and word >> self.bits - 1 else word
+
+    def encode(self, number: int) -> Registers:
+        """Return the registers that hold a number."""
+        raw = (number & (1 << self.bits) - 1) << self.shift
+        return dict(enumerate(raw.to_bytes(self.size, self.order), self.at))
+
+    @property
+    def rails(self) -> tuple[int, int]:
+        """The smallest and the largest number."""
+        return (-(1 << self.bits - 1), (1 << self.bits - 1) - 1) if self.signed else (0, (1 << self.bits) - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Thermometer:
+    """The thermometer of a part: °C = reference + (number - zero) / slope."""
+
+    field: Field
+    zero: float
+    slope: float
+    reference: float = 25.0
+
+    def celsius(self, registers: Registers) -> float:
+        """Return the temperature in the registers, °C."""
+        return self.reference + (self.field.decode(registers) - self.zero) / self.slope
+
+    def encode(self, celsius: float) -> Registers:
+        """Return the registers of a temperature, °C."""
+        low, high = self.field.rails
+        return self.field.encode(min(max(round(self.zero + self.slope * (celsius - self.reference)), low), high))
+
+
+class Range(NamedTuple):
+    """A measuring range: its code in the part's registers, and count/g."""
+
+    code: int
+    counts_per_g: float
+
+
+class Write(NamedTuple):
+    """A register that is written, how long the part needs then (s), and whether it keeps what it is told."""
+
+    register: int
+    value: int
+    seconds: float = 0.0
+    kept: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterPart:
+    """The facts of a part with registers, with the source of each number beside the row.
+
+    Attributes
+    ----------
+    name, title : str
+        What the user types, and maker, part and buses for the list of devices; ``short`` names it in messages.
+    channels : mapping of str to Field
+        x, y and z, as far as it has them.
+    bursts : tuple of tuple of int
+        The transactions of a sample: first register and number of registers.
+    thermometer : Thermometer or None
+    rails : tuple of int or None
+        Numbers at or beyond which a word is no measurement, where they are not the ends of its field.
+    ranges : mapping of str to Range
+        By the word of the option ``range``, such as ``2g``.
+    rates : mapping of float to int
+        Code by samples per second.
+    range, rate : str, float
+        Without an option of the address.
+    addresses : tuple of str
+        An example for each of its buses, the preferred one first; the virtual part has that one.
+    read, write, pointer : callable
+        The first byte of an SPI frame that reads or writes a register, and that of an I2C transaction.
+    count : int
+        -1 where the address counts down in a burst.
+    spi : SpiPort
+    burst_bytes : int
+        Of a sample on SPI: at the slowest clock they pass in a sample period; 0 where no word can be torn.
+    fastest_on_i2c : float
+        Samples per second that the bus carries at 100 kHz.
+    identity : tuple or None
+        The first register of the part's identity, and the contents that are this part's.
+    reset : Write or None
+    set_up : callable
+        ``set_up(part)`` returns the writes before it measures; each group is read back before the next one begins.
+    settling : callable
+        ``settling(part)`` is the time from the last of them to a sample, s.
+    dropped : int
+        Samples that are no good after that.
+    new_sample : tuple of int or None
+        The status register and the bit of a new sample; without one a sample is taken at any time.
+    cleared_by : int or None
+        The register whose reading clears that bit; None is the status register.
+    held : mapping of int to int
+        Contents after power-up that are not 0, of the virtual part.
+    memory_fault : tuple of int or None
+        The status register and the bit of a fault of the part's memory.
+    limits : Tolerances
+        As delivered.
+    spread : tuple of float or None
+        Standard deviation of offset (g) and sensitivity (relative) over parts, where the limits do not say it.
+    noise_density, corner : float
+        g/√Hz, and the bandwidth as a share of the rate.
+    noise_counts : float
+        Noise of a sample where no source states a density, count.
+    nonlinearity : float
+        Typical, relative to the range.
+    not_modelled : tuple of str
+    begin, take, probe : callable
+        What is special, as functions of the :class:`RegisterSensor`: in place of the reset, of the bursts and of what a
+        probe tells.
+    options : tuple of str
+    configure : callable
+        ``configure(part, address)`` returns the part with the options of an address.
+    bus : Bus or None
+        What opens its ``package:`` addresses, where tiltcal does not have its bus.
+    """
+
+    name: str
+    title: str
+    short: str
+    channels: Mapping[str, Field]
+    bursts: tuple[tuple[int, int], ...]
+    thermometer: Thermometer | None = None
+    rails: tuple[int, int] | None = None
+    ranges: Mapping[str, Range]
+    rates: Mapping[float, int] = field(default_factory=dict)
+    range: str
+    rate: float
+    addresses: tuple[str, ...]
+    read: Command = lambda register: register | 0x80
+    write: Command = int
+    pointer: Command = int
+    count: int = 1
+    spi: SpiPort = ANY_PORT
+    burst_bytes: int = 0
+    fastest_on_i2c: float = inf
+    identity: tuple[int, tuple[bytes, ...]] | None = None
+    reset: Write | None = None
+    set_up: Callable[[RegisterPart], tuple[tuple[Write, ...], ...]] = lambda part: ()
+    settling: Callable[[RegisterPart], float] = lambda part: 0.0
+    dropped: int = 0
+    new_sample: tuple[int, int] | None = None
+    cleared_by: int | None = None
+    held: Registers = field(default_factory=dict)
+    memory_fault: tuple[int, int] | None = None
+    limits: Tolerances = ANY_PART
+    spread: tuple[float, float] | None = None
+    noise_density: float = 0.0
+    corner: float = 0.5
+    noise_counts: float = 1.0
+    nonlinearity: float = 0.0
+    not_modelled: tuple[str, ...] = ("the real tolerances, noise and response time", "the memory fault (parity)")
+    begin: Callable[[RegisterSensor], None] = lambda sensor: sensor.reset()
+    take: Callable[[RegisterSensor], Registers] = lambda sensor: sensor.bursts()
+    probe: Callable[[RegisterSensor], Mapping[str, str]] = lambda sensor: {
+        **sensor.part.range_in_words,
+        **in_words(sensor.read()),
+    }
+    options: tuple[str, ...] = ("range", "rate")
+    configure: Callable[[RegisterPart, Address], RegisterPart] = lambda part, address: part.at_range_and_rate(address)
+    bus: Bus | None = None
+
+    @property
+    def counts_per_g(self) -> float:
+        """Nominal sensitivity, count/g."""
+        return self.ranges[self.range].counts_per_g
+
+    @property
+    def extent(self) -> float:
+        """Largest acceleration of the range, g."""
+        return float(self.range.removesuffix("g"))
+
+    @property
+    def range_in_words(self) -> dict[str, str]:
+        """Range, sensitivity and rate, for the operator."""
+        return {"range": f"±{self.extent:g} g, {round(self.counts_per_g, 1):g} count/g, {self.rate:g} samples/s"}
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a sample, count."""
+        if not self.noise_density:
+            return self.noise_counts
+        return self.counts_per_g * (self.noise_density * sqrt(self.rate * self.corner))
+
+    @property
+    def word_rails(self) -> tuple[int, int]:
+        """Numbers at or beyond which a word is no measurement."""
+        return self.rails or next(iter(self.channels.values())).rails
+
+    @property
+    def schemes(self) -> tuple[str, ...]:
+        """Those of its addresses."""
+        return tuple(address.partition(":")[0] for address in self.addresses)
+
+    def at_range_and_rate(self, address: Address) -> RegisterPart:
+        """Return the part with the options ``range`` and ``rate`` of an address."""
+        rate = address.number("rate", self.rate)
+        known = min(self.rates, key=lambda one: abs(one - rate), default=rate)
+        if abs(known - rate) > NEAR_RATE * known:
+            address.refuse(f"option rate={rate:g} is none of {', '.join(f'{one:g}' for one in self.rates)}")
+        if address.scheme == "i2c" and known > self.fastest_on_i2c:
+            address.refuse(f"option rate={rate:g} is too fast for I2C (at most {self.fastest_on_i2c:g})")
+        return replace(self, rate=known, range=choose_range(address, {word: word for word in self.ranges}, self.range))
+
+    def model(self) -> Model:
+        """Return the sensor model of the part."""
+        offset, sensitivity = self.spread or map(deviation_within, (self.limits.offset, self.limits.sensitivity))
+        low, high = self.word_rails
+        return Model(
+            name=self.name,
+            title=self.title,
+            channels=tuple(self.channels),
+            unit="count",
+            schemes=self.schemes,
+            addresses=self.addresses,
+            offset=0.0,
+            sensitivity=self.counts_per_g,
+            offset_spread=offset,
+            sensitivity_spread=sensitivity,
+            nonlinearity=typical_nonlinearity(self.nonlinearity * self.extent, self.extent)
+            if self.nonlinearity
+            else (),
+            rails=(float(low), float(high)),
+            resolution=1.0,
+            # Where the part shows a new sample, a read waits for it.
+            interval=0.0 if self.new_sample else 1.0 / self.rate,
+            thermometer=self.thermometer is not None,
+            thermometer_step=abs(1.0 / self.thermometer.slope) if self.thermometer else 0.0,
+            driver=partial(RegisterSensor, self),
+            twin=partial(VirtualRegisters, self),
+            not_modelled=self.not_modelled,
+            default_truth=partial(self.limits.draw, tuple(self.channels), self.counts_per_g, self.noise),
+            # A burst must end before the next word is due, or it mixes bytes of two words.
+            spi=replace(self.spi, slowest=max(self.spi.slowest, ceil(8 * (1 + self.burst_bytes) * self.rate)))
+            if "spi" in self.schemes
+            else None,
+            options=self.options,
+            configure=lambda address: self.configure(self, address).model(),
+            bus=self.bus,
+        )
+
+
+class RegisterSensor:
+    """The driver of a part.
+
+    The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
+    set up, so a reset shows as samples that do not come.
+
+    Attributes
+    ----------
+    remembered : any
+        What the functions of the row keep of the part from one set-up to the next.
+    """
+
+    part: RegisterPart
+
+    def __init__(self, part: RegisterPart, link: Link, clock: Clock) -> None:
+        self.part = part
+        self.link = link
+        self._clock = clock
+        self._ready = False
+        self.remembered: Any = None
+
+    def probe(self) -> Mapping[str, str]:
+        """Set the part up; return what it is and a sample as text. The errors are those of :meth:`read`."""
+        self._ready = False
+        return self.part.probe(self)
+
+    def read(self) -> Reading:
+        """Take the next sample: counts, and the temperature in °C where the part has a thermometer.
 
         Raises
         ------
         BusError
-            The transaction failed.
+            The transaction failed, every bit of the sample is the same, or the part does not keep its settings.
+        DeviceFault
+            Another part answers, it does not measure, or it was reset since it was set up.
+        """
+        part = self.part
+        ready, self._ready = self._ready, False
+        if not ready:
+            self._start()
+        if not self._sample_comes():
+            raise DeviceFault(self._why_no_sample(ready))
+        registers = part.take(self)
+        self._ready = True
+        values = tuple(float(place.decode(registers)) for place in part.channels.values())
+        return Reading(values, part.thermometer.celsius(registers) if part.thermometer else None)
+
+    def discard(self) -> None:
+        """Do nothing: every read takes the latest sample."""
+
+    def registers(self, first: int, count: int) -> dict[int, int]:
+        """Return the registers of one transaction.
+
+        BusError: the transaction failed, or its answer has another length.
         """
         if self.link.letter == "i":
-            return require_length(self.link.exchange(bytes([self.pointer(first)]), count), count)
-        return require_length(self.link.exchange(bytes([self.read_command(first), *bytes(count)])), 1 + count)[1:]
+            data = require_length(self.link.exchange(bytes([self.part.pointer(first)]), count), count)
+        else:
+            frame = bytes([self.part.read(first), *bytes(count)])
+            data = require_length(self.link.exchange(frame), len(frame))[1:]
+        return dict(zip(range(first, first + self.part.count * count, self.part.count), data, strict=True))
 
-    def write(self, register: int, value: int) -> None:
-        """Set one register.
+    def register(self, register: int) -> int:
+        """Return one register."""
+        return self.registers(register, 1)[register]
 
-        BusError: the transaction failed.
-        """
-        command = self.pointer if self.link.letter == "i" else self.write_command
-        self.link.exchange(bytes([command(register), value]))
+    def bursts(self) -> dict[int, int]:
+        """Return the registers of a sample; a line that is stuck is a BusError."""
+        registers: dict[int, int] = {}
+        for first, count in self.part.bursts:
+            registers |= self.registers(first, count)
+        check_data_line(bytes(registers.values()))
+        return registers
+
+    def write(self, write: Write) -> None:
+        """Set a register."""
+        command = self.part.pointer if self.link.letter == "i" else self.part.write
+        self.link.exchange(bytes([command(write.register), write.value]))
+        self._clock.sleep(write.seconds)
+
+    def reset(self) -> None:
+        """Reset the part, where it has a reset."""
+        if self.part.reset:
+            self.write(self.part.reset)
+
+    def _start(self) -> None:
+        """Check that it is the part, reset it and write its settings."""
+        self._require_identity()
+        self.part.begin(self)
+        for group in self.part.set_up(self.part):
+            for write in group:
+                self.write(write)
+            if wrong := self._unlike(group):
+                raise BusError(
+                    f"the {self.part.short} does not keep what is written to it ({wrong}): check MOSI or SDA, the "
+                    "clock and the supply"
+                )
+        self._clock.sleep(self.part.settling(self.part))
+        for _ in range(self.part.dropped):
+            if not self._sample_comes():
+                raise DeviceFault(self._why_no_sample(was_ready=False))
+            self.registers(*self.part.bursts[0])
+
+    def _require_identity(self) -> None:
+        if self.part.identity is None:
+            return
+        first, known = self.part.identity
+        identity = bytes(self.registers(first, len(known[0])).values())
+        check_data_line(identity)
+        if identity not in known:
+            expected = " or ".join(one.hex(" ").upper() for one in known)
+            raise DeviceFault(
+                f"the part says that it is {identity.hex(' ').upper()}, where an {self.part.short} says {expected}: is "
+                "another device on this chip select or address?"
+            )
+
+    def _sample_comes(self) -> bool:
+        if self.part.new_sample is None:
+            return True
+        status, bit = self.part.new_sample
+        for _ in range(POLLS * PERIODS):
+            # A line that is stuck high has this bit as well; the data show it.
+            if self.register(status) & bit:
+                return True
+            self._clock.sleep(1.0 / self.part.rate / POLLS)
+        return False
+
+    def _unlike(self, writes: Iterable[Write]) -> str:
+        """Return the registers with another content, as text."""
+        held = [(write, self.register(write.register)) for write in writes if write.kept]
+        return ", ".join(
+            f"register 0x{write.register:02X} holds 0x{content:02X}, not 0x{write.value:02X}"
+            for write, content in held
+            if content != write.value
+        )
+
+    def _why_no_sample(self, was_ready: bool) -> str:
+        writes = [write for group in self.part.set_up(self.part) for write in group]
+        if was_ready and (wrong := self._unlike(writes)):
+            return (
+                f"the {self.part.short} was reset or its supply failed since it was set up ({wrong}): check the supply "
+                "and its wires; it is set up anew"
+            )
+        return (
+            f"no sample came for {PERIODS * (1.0 / self.part.rate):.3g} s: the {self.part.short} does not measure; "
+            "switch its supply off and on"
+        )
+
+
+class VirtualRegisters(RecallingPart):
+    """The virtual part of a row, in its state after power-up; it measures once its registers hold what is set up.
+
+    truth: in counts of the range that the driver sets.
+    """
+
+    def __init__(self, part: RegisterPart, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        super().__init__(truth, fixture, clock)
+        self._part = part
+        self.letter = part.bus.letter if part.schemes[0] == "package" and part.bus else part.schemes[0][0]
+        self._set_up = {write.register: write.value for group in part.set_up(part) for write in group if write.kept}
+        first, known = part.identity or (0, (b"",))
+        self._after_reset = {**part.held, **dict(enumerate(known[0], first))}
+        self._held = dict(self._after_reset)
+        self._taken = -1
+
+    @cached_property
+    def _commands(self) -> Mapping[int, tuple[int, bool]]:
+        """Register, and whether it is written, by the first byte of a transaction."""
+        reading, writing = (self._part.read, self._part.write) if self.letter == "s" else (self._part.pointer,) * 2
+        commands: dict[int, tuple[int, bool]] = {}
+        for command, written in ((reading, False), (writing, True)):
+            for register in range(HIGHEST_REGISTER + 1):
+                commands.setdefault(command(register) & 0xFF, (register, written))
+        return commands
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Answer one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        silent = self._fault().kind == "silent"
+        if self.letter == "i":
+            if silent:
+                raise BusError("no device acknowledges, a fault that the virtual sensor's truth sets")
+            answer = self._answered(out, count)
+        elif silent:
+            answer = b"\xff" * len(out)
+        else:
+            # It is unknown what the part sends during the command byte, so it is random here.
+            answer = bytes([self._filler()]) + self._answered(out, len(out) - 1)
+        # On I2C each byte has an acknowledge; write and read each begin with an address byte.
+        bits = 9 * (1 + len(out) + (1 + count if count else 0)) if self.letter == "i" else 8 * len(out)
+        self._clock.sleep(bits * BIT_SECONDS[self.letter])
+        return answer
+
+    def _answered(self, out: bytes, count: int) -> bytes:
+        register, written = self._commands.get(out[0], (0, False))
+        if not written and (self.letter == "s" or len(out) == 1):
+            return self._content(register, count)
+        if self._part.reset and (register, out[-1]) == self._part.reset[:2]:
+            self._held = dict(self._after_reset)
+        else:
+            self._held[register] = out[-1]
+        return bytes(count)
+
+    def _content(self, first: int, count: int) -> bytes:
+        """Return registers of one moment, in the order of the part."""
+        part, held = self._part, dict(self._held)
+        asked = range(first, first + part.count * count, part.count)
+        if part.memory_fault and self._fault().kind == "parity":
+            held[part.memory_fault[0]] = held.get(part.memory_fault[0], 0) | part.memory_fault[1]
+        if all(held.get(register) == value for register, value in self._set_up.items()):
+            for channel, place in part.channels.items():
+                held |= place.encode(self._word(channel, part.rate, *part.word_rails))
+            if part.thermometer:
+                held |= part.thermometer.encode(self._celsius())
+            if part.new_sample:
+                status, bit = part.new_sample
+                sample = int(self._clock.now_ns() / 1e9 * part.rate)
+                held[status] = bit if sample > self._taken else 0
+                if (status if part.cleared_by is None else part.cleared_by) in asked:
+                    self._taken = sample
+        return bytes(held.get(register, 0) for register in asked)
+
+    def _take_set_up_state(self) -> None:
+        self._held = {**self._after_reset, **self._set_up}
+
+    def _seconds(self, out: bytes) -> float:
+        # How many bytes were read on I2C, and so how long it took, is not known.
+        return 8 * len(out) * BIT_SECONDS["s"] if self.letter == "s" else 0.0
+
+    def _take(self, out: bytes) -> object:
+        return self._answered(out, len(out) - 1 if self.letter == "s" else 1) if out else b""
 
 
 def check_data_line(answers: bytes) -> None:
@@ -82,13 +579,16 @@ def in_counts(values: Iterable[float]) -> dict[str, str]:
     return {channel: f"{value:.0f} count" for channel, value in zip("xyz", values, strict=False)}
 
 
+def in_words(reading: Reading, trimmed: bool = False) -> dict[str, str]:
+    """Return a reading as text; ``trimmed`` is whether the maker has calibrated the thermometer."""
+    said = in_counts(reading.values)
+    if reading.temperature is not None:
+        said["temperature"] = f"{reading.temperature:.1f} °C{'' if trimmed else ' (not trimmed)'}"
+    return said
+
+
 def choose_range(address: Address, ranges: Mapping[str, R], default: R) -> R:
     """Return the value of the option ``range``: one of the words, or the number of one that ends in g."""
     if f"{address.options.get('range', '')}g" in ranges:
         return ranges[f"{address.options['range']}g"]
     return address.choice("range", ranges, default)
-
-
-def slowest_clock(count: int, rate: float) -> int:
-    """Return the lowest SPI clock at which a burst of ``count`` registers ends before the next word is due, Hz."""
-    return ceil(8 * (1 + count) * rate)

@@ -1,4 +1,4 @@
-"""Murata (VTI) SCA100T dual-axis inclinometer on its SPI port.
+"""Murata (VTI) SCA100T two-axis, and SCA103T and SCA61T one-axis inclinometers on their SPI port, with virtual parts.
 
 One command byte starts each frame, most significant bit first; chip select stays low for the whole frame::
 
@@ -7,55 +7,89 @@ One command byte starts each frame, most significant bit first; chip select stay
     STX 0x0E, STY 0x0F     start the self-test of one axis
     MEAS 0x00              back to measuring
 
-Source: SCA100T Series data sheet, Murata doc. 8261800 Rev. B2.
+The SCA103T has two elements on one axis that look opposite ways; its reading is RDAX less RDAY. A memory parity error
+drives both words below 102, and their difference would be that of a level part, so each word is judged by itself. The
+SCA61T has one element and is asked for nothing but RDAX and the temperature.
+
+Sources: SCA100T Series data sheet, Murata doc. 8261800 Rev. B2; SCA103T data sheet, VTI 8261700 Rev. A; of the SCA61T
+(8261900) the title page, pages 10 to 12 and what drivers quote of its curves. Its limits as delivered were not found:
+they are taken as those of the SCA100T, which has the same element.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import radians, sin
+from dataclasses import dataclass, replace
+from functools import partial
+from math import comb, exp, log, radians, sin, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
 from tiltcal.drivers.bus.link import require_length
-from tiltcal.drivers.device import (
-    Model,
-    Population,
-    Reading,
-    SpiPort,
-    deviation_within,
-    from_twin,
-    typical_nonlinearity,
-)
+from tiltcal.drivers.bus.spi import SpiPort
+from tiltcal.drivers.model import Model, Population, Reading, deviation_within, typical_nonlinearity
 from tiltcal.drivers.registers import check_data_line
+from tiltcal.drivers.virtual import (
+    LEVEL,
+    REFERENCE,
+    HeldPose,
+    Polynomial,
+    Tolerances,
+    Truth,
+    Vector,
+    VirtualPart,
+    normal,
+    part_errors,
+    uniform,
+)
 from tiltcal.errors import DeviceFault, UsageError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.virtual import Fault
 
 MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
 
 FULL_SCALE = 2047
 """Largest 11-bit word; it corresponds to the supply voltage."""
-
 ZERO = 1024
 """Nominal word at 0 g."""
-
 LOWEST_SANE_WORD = 102
 """After a memory parity error or a broken interconnection, the part sends words below this one."""
+HIGHEST_SANE_WORD = 1945
+"""Largest word of an SCA103T; a larger one is a broken connection or a tilt out of range."""
+
+REFRESH, RECOVERY = 150e-6, 15e-6
+"""Seconds of chip select high before a read (the output registers reload every 150 µs, but not while it is low), and
+before any other frame."""
+PUSH, SETTLING = 80e-3, 150e-3
+"""Seconds of self-test (20 to 100 ms are allowed, saturation takes 25 ms typically), and after it: typically stable
+after 55 ms; nearly three times that allows for slow parts."""
+
+SENSITIVITY_LIMIT = 0.005
+"""Largest relative error of the sensitivity as delivered."""
+CROSS_AXIS_LIMIT = 0.04
+"""Largest sum of the two cross-axis sensitivities, relative to the channel's own."""
+SLOPES = (0.008, 0.014)
+"""Typical deviation of the slopes of offset (°/°C) and sensitivity (%/°C) from the mean of the parts."""
+
+NOT_MODELLED = (
+    "response time: a new position and a new temperature take effect at once, without ringing",
+    "bandwidth: the noise of two samples 150 µs apart is independent",
+    "thermometer noise, and a lag between thermometer and sensing element",
+    "supply: start-up time, ratiometric error, brown-out",
+    "long-term drift, temperature hysteresis, shock",
+    "chip select released for less than 15 µs, clock above 500 kHz, bytes damaged by noise",
+    "status register and reload command (RDSR, RLOAD): answered as invalid commands",
+    "self-test of both axes at once, which the datasheet forbids",
+)
 
 
 @dataclass(frozen=True, slots=True)
 class SelfTest:
-    """The result of the self-test of one axis, in which an electrode pushes the proof mass.
+    """The result of the self-test of one channel, in which an electrode pushes the proof mass.
 
-    Attributes
-    ----------
-    channel : str
-        x or y.
-    before, deflected, after : int
-        Word at rest, during the push, and after the recovery, count.
+    before, deflected, after: word at rest, during the push, and after the recovery, count.
     """
 
     channel: str
@@ -67,91 +101,63 @@ class SelfTest:
         return f"{self.before} count at rest, {self.deflected} while pushed, {self.after} after the recovery"
 
     @property
-    def deflection_passed(self) -> bool:
-        """Whether the push moved the output to at least 95 % of the supply."""
-        return self.deflected >= 0.95 * FULL_SCALE
-
-    @property
-    def recovery_passed(self) -> bool:
-        """Whether the output returned to within 5 % of its first value."""
-        return abs(self.after - self.before) <= 0.05 * self.before
-
-    @property
     def passed(self) -> bool:
-        """Whether the axis passed."""
-        return self.deflection_passed and self.recovery_passed
+        """Whether it moved to at least 95 % of the supply, and returned to within 5 % of its first value."""
+        return self.deflected >= 0.95 * FULL_SCALE and abs(self.after - self.before) <= 0.05 * self.before
 
 
-class Inclinometer:
-    """What the drivers of the family share: frames, their waits, and the sane range of a word."""
+class Sca61t:
+    """The driver of an SCA61T, x in counts, 0 to 2047; and what the drivers of the family share."""
 
-    COMMANDS: ClassVar[Mapping[str, int]]
+    COMMANDS: ClassVar[Mapping[str, int]] = {"x": RDAX}
     """What reads each of the part's output registers."""
-
-    REFRESH = 150e-6
-    """Seconds of chip select high before a read: the output registers reload every 150 µs, but not while it is low."""
-    RECOVERY = 15e-6
-    """Seconds of chip select high before any other frame."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
         self._clock = clock
+        self._words: dict[str, int] = {}
+        """Of the last sample."""
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the device answers plausibly.
-
-        Returns
-        -------
-        mapping of str to str
-            The words it sent, and the temperature.
+        """Take a sample; return its words and the temperature as text.
 
         BusError: no answer, or a data line that never changes.
         DeviceFault: the part reports a fault, or a temperature at which it cannot work.
         """
-        words, temperature = self._sample()
+        temperature = self.read().temperature or 0.0
         # The thermometer is not trimmed, so 10 °C are added to both ends of the part's operating range.
         if not -50.0 <= temperature <= 135.0:
             raise DeviceFault(
                 f"the device reports {temperature:.0f} °C, where such a part works from -40 °C to 125 °C: "
                 "is another device on this chip select?"
             )
-        return {**self._said(words), "temperature": f"{temperature:.1f} °C (not trimmed)"}
+        return {**self._said(), "temperature": f"{temperature:.1f} °C (not trimmed)"}
 
     def read(self) -> Reading:
         """Take one sample: the channels in counts, and the temperature in °C.
 
-        Raises
-        ------
-        BusError
-            The transaction failed, or every bit of the sample is the same.
-        DeviceFault
-            A word that is a fault of the part.
+        BusError: the transaction failed, or every bit of the sample is the same.
+        DeviceFault: a word that is a fault of the part.
         """
-        words, temperature = self._sample()
-        return Reading(self._values(words), temperature)
+        answers = []
+        for frame in (*((command, 0, 0) for command in self.COMMANDS.values()), (RWTR, 0)):
+            self._clock.sleep(REFRESH)
+            answers.append(require_length(self._link.exchange(bytes(frame)), len(frame), "frame"))
+        check_data_line(b"".join(answers))
+        words = map(self._checked, self.COMMANDS, answers)
+        self._words = dict(zip(self.COMMANDS, words, strict=True))
+        return Reading(self._values(), decode_temperature(answers[-1]))
 
     def discard(self) -> None:
         """Do nothing: every read is a new conversion."""
 
-    def _said(self, words: Mapping[str, int]) -> dict[str, str]:
+    def _said(self) -> dict[str, str]:
         """Return the words for the operator."""
-        return {channel: f"{word} count" for channel, word in words.items()}
+        return {channel: f"{word} count" for channel, word in self._words.items()}
 
-    def _values(self, words: Mapping[str, int]) -> tuple[float, ...]:
+    def _values(self) -> tuple[float, ...]:
         """Return the reading of each channel, count."""
-        return tuple(map(float, words.values()))
-
-    def _sample(self) -> tuple[dict[str, int], float]:
-        """Return every word in counts and the temperature in °C, once it is sure that a part has sent them."""
-        answers = []
-        for frame in (*((command, 0, 0) for command in self.COMMANDS.values()), (RWTR, 0)):
-            self._clock.sleep(self.REFRESH)
-            answers.append(require_length(self._link.exchange(bytes(frame)), len(frame), "frame"))
-        check_data_line(b"".join(answers))
-        words = {
-            channel: self._checked(channel, answer) for channel, answer in zip(self.COMMANDS, answers, strict=False)
-        }
-        return words, decode_temperature(answers[-1])
+        return tuple(map(float, self._words.values()))
 
     def _checked(self, channel: str, frame: bytes) -> int:
         """Return the word of a frame; a fault signal is none."""
@@ -163,43 +169,24 @@ class Inclinometer:
             )
         return word
 
-    def _fresh(self, *frame: int) -> bytes:
-        """Exchange a frame that reads a register, after the reload time of the register."""
-        self._clock.sleep(self.REFRESH)
-        return require_length(self._link.exchange(bytes(frame)), len(frame), "frame")
 
-    def _command(self, command: int) -> None:
-        self._clock.sleep(self.RECOVERY)
-        self._link.exchange(bytes([command]))
-
-
-class Sca100t(Inclinometer):
+class Sca100t(Sca61t):
     """The driver of an SCA100T, either variant: x and y in counts, 0 to 2047."""
 
     COMMANDS: ClassVar[Mapping[str, int]] = {"x": RDAX, "y": RDAY}
 
-    PUSH = 80e-3
-    """Seconds of self-test: the datasheet allows 20 to 100 ms, saturation takes 25 ms typically."""
-    SETTLING = 150e-3
-    """Seconds after the self-test: typically stable after 55 ms; nearly three times that allows for slow parts."""
-
     def probe(self) -> Mapping[str, str]:
-        """End a self-test that another program may have left running, then as :meth:`Inclinometer.probe`."""
+        """End a self-test that another program may have left running, then probe as :class:`Sca61t` does."""
         self._command(MEAS)
-        self._clock.sleep(self.SETTLING)
+        self._clock.sleep(SETTLING)
         return super().probe()
 
     def self_test(self, channel: str) -> SelfTest:
-        """Push one axis with its electrode, and test whether it moves and returns.
+        """Push one axis with its electrode, and test whether it moves and returns, in about a quarter of a second.
 
-        It takes about a quarter of a second. The sensor must lie still.
+        The sensor must lie still. The datasheet forbids both axes at once.
 
-        Parameters
-        ----------
-        channel : str
-            x or y. The datasheet forbids both at once.
-
-        UsageError: another channel, or an axis that points down, where the push may not reach the rail of a good part.
+        UsageError: another channel than x or y, or an axis that points down, where the push may not reach the rail.
         BusError, DeviceFault: as :meth:`read`.
         """
         if channel not in ("x", "y"):
@@ -216,25 +203,61 @@ class Sca100t(Inclinometer):
             )
         try:
             self._command(start)
-            self._clock.sleep(self.PUSH)
+            self._clock.sleep(PUSH)
             deflected = self._word(channel, read)
         finally:
             self._command(MEAS)
-        self._clock.sleep(self.SETTLING)
+        self._clock.sleep(SETTLING)
         return SelfTest(channel, before, deflected, self._word(channel, read))
 
     def _word(self, channel: str, command: int) -> int:
-        frame = self._fresh(command, 0, 0)
+        self._clock.sleep(REFRESH)
+        frame = require_length(self._link.exchange(bytes([command, 0, 0])), 3, "frame")
         check_data_line(frame)
         # An element that is pushed is at its rail.
-        return Inclinometer._checked(self, channel, frame)
+        return Sca61t._checked(self, channel, frame)
+
+    def _command(self, command: int) -> None:
+        self._clock.sleep(RECOVERY)
+        self._link.exchange(bytes([command]))
+
+
+class Sca103t(Sca100t):
+    """The driver of an SCA103T: the difference of its two elements in counts."""
+
+    COMMANDS: ClassVar[Mapping[str, int]] = {"RDAX": RDAX, "RDAY": RDAY}
+
+    def self_test(self, channel: str) -> SelfTest:
+        """Push one element, then the other; return the first that does not pass, or the second one."""
+        if channel != "x":
+            raise UsageError(f"an SCA103T has channel x, no {channel!r}")
+        first, second = self._pushed("RDAX", STX, RDAX), self._pushed("RDAY", STY, RDAY)
+        return second if first.passed else first
+
+    def _said(self) -> dict[str, str]:
+        plus, minus = self._words.values()
+        return {
+            "x": f"{plus - minus} count",
+            "elements": f"{plus} and {minus} count, together {plus + minus} (2048 but for temperature and supply)",
+        }
+
+    def _values(self) -> tuple[float, ...]:
+        plus, minus = self._words.values()
+        return (float(plus - minus),)
+
+    def _checked(self, channel: str, frame: bytes) -> int:
+        word = decode_word(frame)
+        if not LOWEST_SANE_WORD <= word <= HIGHEST_SANE_WORD:
+            raise DeviceFault(
+                f"{channel} reads {word} count, outside {LOWEST_SANE_WORD} to {HIGHEST_SANE_WORD}: it is tilted "
+                "beyond its range, or shows a memory parity error or a broken connection: bring it near level; if "
+                "it stays, switch its supply off and on"
+            )
+        return word
 
 
 def decode_word(frame: bytes) -> int:
-    """Return the 11-bit word of an answer to RDAX or RDAY, 0 to 2047 count; 1024 at 0 g.
-
-    The first of its three bytes and the low 5 bits of the last one have no meaning.
-    """
+    """Return the 11-bit word of an answer to RDAX or RDAY, 0 to 2047 count; 1024 at 0 g."""
     return frame[1] << 3 | frame[2] >> 5
 
 
@@ -243,128 +266,331 @@ def decode_temperature(frame: bytes) -> float:
     return (frame[1] - 197) / -1.083
 
 
-SENSITIVITY_LIMIT = 0.005
-"""Largest relative error of the sensitivity as delivered."""
-CROSS_AXIS_LIMIT = 0.04
-"""Largest sum of the two cross-axis sensitivities, relative to the channel's own."""
-DRIFT_SPREAD = 0.008
-"""Typical deviation of the offset's slope from the mean of the parts, °/°C."""
-GAIN_SPREAD = 0.014
-"""Typical deviation of the sensitivity's slope from the mean of the parts, %/°C."""
+RELOAD_NS = 150_000
+"""Time between two reloads of the output registers."""
+BIT_SECONDS = 1.0 / 500_000
+POINTS_DOWN = -0.065
+"""Below this acceleration, in g, an axis does not count as level for the self-test; the datasheet states no number."""
+SATURATION, RELAXATION = 25e-3, 30e-3
+"""Typical time to 95 % of the deflection of a self-test, and of the recovery, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instant:
+    """The input of the converter when the registers were loaded.
+
+    gravity: up in the sensor frame, g.
+    temperature, thermometer: of the sensing element and of the part's thermometer, °C.
+    """
+
+    now_ns: int
+    gravity: Vector
+    temperature: float
+    thermometer: float = 0.0
+
+    @property
+    def conversion(self) -> int:
+        """The number of the conversion, one per 150 µs; it numbers the noise."""
+        return self.now_ns // RELOAD_NS
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """The deflection of the proof mass of one axis by the self-test electrode, from 0 (free) to 1.
+
+    since_ns, start: time of the last switch, and the deflection then.
+    """
+
+    on: bool = False
+    since_ns: int | None = None
+    start: float = 0.0
+
+    def switched(self, on: bool, now_ns: int) -> Push:
+        """Return the deflection after a command; a command without an effect on this axis changes nothing."""
+        return self if on == self.on else Push(on, now_ns, self.at(now_ns))
+
+    def at(self, now_ns: int) -> float:
+        """Return the deflection now."""
+        if self.since_ns is None:
+            return 0.0
+        goal, typical = (1.0, SATURATION) if self.on else (0.0, RELAXATION)
+        elapsed = max(now_ns - self.since_ns, 0) / 1e9
+        return goal + (self.start - goal) * exp(-elapsed * log(20.0) / typical)
+
+
+class VirtualSca100t(VirtualPart):
+    """An SCA100T on the SPI bus at 500 kHz, bit by bit.
+
+    Its short-term state is the time when chip select last rose, because the registers need 150 µs to reload, and a
+    self-test in progress.
+    """
+
+    letter = "s"
+
+    ELEMENTS: ClassVar[Mapping[int | None, str]] = {RDAX: "x", RDAY: "y"}
+    """The sensing element behind each command."""
+
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        super().__init__(truth, fixture, clock)
+        self._released_ns: int | None = None
+        self._latched = self._instant()
+        self._pushes = {"x": Push(), "y": Push()}
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Answer one frame; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        fault = self._fault()
+        if self._released_ns is None or self._clock.now_ns() - self._released_ns >= RELOAD_NS:
+            self._latched = self._instant()
+        driven = b"" if fault.kind == "silent" else self._driven(out, fault)
+        self._clock.sleep(8 * len(out) * BIT_SECONDS)
+        self._released_ns = self._clock.now_ns()
+        return (driven + b"\xff" * len(out))[: len(out)]
+
+    def _instant(self) -> Instant:
+        fixture = self._fixture
+        element = fixture.temperature(self._truth.lag)
+        return Instant(self._clock.now_ns(), fixture.gravity, element, fixture.temperature())
+
+    def _driven(self, out: bytes, fault: Fault) -> bytes:
+        """Return the bytes that the part drives; none for an invalid command, where the line floats."""
+        command = out[0] if out else None
+        now_ns = self._clock.now_ns()
+        filler = int(uniform(self._truth.seed, "filler", now_ns) * 2**24).to_bytes(3, "big")
+        channel = self.ELEMENTS.get(command)
+        if channel is not None:
+            word = self._output(channel, fault)
+            return bytes([filler[0], word >> 3, (word & 0b111) << 5 | filler[2] & 0b11111])
+        if command == RWTR:
+            seen = self._latched.thermometer + self._truth.thermometer_error
+            return bytes([filler[0], min(max(round(197.0 - 1.083 * seen), 0), 255)])
+        if command in (STX, STY, MEAS):
+            self._pushes["x"] = self._pushes["x"].switched(command == STX, now_ns)
+            self._pushes["y"] = self._pushes["y"].switched(command == STY, now_ns)
+            return filler[:1]
+        return b""
+
+    def _output(self, channel: str, fault: Fault) -> int:
+        """Return the output register of a channel, count."""
+        if fault.kind == "parity":
+            return int(uniform(self._truth.seed, f"parity {channel}", self._latched.conversion) * LOWEST_SANE_WORD)
+        instant = self._latched
+        if fault.kind == "stuck":
+            # Held at its level value: a function of the fault alone, so a resumed session reads the same word.
+            instant = Instant(round(fault.start * 1e9), LEVEL, self._truth.ambient)
+        reading, noise = self._element(channel, instant)
+        reading += self._reach(channel, instant) * self._pushes[channel].at(instant.now_ns)
+        if noise:
+            reading += noise * normal(self._truth.seed, f"noise {channel}", instant.conversion)
+        return min(max(round(reading), 0), FULL_SCALE)
+
+    def _element(self, channel: str, instant: Instant) -> tuple[float, float]:
+        """Return what an element reads, and the standard deviation of its noise, count."""
+        reading = self._truth.reading(channel, instant.gravity, instant.temperature)
+        return reading, self._truth.noise.get(channel, 0.0)
+
+    def _reach(self, channel: str, instant: Instant) -> float:
+        """Return the change of the reading by a full push, count: past the rail, or 1 g if the axis points down."""
+        if instant.gravity["xyz".index(channel)] < POINTS_DOWN:
+            return self._truth.sensitivity[channel][channel]
+        return 0.75 * FULL_SCALE
+
+
+class VirtualSca61t(VirtualSca100t):
+    """An SCA61T; it does not answer RDAY, because its answer is unknown."""
+
+    ELEMENTS: ClassVar[Mapping[int | None, str]] = {RDAX: "x"}
+
+
+class VirtualSca103t(VirtualSca100t):
+    """An SCA103T: each element holds half of the difference about its middle, one with either sign."""
+
+    def _element(self, channel: str, instant: Instant) -> tuple[float, float]:
+        half = self._truth.reading("x", instant.gravity, instant.temperature) / 2.0
+        return ZERO + (half if channel == "x" else -half), self._truth.noise.get("x", 0.0) / sqrt(2.0)
+
+    def _reach(self, channel: str, instant: Instant) -> float:
+        up = instant.gravity[0] if channel == "x" else -instant.gravity[0]
+        return self._truth.sensitivity["x"]["x"] / 2.0 if up < POINTS_DOWN else 0.75 * FULL_SCALE
+
+
+def _recentred(coefficients: Polynomial, centre: float) -> Polynomial:
+    """Return the same polynomial in powers of (T - centre) instead of T, the constant term first in both."""
+    return tuple(
+        sum(k * comb(power, n) * centre ** (power - n) for power, k in enumerate(coefficients) if power >= n)
+        for n in range(len(coefficients))
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class InclinometerPart:
     """The constants of one part of the family as delivered.
 
-    Attributes
-    ----------
-    offset_limit : float
-        Largest offset of either sign, degrees.
-    nonlinearity : tuple of float
-        Typical square and cube of the response, pure numbers; the data sheet states cross-axis sensitivity with them.
-    zero : float
-        Nominal reading at 0 g, count.
-    rails : tuple of float
-        count.
+    offset_limit: largest offset of either sign, degrees.
+    nonlinearity: typical square and cube of the response, pure numbers; the data sheet states cross-axis sensitivity
+        with them.
+    drift, gain: mean offset over the parts in degrees and mean change of the sensitivity in %, coefficients of 1, T,
+        T², ... with T in °C; slopes: standard deviation over parts, °/°C and %/°C; source: of both.
+    zero: nominal reading at 0 g, count.
     """
 
+    name: str
     title: str
     channels: tuple[str, ...]
     counts_per_g: float
     offset_limit: float
-    population: Population
+    drift: Sequence[float]
+    gain: Sequence[float]
+    source: str
+    slopes: tuple[float, float] = SLOPES
     nonlinearity: tuple[float, ...] = ()
     zero: float = float(ZERO)
     rails: tuple[float, float] = (float(LOWEST_SANE_WORD - 1), float(FULL_SCALE))
 
+    @property
+    def population(self) -> Population:
+        """The mean temperature curves in counts."""
+        counts = self.counts_per_g
+        return Population(
+            drift=tuple(counts * radians(k) for k in self.drift),
+            gain=tuple(k / 100.0 for k in self.gain),
+            drift_spread=counts * radians(self.slopes[0]),
+            gain_spread=self.slopes[1] / 100.0,
+            source=self.source,
+        )
 
-def population(
-    counts: float, drift: Sequence[float], gain: Sequence[float], spread: tuple[float, float], source: str
-) -> Population:
-    """Return the mean temperature curves of a data sheet in counts.
+    def draw(self, noise: float, seed: int) -> Truth:
+        """Draw a part whose drift and sensitivity follow the mean curves, with this noise of a reading, count.
 
-    Parameters
-    ----------
-    counts : float
-        Sensitivity, count/g.
-    drift, gain : sequence of float
-        Mean offset in degrees and mean change of the sensitivity in %, coefficients of 1, T, T², ... with T in °C.
-    spread : tuple of float
-        Standard deviation over parts of the slopes, °/°C and %/°C.
-    """
-    return Population(
-        drift=tuple(counts * radians(k) for k in drift),
-        gain=tuple(k / 100.0 for k in gain),
-        drift_spread=counts * radians(spread[0]),
-        gain_spread=spread[1] / 100.0,
-        source=source,
-    )
+        The thermometer within 2 °C (the data sheets call it untrimmed and give no limit) and the noise are ours: the
+        data sheets' 0.0008 °/√Hz is far below the 11-bit step; a bench is not.
+        """
+        population = self.population
+        limits = Tolerances(
+            offset=sin(radians(self.offset_limit)),
+            sensitivity=SENSITIVITY_LIMIT,
+            cross=CROSS_AXIS_LIMIT,
+            drift=population.drift_spread / self.counts_per_g,
+            gain=population.gain_spread,
+            thermometer=2.0,
+        )
+        truth = limits.draw(self.channels, self.counts_per_g, noise, seed, self.zero)
+        _, slope, *higher = _recentred(population.drift, REFERENCE)
+        mean, steepness, *bends = _recentred(population.gain, REFERENCE)
+        return replace(
+            truth,
+            drift={channel: (slope + drift, *higher) for channel, (drift,) in truth.drift.items()},
+            gain={
+                channel: tuple(k / (1.0 + mean) for k in (steepness + gain, *bends))
+                for channel, (gain,) in truth.gain.items()
+            },
+        )
 
+    def draw_bent(self, seed: int) -> Truth:
+        """Draw an SCA100T; each term of its response has half of the tolerance, which their sum then keeps."""
+        within = part_errors(seed)
+        square, cube = (k / 2.0 for k in self.nonlinearity)
+        bends = {
+            channel: (within(square, f"quadratic {channel}"), within(cube, f"cubic {channel}"))
+            for channel in self.channels
+        }
+        return replace(self.draw(0.6, seed), nonlinearity=bends)
 
-NOT_MODELLED = (
-    "response time: a new position and a new temperature take effect at once, without ringing",
-    "bandwidth: the noise of two samples 150 µs apart is independent",
-    "thermometer noise, and a lag between thermometer and sensing element",
-    "supply: start-up time, ratiometric error, brown-out",
-    "long-term drift, temperature hysteresis, shock",
-    "chip select released for less than 15 µs, clock above 500 kHz, bytes damaged by noise",
-    "status register and reload command (RDSR, RLOAD): answered as invalid commands",
-    "self-test of both axes at once, which the datasheet forbids",
-)
-
-
-def inclinometer_model(
-    name: str, part: InclinometerPart, driver: type[Inclinometer], twin_module: str, twin: str
-) -> Model:
-    """Return the model of a part of the family; bus, waits, bandwidth and thermometer are the SCA100T's."""
-    return Model(
-        name=name,
-        title=part.title,
-        channels=part.channels,
-        unit="count",
-        schemes=("spi",),
-        addresses=("spi:///dev/spidev0.0",),
-        offset=part.zero,
-        sensitivity=part.counts_per_g,
-        offset_spread=deviation_within(sin(radians(part.offset_limit))),
-        sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
-        rails=part.rails,
-        resolution=1.0,
-        # The bandwidth is 8 to 28 Hz: the noise of an earlier sample is not independent.
-        interval=0.010,
-        thermometer=True,
-        thermometer_step=1.0 / 1.083,
-        population=part.population,
-        cross_axis_limit=CROSS_AXIS_LIMIT if part.nonlinearity else 0.0,
-        nonlinearity=part.nonlinearity,
-        driver=driver,
-        twin=from_twin(twin_module, twin),
-        not_modelled=NOT_MODELLED,
-        default_truth=from_twin(twin_module, "draw_truth", part),
-        spi=SpiPort(modes=(0, 3), fastest=500_000),
-    )
+    def model(self, driver: type[Sca61t], twin: type[VirtualSca100t]) -> Model:
+        """Return the sensor model; bus, waits, bandwidth and thermometer are the same in the whole family."""
+        noise = 0.6 if self.zero else 0.8
+        return Model(
+            name=self.name,
+            title=self.title,
+            channels=self.channels,
+            unit="count",
+            schemes=("spi",),
+            addresses=("spi:///dev/spidev0.0",),
+            offset=self.zero,
+            sensitivity=self.counts_per_g,
+            offset_spread=deviation_within(sin(radians(self.offset_limit))),
+            sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
+            rails=self.rails,
+            resolution=1.0,
+            # The bandwidth is 8 to 28 Hz: the noise of an earlier sample is not independent.
+            interval=0.010,
+            thermometer=True,
+            thermometer_step=1.0 / 1.083,
+            population=self.population,
+            cross_axis_limit=CROSS_AXIS_LIMIT if self.nonlinearity else 0.0,
+            nonlinearity=self.nonlinearity,
+            driver=driver,
+            twin=twin,
+            not_modelled=NOT_MODELLED,
+            default_truth=self.draw_bent if driver is Sca100t else partial(self.draw, noise),
+            spi=SpiPort(modes=(0, 3), fastest=500_000),
+        )
 
 
 def _sca100t(
-    variant: str, extent: str, counts_per_g: float, offset_limit: float, range_g: float, nonlinearity: float
+    variant: str, extent: str, counts: float, offset_limit: float, range_g: float, nonlinearity: float
 ) -> Model:
     part = InclinometerPart(
+        name=f"sca100t-{variant.lower()}",
         title=f"Murata SCA100T-{variant} inclinometer, {extent}, SPI",
         channels=("x", "y"),
-        counts_per_g=counts_per_g,
+        counts_per_g=counts,
         offset_limit=offset_limit,
-        population=population(
-            counts_per_g,
-            (0.0522, -0.0039, 0.0001, -0.0000006),
-            (0.0408, 0.0022, -0.00011),
-            (DRIFT_SPREAD, GAIN_SPREAD),
-            "SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
-        ),
+        drift=(0.0522, -0.0039, 0.0001, -0.0000006),
+        gain=(0.0408, 0.0022, -0.00011),
+        source="SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
         nonlinearity=typical_nonlinearity(sin(radians(nonlinearity)), range_g),
     )
-    return inclinometer_model(f"sca100t-{variant.lower()}", part, Sca100t, "sca100t", "Sca100tTwin")
+    return part.model(Sca100t, VirtualSca100t)
 
 
-D01 = _sca100t("D01", "±30°", counts_per_g=1638.0, offset_limit=0.11, range_g=0.5, nonlinearity=0.11)
-D02 = _sca100t("D02", "±90°", counts_per_g=819.0, offset_limit=0.23, range_g=1.0, nonlinearity=0.57)
+def _sca103t(variant: str, extent: float, counts: float, limit: float) -> Model:
+    """Return the model of a part for ±extent, whose offset and nonlinearity have one limit, degrees."""
+    reach = float(HIGHEST_SANE_WORD - LOWEST_SANE_WORD + 1)
+    part = InclinometerPart(
+        name=f"sca103t-{variant.lower()}",
+        title=f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, ±{extent:g}°, SPI",
+        channels=("x",),
+        counts_per_g=counts,
+        offset_limit=limit,
+        # Its offset has no tendency; the slope differs over parts.
+        drift=(0.0, 0.0),
+        gain=(-0.031, 0.0032, -0.00005, -0.0000005),
+        source="SCA103T data sheet 8261700 Rev. A, mean temperature curve of the sensitivity",
+        slopes=(0.002, 0.013),
+        nonlinearity=typical_nonlinearity(sin(radians(limit)), sin(radians(extent))),
+        zero=0.0,
+        rails=(-reach, reach),
+    )
+    return part.model(Sca103t, VirtualSca103t)
+
+
+def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> Model:
+    part = InclinometerPart(
+        name=f"sca61t-{variant.lower()}",
+        title=f"VTI (Murata) SCA61T-{variant} one-axis inclinometer, {extent}, SPI",
+        channels=("x",),
+        counts_per_g=counts,
+        offset_limit=offset_limit,
+        drift=(0.0514, -0.0032, 0.0000857, -0.0000005),
+        gain=(0.0362, 0.0019, -0.00011),
+        source="SCA61T data sheet 8261900, mean temperature curves as a driver quotes them; their spread over parts is "
+        "the SCA100T's",
+    )
+    return part.model(Sca61t, VirtualSca61t)
+
+
+D01 = _sca100t("D01", "±30°", 1638.0, offset_limit=0.11, range_g=0.5, nonlinearity=0.11)
+D02 = _sca100t("D02", "±90°", 819.0, offset_limit=0.23, range_g=1.0, nonlinearity=0.57)
+
+MODELS = {
+    model.name: model
+    for model in (
+        D01,
+        D02,
+        _sca103t("D04", 15.0, 6554.0, 0.057),
+        _sca103t("D05", 30.0, 3277.0, 0.11),
+        _sca61t("FAHH1G", "±30°", 1638.0, 0.11),
+        _sca61t("FA1H1G", "±90°", 819.0, 0.23),
+    )
+}
+"""By the name that the user types."""

@@ -1,11 +1,14 @@
-"""Murata SCL3300-D01 inclinometer and SCA3300-D01 accelerometer, three axes on SPI: one protocol.
+"""Murata SCL3300-D01 inclinometer and SCA3300-D01 accelerometer, three axes on SPI: one protocol, and a virtual part.
 
-The answer to a frame arrives with the NEXT frame. It echoes the operation that it answers, and its return status says
-whether its data are good. Only the frames of :mod:`tiltcal.drivers.scl3300_frames` are ever sent; other values of the
-command register belong to the factory.
+A frame has 32 bits, most significant first. The answer to a frame arrives with the NEXT frame; it echoes the operation
+that it answers, and its return status says whether its data are good::
 
-The driver reads acceleration, not the SCL3300's angles: those are computed inside the part from axes that are not
-calibrated, so offset and cross-axis sensitivity can no longer be taken out of them.
+    bit  31     30-26    25-24          23-8    7-0
+         write  address  return status  data    CRC-8 of the 24 bits above: x⁸+x⁴+x³+x²+1, start 0xFF, inverted
+
+Only the frames below are ever sent; other values of the command register belong to the factory. The driver reads
+acceleration, not the SCL3300's angles: those are computed inside the part from axes that are not calibrated, so offset
+and cross-axis sensitivity can no longer be taken out of them.
 
 Source: SCA3300-D01 data sheet, Murata doc. 3165 Rev. 3. Of the SCL3300-D01 (doc. 4921) what drivers that quote it and a
 captured start-up agree on.
@@ -13,40 +16,56 @@ captured start-up agree on.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from tiltcal.drivers.bus.link import require_length
-from tiltcal.drivers.device import Model, Reading, SpiPort, deviation_within, from_twin, in_words, typical_nonlinearity
+from tiltcal.drivers.bus.spi import SpiPort
+from tiltcal.drivers.model import Model, Reading, deviation_within, link_in_words, typical_nonlinearity
 from tiltcal.drivers.registers import check_data_line, choose_range, in_counts
-from tiltcal.drivers.scl3300_frames import (
-    BANK_0,
-    BANK_1,
-    ERROR,
-    MODES,
-    NORMAL,
-    RESET,
-    RESTARTED,
-    SAMPLE,
-    SATURATED,
-    SERIAL1,
-    SERIAL2,
-    STATUS,
-    WAKE_UP,
-    WHOAMI,
-    Answer,
-    decode,
-    decode_temperature,
-    flags_in_words,
-)
+from tiltcal.drivers.virtual import HeldPose, RecallingPart, Tolerances, Truth, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
+
+ACC_X, ACC_Y, ACC_Z = (bytes.fromhex(frame) for frame in ("040000F7", "080000FD", "0C0000FB"))
+TEMPERATURE, STATUS, WHOAMI = (bytes.fromhex(frame) for frame in ("140000EF", "180000E5", "40000091"))
+SERIAL1, SERIAL2 = bytes.fromhex("640000A7"), bytes.fromhex("680000AD")
+BANK_0, BANK_1 = bytes.fromhex("FC000073"), bytes.fromhex("FC00016E")
+RESET = bytes.fromhex("B4002098")
+MODES = tuple(bytes.fromhex(frame) for frame in ("B400001F", "B4000102", "B4000225", "B4000338"))
+"""Set Murata's mode 1, 2, 3, 4."""
+WAKE_UP = MODES[0]
+"""The only frame that a part in power-down takes."""
+
+SAMPLE = (ACC_X, ACC_Y, ACC_Z, TEMPERATURE)
+
+NORMAL, ERROR = 0b01, 0b11
+"""Return status; 0b00 is a part that starts up, 0b10 is reserved."""
+
+FLAGS = {
+    0x200: "digital block (DIGI1)",
+    0x100: "digital block (DIGI2)",
+    0x080: "clock (CLK)",
+    0x040: "signal path saturated (SAT)",
+    0x020: "temperature path saturated (TEMP_SAT)",
+    0x010: "supply (PWR)",
+    0x008: "memory (MEM)",
+    0x004: "power-down (PD)",
+    0x002: "mode change (MODE_CHANGE)",
+    0x001: "internal connection (PIN_CONTINUITY)",
+}
+"""Bits of STATUS in words."""
+
+SATURATED = 0x040 | 0x020
+RESTARTED = 0x010 | 0x004 | 0x002
+"""Flags of a part that was reset, switched off or put into another mode since it was set up."""
+
 
 GAP = 10e-6
 """Seconds of chip select high before a frame; with less the data are corrupt."""
@@ -58,6 +77,56 @@ UNKNOWN = 0xFFFF
 
 ATTEMPTS = 12
 """Unusable samples in a row before an error. If one frame in fifty is damaged, so is one sample in ten."""
+
+
+class Answer(NamedTuple):
+    """One decoded answer frame.
+
+    operation: of the request that it answers: write and address, 6 bits.
+    status: return status.
+    data: 16 bits.
+    intact: whether the CRC fits.
+    """
+
+    operation: int
+    status: int
+    data: int
+    intact: bool
+
+    @property
+    def signed(self) -> int:
+        """The data as two's complement."""
+        return self.data - 0x10000 if self.data & 0x8000 else self.data
+
+    def answers(self, request: bytes) -> bool:
+        """Return whether it is intact and belongs to this request: it echoes the operation and the written data."""
+        unlike = bool(request[0] & 0x80) and self.data != int.from_bytes(request[1:3], "big")
+        return self.intact and self.operation == request[0] >> 2 and not unlike
+
+
+def crc8(head: bytes) -> int:
+    """Return the CRC-8 of the first three bytes of a frame."""
+    crc = 0xFF
+    for byte in head:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x1D if crc & 0x80 else crc << 1) & 0xFF
+    return crc ^ 0xFF
+
+
+def decode(frame: bytes) -> Answer:
+    """Decode an answer frame of four bytes."""
+    return Answer(frame[0] >> 2, frame[0] & 0b11, frame[1] << 8 | frame[2], crc8(frame[:3]) == frame[3])
+
+
+def decode_temperature(data: int) -> float:
+    """Return the temperature of a 16-bit word in two's complement, °C."""
+    return -273.0 + data / 18.9
+
+
+def flags_in_words(status: int) -> str:
+    """Return the flags of a STATUS word as text."""
+    return ", ".join(words for bit, words in FLAGS.items() if status & bit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +224,7 @@ class Scl3300:
         reading = self.read()
         said = {"part": self._part.name, "serial": self.serial_number(), "range": str(self._range)}
         said |= in_counts(reading.values)
-        return said | {"temperature": f"{reading.temperature:.1f} °C", "link": in_words(self.link_statistics())}
+        return said | {"temperature": f"{reading.temperature:.1f} °C", "link": link_in_words(self.link_statistics())}
 
     def serial_number(self) -> str:
         """Return the serial number as it is printed on the part."""
@@ -219,7 +288,7 @@ class Scl3300:
                 "switch its supply off and on; if it stays, replace the part"
             )
         raise BusError(
-            f"the {self._part.name} could not be set up in {ATTEMPTS} attempts ({in_words(self._counts)}): try a "
+            f"the {self._part.name} could not be set up in {ATTEMPTS} attempts ({link_in_words(self._counts)}): try a "
             "slower clock (such as speed=500000), shorter wires, and check chip select and the supply"
         )
 
@@ -286,7 +355,7 @@ class Scl3300:
                 "a wider range="
             )
         raise BusError(
-            f"{ATTEMPTS} samples in a row were damaged ({in_words(self._counts)}): try a slower clock (such as "
+            f"{ATTEMPTS} samples in a row were damaged ({link_in_words(self._counts)}): try a slower clock (such as "
             "speed=500000), shorter wires, and a pull-up on chip select"
         )
 
@@ -357,6 +426,103 @@ class Scl3300:
         return require_length(self._link.exchange(frame), len(frame), "frame")
 
 
+POWER, MODE_CHANGE, MEMORY = 0x10, 0x02, 0x08
+"""Bits of STATUS."""
+WORDS_PER_SECOND = 2000.0
+BIT_SECONDS = 1.0 / 2_000_000
+
+
+class VirtualScl3300(RecallingPart):
+    """A part on the SPI bus at 2 MHz, in its state after power-up.
+
+    measuring: what the driver is going to set; the truth is in counts of this mode.
+    """
+
+    letter = "s"
+
+    def __init__(
+        self, part: Scl3300Part, measuring: MeasuringRange, truth: Truth, fixture: HeldPose, clock: Clock
+    ) -> None:
+        super().__init__(truth, fixture, clock)
+        self._part = part
+        self._truth_range = measuring
+        serial = int(uniform(truth.seed, "serial number", 0) * 2**32)
+        self._identity = {(WHOAMI, 0): part.identity, (SERIAL1, 1): serial & 0xFFFF, (SERIAL2, 1): serial >> 16}
+        self._reset()
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Answer the frame before this one; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        fault = self._fault()
+        if fault.kind == "silent":
+            answer = b"\xff" * len(out)
+        else:
+            if fault.kind == "parity":
+                self._raise(MEMORY)
+            answer = self._answer()
+            self._take(out)
+        self._clock.sleep(self._seconds(out))
+        return answer[: len(out)]
+
+    def _take_set_up_state(self) -> None:
+        self._range, self._standing, self._held = self._truth_range, 0, 0
+
+    def _seconds(self, out: bytes) -> float:
+        return 8 * len(out) * BIT_SECONDS
+
+    def _reset(self) -> None:
+        """Take the state after power-up: mode 1, bank 0, the flag of the supply set."""
+        self._range = self._part.ranges[0]
+        self._bank = 0
+        self._standing = self._held = POWER
+        # What a real part answers before its first valid answer; the data sheet leaves it undefined.
+        self._answer: Callable[[], bytes] = lambda: bytes.fromhex("0300007D")
+
+    def _raise(self, flag: int) -> None:
+        self._standing |= flag
+        self._held |= flag
+
+    def _take(self, request: bytes) -> None:
+        """Execute a request; its answer is made when the next frame fetches it."""
+        operation = request[0] >> 2 if request else 0
+        if len(request) != 4 or crc8(request[:3]) != request[3]:
+            self._answer = partial(_frame, operation, ERROR, 0)
+        elif request == RESET and self._bank == 0:
+            self._reset()
+        elif request[0] & 0x80:
+            if request in MODES and self._bank == 0:
+                self._range = self._part.ranges[MODES.index(request)]
+                self._raise(MODE_CHANGE)
+            elif request[0] == BANK_1[0]:
+                self._bank = request[2] & 1
+            self._answer = partial(_frame, operation, self._status(), int.from_bytes(request[1:3], "big"))
+        elif request == STATUS:
+            self._answer = partial(_frame, operation, self._status(), self._held)
+            self._held, self._standing = self._standing, 0
+        else:
+            status, bank = self._status(), self._bank
+            self._answer = lambda: _frame(operation, status, self._content(request, bank) & 0xFFFF)
+
+    def _status(self) -> int:
+        return ERROR if self._standing else NORMAL
+
+    def _content(self, request: bytes, bank: int) -> int:
+        """Return the register that a request asks a bank for."""
+        if request == TEMPERATURE:
+            return round((self._celsius() + 273.0) * 18.9)
+        if request in SAMPLE:
+            scale = self._range.counts_per_g / self._truth_range.counts_per_g
+            return self._word("xyz"[SAMPLE.index(request)], WORDS_PER_SECOND, -32768, 32767, scale)
+        return self._identity.get((request, bank), 0)
+
+
+def _frame(operation: int, status: int, data: int) -> bytes:
+    head = bytes([operation << 2 | status, data >> 8, data & 0xFF])
+    return head + bytes([crc8(head)])
+
+
+_LIMITS = Tolerances(offset=0.020, sensitivity=0.007, drift=0.1e-3, gain=3e-5, thermometer=10.0)
+"""Those of the SCA3300, which are used for the SCL3300 too."""
+
 _SCL3300 = Scl3300Part(
     name="SCL3300-D01",
     identity=0xC1,
@@ -415,7 +581,7 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
         thermometer=True,
         thermometer_step=1.0 / 18.9,
         driver=partial(Scl3300, part, measuring),
-        twin=from_twin("scl3300", "Scl3300Twin", part, measuring),
+        twin=partial(VirtualScl3300, part, measuring),
         not_modelled=(
             "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
             "what a real part sends after damaged requests and frames that are not 32 bits, which no source says",
@@ -424,12 +590,14 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
             "supply: brown-out; chip select released for less than 10 µs",
             *(("offset over temperature beyond a line",) if part is _SCA3300 else ("the limits of a real part",)),
         ),
-        default_truth=from_twin("scl3300", "draw_truth", part, measuring),
+        default_truth=partial(
+            _LIMITS.draw, ("x", "y", "z"), measuring.counts_per_g, measuring.counts_per_g * measuring.noise
+        ),
         spi=SpiPort(modes=(0,), fastest=8_000_000, speed=2_000_000, slowest=100_000),
         options=("range",),
         configure=partial(_configured, name, part),
     )
 
 
-SCL3300 = _model("scl3300", _SCL3300, _SCL3300.ranges[0])
-SCA3300 = _model("sca3300-d01", _SCA3300, _SCA3300.ranges[0])
+MODELS = {name: _model(name, part, part.ranges[0]) for name, part in (("scl3300", _SCL3300), ("sca3300-d01", _SCA3300))}
+"""By the name that the user types."""

@@ -9,14 +9,8 @@ TYPE_CHECKING = False
 """Not that of ``typing``: until ``tiltcal.__main__`` runs, Ctrl-C is Python's, so nothing slow is imported."""
 
 if TYPE_CHECKING:
-    from tiltcal.bench.measure import measure
     from tiltcal.bench.plan import plan
     from tiltcal.bench.sensors import open_sensor
-    from tiltcal.calibration.calibration import Calibration, read
-    from tiltcal.calibration.calibration_library import CalibrationLibrary, open_calibrations
-    from tiltcal.calibration.combine import combine
-    from tiltcal.calibration.comparison import compare
-    from tiltcal.calibration.pair_calibration import PairCalibration
     from tiltcal.errors import (
         BusError,
         DeviceFault,
@@ -29,38 +23,42 @@ if TYPE_CHECKING:
         TiltcalError,
         UsageError,
     )
-    from tiltcal.logs.apply import apply_log
-    from tiltcal.logs.fit import fit
-    from tiltcal.logs.match import match
-    from tiltcal.logs.noise import noise
+    from tiltcal.library.apply import apply_log
+    from tiltcal.library.calibration import Calibration, combine, compare, read
+    from tiltcal.library.calibration_library import CalibrationLibrary, open_calibrations
+    from tiltcal.library.fit import fit
+    from tiltcal.library.match import match
+    from tiltcal.library.measure import measure
+    from tiltcal.library.noise import noise
+    from tiltcal.library.pair_calibration import PairCalibration
 
 __version__ = "0.1.0"
 
 _HOME = {
     "BusError": "tiltcal.errors",
-    "Calibration": "tiltcal.calibration.calibration",
-    "CalibrationLibrary": "tiltcal.calibration.calibration_library",
+    "Calibration": "tiltcal.library.calibration",
+    "CalibrationLibrary": "tiltcal.library.calibration_library",
     "DeviceFault": "tiltcal.errors",
     "EstimateError": "tiltcal.errors",
     "HardwareError": "tiltcal.errors",
     "InputError": "tiltcal.errors",
     "JournalError": "tiltcal.errors",
-    "PairCalibration": "tiltcal.calibration.pair_calibration",
+    "PairCalibration": "tiltcal.library.pair_calibration",
     "SensorError": "tiltcal.errors",
     "Stopped": "tiltcal.errors",
     "TiltcalError": "tiltcal.errors",
     "UsageError": "tiltcal.errors",
-    "apply_log": "tiltcal.logs.apply",
-    "combine": "tiltcal.calibration.combine",
-    "compare": "tiltcal.calibration.comparison",
-    "fit": "tiltcal.logs.fit",
-    "match": "tiltcal.logs.match",
-    "measure": "tiltcal.bench.measure",
-    "noise": "tiltcal.logs.noise",
-    "open_calibrations": "tiltcal.calibration.calibration_library",
+    "apply_log": "tiltcal.library.apply",
+    "combine": "tiltcal.library.calibration",
+    "compare": "tiltcal.library.calibration",
+    "fit": "tiltcal.library.fit",
+    "match": "tiltcal.library.match",
+    "measure": "tiltcal.library.measure",
+    "noise": "tiltcal.library.noise",
+    "open_calibrations": "tiltcal.library.calibration_library",
     "open_sensor": "tiltcal.bench.sensors",
     "plan": "tiltcal.bench.plan",
-    "read": "tiltcal.calibration.calibration",
+    "read": "tiltcal.library.calibration",
 }
 """Where each name of the library is defined."""
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import MutableMapping
+from collections.abc import Callable, MutableMapping
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.link import Link
     from tiltcal.drivers.bus.modbus import ModbusLine
-    from tiltcal.drivers.device import Model
+    from tiltcal.drivers.bus.spi import SpiPort
 
-__all__ = ["BUSES", "link_letter", "open_link"]
+__all__ = ["BUSES", "Bus", "Device", "link_letter", "open_link"]
 
 
 class Bus(NamedTuple):
@@ -21,33 +21,51 @@ class Bus(NamedTuple):
     Attributes
     ----------
     letter : str
-        In a journal.
-    opener : str
-        Module and function: ``opener(address, model)`` returns the link.
+        In a journal; it says what a transaction is: see :class:`~tiltcal.drivers.bus.link.Link`.
+    open : str or callable
+        Module and function, which returns the link: ``open(address, model)``; of another package ``open(address)``.
     """
 
     letter: str
-    opener: str
+    open: str | Callable[[Address], Link]
+
+
+class Device(Protocol):
+    """What a bus has to know of a sensor model: see :class:`~tiltcal.drivers.model.Model`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def schemes(self) -> tuple[str, ...]: ...
+    @property
+    def addresses(self) -> tuple[str, ...]: ...
+    @property
+    def options(self) -> tuple[str, ...]: ...
+    @property
+    def spi(self) -> SpiPort | None: ...
+    @property
+    def bus(self) -> Bus | None: ...
 
 
 BUSES = {
     "spi": Bus("s", "tiltcal.drivers.bus.spi:open_spi"),
     "i2c": Bus("i", "tiltcal.drivers.bus.i2c:open_i2c"),
     "serial": Bus("r", "tiltcal.drivers.bus.serial:open_serial"),
-    "gpio": Bus("e", "tiltcal.drivers.bus.edges:open_gpio"),
+    "gpio": Bus("e", "tiltcal.drivers.bus.gpio:open_gpio"),
     "vcd": Bus("e", "tiltcal.drivers.bus.vcd:open_vcd"),
     "modbus": Bus("m", "tiltcal.drivers.bus.modbus:open_modbus"),
+    "package": Bus("", "the bus of the package that adds the model"),
 }
 """By the last part of a scheme; a converter may stand before it, as in ``ads1115+i2c``."""
 
 
-def link_letter(address: Address, model: Model) -> str:
-    """Return the letter of a device's bus in a journal; a twin has the first bus of its model."""
+def link_letter(address: Address, model: Device) -> str:
+    """Return the letter of a device's bus in a journal; a virtual part has the first bus of its model."""
     scheme = model.schemes[0] if address.simulated else address.scheme
-    return _bus_of(scheme).letter
+    return _bus_of(scheme, model).letter
 
 
-def open_link(address: Address, model: Model, lines: MutableMapping[str, ModbusLine] | None = None) -> Link:
+def open_link(address: Address, model: Device, lines: MutableMapping[str, ModbusLine] | None = None) -> Link:
     """Open the bus of an address for one device, and import only that bus's library.
 
     Parameters
@@ -67,12 +85,14 @@ def open_link(address: Address, model: Model, lines: MutableMapping[str, ModbusL
     if address.scheme not in model.schemes:
         ways = " or ".join(f"{scheme}:" for scheme in (*model.schemes, "sim"))
         address.refuse(f"{model.name} is reached by {ways} (such as {model.addresses[0]}), not by {address.scheme}:")
-    bus = _bus_of(address.scheme)
-    module, _, opener = bus.opener.partition(":")
+    bus = _bus_of(address.scheme, model)
+    if not isinstance(bus.open, str):
+        return bus.open(address)
+    module, _, opener = bus.open.partition(":")
     open_bus = getattr(import_module(module), opener)
     link: Link = open_bus(address, model, lines) if bus is BUSES["modbus"] else open_bus(address, model)
     return link
 
 
-def _bus_of(scheme: str) -> Bus:
-    return BUSES[scheme.rpartition("+")[2]]
+def _bus_of(scheme: str, model: Device) -> Bus:
+    return model.bus if scheme == "package" and model.bus else BUSES[scheme.rpartition("+")[2]]

@@ -6,19 +6,18 @@ import errno
 import os
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.device_node_errors import node_error
-from tiltcal.drivers.bus.library import import_library
+from tiltcal.drivers.bus.nodes import import_library, node_error
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus import Device
     from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.device import Model
 
 LOWEST, HIGHEST = 0x08, 0x77
 """The 7-bit addresses that a device may have; the I2C specification reserves the others."""
 
 
-def open_i2c(address: Address, model: Model) -> I2cLink:
+def open_i2c(address: Address, model: Device) -> I2cLink:
     """Open an ``i2c:`` address for one device.
 
     Parameters

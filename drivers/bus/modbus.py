@@ -9,14 +9,13 @@ from collections.abc import MutableMapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.device_node_errors import no_permission, no_serial_port
-from tiltcal.drivers.bus.library import import_library
+from tiltcal.drivers.bus.nodes import import_library, no_permission, no_serial_port
 from tiltcal.drivers.bus.serial import PARITIES, require_line
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus import Device
     from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.device import Model
 
 BAUDRATE = 9600
 """If the address names none, baud."""
@@ -36,7 +35,7 @@ HOLDING, INPUT, FAILED = 3, 4, 0x80
 """Function codes that read a table, and the bit that an exception answer adds to them."""
 
 
-def open_modbus(address: Address, model: Model, lines: MutableMapping[str, ModbusLine] | None = None) -> ModbusLink:
+def open_modbus(address: Address, model: Device, lines: MutableMapping[str, ModbusLine] | None = None) -> ModbusLink:
     """Open a ``modbus:`` address.
 
     Parameters

@@ -9,13 +9,12 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from tiltcal.drivers.bus.device_node_errors import no_permission, no_serial_port
-from tiltcal.drivers.bus.library import import_library
+from tiltcal.drivers.bus.nodes import import_library, no_permission, no_serial_port
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus import Device
     from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.device import Model
 
 BAUDRATE = 115_200
 """Default, baud."""
@@ -39,7 +38,7 @@ HANDLERS = ("socket", "rfc2217", "hwgrep", "loop")
 STOP_BITS = {"1": 1.0, "1.5": 1.5, "2": 2.0}
 
 
-def open_serial(address: Address, model: Model) -> SerialLink:
+def open_serial(address: Address, model: Device) -> SerialLink:
     """Open a ``serial:`` address.
 
     Parameters

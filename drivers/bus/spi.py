@@ -4,22 +4,44 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.device_node_errors import node_error
-from tiltcal.drivers.bus.library import import_library
+from tiltcal.drivers.bus.nodes import import_library, node_error
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus import Device
     from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.device import Model
+
+
+@dataclass(frozen=True, slots=True)
+class SpiPort:
+    """The SPI settings that a part accepts.
+
+    Attributes
+    ----------
+    modes : tuple of int
+        Clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
+    fastest : int or None
+        Highest clock, Hz; None where no source states it.
+    speed : int or None
+        Clock if the address states none, Hz; None is the fastest.
+    slowest : int
+        Lowest clock at which the part's words do not change while they are read, Hz.
+    """
+
+    modes: tuple[int, ...]
+    fastest: int | None
+    speed: int | None = None
+    slowest: int = 1
 
 
 FASTEST = 100_000_000
 """Highest clock of a part whose own is not known, Hz; spidev would take 2**32 and more for other clocks."""
 
 
-def open_spi(address: Address, model: Model) -> SpiLink:
+def open_spi(address: Address, model: Device) -> SpiLink:
     """Open a ``spi:`` address for one device.
 
     Parameters
@@ -27,7 +49,7 @@ def open_spi(address: Address, model: Model) -> SpiLink:
     address : Address
         Options ``mode`` (0 to 3) and ``speed`` (Hz); the default is what the model prefers.
     model : Model
-        Its :attr:`~tiltcal.drivers.device.Model.spi` limits them.
+        Its :attr:`~tiltcal.drivers.model.Model.spi` limits them.
 
     UsageError: an unknown option, or a mode or speed that the part does not support.
     HardwareError: the spidev package is not installed.

@@ -9,14 +9,14 @@ from io import BufferedReader
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges, unpack_edges
-from tiltcal.drivers.bus.library import import_library
+from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
 from tiltcal.drivers.bus.link import CaptureEnded
+from tiltcal.drivers.bus.nodes import import_library
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
+    from tiltcal.drivers.bus import Device
     from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.device import Model
 
 
 PREFACE = 20
@@ -26,7 +26,7 @@ MOST_NS = 1 << 63
 """The record of an edge holds times up to 292 years."""
 
 
-def open_vcd(address: Address, model: Model) -> VcdLink:
+def open_vcd(address: Address, model: Device) -> VcdLink:
     """Open a ``vcd:`` address.
 
     Parameters

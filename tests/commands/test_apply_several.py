@@ -20,7 +20,7 @@ from support.command import TILTCAL, tiltcal, tiltcal_process
 from tiltcal.cli import apply_several
 from tiltcal.cli.apply_several import Outcome
 from tiltcal.cli.unforeseen import TRACEBACK
-from tiltcal.logs.apply import apply_log
+from tiltcal.library.apply import apply_log
 from tiltcal.logs.apply_summary import ApplySummary
 
 CAL = FIXTURES / "mavs.yaml"

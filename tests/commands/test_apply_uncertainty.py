@@ -15,13 +15,13 @@ from click.testing import CliRunner, Result
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
 import tiltcal
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.estimate_record import rounded, uncertainty_of
 from tiltcal.cli.apply import command
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.gravity_direction import gravity_from_tilt
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.library.calibration import Calibration
 from tiltcal.logs.apply_summary import ColumnWidths
 
 SILENT = """\

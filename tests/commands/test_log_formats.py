@@ -13,8 +13,8 @@ import xarray
 from support import FIXTURES
 from support.command import tiltcal
 
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.library.calibration import Calibration
 
 FORMATS = ("csv", "parquet", "nc")
 

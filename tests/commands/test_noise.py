@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import signal
 import subprocess
 from math import degrees, radians, sqrt
@@ -107,13 +106,6 @@ class TestOfALog:
         assert "100 such means range over x" in result.stdout
         assert "does not meet 0.0001° and a range of 0.5°" in result.stdout
 
-    def test_a_target_that_the_record_does_not_reach(self, tmp_path: Path) -> None:
-        log = written(tmp_path / "log.csv", counts(5000))
-        result = noise(log, "--sensor", "sca100t-d02", "--target", "0.0001")
-        assert result.exit_code == 0
-        assert "does not meet 0.0001°" in result.stdout
-        assert as_json(log, "--sensor", "sca100t-d02", "--target", "0.0001")["recommendation"]["met"] is False
-
     def test_the_uncertainty_is_that_of_the_position(self, tmp_path: Path) -> None:
         """The quieter channel has its mean of as many samples as the noisier one needs."""
         found = as_json(written(tmp_path / "log.csv", counts()), "--sensor", "sca100t-d02", "--target", "0.005")
@@ -142,11 +134,6 @@ class TestOfALog:
         first = found["channels"]["y"]["averages"][0]
         assert first["std_degrees"] == pytest.approx(degrees(first["std"] / 700), rel=0.01)
 
-    def test_metres_per_second_squared(self, tmp_path: Path) -> None:
-        found = as_json(written(tmp_path / "log.csv", counts()), "--unit", "m/s2")
-        first = found["channels"]["x"]["averages"][0]
-        assert first["std_degrees"] == pytest.approx(degrees(first["std"] / 9.80665), rel=1e-6)
-
     def test_without_time_the_rate_is_said(self, tmp_path: Path) -> None:
         path = tmp_path / "log.csv"
         path.write_text("a,b\n" + "".join(f"{x:.4f},{y:.4f}\n" for x, y in counts(2000).tolist()))
@@ -154,13 +141,6 @@ class TestOfALog:
         assert list(found["channels"]) == ["x"]
         assert found["interval"] == 0.02
         assert "--rate" in refused(noise(path, "--columns", "x=b"), InputError)
-
-    def test_standard_input_by_numbers(self, tmp_path: Path) -> None:
-        path = written(tmp_path / "log.csv", counts(2000))
-        bare = "\n".join(line.replace(",", " ") for line in path.read_text().splitlines()[1:]).encode()
-        result = noise("-", "--columns", "time=1,x=2,y=3", "--json", stdin=bare)
-        assert result.exit_code == 0, result.exception
-        assert json.loads(result.stdout)["interval"] == pytest.approx(0.01)
 
     def test_a_figure(self, tmp_path: Path) -> None:
         log = written(tmp_path / "log.csv", counts(4000))
@@ -194,11 +174,6 @@ class TestWhatIsWrongWithALog:
 
     def test_too_short(self, tmp_path: Path) -> None:
         assert "fewer than 64" in refused(noise(written(tmp_path / "l.csv", counts(63))), EstimateError)
-
-    def test_a_stated_rate_stands_over_the_times(self, tmp_path: Path) -> None:
-        path = tmp_path / "l.csv"
-        path.write_text("time,x\n" + "".join(f"{9 - k % 3},{x:.4f}\n" for k, x in enumerate(counts(100)[:, 0])))
-        assert as_json(path, "--rate", "20")["seconds"] == pytest.approx(5.0)
 
     def test_a_gap(self, tmp_path: Path) -> None:
         path = written(tmp_path / "l.csv", counts(4000))
@@ -247,12 +222,6 @@ class TestWhatIsWrongWithALog:
         begin, end = as_json(path)["hung"]
         assert (begin, end) == pytest.approx((10.0, 12.0), abs=0.05)
         assert "the readings were stuck" in noise(path).stderr
-
-    def test_time_that_goes_back(self, tmp_path: Path) -> None:
-        path = written(tmp_path / "l.csv", counts(400))
-        lines = path.read_text().splitlines()
-        path.write_text("\n".join([lines[0], *lines[200:], *lines[1:200]]) + "\n")
-        assert "goes back at row 201" in refused(noise(path), InputError)
 
     def test_times_that_are_none(self, tmp_path: Path) -> None:
         path = tmp_path / "l.csv"
@@ -341,13 +310,3 @@ class TestUsage:
     )
     def test_refused(self, arguments: tuple[str, ...], said: str) -> None:
         assert said in refused(noise(*arguments), UsageError)
-
-    def test_results_on_stdout_and_talk_on_stderr(self, tmp_path: Path) -> None:
-        samples = counts(3000)
-        samples[1500:, 0] += 30.0
-        written(tmp_path / "log.csv", samples)
-        done = tiltcal("noise", "log.csv", "--sensor", "sca100t-d02", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        assert re.match(r"3000 samples of x, y, 0.01 s apart \(100 Hz\), 30 s\n", done.stdout)
-        assert done.stderr.startswith("note: it was not still")
-        assert "measure --samples" in done.stdout

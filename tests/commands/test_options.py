@@ -9,14 +9,14 @@ from typing import Any
 import click
 import pytest
 
-from tiltcal.bench.measure import measure
 from tiltcal.bench.plan import plan
 from tiltcal.cli.main import group
 from tiltcal.cli.options import NumberFromZero
 from tiltcal.cli.talk import wrapped
 from tiltcal.errors import UsageError
-from tiltcal.logs.fit import fit
-from tiltcal.logs.prepared_calibration import ApplyOptions
+from tiltcal.library.apply import apply_log
+from tiltcal.library.fit import fit
+from tiltcal.library.measure import measure
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,7 @@ from tiltcal.logs.prepared_calibration import ApplyOptions
         ("measure", measure, "operator"),
         ("plan", plan, "as_json"),
         ("fit", fit, "log segments_out output"),
-        ("apply", ApplyOptions, "files calibrations output columns skip_bad_rows scheduler as_json"),
+        ("apply", apply_log, "files calibrations scheduler as_json"),
     ],
 )
 def test_every_option_but_a_command_s_own_is_a_parameter_of_the_library(

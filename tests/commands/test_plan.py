@@ -33,12 +33,12 @@ def test_a_jig_adds_what_its_angle_is_worth() -> None:
 
 
 def test_the_column_of_z_and_the_non_linearity_count_by_the_data_sheet() -> None:
-    """SCA100T: 4 % of cross-axis sensitivity at most for both columns, so 4 %/√6 each; D02 typically bends by 0.57°.
+    """SCA100T: 4 % of cross-axis sensitivity at most, so 4 %/√3 for each column; D02 typically bends by 0.57°.
 
     At level S_z is in the reading, so that the offset is as uncertain; six faces determine it.
     """
     level = plan("zero-45", "--jig", "0.01")["uncertainty"]
-    column = 819.0 * 0.04 / sqrt(6.0)
+    column = 819.0 * 0.04 / sqrt(3.0)
     assert level["sensitivity.x.z"] == pytest.approx(column, rel=1e-3)
     assert level["offset.x"] == pytest.approx(column, rel=1e-2)
     assert [level["nonlinearity.x.2"], level["nonlinearity.x.3"]] == pytest.approx([sin(radians(0.57))] * 2, rel=1e-3)

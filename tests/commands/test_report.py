@@ -15,9 +15,9 @@ from support import FIXTURES
 from support.command import TILTCAL
 from support.html_page import Page
 
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.cli.main import run
 from tiltcal.files.calibration import read_calibration
+from tiltcal.library.calibration import Calibration
 
 PAIR = FIXTURES / "rotation.yaml"
 """Its page has figures with a log alone."""

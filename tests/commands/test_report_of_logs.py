@@ -11,9 +11,9 @@ import pytest
 from support import FIXTURES
 from support.html_page import Page
 
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.cli.main import run
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.library.calibration import Calibration
 
 CALIBRATION = str(FIXTURES / "complete.yaml")
 

@@ -23,7 +23,7 @@ import pytest
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.bus.edges import RECORD, Edge, pack_edges, unpack_edges
+from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
 from tiltcal.drivers.bus.link import Link
 from tiltcal.errors import BusError, HardwareError, UsageError
 

@@ -13,19 +13,18 @@ from statistics import stdev
 from typing import Any
 
 import pytest
-from support.example_device.tiltcal_pendulum import PENDULUM
+from support.example_device.tiltcal_dfrobot import DFROBOT_SCA100T
 
 from tiltcal.drivers import models
 from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.bus.link import Recalling
-from tiltcal.drivers.device import Reading, Sensor
-from tiltcal.drivers.twin.fixture import Fixture
-from tiltcal.drivers.twin.truth import Fault
+from tiltcal.drivers.model import Reading, Sensor
+from tiltcal.drivers.virtual import Fault, Fixture
 from tiltcal.errors import DeviceFault, HardwareError, UsageError
 
-DEVICES = {model.name: model for model in (*models(), PENDULUM)}
+DEVICES = {model.name: model for model in (*models(), DFROBOT_SCA100T)}
 
 OPTIONS = {
     "adxl202": ["wiring=edges"],
@@ -53,7 +52,7 @@ NAMES_THE_REQUEST = ("scl3300", "sca3300-d01", "modbus-columns")
 """Their answers say which request they belong to, or of what length it was."""
 HAS_A_CHECKSUM = ("scl3300", "sca3300-d01", "dfrobot-sca100t", "adxl202", "adxl202e", "adxl210")
 TELLS_A_RESET = ("scl3300", "sca3300-d01", "adxl355", "iis2iclx")
-HAS_A_SHAPE = (*HAS_A_CHECKSUM, "serial-columns", "gradiometer", "modbus-columns", "pendulum")
+HAS_A_SHAPE = (*HAS_A_CHECKSUM, "serial-columns", "gradiometer", "modbus-columns")
 
 
 class Line:
@@ -369,7 +368,7 @@ def test_a_model_is_described_and_refuses_an_address_of_another(device: str) -> 
             open_link(parse_address(written), model)
 
 
-@every(lambda bench: bool(bench.channels) and not bench.device.startswith("pendulum"))
+@every(lambda bench: bool(bench.channels))
 def test_drawn_parts_differ_and_keep_their_tolerances(device: str) -> None:
     model = Bench(device).model
     parts = [model.default_truth(seed) for seed in range(60)]

@@ -18,7 +18,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.bus.edges import KERNEL_BUFFER, RECORD, unpack_edges
+from tiltcal.drivers.bus.gpio import KERNEL_BUFFER, RECORD, unpack_edges
 from tiltcal.errors import BusError
 
 T2 = 10_000_000

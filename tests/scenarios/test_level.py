@@ -11,11 +11,11 @@ from support import FIXTURES
 from support.command import tiltcal
 from support.json_program import lead
 
-from tiltcal.bench.measure import measure
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import Thermal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import read_calibration
+from tiltcal.library.calibration import Calibration
+from tiltcal.library.measure import measure
 
 BASE = FIXTURES / "complete.yaml"
 TWIN = (FIXTURES / "twins" / "sca100t-d02.yaml").read_text(encoding="utf-8")

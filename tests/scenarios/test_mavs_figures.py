@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from support import FIXTURES
 
 from tiltcal.bench import settle
-from tiltcal.bench.measure import measure
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.gravity_direction import gravity_from_tilt
-from tiltcal.drivers.twin.truth import Truth
+from tiltcal.drivers.virtual import Truth
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.twin import read_twin
+from tiltcal.library.measure import measure
 
 TWIN = FIXTURES / "twins" / "mavs.yaml"
 SEEDS = range(6)

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.json_program import Event, ProgramSession, lead
 
+from tiltcal.bench import sensors
 from tiltcal.bench.journal import calibrations_of
-from tiltcal.bench.measure import measure
 from tiltcal.bench.operators import LOOK, Message, VirtualJig
-from tiltcal.bench.sensors import Sample, SensorSet
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.library.measure import measure
 
 TWIN = """\
 tiltcal: 1
@@ -118,10 +118,11 @@ def test_live_readings_are_no_samples(tmp_path: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
 def test_a_ramp_keeps_all_its_samples_over_a_break(
-    share: float, led: tuple[Path, ProgramSession], tmp_path: Path
+    share: float, led: tuple[Path, ProgramSession], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every sample before the break is in the log of the session, and the fit has the legs of all of them."""
     folder, _ = led
+    monkeypatch.chdir(tmp_path)
     for name in ("twin.yaml", "quick.yaml"):
         (tmp_path / name).write_text((folder / name).read_text())
     whole = (folder / "S-1.journal.jsonl").read_bytes()
@@ -132,8 +133,9 @@ def test_a_ramp_keeps_all_its_samples_over_a_break(
     events = list(read_journal(path).events)
     assert events[before].kind == "resumed"
     found = read_calibration(tmp_path / "S-1.yaml")
-    assert [one.position for one in found.positions] == ["down", "up", "back"]
-    assert sum(one.n for one in found.positions) == sum(event.kind == "s" for event in events) // 3
+    assert [event.payload[0]["position"] for event in read_journal(path).accepted] == ["down", "up", "back"]
+    taken = [event.payload[0]["sensors"]["S-1"]["n"] for event in read_journal(path).accepted]
+    assert sum(taken) == sum(event.kind == "s" for event in events) // 3
     thermal = found.coefficients.thermal
     assert thermal is not None
     assert thermal.drift[:, 0] == pytest.approx([2.1, -3.0], abs=0.03)
@@ -142,13 +144,20 @@ def test_a_ramp_keeps_all_its_samples_over_a_break(
 def test_faults_that_pass_cost_their_samples_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six breaks of the bus in an hour, and a reading at the rail of 2047: nobody has to press a key."""
     monkeypatch.chdir(tmp_path)
-    whole, taken = SensorSet.read, count()
+    connect, taken = sensors.open_device, count()
 
-    def read(sensors: SensorSet, *, fresh: bool = False) -> Sample:
-        (reading,) = whole(sensors, fresh=fresh)
-        return (replace(reading, values=(2047.0, reading.values[1])) if next(taken) == 200 else reading,)
+    def opened(*arguments: Any) -> Any:
+        link = connect(*arguments)
+        exchange = link.exchange
 
-    monkeypatch.setattr(SensorSet, "read", read)
+        def railed(out: bytes, size: int = 0) -> bytes:
+            answer = exchange(out, size)
+            return bytes([0, 0xFF, 0xE0]) if out[0] == 0x10 and next(taken) == 200 else answer
+
+        link.exchange = railed  # type: ignore[method-assign]
+        return link
+
+    monkeypatch.setattr(sensors, "open_device", opened)
     breaks = [f"{{kind: unplugged, start: {600.0 * k}, end: {600.0 * k + 3.0}}}" for k in range(1, 7)]
     session = ramp_session(TWIN + f"  faults: [{', '.join(breaks)}]\n")
     said: list[str] = []

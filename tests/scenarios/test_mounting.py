@@ -23,7 +23,7 @@ from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.mounting_rotation import solve_mounting
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.uncertainty import stated_uncertainty

@@ -8,17 +8,16 @@ import pytest
 from support.command import measure, tiltcal
 
 from tiltcal.bench.journal import SessionResult, calibrations_of
-from tiltcal.bench.measure import measure as measure_here
 from tiltcal.bench.operators import Message, VirtualJig
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
-from tiltcal.drivers.twin.conversions import Conversions
-from tiltcal.drivers.twin.fixture import Fixture
+from tiltcal.drivers.virtual import Fixture, VirtualPart
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.results import PositionSet
+from tiltcal.library.measure import measure as measure_here
 
 TWIN = """\
 tiltcal: 1
@@ -177,8 +176,8 @@ def test_a_thermometer_that_is_five_minutes_late_is_waited_for(
     """The chamber goes by 1 °C/min, the part with it; its thermometer is 0.7 °C behind ten minutes later."""
     Path("twin.yaml").write_text(LATE)
     move = Fixture.move
-    monkeypatch.setattr(Fixture, "move", lambda fixture, gravity, to=None: move(fixture, gravity, to, 1.0))
-    monkeypatch.setattr(Conversions, "temperature", lambda part: part._fixture.temperature(300.0))
+    monkeypatch.setattr(Fixture, "move", lambda fixture, gravity, to=None, _=0.0: move(fixture, gravity, to, 1.0))
+    monkeypatch.setattr(VirtualPart, "_celsius", lambda part: part._fixture.temperature(300.0))
     live = session("two-temperature", model="scl3300")
     live.probe()
 

@@ -11,9 +11,9 @@ from support import ROOT
 from support.command import measure, tiltcal
 from support.warm_start import WarmStart
 
-from tiltcal.bench.measure import measure as measure_here
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
+from tiltcal.library.measure import measure as measure_here
 
 JOURNAL = "S-1.journal.jsonl"
 TWIN = """\

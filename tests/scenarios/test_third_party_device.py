@@ -1,8 +1,9 @@
-"""A third party adds a sensor model by an entry point, without touching this repository."""
+"""A third party adds a sensor model by an entry point: a driver of its own, or a row of facts, and a bus of its own."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,23 +16,29 @@ from support.command import TILTCAL
 from tiltcal.files.calibration import read_calibration
 
 EXAMPLE = ROOT / "tests" / "support" / "example_device"
+PAGE = ROOT / "docs" / "add-a-device.md"
+BLOCK = re.compile(r"^```\w+ (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The example package, installed as pip installs it, in a folder of its own."""
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """DFRobot's module and the row of the page, installed as pip installs them, in a folder of their own."""
     pytest.importorskip("setuptools", minversion="77", reason="an old setuptools cannot build the example package")
     folder = tmp_path_factory.mktemp("site")
     # Building leaves its traces beside the source.
     source = shutil.copytree(EXAMPLE, tmp_path_factory.mktemp("source") / "example")
-    subprocess.run(
-        [
-            *(sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"),
-            *("--disable-pip-version-check", "--target", str(folder), str(source)),
-        ],
-        check=True,
-        capture_output=True,
-    )
+    page = tmp_path_factory.mktemp("page")
+    for name, content in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
+        (page / name).write_text(content, encoding="utf-8")
+    for package in (source, page):
+        subprocess.run(
+            [
+                *(sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"),
+                *("--disable-pip-version-check", "--target", str(folder), str(package)),
+            ],
+            check=True,
+            capture_output=True,
+        )
     return folder
 
 
@@ -40,32 +47,44 @@ def tiltcal(*args: str, site: Path, cwd: Path) -> subprocess.CompletedProcess[st
     return subprocess.run([*TILTCAL, *args], cwd=cwd, env=environment, text=True, capture_output=True, check=False)
 
 
-def test_it_is_listed(installed: Path, tmp_path: Path) -> None:
-    assert "pendulum  Example pendulum" in tiltcal("devices", site=installed, cwd=tmp_path).stdout
+def test_a_row_of_facts_takes_25_lines() -> None:
+    blocks = dict(BLOCK.findall(PAGE.read_text(encoding="utf-8")))
+    assert len(blocks["tiltcal_lis3dh.py"].splitlines()) <= 25
 
 
-def test_it_is_measured_and_replayed(installed: Path, tmp_path: Path) -> None:
-    (tmp_path / "one-axis.yaml").write_text(
-        "tiltcal: 1\nkind: procedure\nname: one-axis\ntitle: Two tilts of one axis\ndetermines: {axes: [x]}\n"
-        "positions:\n  - {name: up, tilt: {x: 30}, prompt: Up}\n  - {name: down, tilt: {x: -30}, prompt: Down}\n"
-    )
+@pytest.mark.parametrize(
+    ("model", "procedure", "listed"),
+    [
+        ("dfrobot-sca100t", "plane", "DFRobot TOY0048 module"),
+        ("my-lis3dh", "six-face", "ST LIS3DH three-axis accelerometer"),
+    ],
+)
+def test_it_is_listed_measured_and_replayed(
+    model: str, procedure: str, listed: str, site: Path, tmp_path: Path
+) -> None:
+    assert listed in tiltcal("devices", site=site, cwd=tmp_path).stdout
     measured = tiltcal(
-        *("measure", "one-axis.yaml", "--sensor", "pendulum", "--address", "sim:", "--serial", "P-1"),
+        *("measure", procedure, "--sensor", model, "--address", "sim:", "--serial", "P-1"),
         *("-o", "P-1.yaml", "--operator", "sim"),
-        site=installed,
+        site=site,
         cwd=tmp_path,
     )
     assert measured.returncode == 0, measured.stderr
-    found = read_calibration(tmp_path / "P-1.yaml").coefficients
-    assert found.offset[0] == pytest.approx(0.05, abs=1e-4)
-    assert found.sensitivity[0, 0] == pytest.approx(5.1, abs=2e-4)
-    replayed = tiltcal("replay", "P-1.journal.jsonl", "--golden", "P-1.yaml", site=installed, cwd=tmp_path)
+    assert read_calibration(tmp_path / "P-1.yaml").sensor.model == model
+    replayed = tiltcal("replay", "P-1.journal.jsonl", "--golden", "P-1.yaml", site=site, cwd=tmp_path)
     assert replayed.returncode == 0, replayed.stderr
 
 
+def test_a_bus_of_its_own_is_opened_by_the_package(site: Path, tmp_path: Path) -> None:
+    done = tiltcal("probe", "--sensor", "my-lis3dh", "--address", "package:/dev/bridge0", site=site, cwd=tmp_path)
+    assert done.returncode == 3
+    assert "the bridge /dev/bridge0 is not connected" in done.stderr
+    unknown = tiltcal("probe", "--sensor", "sca100t-d02", "--address", "package:/dev/bridge0", site=site, cwd=tmp_path)
+    assert unknown.returncode == 2
+    assert "sca100t-d02 is reached by spi: or sim:" in unknown.stderr
+
+
 def test_without_the_package_the_name_is_unknown(tmp_path: Path) -> None:
-    result = subprocess.run(
-        [*TILTCAL, "probe", "--sensor", "pendulum", "--address", "sim:"], capture_output=True, text=True, check=False
-    )
+    result = tiltcal("probe", "--sensor", "dfrobot-sca100t", "--address", "sim:", site=tmp_path, cwd=tmp_path)
     assert result.returncode == 2
-    assert "pendulum" in result.stderr
+    assert "no sensor model is called 'dfrobot-sca100t'" in result.stderr

@@ -91,7 +91,7 @@ def fitted(
 class TestDataSheet:
     @pytest.mark.parametrize(("procedure", "reach"), [("plane", 30.0), ("zero-45", 45.0), ("mavs", 45.0)])
     def test_tilts_are_within_their_intervals(self, procedure: str, reach: float) -> None:
-        """40 parts, 30 tilts each; after plane inside ±30° U95 is at most 0.3°."""
+        """40 parts, 30 tilts each; after plane inside ±30° U95 is at most 0.4°."""
         rng = np.random.default_rng(25)
         hits: list[NDArray[np.bool_]] = []
         widest = 0.0
@@ -108,7 +108,7 @@ class TestDataSheet:
                 hits.append(np.abs(out[f"tilt_{axis}"] - np.degrees(np.arcsin(gravity[:, k]))) <= expanded)
                 widest = max(widest, float(expanded.max()))
         assert np.mean(hits) >= 0.93
-        assert procedure != "plane" or widest <= 0.3
+        assert procedure != "plane" or widest <= 0.4
 
     def test_non_linearity_that_it_states_is_no_misfit(self) -> None:
         """Six positions of 20 parts at a jig of 0.05°: p is below 0.01 in one at most; no data sheet: it is blamed."""

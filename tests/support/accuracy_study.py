@@ -21,16 +21,15 @@ from scipy.spatial.transform import Rotation
 
 from support.simulated_bench import BLOCK_DOF, FACES, POSITIONS, Part, Plan, design, fixture, measured, part, plan_of
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.budget import budgets
-from tiltcal.core.estimation.design import Design, Observation
 from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.hysteresis import with_hysteresis
-from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means, pooled
+from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.core.estimation.solve import solved_at
-from tiltcal.core.gravity_direction import gravity_from_tilt
-from tiltcal.core.statistics import SampleSummary, summarise
+from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means, pooled, summarise
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 
 Array = NDArray[np.float64]

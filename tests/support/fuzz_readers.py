@@ -24,7 +24,7 @@ from support.fuzz_inputs import (
 )
 from support.fuzz_targets import target
 from tiltcal.drivers import models
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import TiltcalError
 
 EVENTS = 25
@@ -149,8 +149,7 @@ def address(draw: Random) -> None:
 
 @target(share=100)
 def answer(draw: Random) -> None:
-    from tiltcal.bench.operators import parsed
-    from tiltcal.bench.operators import understood
+    from tiltcal.bench.operators import parsed, understood
 
     text = '{"answer": "ready", "tilt": {"x": 30.0}, "gravity": [0, 0.5, 0.866], "temperature": 20.5}'
     way = draw.choice((damaged_bytes, lambda draw, data: damaged_text(draw, data.decode()).encode(errors="replace")))
@@ -206,7 +205,7 @@ def device(draw: Random) -> None:
     from tiltcal.drivers.bus import link_letter
     from tiltcal.drivers.bus.address import parse_address
     from tiltcal.drivers.bus.clock import VirtualClock
-    from tiltcal.drivers.device import SelfTesting
+    from tiltcal.drivers.model import SelfTesting
 
     model = draw.choice(known_models())
     where = parse_address(draw.choice(model.addresses))

@@ -80,7 +80,7 @@ class Page(HTMLParser):
     @property
     def facts(self) -> dict[str, str]:
         """What the tables of labels and values say."""
-        tables = [one for one in self.root.find("table") if one.attributes.get("class") == "facts"]
+        tables = [one for one in self.root.find("table") if one.attributes.get("class", "").startswith("facts")]
         return {row.find("th")[0].text: row.find("td")[0].text for table in tables for row in table.find("tr")}
 
     def below(self, heading: str) -> list[list[str]]:
@@ -88,6 +88,6 @@ class Page(HTMLParser):
         seen = False
         for one in self.root.find("h2", "h3", "table"):
             seen = seen or (one.tag != "table" and one.text == heading)
-            if seen and one.tag == "table" and one.attributes.get("class") != "facts":
+            if seen and one.tag == "table" and not one.attributes.get("class", "").startswith("facts"):
                 return [[cell.text for cell in row.find("th", "td")] for row in one.find("tr")]
         raise AssertionError(f"no table below {heading!r}")

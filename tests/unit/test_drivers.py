@@ -87,7 +87,7 @@ def test_two_plug_ins_cannot_share_a_name(install) -> None:
         ("acme-7 = acme_sensors:MODEL", "import no_such_thing", "ModuleNotFoundError: No module named 'no_such_thing'"),
         ("acme-7 = acme_sensors:MODEL", "1 / 0", "ZeroDivisionError: division by zero"),
         ("acme-7 = acme_sensors:ABSENT", PLUGIN, "AttributeError"),
-        ("acme-7 = acme_sensors:NO_MODEL", PLUGIN, "is a int, not a tiltcal.drivers.device.Model"),
+        ("acme-7 = acme_sensors:NO_MODEL", PLUGIN, "is a int, not a tiltcal.drivers.model.Model"),
         ("acme-7x = acme_sensors:MODEL", PLUGIN, "is named 'acme-7'"),
     ],
 )
@@ -104,7 +104,7 @@ def test_a_broken_plug_in_is_named_with_its_cause(install, entry: str, module: s
 def test_looking_up_a_model_loads_nothing_heavy() -> None:
     program = (
         "import sys; from tiltcal.drivers import find_model; find_model('sca100t-d02'); "
-        "print(sorted({'numpy', 'spidev', 'yaml', 'statistics', 'tiltcal.drivers.twin.sca100t'} & set(sys.modules)))"
+        "print(sorted({'numpy', 'spidev', 'yaml', 'statistics', 'tiltcal.drivers.parts'} & set(sys.modules)))"
     )
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert loaded.stdout.strip() == "[]"
@@ -114,7 +114,7 @@ def test_no_driver_imports_numpy() -> None:
     program = (
         "import pkgutil, sys, importlib, tiltcal.drivers as d\n"
         "for module in pkgutil.walk_packages(d.__path__, 'tiltcal.drivers.'): importlib.import_module(module.name)\n"
-        "print('numpy' in sys.modules, 'tiltcal.drivers.twin.sca100t' in sys.modules)"
+        "print('numpy' in sys.modules, 'tiltcal.drivers.parts' in sys.modules)"
     )
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert loaded.stdout.strip() == "False True"

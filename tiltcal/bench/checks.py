@@ -25,8 +25,8 @@ from tiltcal.core.detection import (
 from tiltcal.core.model import Array
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.quantisation import ReadingStep, resolution
-from tiltcal.core.statistics import summarise
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.core.samples import summarise
+from tiltcal.drivers.model import Model, Reading
 from tiltcal.files.procedure import Position
 
 POWER_ON = 85.0

@@ -29,7 +29,7 @@ from tiltcal.core.model import Array
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.device import Reading, StreamingSensor
+from tiltcal.drivers.model import Reading, StreamingSensor
 from tiltcal.errors import BusError, HardwareError, JournalError
 from tiltcal.files.journal import (
     ANSWER,
@@ -115,6 +115,8 @@ class Playback:
         Sensors whose bus failed and was opened again, by serial number.
     last_answers : dict of int to bytes
         The last answer of each device, by its number.
+    breaks : int
+        How often a device failed or the session was interrupted so far.
     """
 
     def __init__(self, journal: Journal) -> None:
@@ -123,6 +125,7 @@ class Playback:
         self.failures: dict[str, str] = {}
         self.reopened: set[str] = set()
         self.last_answers: dict[int, bytes] = {}
+        self.breaks = 0
         self._journal = journal
         self._clock = VirtualClock()
         self._next = 0
@@ -202,6 +205,7 @@ class Playback:
 
     def _resume(self) -> None:
         """Begin anew with the drivers, as the session does; sensors given up since the last position count again."""
+        self.breaks += 1
         if self._journal.version > 1:
             self._statistics = self.link_statistics()
             self._connect()
@@ -220,6 +224,7 @@ class Playback:
             self._interrupted = True
             if event is not None and event.kind == RESUMED and self._journal.version == 1:
                 self._take()  # the driver went on with what it knew
+                self.breaks += 1
             raise BusError("the session was interrupted here")
         sent, device = out.hex(), (number,) if number else ()
         if event.payload[0] != sent or event.payload[2:] != device or event.kind not in (letter, HARDWARE_ERROR):
@@ -250,6 +255,7 @@ class Playback:
                     readings[name] = driver.read()
         except HardwareError as error:
             if not self._interrupted:
+                self.breaks += 1
                 self.failures[name] = str(named_error(name, error, alone=len(self.setup.sensors) == 1))
                 if isinstance(error, BusError):
                     self.reopened.add(name)
@@ -324,6 +330,7 @@ class RecordedSession:
         self.accepted: list[PositionResult] = []
         self.leg: list[RecordedSample] = []
         self._rows = array("d")
+        self._breaks = 0
         self.turned: AcceptedPosition | None = None
         self.stopped_at = 0
         self.tipped = False
@@ -347,8 +354,8 @@ class RecordedSession:
                 self._hear(item.payload[0]["to"], Answer.from_record(item.payload[0]))
             elif item.kind == POSITION:
                 self._accept(accepted_position(item), item)
-            elif item.kind == RESUMED and self.journal.version > 1:
-                self._sampling = False
+            elif item.kind == RESUMED and self.journal.version > 1 and not self._channels:
+                self._sampling = False  # until the position is asked for again; a stage turns on
 
     @property
     def complete(self) -> bool:
@@ -356,6 +363,11 @@ class RecordedSession:
         if self.setup.steps.rotation is not None:
             return self.turned is not None or self.journal.end is not None
         return len(self.accepted) == len(self.setup.steps.positions)
+
+    @property
+    def turning(self) -> bool:
+        """Whether the operator has let the stage turn."""
+        return bool(self._channels) and self._sampling
 
     @property
     def at_work(self) -> list[ConnectedSensor]:
@@ -375,6 +387,9 @@ class RecordedSession:
         if sample.live or not self._sampling:
             return
         if self._channels:
+            if self.playback.breaks > self._breaks and self._rows:
+                self._rows.extend([nan] * (1 + len(self._channels)))
+            self._breaks = self.playback.breaks
             self._rows.append(sample.now_ns / 1e9)
             self._rows.extend(channel.value(sample.readings) for channel in self._channels)
         elif self.setup.steps.ramp is not None:
@@ -484,7 +499,10 @@ class RecordedSession:
         return [result.with_steps(self._steps) for result in self.accepted]
 
     def rotation_rows(self) -> Array:
-        """Return the samples of a turning stage: seconds, angle in degrees, readings; shape (n, 2 + channels)."""
+        """Return the samples of a turning stage: seconds, angle in degrees, readings; shape (n, 2 + channels).
+
+        A row of NaN is a break, in which a device failed or the session was interrupted.
+        """
         return np.array(self._rows).reshape(-1, 1 + len(self._channels))
 
     def ramp_records(self) -> dict[str, RampRecord]:

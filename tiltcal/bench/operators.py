@@ -38,8 +38,8 @@ from math import dist
 from typing import Any, Protocol, TextIO
 
 from tiltcal.bench.keys import LineReader
+from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
-from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
 from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import InputError, Stopped, UsageError
 from tiltcal.files.procedure import Position

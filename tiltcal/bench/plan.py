@@ -16,7 +16,7 @@ from tiltcal.calibration.suitability import require_suitable
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import CalibrationRecord, read_calibration

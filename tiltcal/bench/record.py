@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from tiltcal.bench.sensors import Recorder, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.bench.setup import devices_of
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
-from tiltcal.drivers.device import Model, Reading, in_words
+from tiltcal.drivers.model import Model, Reading, link_in_words
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import append_whole
 from tiltcal.files.bench import BenchFile
@@ -58,7 +58,9 @@ class RecordingTally:
     def losses_in_words(self) -> str:
         """The missing readings as the end of a line, and the link statistics as lines of text."""
         missing = f", {self.missing} readings missing ({self.why})" if self.missing else ""
-        return missing + "".join(f"\n{device}: {in_words(counts)}" for device, counts in self.link_statistics.items())
+        return missing + "".join(
+            f"\n{device}: {link_in_words(counts)}" for device, counts in self.link_statistics.items()
+        )
 
 
 class CsvRecorder:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
+from math import ceil, inf, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,14 +21,14 @@ import numpy as np
 from tiltcal.bench.journal import RecordedSession, session_provenance
 from tiltcal.bench.record import column_name
 from tiltcal.bench.sensors import RECOVERY
+from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import Demodulation, demodulate
 from tiltcal.core.pair.matching import Matching, PairCoefficients, match, solve
 from tiltcal.core.pair.model import FEWEST_TURNS, Pair
-from tiltcal.core.pair.online import Recursive
-from tiltcal.core.pair.record import stage_record
-from tiltcal.core.pair.turns import STANDSTILL, Notice, TurnStream, follow, turning
-from tiltcal.drivers.device import Model, Reading
+from tiltcal.core.pair.online import Notice, Recursive, TurnStream
+from tiltcal.core.pair.stage import STANDSTILL, follow, stage_record, turning
+from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import EstimateError, SensorError, UsageError
 from tiltcal.files.journal import POSITION
 from tiltcal.files.pair import PairRecord, SpinRecord
@@ -48,7 +48,6 @@ SHOWN_TURN = 2.25
 """Turns after which a whole one must have been among them."""
 
 TOO_FEW = f"at least {FEWEST_TURNS:g} are needed before it can stop"
-KEPT = "the samples before count"
 CONVERGED, ALL_TURNS, STOPPED = "p and q are known as asked", "all turns are made", "the operator stopped"
 
 
@@ -195,18 +194,77 @@ class WholeRotation:
 def whole_rotation(channels: Sequence[str], rows: Array) -> WholeRotation:
     """Return what the samples of a stage give: rows of seconds, angle in degrees and readings, shape (n, 2 + channels).
 
+    A row of NaN is a break: the encoder may have lost its zero meanwhile, and the electronics their offsets. So the
+    spans between breaks are brought to one phase; those of too few turns to show theirs are left out.
+
     EstimateError: the stage has not turned enough.
     """
+    spans = [_span(channels, part) for part in split_at_breaks(rows)]
+    kept = [span for span in spans if span.turns >= FEWEST_TURNS]
+    if not kept:
+        raise EstimateError(f"the stage has made {int(sum(span.turns for span in spans))} whole turns; {TOO_FEW}")
+    lost = sum(len(span.counts) for span in spans if span.turns < FEWEST_TURNS)
+    angle, readings, counts = (
+        (kept[0].angle, kept[0].readings, kept[0].counts) if len(kept) == 1 else _at_one_phase(channels, kept)
+    )
+    return WholeRotation(
+        demodulate(channels, angle, readings, counts),
+        sum(span.turns for span in kept),
+        sum(span.seconds for span in kept),
+        int(counts.sum()),
+        lost + sum(int(np.count_nonzero(~span.counts[np.argmax(span.counts) :])) for span in kept),
+        tuple(line for span in kept for line in span.stuck),
+    )
+
+
+def split_at_breaks(rows: Array) -> list[Array]:
+    """Return the rows between breaks."""
+    broken = np.isnan(rows[:, 0])
+    parts = [part[~np.isnan(part[:, 0])] for part in np.split(rows, np.flatnonzero(broken))]
+    return [part for part in parts if len(part)]
+
+
+@dataclass(frozen=True)
+class _Span:
+    """The samples between two breaks: angles in turns, readings of shape (channels, n), which of them count."""
+
+    angle: Array
+    readings: Array
+    counts: Mask
+    turns: float
+    seconds: float
+    stuck: tuple[str, ...]
+
+
+def _span(channels: Sequence[str], rows: Array) -> _Span:
+    """Return a span of sample rows, shape (n, 2 + channels)."""
     record = stage_record(channels, rows[:, 1], rows[:, 2:].T)
     counts = record.whole.copy()
     counts[counts] = turning(record.angle[counts])
     follows = counts[1:] & counts[:-1]
     turns, seconds = (float(np.diff(column)[follows].sum()) for column in (record.angle, rows[:, 0]))
-    if turns < FEWEST_TURNS:
-        raise EstimateError(f"the stage has made {int(turns)} whole turns; {TOO_FEW}")
-    left_out = int(np.count_nonzero(~counts[np.argmax(counts) :]))
-    demodulation = demodulate(channels, record.angle, rows[:, 2:].T, counts)
-    return WholeRotation(demodulation, turns, seconds, int(counts.sum()), left_out, record.stuck)
+    return _Span(record.angle, rows[:, 2:].T, counts, turns, seconds, record.stuck)
+
+
+def _at_one_phase(channels: Sequence[str], spans: Sequence[_Span]) -> tuple[Array, Array, Mask]:
+    """Return angles, readings and what counts of all spans, at the phase of the first, without offsets and drifts.
+
+    An angle that is off for all channels alike multiplies all components by one and the same matrix, so neither p nor q
+    of any pair depends on how well that is known.
+    """
+    signal, end = None, 0.0
+    angles, readings = [], []
+    for span in spans:
+        coefficients = demodulate(channels, span.angle, span.readings, span.counts).coefficients
+        components = coefficients[0] + 1j * coefficients[1]
+        signal = components if signal is None else signal
+        # S sin (θ + φ) + C cos (θ + φ) has the components S + iC times exp iφ.
+        off = float(np.angle(np.sum(components * np.conj(signal)))) / (2.0 * pi)
+        angles.append(span.angle + off + ceil(end - off - float(np.nanmin(span.angle))))
+        end = float(np.nanmax(angles[-1]))
+        place = np.arange(len(span.angle)) / len(span.angle) - 0.5
+        readings.append(span.readings - coefficients[-2][:, None] - np.outer(coefficients[-1], place))
+    return np.concatenate(angles), np.concatenate(readings, axis=1), np.concatenate([span.counts for span in spans])
 
 
 class StageSamples:
@@ -216,18 +274,23 @@ class StageSamples:
         self.unknown: dict[str, str] = {}
         self._pairs, self._channels = tuple(pairs), tuple(channels)
         self._blocks: list[Array] = []
-        self._stream = TurnStream(len(channels))
+        self._turns = self._left_out = self._spans = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._since_break = 0
+        self._stream = TurnStream(len(self._channels))
         self._online = {pair: Recursive(pair, self._channels) for pair in self._pairs}
 
     @property
     def turns(self) -> int:
         """The whole turns that count."""
-        return self._stream.turns
+        return self._turns + self._stream.turns
 
     @property
     def left_out(self) -> int:
         """Samples that the recursive estimators were not given since the stage began to turn."""
-        return self._stream.left_out
+        return self._left_out + self._stream.left_out
 
     @property
     def holds(self) -> str:
@@ -251,6 +314,7 @@ class StageSamples:
         if not len(block):
             return []
         self._blocks.append(block)
+        self._since_break += len(block)
         remarks = []
         for item in self._stream.push(block[:, 1], block[:, 2:].T):
             if isinstance(item, Notice):
@@ -264,6 +328,17 @@ class StageSamples:
                     self.unknown[pair.name] = str(refusal)
         return remarks
 
+    def interrupt(self) -> int:
+        """Note a break, and keep the span before it where its turns show its phase; return the samples not kept."""
+        kept = self._stream.turns >= FEWEST_TURNS
+        lost = 0 if kept else self._since_break
+        self._turns += self._stream.turns if kept else 0
+        self._left_out += self._stream.left_out if kept else lost
+        self._spans += kept
+        self._blocks.append(np.full((1, 2 + len(self._channels)), np.nan))
+        self._begin()
+        return lost
+
     def online(self) -> dict[str, PairCoefficients]:
         """Return p and q so far, by the name of the pair; pairs without an estimate are left out."""
         estimates = {pair.name: estimator.coefficients() for pair, estimator in self._online.items()}
@@ -272,11 +347,12 @@ class StageSamples:
     def known_to(self, uncertainty: float) -> bool:
         """Return whether p and q of every pair are known with this standard uncertainty.
 
-        The recursive estimators propose it; the regression has to agree, by how the turns scatter and by the noise
-        within them.
+        The recursive estimators propose it, unless they had to begin anew; the regression has to agree, by how the
+        turns scatter and by the noise within them.
         """
         online = self.online().values()
-        if len(online) < len(self._pairs) or not all(_within(estimate, uncertainty) for estimate in online):
+        proposed = len(online) == len(self._pairs) and all(_within(estimate, uncertainty) for estimate in online)
+        if not proposed and not self._spans:
             return False
         try:
             whole = self.whole().demodulation
@@ -304,23 +380,32 @@ class TurningStage:
 
     Parameters
     ----------
-    rows : ndarray, shape (n, 2 + channels)
-        The samples before the session was interrupted: seconds, angle in degrees, readings.
+    before : RecordedSession or None
+        What there is from before an interruption.
     """
 
-    def __init__(self, session: Session, rotation: Rotation, channels: ChannelMap, rows: Array) -> None:
+    def __init__(
+        self, session: Session, rotation: Rotation, channels: ChannelMap, before: RecordedSession | None
+    ) -> None:
+        rows = np.empty((0, 2 + len(channels.readings))) if before is None else before.rotation_rows()
+        lost = 0
         self._session = session
         self._rotation = rotation
         self._channels = channels
         self._samples = StageSamples(channels.pairs, [channel.column for channel in channels.readings])
-        for first in range(0, len(rows), LARGEST_BLOCK):
-            self._samples.take(rows[first : first + LARGEST_BLOCK])
+        for part in split_at_breaks(rows):
+            for first in range(0, len(part), LARGEST_BLOCK):
+                self._samples.take(part[first : first + LARGEST_BLOCK])
+            lost = self._samples.interrupt()
         self._interval = max(model.interval for model in session.sensors.models)
         self._taken = len(rows)
         self._stale = True
         self._reported = ""
         self._damaged = 0
         self._damage_reported = False
+        self._turns = before is not None and before.turning
+        if len(rows):
+            self._report(f"the session was interrupted here; {_kept(lost)}")
 
     def turn(self) -> None:
         """Let the stage turn until a pair is matched, and note it in the journal."""
@@ -362,7 +447,10 @@ class TurningStage:
                 since_ns = self._begin()
 
     def _begin(self) -> int:
-        """Ask the operator to let the stage turn, and return the time of the answer, ns since the session began."""
+        """Ask the operator to let the stage turn, unless it does; return the time of it, ns since the session began."""
+        if self._turns:
+            self._turns = False
+            return self._session.recorder.now_ns
         pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in self._channels.pairs]
         rotation = self._rotation
         self._session.ask({"ask": "rotation", "pairs": pairs, "turns": rotation.turns, "prompt": rotation.prompt})
@@ -375,7 +463,7 @@ class TurningStage:
         for remark in self._samples.take(np.array(block)):
             self._report(remark)
         if why:
-            self._report(f"{why}; {KEPT}")
+            self._report(f"{why}; {_kept(self._samples.interrupt())}")
         elif block:
             self._report(self._samples.holds)
             self._report_damage()
@@ -446,6 +534,11 @@ class TurningStage:
         self._damaged = damaged
 
 
+def _kept(lost: int) -> str:
+    """Return what becomes of the samples before a break."""
+    return f"{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out" if lost else "the samples before count"
+
+
 def _coefficients(pairs: Mapping[str, PairCoefficients | Matching]) -> dict[str, dict[str, float]]:
     """Return p, q and their uncertainties, each by the name of the pair."""
     return {key: {name: getattr(pair, key) for name, pair in pairs.items()} for key in ("p", "q", "u_p", "u_q")}
@@ -483,7 +576,8 @@ def _ended(session: RecordedSession, whole: WholeRotation) -> str:
     """Return why a rotation ended; a journal of format 1 does not say it."""
     if session.turned is not None:
         return session.turned.ended
-    angle = follow(session.rotation_rows()[: session.stopped_at, 1])
+    theta = session.rotation_rows()[: session.stopped_at, 1]
+    angle = follow(theta[np.isfinite(theta)])
     if len(angle) and np.ptp(angle) >= FEWEST_TURNS:  # a stop that came too early was refused
         return STOPPED
     rotation = session.setup.steps.rotation

@@ -11,16 +11,14 @@ from math import radians
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.bench.setup import Device
-from tiltcal.core.gravity_direction import Vector
+from tiltcal.core.attitude import STRAIGHT, Orientation, Vector
 from tiltcal.core.model import Mounting
-from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock, session_clock
 from tiltcal.drivers.bus.link import CaptureEnded, Continuing, Link
-from tiltcal.drivers.device import IdentifiedSensor, Model, Reading, Sensor, StreamingSensor
-from tiltcal.drivers.twin.fixture import Fixture
-from tiltcal.drivers.twin.truth import Truth
+from tiltcal.drivers.model import IdentifiedSensor, Model, Reading, Sensor, StreamingSensor
+from tiltcal.drivers.virtual import Fixture, Truth
 from tiltcal.errors import BusError, HardwareError, SensorError
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.files.journal import HARDWARE_ERROR, JournalWriter

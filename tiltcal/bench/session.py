@@ -37,10 +37,10 @@ from tiltcal.bench.sensors import (
 )
 from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.setup import SessionFiles, Setup
-from tiltcal.core.gravity_direction import normalised
+from tiltcal.core.attitude import normalised
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.drivers.device import Reading
+from tiltcal.drivers.model import Reading
 from tiltcal.errors import HardwareError, InputError, JournalError, SensorError, Stopped, TiltcalError
 from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter, read_journal
 from tiltcal.files.moments import moment_after, stamp
@@ -211,6 +211,10 @@ class Session:
         if self.setup.simulated:
             for result in self.accepted:
                 self._hold(replace(result.position, temperature=result.asked))
+            if self.leg:
+                (reading, *_) = self.leg[-1].readings.values()
+                position = self.setup.steps.positions[len(self.accepted)]
+                self._hold(replace(position, temperature=reading.temperature))
         self._soaked = self.accepted[-1].asked if self.accepted else None
         self._interrupted = self._soaked is not None
         self.clock.seek(recorded.playback.now_ns)
@@ -231,10 +235,8 @@ class Session:
         """Let the stage turn, and match its pairs."""
         from tiltcal.bench.rotation import TurningStage
 
-        channels = self.setup.channel_map()
-        rows = np.empty((0, 2 + len(channels.readings))) if recorded is None else recorded.rotation_rows()
         if self.setup.steps.rotation is not None:
-            TurningStage(self, self.setup.steps.rotation, channels, rows).turn()
+            TurningStage(self, self.setup.steps.rotation, self.setup.channel_map(), recorded).turn()
 
     def _take_positions(self) -> None:
         """Take every position of the procedure, in its order."""

@@ -10,9 +10,9 @@ from operator import mul
 
 from tiltcal.bench.sensors import Sample, SensorSet
 from tiltcal.core.detection import is_still
-from tiltcal.core.statistics import drift
+from tiltcal.core.samples import drift
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 
 LOOKS, SOAK_LOOKS = 40, 200
 """Readings in one window: to see a movement, and to show that a slow drift is not there."""

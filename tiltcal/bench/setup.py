@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from msgspec import Meta
 
 import tiltcal
-from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
+from tiltcal.core.attitude import STRAIGHT, Orientation, orientation
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VIRTUAL_START
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.atomic import check_writable
 from tiltcal.files.base_calibration import BaseFile

@@ -15,8 +15,8 @@ from rich.text import Text
 
 from tiltcal.bench.keys import ENTER, Keys, LineKeys, TerminalKeys
 from tiltcal.bench.operators import LOOK, Message, matched_in_words, turn_in_words
+from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
-from tiltcal.core.gravity_direction import gravity_from_tilt, normalised
 from tiltcal.errors import InputError, Stopped
 from tiltcal.printable import printable
 

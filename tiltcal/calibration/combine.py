@@ -11,20 +11,19 @@ from pathlib import Path
 
 import numpy as np
 
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.combined_record import combined_provenance, combined_record
 from tiltcal.calibration.combined_session import CombinedSession
 from tiltcal.calibration.stated_mounting import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.core.coverage_factor import NORMAL_FACTOR
-from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import Estimate, estimate
 from tiltcal.core.estimation.hysteresis import with_hysteresis
-from tiltcal.core.estimation.pooling import pooled
+from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.model import AXES, Thermal, polynomial
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.rounding import plus_minus
+from tiltcal.core.samples import pooled
 from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.calibration import UNKNOWN_MODEL, require_same_sensor
+from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, require_same_sensor
 from tiltcal.files.results import NOISE_ALONE
 
 REFUSED, NOTED = 0.001, 0.05
@@ -34,44 +33,14 @@ MOSTLY = 0.9
 """The others check a coefficient of a session where they leave less than this share of its uncertainty."""
 
 
-def combine(
-    calibrations: Sequence[Calibration | str | Path] | Calibration | str | Path,
-    *,
-    mounting: Mapping[str, float] | str = "",
-) -> Calibration:
-    """Combine calibrations of one sensor from several sessions.
+def combine_records(
+    calibrations: Iterable[CalibrationRecord | str | Path], mounting: Mapping[str, float] | str = ""
+) -> CalibrationRecord:
+    """Combine calibrations of one sensor, or their files, in their own mounting or in a stated one, degrees.
 
-    The positions of all of them are fitted again, as those of one session; positions of one journal count once. A
-    calibration without positions that were set (free positions, a ramp, a renewed level) enters by its coefficients and
-    their covariance. What a session has assumed, such as a nominal sensitivity or that of its base, is no information.
-
-    Parameters
-    ----------
-    calibrations : sequence of Calibration, str or Path
-        Calibrations, or their files. One alone is enough with a mounting, and needs no sequence.
-    mounting : mapping of str to float, or str
-        How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of the calibrations' own.
-
-    Returns
-    -------
-    Calibration
-
-    Raises
-    ------
-    UsageError
-        They are not of one sensor, or chi-square rises over that of the separate fits by as much as it does in one of a
-        thousand combinations of sessions that agree; the message names files and figures.
-    EstimateError
-        A calibration states no uncertainty, or together they determine no sensor.
-
-    Examples
-    --------
-    >>> both = tiltcal.combine(["S-0042.yaml"], mounting="roll=180")
+    UsageError: they are not of one sensor, or contradict each other.
+    EstimateError: a calibration states no uncertainty, or together they determine no sensor.
     """
-    if isinstance(calibrations, str | Path | Calibration):
-        calibrations = [calibrations]
-    if not isinstance(calibrations, Iterable):
-        raise UsageError(f"combine takes tilt calibrations or their files, not {calibrations!r}")
     sessions = _named([CombinedSession.of(calibration) for calibration in calibrations])
     stated = stated_mounting(mounting) if mounting else None
     if not sessions or (len(sessions) < 2 and stated is None):
@@ -81,7 +50,7 @@ def combine(
     if stated is not None:
         sessions = [replace(session, record=with_mounting(session.record, stated)) for session in sessions]
     if len(sessions) == 1:
-        return Calibration(replace(sessions[0].record, provenance=combined_provenance(sessions)))
+        return replace(sessions[0].record, provenance=combined_provenance(sessions))
     _require_one_mounting(sessions)
     if any(session.coefficients.thermal is not None for session in sessions):
         cold = [any(one.temperature is None for one in session.positions) for session in sessions]
@@ -97,7 +66,7 @@ def combine(
     found = replace(
         found, coefficients=replace(coefficients, thermal=thermal, mounting=mountings[0] if mountings else None)
     )
-    return Calibration(combined_record(sessions, found, design, remarks))
+    return combined_record(sessions, found, design, remarks)
 
 
 def _named(sessions: Sequence[CombinedSession]) -> list[CombinedSession]:

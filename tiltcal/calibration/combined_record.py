@@ -17,8 +17,8 @@ from tiltcal.calibration.estimate_record import (
     rounded_covariance,
     uncertainty_of,
 )
-from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
+from tiltcal.core.estimation.positions import Design
 from tiltcal.core.model import Limits
 from tiltcal.core.uncertainty_inputs import is_turn
 from tiltcal.errors import InputError

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tiltcal.calibration.calibration import Calibration
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.coverage_factor import NORMAL_FACTOR
-from tiltcal.core.estimation.design import Design, Observation, StatedCoefficients
-from tiltcal.core.gravity_direction import gravity_from_tilt
+from tiltcal.core.estimation.positions import Design, Observation, StatedCoefficients
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.statistics import BLOCKS
+from tiltcal.core.samples import BLOCKS
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.document import parse_document, read_text
@@ -45,9 +44,9 @@ class CombinedSession:
     by_values: bool = False
 
     @classmethod
-    def of(cls, given: Calibration | str | Path) -> CombinedSession:
-        if isinstance(given, Calibration):
-            return cls(given.procedure.name or "a calibration", _sha(dump_calibration(given.record)), given.record)
+    def of(cls, given: CalibrationRecord | str | Path) -> CombinedSession:
+        if isinstance(given, CalibrationRecord):
+            return cls(given.procedure.name or "a calibration", _sha(dump_calibration(given)), given)
         if not isinstance(given, str | Path):
             raise UsageError(f"combine takes tilt calibrations or their files, not {given!r:.40}")
         text = read_text(given)

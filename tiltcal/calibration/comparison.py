@@ -1,4 +1,4 @@
-"""Two calibrations of one sensor compared: ``compare``, its thresholds and verdict, which ``tiltcal diff`` prints."""
+"""Two calibrations of one sensor compared, which ``tiltcal diff`` prints."""
 
 from __future__ import annotations
 
@@ -8,15 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.verdict import Verdict, judge
-from tiltcal.core.gravity_direction import LEVEL, gravity_from_tilt, normalised
+from tiltcal.core.attitude import LEVEL, gravity_from_tilt, normalised, orientation
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.named_coefficients import CoefficientChange, values
-from tiltcal.core.orientation import orientation
 from tiltcal.core.rounding import plus_minus
-from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
 from tiltcal.files.results import NOISE_ALONE, PositionSet
 
@@ -103,31 +100,8 @@ class Comparison:
     __repr__ = __str__
 
 
-def compare(old: Calibration, new: Calibration) -> Comparison:
-    """Compare two calibrations of one sensor.
-
-    The verdict allows for the number of coefficients that are compared: of two calibrations of an unchanged sensor it
-    calls 5 % different.
-
-    Raises
-    ------
-    UsageError
-        They are not tilt calibrations of one sensor; the message names what differs.
-
-    Examples
-    --------
-    >>> print(tiltcal.compare(tiltcal.read("spring.yaml"), tiltcal.read("autumn.yaml")))
-    """
-    for calibration in (old, new):
-        if not isinstance(calibration, Calibration):
-            raise UsageError(
-                f"compare takes two tilt calibrations, as tiltcal.read returns them, not a {type(calibration).__name__}"
-            )
-    return compare_records(old.record, new.record)
-
-
 def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Comparison:
-    """Compare the contents of two calibration files, as :func:`compare` does."""
+    """Compare two calibrations of one sensor; a UsageError names what differs where they are not of one."""
     require_same_sensor(old, new)
     reference = _temperature(old if old.coefficients.thermal is None else new)
     steady = {record.coefficients.thermal is None for record in (old, new)}

@@ -9,8 +9,8 @@ from math import degrees
 import numpy as np
 
 from tiltcal.core.derived_quantities import DerivedQuantity, cross_axis, derived, misalignment
-from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import Estimate
+from tiltcal.core.estimation.positions import Design
 from tiltcal.core.intrinsic_parameters import intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients, with_vector
 from tiltcal.core.named_coefficients import DeterminedCoefficients, values

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.calibration_library import CalibrationLibrary
+from tiltcal.calibration.calibration_folder import CalibrationFolder
 from tiltcal.calibration.sensor_history import SensorHistory
 from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.named_coefficients import referred, values
@@ -175,7 +175,7 @@ class FleetHistory:
         return "\n".join(lines)
 
 
-def fleet_history(library: CalibrationLibrary, interval: timedelta, now: datetime) -> FleetHistory:
+def fleet_history(library: CalibrationFolder, interval: timedelta, now: datetime) -> FleetHistory:
     """Return the history of all sensors of a folder, each calibrated again in an interval; ``now`` is in UTC."""
     histories, problems = [], [str(problem) for problem in library.index.problems]
     for serial in library.serials:

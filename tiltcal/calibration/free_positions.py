@@ -13,13 +13,12 @@ from tiltcal.calibration.channel_checks import judge_channels
 from tiltcal.calibration.joint_fit import design_of, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
 from tiltcal.core.coverage_factor import NORMAL_FACTOR
-from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
 from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
-from tiltcal.core.estimation.pooling import noise_of_means
+from tiltcal.core.estimation.positions import Design
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.rounding import significant
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary, noise_of_means
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure

@@ -11,15 +11,14 @@ import numpy as np
 from tiltcal.calibration.channel_checks import judge_channels
 from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, uncertainty_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
-from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.hysteresis import with_hysteresis
-from tiltcal.core.estimation.pooling import correlated_noise, noise_of_means
+from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.model import AXES, Limits
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import significant
-from tiltcal.core.statistics import SampleSummary
-from tiltcal.drivers.device import Model, deviation_within
+from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means
+from tiltcal.drivers.model import Model, deviation_within
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
@@ -192,13 +191,10 @@ def design_of(
 
 
 def _with_data_sheet(design: Design, model: Model) -> Design:
-    """Return the design with what no position determines, and what the data sheet of the model states of it.
-
-    The limit is that of the root sum square of two columns (Cross-axis Compensation, eq. 1), which share its variance.
-    """
+    """Return the design with what no position determines, and what the data sheet of the model states of it."""
     own, channels = design.axes, design.channels
     two_of_three = len(channels) == 2 and set(channels) <= set(AXES) and model.cross_axis_limit > 0.0
-    u = model.sensitivity * deviation_within(model.cross_axis_limit) / sqrt(2.0)
+    u = model.sensitivity * deviation_within(model.cross_axis_limit)
     axes = (*own, *(axis for axis in AXES if axis not in own)) if two_of_three else own
     order = max(design.nonlinearity, len(model.nonlinearity)) if set(channels) <= set(axes) else 0
     priors = {f"sensitivity.{c}.{axis}": Prior(0.0, u) for c in channels for axis in axes if axis not in own}

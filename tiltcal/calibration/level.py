@@ -23,10 +23,10 @@ from tiltcal.calibration.estimate_record import DIGITS, budget_record, intrinsic
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
 from tiltcal.calibration.verdict import judge
+from tiltcal.core.attitude import heading_rotations
 from tiltcal.core.coverage_factor import COVERAGE, coverage_factor
-from tiltcal.core.estimation.attitude import heading_rotations
-from tiltcal.core.estimation.design import Observation
 from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
+from tiltcal.core.estimation.positions import Observation
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import CoefficientChange

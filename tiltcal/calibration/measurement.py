@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from tiltcal.core.orientation import STRAIGHT
+from tiltcal.core.attitude import STRAIGHT
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.statistics import SampleSummary
-from tiltcal.drivers.device import Model
+from tiltcal.core.samples import SampleSummary
+from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.results import PositionRecord
 from tiltcal.stated_arguments import require_from_zero

@@ -14,12 +14,12 @@ from tiltcal.calibration.joint_fit import design_of
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.calibration.suitability import require_tilt
-from tiltcal.core.estimation.design import Design
-from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, Prediction, predict_uncertainty
+from tiltcal.core.attitude import STRAIGHT, Orientation
+from tiltcal.core.estimation.design import PlannedPosition, Prediction, predict_uncertainty
+from tiltcal.core.estimation.positions import Design
 from tiltcal.core.mounting_rotation import angle_uncertainty, solve_mounting
-from tiltcal.core.orientation import STRAIGHT, Orientation
-from tiltcal.core.statistics import summarise
-from tiltcal.drivers.device import Model
+from tiltcal.core.samples import rounding_of_means
+from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
@@ -225,8 +225,7 @@ def predict(
     design = design_of(identity, procedure, bench, nominal=model, base=base)
     scatter = _usual_noise(model) if noise is None else noise
     count = samples or procedure.samples
-    # A steady reading that is rounded keeps an error that no averaging removes.
-    adc = summarise([0.0] * 2, model.resolution).quantisation if scatter < model.resolution / 4 else 0.0
+    adc = rounding_of_means(scatter**2, model.resolution, len(procedure.positions)) if model.resolution else 0.0
     drift = _usual_drift(model, base)
     prediction = predict_uncertainty(
         design,

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from tiltcal.calibration.joint_fit import design_of, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.detection import TEMPERATURES
-from tiltcal.core.estimation.design import Design
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
 from tiltcal.core.estimation.estimate import Estimate
+from tiltcal.core.estimation.positions import Design
 from tiltcal.core.model import Array, Coefficients, Thermal, with_vector
 from tiltcal.core.ramp.fit import RESOLVED, RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord, row_noise
 from tiltcal.core.rounding import plus_minus, round_to, significant
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
 from tiltcal.core.uncertainty_budget import Budget, Part
 from tiltcal.errors import EstimateError

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from tiltcal.core.attitude import STRAIGHT, Orientation
 from tiltcal.core.model import AXES
-from tiltcal.core.orientation import STRAIGHT, Orientation
 from tiltcal.core.plausibility import UNKNOWN_OFFSET
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.procedure import Procedure
 

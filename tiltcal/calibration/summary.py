@@ -7,7 +7,7 @@ from math import asin, degrees
 
 import numpy as np
 
-from tiltcal.core.gravity_direction import gravity_from_tilt
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.model import AXES
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import plus_minus

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
+from tiltcal.core.attitude import Vector, tilt_from_gravity
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.gravity_direction import Vector, tilt_from_gravity
 from tiltcal.core.model import AXES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity

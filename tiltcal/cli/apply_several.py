@@ -11,7 +11,7 @@ from tiltcal.cli.talk import progress_bar
 from tiltcal.cli.unforeseen import unforeseen
 from tiltcal.errors import TiltcalError, UsageError
 from tiltcal.files.atomic import require_apart
-from tiltcal.logs.apply import apply_log
+from tiltcal.library.apply import apply_log
 from tiltcal.logs.apply_summary import ApplySummary
 from tiltcal.logs.log import Progress
 from tiltcal.logs.streams import STANDARD

@@ -16,8 +16,8 @@ from tiltcal.files.journal import read_journal
 from tiltcal.files.record import KINDS
 
 if TYPE_CHECKING:
-    from tiltcal.calibration.calibration import Calibration
-    from tiltcal.calibration.pair_calibration import PairCalibration
+    from tiltcal.files.calibration import CalibrationRecord
+    from tiltcal.files.pair import PairRecord
 
 
 @click.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
@@ -109,19 +109,20 @@ def _of_journal(path: Path) -> list[str]:
 
 
 def _of_calibration(path: Path, document: Document) -> tuple[str, list[str], list[str]]:
-    from tiltcal.calibration.calibration import Calibration, calibration_in
     from tiltcal.calibration.channel_checks import remarks_on_wiring
+    from tiltcal.calibration.record import record_in
     from tiltcal.calibration.summary import objections, remarks_on_chance
+    from tiltcal.files.calibration import CalibrationRecord
 
-    found = calibration_in(document)
+    found = record_in(document)
     findings, remarks = _of_journal_beside(path, found)
-    if isinstance(found, Calibration):
-        wiring = remarks_on_wiring(found.record.coefficients, found.record.sensor.unit)
-        return "calibration", objections(found.record) + findings, [*wiring, *remarks_on_chance(found.fit), *remarks]
+    if isinstance(found, CalibrationRecord):
+        wiring = remarks_on_wiring(found.coefficients, found.sensor.unit)
+        return "calibration", objections(found) + findings, [*wiring, *remarks_on_chance(found.fit), *remarks]
     return "pair calibration", findings, remarks
 
 
-def _of_journal_beside(path: Path, found: Calibration | PairCalibration) -> tuple[list[str], list[str]]:
+def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tuple[list[str], list[str]]:
     """Replay the journal beside a calibration file; where its text differs, compare the coefficients."""
     captured = found.provenance.journal
     if captured is None or not (os.path.isfile(path) and os.path.isfile(path.parent / captured.name)):
@@ -136,10 +137,9 @@ def _of_journal_beside(path: Path, found: Calibration | PairCalibration) -> tupl
     if path.read_text(encoding="utf-8") in made.texts().values():
         return [], []
     for new in made.calibrations.values():
-        old = found.record
-        if isinstance(new, CalibrationRecord) and isinstance(old, CalibrationRecord) and new.sensor == old.sensor:
+        if isinstance(new, CalibrationRecord) and isinstance(found, CalibrationRecord) and new.sensor == found.sensor:
             # Of the same positions also coefficients that hold a share of others agree within what is stated of it.
-            verdicts = compare_records(old, new).verdict, judge(changes_between(old, new, None))
+            verdicts = compare_records(found, new).verdict, judge(changes_between(found, new, None))
             if new.provenance.journal == captured and "unchanged" in [verdict.word for verdict in verdicts]:
                 return [], [f"{journal} gives other digits with this version, which agree within their uncertainty"]
     return [f"{journal} does not give this file"], []

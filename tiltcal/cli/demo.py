@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tiltcal.bench.measure import measure
 from tiltcal.calibration.summary import summary
 from tiltcal.cli.apply import command as apply
 from tiltcal.cli.report import write_report
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import Address, parse_address
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.calibration import read_calibration
-from tiltcal.report.page import require_extra
+from tiltcal.library.measure import measure
+from tiltcal.report.figure import require_extra
 
 if TYPE_CHECKING:
     from tiltcal.core.model import Array
@@ -83,7 +83,7 @@ def command(folder: Path, seed: int) -> None:
     except UsageError as missing:
         click.echo(f"   no picture and no page: {missing}")
         return
-    from tiltcal.report.tilt_figure import draw_tilt_error
+    from tiltcal.report.calibration_figures import draw_tilt_error
 
     title = f"{MODEL} on the virtual bench, tilts within ±{REACH['x']:g}°"
     draw_tilt_error(picture, rows["time"], rows["temperature"], before, after, title)
@@ -95,7 +95,7 @@ def _record(path: Path, address: Address, model: Model) -> None:
     """Write the log for the calibration, a row each second, with its true tilt beside the readings."""
     from tiltcal.bench.sensors import VirtualBench
     from tiltcal.bench.setup import Device
-    from tiltcal.core.gravity_direction import gravity_from_tilt
+    from tiltcal.core.attitude import gravity_from_tilt
     from tiltcal.drivers.bus.clock import VirtualClock
 
     clock, device = VirtualClock(), Device(model=model.name, serial="", address=str(address))

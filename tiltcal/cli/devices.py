@@ -8,7 +8,7 @@ import click
 
 from tiltcal.cli import options
 from tiltcal.drivers import models
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 
 
 @click.command(epilog="Example: tiltcal devices --json")

@@ -11,10 +11,11 @@ from tiltcal.cli import options
 from tiltcal.cli.talk import progress_bar, remark
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import check_writable
+from tiltcal.logs.options import FitOptions
 
 if TYPE_CHECKING:
-    from tiltcal.calibration.calibration import Calibration
     from tiltcal.files.calibration import CalibrationRecord
+    from tiltcal.library.calibration import Calibration
 
 _EXAMPLES = """\b
 Examples:
@@ -26,49 +27,12 @@ Examples:
 """
 
 
-@click.command(epilog=_EXAMPLES)
+@click.command(cls=options.GroupedCommand, epilog=_EXAMPLES)
 @click.argument("procedure")
 @click.argument("log", type=click.Path(path_type=Path))
-@options.file_option(
-    "--segments",
-    help="The rows of each position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz if the "
-    "position is not one of the procedure. Without it, PROCEDURE free finds the static intervals.",
-)
-@click.option(
-    "--table",
-    is_flag=True,
-    help="LOG is a table of means: position, x, y, z, and optionally gx, gy, gz, ux, uy, uz (the standard "
-    "uncertainties of the means), n, temperature.",
-)
-@click.option(
-    "--columns",
-    default="",
-    metavar="x=NAME,...",
-    help="The column of each reading [x, y, z, temperature]; in a log without a header a number from 1.",
-)
-@click.option("--unit", help="The unit of the readings, such as m/s2, V or count.")
-@click.option("--serial", help="The sensor's serial number, for the calibration file [that of --base].")
-@click.option("--sensor", metavar="MODEL", help="The model of the sensor, if it is one of `tiltcal devices`.")
-@options.jig
-@options.at_least_zero(
-    "--thermometer",
-    metavar="CELSIUS",
-    help="Standard uncertainty of a temperature; without it, that of the step of the --sensor's own thermometer.",
-)
-@options.table_lean
-@options.heading
-@options.tilt
-@click.option(
-    "--gravity",
-    type=float,
-    metavar="M/S2",
-    help="Local gravity, between 9.7 and 9.9: adds the sensitivity per m/s², and for readings in m/s2 the scale error.",
-)
-@click.option("--window", type=int, metavar="ROWS", help="Shortest static interval that is found, 4 rows or more.")
-@options.file_option("--segments-out", metavar="FILE", help="Write the static intervals that were found.")
-@options.alignment
-@options.file_option("--base", metavar="CAL", help=options.BASE)
 @options.file_option("-o", "--output", required=True, help="The calibration file to write.")
+@options.file_option("--segments-out", metavar="FILE", help="Write the static intervals that were found.")
+@options.declared(FitOptions)
 def command(procedure: str, log: Path, segments_out: Path | None, output: Path, **settings: Any) -> None:
     """Calibrate from a recorded LOG (CSV, Parquet or NetCDF-4) and its segments, by the positions of PROCEDURE.
 
@@ -78,7 +42,8 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
     from tiltcal.calibration.level import level_summary
     from tiltcal.calibration.summary import mounting_summary, summary
     from tiltcal.files.procedure_file import find_procedure
-    from tiltcal.logs.fit import FOUND_ONLY, fit
+    from tiltcal.library.fit import fit
+    from tiltcal.logs.fit import FOUND_ONLY
 
     determines = find_procedure(procedure, settings["tilt"]).determines
     if segments_out is not None and (not determines.free or settings["table"] or settings["segments"] is not None):

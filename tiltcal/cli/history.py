@@ -46,7 +46,7 @@ def read_history(folder: Path, interval: str = "365d") -> FleetHistory:
     """
     from datetime import UTC, datetime, timedelta
 
-    from tiltcal.calibration.calibration_library import open_calibrations
+    from tiltcal.calibration.calibration_folder import CalibrationFolder
     from tiltcal.calibration.fleet import fleet_history
 
     try:
@@ -55,7 +55,7 @@ def read_history(folder: Path, interval: str = "365d") -> FleetHistory:
         raise UsageError(f"--interval: {interval!r} is no number of days; write it as 365d") from None
     if not 0.0 <= days <= LONGEST:
         raise UsageError(f"--interval: {interval} is not between 0d and {LONGEST}d")
-    library = open_calibrations(folder)
-    if not library.serials and not library.index.problems:
+    calibrations = CalibrationFolder(folder)
+    if not calibrations.serials and not calibrations.index.problems:
         raise UsageError(f"{folder} has no calibration files")
-    return fleet_history(library, timedelta(days=days), datetime.now(UTC))
+    return fleet_history(calibrations, timedelta(days=days), datetime.now(UTC))

@@ -14,8 +14,8 @@ from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
     from tiltcal.core.pair.matching import Matching
-    from tiltcal.logs.pair_log import PairLog
-    from tiltcal.report.pair_figures import PairDrawing
+    from tiltcal.logs.match import PairLog
+    from tiltcal.report.record_figures import PairDrawing
 
 _EXAMPLES = """\b
 Examples:
@@ -75,25 +75,27 @@ def command(
     With --online, Ctrl-C ends the stream, and the estimates until then are the result.
     """
     from tiltcal.files.atomic import check_writable
+    from tiltcal.library.pair_calibration import PairCalibration
     from tiltcal.logs.match import match_log, pairs_of
-    from tiltcal.report.pair_figures import draw_matching
+    from tiltcal.report.record_figures import draw_matching
 
     wanted = pairs_of(_triples(pairs, orthogonals))
     for path in filter(None, (output, figure)):
         check_writable(path, log)
     with progress_bar("match") as progress:
         found = match_log(log, wanted, say=remark, progress=progress, **settings)
-    first = found.calibration.matchings[0]
+    calibration = PairCalibration(found.calibration)
+    first = calibration.matchings[0]
     drawing = spectra_of(first, found.log) if figure else None
     if output:
-        found.calibration.save(output)
+        calibration.save(output)
     if figure and drawing:
         draw_matching(figure, replace(drawing, course=found.course, uncertainty=max(first.u_p, first.u_q)))
     if as_json:
-        shown = [_as_data(matching) for matching in found.calibration.matchings]
+        shown = [_as_data(matching) for matching in calibration.matchings]
         click.echo(options.json_text(shown[0] if len(shown) == 1 else {"pairs": shown}))
     else:
-        click.echo(str(found.calibration))
+        click.echo(str(calibration))
 
 
 def spectra_of(matching: Matching, log: PairLog) -> PairDrawing:
@@ -104,7 +106,7 @@ def spectra_of(matching: Matching, log: PairLog) -> PairDrawing:
     EstimateError
         The record is too short for them.
     """
-    from tiltcal.report.pair_figures import PairDrawing
+    from tiltcal.report.record_figures import PairDrawing
 
     frequency, densities = log.densities(matching)
     turning = log.frequency or log.turns / (log.rows + log.missing)

@@ -58,7 +58,7 @@ def command(procedure: str | None, operator: str, **settings: Any) -> None:
     the file of its pairs. A journal records everything at once: after a crash, a power cut or Ctrl-C, `--resume
     JOURNAL` continues from the last byte.
     """
-    from tiltcal.bench.measure import measure
+    from tiltcal.library.measure import measure
 
     chosen = None if options.left_at_default("operator") else operator
     measure(procedure, operator=chosen, remark=remark, result=click.echo, **settings)

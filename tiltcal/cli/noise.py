@@ -83,7 +83,7 @@ def command(
     from tiltcal.files.atomic import check_writable
     from tiltcal.logs.noise import NoiseFacts, characterise_readings
     from tiltcal.logs.noise_summary import NoiseTarget
-    from tiltcal.report.noise_figure import draw_noise
+    from tiltcal.report.record_figures import draw_noise
 
     if address is None:
         _refuse_for_log(log, samples, seconds, output)

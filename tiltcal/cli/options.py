@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args
 
 import click
 
+from tiltcal.options import Option, flag_of, options_of
 from tiltcal.stated_arguments import require_above_zero, require_from_zero, require_whole
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 FILE = click.Path(path_type=Path)
 OPERATORS = click.Choice(["terminal", "json", "sim"])
@@ -59,6 +62,53 @@ def _as_number(value: Any) -> Any:
         with suppress(ValueError):
             return kind(str(value))
     return value
+
+
+class Declared(click.Option):
+    """An option of a declaration, below the heading of its group."""
+
+    def __init__(self, names: Sequence[str], *, option: Option, kinds: tuple[Any, ...]) -> None:
+        self.group = option.group
+        if bool in kinds:
+            super().__init__(names, is_flag=True, default=False, help=option.help)
+            return
+        is_number = str not in kinds and bool({int, float} & set(kinds))
+
+        def checked(text: Any) -> Any:
+            value = _as_number(text) if is_number else text
+            if option.check is not None:
+                option.check(names[0], value)
+            elif is_number:
+                float(value)
+            return value
+
+        super().__init__(names, type=checked, default=option.default, metavar=option.metavar, help=option.help)
+
+
+def declared(declaration: type) -> Callable[[F], F]:
+    """Give a command the options of a declaration, in its order."""
+
+    def with_options(command: F) -> F:
+        for name, (option, kind) in reversed(options_of(declaration).items()):
+            if option.metavar is not None:
+                kinds = get_args(kind) or (kind,)
+                click.option(flag_of(name, option), name, cls=Declared, option=option, kinds=kinds)(command)
+        return command
+
+    return with_options
+
+
+class GroupedCommand(click.Command):
+    """A command whose help lists its options by group."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for option in self.get_params(ctx):
+            if isinstance(option, click.Option) and (record := option.get_help_record(ctx)) is not None:
+                groups.setdefault(getattr(option, "group", ""), []).append(record)
+        for heading, records in groups.items():
+            with formatter.section(heading or "Options"):
+                formatter.write_dl(records)
 
 
 file_option = partial(click.option, type=FILE)

@@ -8,7 +8,7 @@ from tiltcal.bench.sensors import open_sensor
 from tiltcal.cli import options
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.device import SelfTesting
+from tiltcal.drivers.model import SelfTesting
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 
 

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from tiltcal.files.calibration import CalibrationRecord
     from tiltcal.files.pair import PairRecord
     from tiltcal.files.results import FileRecord
-    from tiltcal.report.log_section import ReportedLog
-    from tiltcal.report.pair_figures import PairDrawing
+    from tiltcal.report.record_figures import PairDrawing, ReportedLog
 
 _EXAMPLES = """\b
 Examples:
@@ -65,13 +64,13 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
     """
     from tiltcal.files.atomic import check_writable, write_whole
     from tiltcal.files.calibration_folder import SUFFIXES
-    from tiltcal.report.page import require_extra
+    from tiltcal.report.figure import require_extra
 
     require_extra()
     check_writable(output, *files)
     if len(files) == 1 and os.path.isdir(files[0]):
         from tiltcal.cli.history import read_history
-        from tiltcal.report.fleet_page import fleet_page
+        from tiltcal.report.page import fleet_page
 
         write_whole(output, fleet_page(read_history(Path(files[0]))))
         return
@@ -93,7 +92,7 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
             raise UsageError("a report of pairs is about one file; give it alone, with its LOG if there is one")
         if columns:
             raise UsageError("--columns is for tilt calibrations; the columns of pairs are named in their file")
-        from tiltcal.report.pair_page import pair_page
+        from tiltcal.report.page import pair_page
 
         pairs = pair_record(documents[0])
         return pair_page(pairs, _source(names[0]), [_spectra(log, pairs, skip_bad_rows) for log in logs])
@@ -110,7 +109,7 @@ def _tilt_page(
     columns: str,
     skip_bad_rows: bool,
 ) -> str:
-    from tiltcal.report.tilt_page import tilt_page
+    from tiltcal.report.page import tilt_page
 
     last, source = calibrations[-1], _source(names[-1])
     earlier = [(calibration, Path(name).name) for calibration, name in zip(calibrations[:-1], names, strict=False)]
@@ -120,21 +119,23 @@ def _tilt_page(
 
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:
     """Return the overview of a log; apply the calibration if the log is raw."""
-    from tiltcal.calibration.calibration import Calibration
     from tiltcal.logs.columns import TIME, named_columns
     from tiltcal.logs.formats import open_log
+    from tiltcal.logs.kernel import prepare
+    from tiltcal.logs.options import ApplyOptions
     from tiltcal.logs.overview import look_over
-    from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
-    from tiltcal.report.log_section import ReportedLog
+    from tiltcal.options import complete
+    from tiltcal.report.record_figures import ReportedLog
 
-    prepared = prepare(Calibration(calibration), ApplyOptions(), file=file)
+    options = complete(ApplyOptions, {"columns": columns})
+    prepared = prepare(calibration, options, file=file)
     with (
         progress_bar("report") as progress,
         open_log(log, skip_bad_rows=skip_bad_rows, digest=True, progress=progress) as rows,
     ):
         clock = named_columns(columns, prepared.channels).get(TIME, TIME)
         time = rows.names.index(clock) if clock in rows.names else None
-        overview, compensated = look_over(rows, prepared, columns, time)
+        overview, compensated = look_over(rows, prepared, options, time)
         return ReportedLog(Path(rows.name).name, rows.sha256, overview, compensated, time is not None)
 
 
@@ -142,7 +143,7 @@ def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[st
     """Return the name of a log, and the spectra of the first pair in it."""
     from tiltcal.cli.match import spectra_of
     from tiltcal.logs.formats import open_log
-    from tiltcal.logs.pair_log import read_pair_log
+    from tiltcal.logs.match import read_pair_log
 
     matching = calibration.matchings[0]
     with progress_bar("report") as progress, open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows:

@@ -61,12 +61,12 @@ def command(
     not decided. Exit code 1 unless passed.
     """
     from tiltcal.bench.journal import positions_of
-    from tiltcal.bench.measure import resumed
     from tiltcal.bench.operators import open_operator
     from tiltcal.bench.session import Session
     from tiltcal.bench.setup import SessionFiles, Setup, free_journal, single
     from tiltcal.calibration.verification import PASSED, Verification, verify_positions
     from tiltcal.files.journal import read_journal
+    from tiltcal.library.measure import resumed
 
     judged = read_calibration(calibration)
     if resume is not None:

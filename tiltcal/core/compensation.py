@@ -181,6 +181,8 @@ class Compensation:
         The range of each axis by its place, as components of gravity, g.
     temperatures : tuple of float, or None
         The range that the calibration covers, °C.
+    upside_down : bool
+        Whether the mounting turns such a sensor over.
     on_edge : bool
         Whether the mounting turns such a sensor by more than 45° from upright and from upside down.
 
@@ -236,7 +238,7 @@ class Compensation:
         )
         self.solves_z = channels == 2 and (len(own) > channels or self.rotation is not None)
         facing = 1.0 if self.rotation is None else float(self.rotation[2, 2])
-        self._upside_down = facing < _OVER
+        self.upside_down = facing < _OVER
         self.on_edge = self.solves_z and abs(facing) < _EDGE - _ROUNDING
         length = LENGTH_TOLERANCE if limits.length is None else limits.length
         self._squares = VANISHES**2, inf
@@ -394,7 +396,7 @@ class Compensation:
         root = along * along - curvature * excess
         beyond = root < 0.0
         np.sqrt(root, out=root)
-        hidden: Array = np.minimum(along - root, 0.0) if self._upside_down else np.maximum(along + root, 0.0)
+        hidden: Array = np.minimum(along - root, 0.0) if self.upside_down else np.maximum(along + root, 0.0)
         hidden /= curvature
         hidden[beyond] = 0.0
         if q.any():

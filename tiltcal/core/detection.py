@@ -3,7 +3,7 @@
 They work on the samples of a position; the bench, recorded logs and the characterisation of noise use them with limits
 of their own. Those of a record of any length are in :mod:`tiltcal.core.rows`, those that need positions in
 :mod:`tiltcal.bench.sample_checks` and :mod:`tiltcal.logs.static_intervals`, that of a turning stage in
-:mod:`tiltcal.core.pair.record`.
+:mod:`tiltcal.core.pair.stage`.
 
 Samples that are all alike are not still: a sensor at rest has noise, and one whose reading does not change although its
 noise is larger than half a step of the reading is stuck.
@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import noise_under_rounding
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary, noise_under_rounding
 
 CHANCE = 1e-6
 """Probability of identical samples below which they are no chance."""
@@ -116,7 +115,7 @@ def is_still(
     Parameters
     ----------
     change, uncertainty : float
-        Of :func:`tiltcal.core.statistics.drift`.
+        Of :func:`tiltcal.core.samples.drift`.
     limit : float
         The largest change that counts as none, same unit.
     sigmas : float

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 
 from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import StepFinder, rounding_uncertainty
+from tiltcal.core.quantisation import StepFinder
+from tiltcal.core.samples import rounding_uncertainty
 from tiltcal.errors import EstimateError
 
 Kind = Literal["white", "flicker", "walk"]
@@ -50,20 +51,13 @@ _KINDS: tuple[Kind, ...] = ("white", "flicker", "walk", "walk")
 _LIMITS: Mapping[str, Limit] = {"B": "flicker", "K": "walk", "R": "drift"}
 _DECADES = tuple(10**power for power in range(8))
 
-_STARTS = 32
-"""Use so many starts of overlapping stretches in the length of one; more show no more."""
-
-_PRESENT = 0.5
-"""Use the mean of a stretch if this share of its samples is there."""
-
-_FEWEST_STRETCHES = 4
-"""Use an averaging time that fits so many times into the record."""
-
-_FEWEST_AVERAGES = 5
-"""Show a size of averages that nobody asked for if there are so many of them."""
-
-_FEWEST_OCTAVES = 6
-"""Set short octaves aside while so many remain."""
+_STARTS = 32  # of overlapping stretches in the length of one; more show no more
+_PRESENT = 0.5  # share of a stretch's samples from which on its mean is used
+_FEWEST_STRETCHES = 4  # of the longest averaging time in the record
+_FEWEST_AVERAGES = 5  # of a size that nobody asked for
+_FEWEST_OCTAVES = 6  # that remain when short ones are set aside
+_SIZES = 12_000  # numbers of samples that are tried, evenly in their logarithm
+_CHUNK = 1 << 16
 
 _MOST_DOF = 1000.0
 """Weight an octave by at most so many degrees of freedom: four terms describe no deviation to better than 2 %."""
@@ -76,8 +70,6 @@ _CREDIBLE = 1e-3
 
 _GAIN = 0.1
 """More samples help where twice as many lower the uncertainty by this share."""
-
-_CHUNK = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -93,19 +85,12 @@ class Average:
 
 @dataclass(frozen=True)
 class AllanFit:
-    """The kinds of noise that show in an Allan deviation.
+    """The kinds of noise that show in an Allan deviation, from the octave ``first`` on.
 
-    Attributes
-    ----------
-    value : mapping of str to float
-        Coefficients: N in unit √s, B in unit, K in unit/√s, R in unit/s.
-    first : int
-        Index of the octave from which on they describe the deviation. Before it neighbouring samples are alike, or
-        opposite, by a filter or an interference.
-    dof : ndarray, shape (k,)
-        Equivalent degrees of freedom of every octave, by the kind of noise that dominates there.
-    follows : bool
-        Whether the deviation follows them to within its uncertainty.
+    ``value`` has the coefficients: N in unit √s, B in unit, K in unit/√s, R in unit/s. Before ``first`` neighbouring
+    samples are alike, or opposite, by a filter or an interference. ``dof`` has the equivalent degrees of freedom of
+    every octave, shape (k,), by the kind of noise that dominates there; ``follows`` is whether the deviation follows
+    the terms to within its uncertainty.
     """
 
     value: Mapping[str, float]
@@ -125,22 +110,11 @@ class AllanFit:
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """The noise of one channel.
+    """The noise of one channel, in its unit.
 
-    Attributes
-    ----------
-    mean : float
-        Unit.
-    count : int
-        Samples that are there.
-    step : float
-        Of the reading, unit; 0 where it is continuous.
-    averages : sequence of Average
-        By rising size, of single samples first.
-    tau : ndarray, shape (k,)
-        Averaging times, seconds.
-    deviation, low, high : ndarray, shape (k,)
-        Allan deviation with its limits (95 %), unit.
+    ``count`` samples are there, in steps of ``step``, 0 where the reading is continuous; ``averages`` go by rising
+    size, from single samples on. ``tau`` are averaging times in seconds, and ``deviation`` the Allan deviation with its
+    limits (95 %), all of shape (k,).
     """
 
     mean: float
@@ -161,13 +135,12 @@ class ChannelNoise:
     @property
     def lowest(self) -> tuple[float, float]:
         """Averaging time, seconds, and lowest deviation: of the kinds of noise that show, or as measured without."""
-        if not self.terms.follows:
-            place = int(np.argmin(self.deviation))
-            return float(self.tau[place]), float(self.deviation[place])
-        tau = np.geomspace(self.tau[self.terms.first], self.tau[-1], 500)
-        variance = self.terms.variance(tau)
-        place = int(np.argmin(variance))
-        return float(tau[place]), float(np.sqrt(variance[place]))
+        tau, deviation = self.tau, self.deviation
+        if self.terms.follows:
+            tau = np.geomspace(self.tau[self.terms.first], self.tau[-1], 500)
+            deviation = np.sqrt(self.terms.variance(tau))
+        place = int(np.argmin(deviation))
+        return float(tau[place]), float(deviation[place])
 
     @property
     def settled(self) -> bool:
@@ -190,15 +163,7 @@ class ChannelNoise:
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """The scale of a sensor's readings, by which their noise becomes degrees.
-
-    Attributes
-    ----------
-    per_g : mapping of str to float
-        Unit/g, of the channels of which it is stated; above 0.
-    source : str
-        Where that is from.
-    """
+    """The scale by which readings become degrees: unit/g of each channel of which it is stated, and its source."""
 
     unit: str
     per_g: Mapping[str, float]
@@ -215,20 +180,11 @@ class NoiseScale:
 
 @dataclass(frozen=True)
 class SampleSize:
-    """A recommended number of samples, and why it is that one.
+    """A recommended number of samples, the uncertainty of their mean in the channel's unit, and why it is that one.
 
-    Attributes
-    ----------
-    uncertainty : float
-        Of their mean, unit.
-    limit : str
-        What sets the number.
-    met : bool or None
-        Whether the mean is as good as the target; None where there is no target.
-    useful : int or None
-        Samples beyond which twice as many gain less than a tenth; None where the record is too short to show it.
-    predicted : int or None
-        Samples that would meet the target if the noise stayed white for longer than the record could show.
+    ``limit`` is what sets the number; ``met`` is whether the mean is as good as the target, None where there is none.
+    From ``useful`` samples on twice as many gain less than a tenth; None where the record is too short to show it.
+    ``predicted`` samples would meet the target if the noise stayed white for longer than the record could show.
     """
 
     samples: int
@@ -240,27 +196,16 @@ class SampleSize:
 
 
 def characterise(samples: Array, interval: float, sizes: Sequence[int] = ()) -> ChannelNoise:
-    """Characterise the noise of one channel at rest.
+    """Return the noise of one channel at rest, with averages of 1, 10, 100, ... and some ``sizes`` of samples.
 
-    Parameters
-    ----------
-    samples : ndarray, shape (n,)
-        Evenly spaced, in the unit of the reading; NaN where a value is missing.
-    interval : float
-        Seconds from sample to sample.
-    sizes : sequence of int
-        Sizes of averages for the table, beside 1, 10, 100, ...
-
-    Raises
-    ------
-    EstimateError
-        There are too few samples, or the noise is zero or beyond any number.
+    Samples, shape (n,), are ``interval`` seconds apart, NaN where a value is missing; an EstimateError where there are
+    too few, or their noise is beyond any number.
     """
     factor, variance = allan_variance(samples)
     if not len(factor):
         raise EstimateError("so much is missing that no two neighbouring averages are left")
     averages = [average(samples, size) for size in sorted({*_DECADES, *sizes})]
-    shown = [one for one in averages if one.count >= (2 if one.samples in sizes else _FEWEST_AVERAGES)]
+    listed = [one for one in averages if one.count >= (2 if one.samples in sizes else _FEWEST_AVERAGES)]
     steps = StepFinder()
     for some in _pieces(samples):
         steps.add(some[np.isfinite(some)])
@@ -268,8 +213,7 @@ def characterise(samples: Array, interval: float, sizes: Sequence[int] = ()) -> 
     terms = kinds_of_noise(tau, variance, factor, len(samples))
     low, high = limits(variance, terms.dof)
     single = averages[0]
-    deviation = np.asarray(np.sqrt(variance), dtype=np.float64)
-    return ChannelNoise(single.mean, single.count, steps.result(), shown, tau, deviation, low, high, terms)
+    return ChannelNoise(single.mean, single.count, steps.result(), listed, tau, np.sqrt(variance), low, high, terms)
 
 
 def average(samples: Array, size: int) -> Average:
@@ -282,19 +226,9 @@ def average(samples: Array, size: int) -> Average:
 
 
 def allan_variance(samples: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the overlapping Allan variance by octaves.
+    """Return samples per average by octaves, 1, 2, 4, ..., and the overlapping Allan variances, unit², above 0.
 
-    Parameters
-    ----------
-    samples : ndarray, shape (n,)
-        NaN where a value is missing.
-
-    Returns
-    -------
-    factor : ndarray of int, shape (k,)
-        Samples per average: 1, 2, 4, ...
-    variance : ndarray, shape (k,)
-        Unit², above 0.
+    Samples, shape (n,), are NaN where a value is missing.
     """
     zero = next((some[np.isfinite(some)][0] for some in _pieces(samples) if np.isfinite(some).any()), 0.0)
     variances: dict[int, float] = {}
@@ -387,18 +321,10 @@ def limits(variance: Array, dof: Array) -> tuple[Array, Array]:
 def kinds_of_noise(tau: Array, variance: Array, factor: NDArray[np.int64], samples: int) -> AllanFit:
     """Return the fewest kinds of noise that make an Allan variance.
 
-    Parameters
-    ----------
-    tau, variance, factor : ndarray, shape (k,)
-        Averaging times in seconds, rising by octaves; overlapping Allan variance; samples per average.
-    samples : int
-        In the record.
-
-    Notes
-    -----
-    Non-negative least squares, each octave weighted with its degrees of freedom. A term is left out if the deviance of
-    the chi-square distributed variances rises by less than its price. Short octaves that no terms describe are set
-    aside one by one.
+    Averaging times in seconds, variances and samples per average, shape (k,), rise by octaves; so many samples are in
+    the record. Non-negative least squares weigh each octave with its degrees of freedom, and a term has to lower the
+    deviance of the chi-square distributed variances by its price. Short octaves that no terms describe are set aside
+    one by one.
     """
     if not np.all(np.isfinite(variance)):
         raise EstimateError("the Allan variance is beyond any number: give the readings in another unit")
@@ -411,23 +337,24 @@ def _fitted(tau: Array, variance: Array, factor: NDArray[np.int64], samples: int
     """Return the kinds of noise that make the Allan variance from the octave ``first`` on."""
     from scipy.special import chdtrc
 
-    columns = _columns(tau)
+    columns, octaves = _columns(tau), len(tau) - first
     table = np.array([[degrees_of_freedom(kind, samples, m) for kind in _KINDS] for m in factor.tolist()])
     chosen = list(range(len(TERMS)))
     squares, dof, deviance = _squares(columns, variance, table, first, chosen)
     while len(chosen) > 1:
-        fits = [(_squares(columns, variance, table, first, fewer), fewer) for fewer in _without_one(chosen)]
-        (fewer_squares, fewer_dof, fewer_deviance), fewer = min(fits, key=lambda fit: fit[0][2])
-        if fewer_deviance > deviance + _WORTH and len(chosen) <= len(tau) - first:
+        without = [[term for term in chosen if term != gone] for gone in chosen]
+        fits = [_squares(columns, variance, table, first, fewer) for fewer in without]
+        least = min(range(len(fits)), key=lambda k: fits[k][2])
+        if fits[least][2] > deviance + _WORTH and len(chosen) <= octaves:
             break
-        chosen, squares, dof, deviance = fewer, fewer_squares, fewer_dof, fewer_deviance
+        chosen, (squares, dof, deviance) = without[least], fits[least]
     value = {TERMS[term]: sqrt(squares[term]) for term in chosen if squares[term] > 0.0}
-    free = len(tau) - first - len(chosen)
+    free = octaves - len(chosen)
     return AllanFit(value, first, dof, free <= 0 or float(chdtrc(free, deviance)) > _CREDIBLE)
 
 
 def _squares(
-    columns: Array, variance: Array, table: Array, first: int, chosen: Sequence[int]
+    columns: Array, variance: Array, table: Array, first: int, chosen: list[int]
 ) -> tuple[Array, Array, float]:
     """Return the squares of all coefficients, the degrees of freedom of all octaves, and the deviance."""
     from scipy.optimize import nnls
@@ -444,10 +371,6 @@ def _squares(
     return squares, dof, float(np.sum(np.minimum(dof, _MOST_DOF)[first:] * (ratio - 1.0 - np.log(ratio))))
 
 
-def _without_one(chosen: Sequence[int]) -> Iterator[list[int]]:
-    return ([term for term in chosen if term != gone] for gone in chosen)
-
-
 def _columns(tau: Array) -> Array:
     """Return the variance of a unit of each term at each averaging time, shape (k, terms)."""
     return np.stack([1.0 / tau, np.full(len(tau), FLICKER**2), tau / 3.0, tau**2 / 2.0], axis=1)
@@ -456,18 +379,10 @@ def _columns(tau: Array) -> Array:
 def sample_size(noise: ChannelNoise, interval: float, target: float | None = None) -> SampleSize:
     """Return the smallest number of samples whose mean is good enough, or beyond which more do not help.
 
-    Parameters
-    ----------
-    interval : float
-        Seconds from sample to sample.
-    target : float, optional
-        Standard uncertainty that a mean should have, unit.
+    Samples are ``interval`` seconds apart; ``target`` is the standard uncertainty that a mean should have, unit.
     """
     most = round(float(noise.tau[-1]) / interval)
-    count = 1000 + ceil(100 * log(max(most / 1000, 1.0)))
-    samples = (
-        np.arange(1, most + 1) if most <= 1000 else np.unique(np.geomspace(1, most, 6 * count).round().astype(int))
-    )
+    samples = np.unique(np.geomspace(1, most, _SIZES).round().astype(np.int64))
     u = noise.uncertainty(np.asarray(samples * interval, dtype=np.float64))
     useful, why = _useful(noise, samples, u)
     if target is not None and np.any(u <= target):

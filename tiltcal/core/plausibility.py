@@ -12,7 +12,7 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from tiltcal.core.gravity_direction import Vector
+from tiltcal.core.attitude import Vector
 from tiltcal.core.model import AXES, Array
 
 POSE = sin(radians(1.5))

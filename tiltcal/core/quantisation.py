@@ -1,10 +1,9 @@
-"""Quantisation: the step of readings that are rounded, and the share of an uncertainty that rounding has."""
+"""Quantisation: the step of readings that are rounded."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cache
-from math import exp, inf, pi, sqrt
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +13,8 @@ from tiltcal.core.model import Array
 ARITHMETIC = 1e-12
 """Differences below this share of the values come from arithmetic, and are no step of the reading."""
 
-_HARMONICS = np.arange(1, 1001)
-"""Of the rounding error as a function of the reading, whose period is a step."""
-
 MOST_VALUES = 4096
 """Different values beyond which a reading counts as continuous."""
-
-_NOISES = np.geomspace(0.005, 1.0, 80)
-"""Of readings before they are rounded, in steps; beyond them rounding leaves nothing."""
 
 _ENOUGH_VALUES = 1 << 16
 """Different values among which two neighbours are a step apart."""
@@ -206,83 +199,3 @@ class StepFinder:
         if np.any(np.abs(distances / smallest - whole) > _EVEN * whole):
             return 0.0
         return float(distances.sum() / whole.sum())
-
-
-def rounding_uncertainty(std: float, step: float) -> float:
-    """Compute the standard uncertainty that rounding leaves in the mean of many samples (Widrow's first harmonic).
-
-    Parameters
-    ----------
-    std : float
-        Standard deviation of the samples, rounding included.
-    step : float
-        Of the reading; 0 where it is continuous.
-    """
-    if step == 0.0:
-        return 0.0
-    noise = sqrt(max(std**2 - step**2 / 12, 0.0))
-    return step / sqrt(12) * exp(-2 * (pi * noise / step) ** 2)
-
-
-def noise_under_rounding(scatter: float, step: float) -> float:
-    """Find the noise of readings before they were rounded.
-
-    Parameters
-    ----------
-    scatter : float
-        Mean variance of the rounded readings within positions that lie anyhow between two steps, unit².
-    step : float
-        Of the reading, unit.
-    """
-    low, high = 0.0, sqrt(scatter) + step
-    for _ in range(60):
-        noise = (low + high) / 2.0
-        power = np.exp(-((2.0 * np.pi * _HARMONICS * noise / step) ** 2)) / _HARMONICS**2
-        in_means = float(step**2 / (2.0 * np.pi**2) * power.sum())  # the mean square of their rounding error
-        expected = noise**2 + step**2 / 12.0 - in_means
-        low, high = (noise, high) if expected < scatter else (low, noise)
-    return (low + high) / 2.0
-
-
-def rounding_left(scatter: float, step: float, positions: int, samples: float) -> float:
-    """Return the standard uncertainty that rounding leaves in the mean of a position, unit.
-
-    Parameters
-    ----------
-    scatter : float
-        Mean variance of the rounded readings within the positions, unit².
-    step : float
-        Of the reading, unit.
-    positions : int
-        Each lies anyhow between two steps, so a few of them show the noise poorly.
-    samples : float
-        In a position, at least 2.
-
-    Notes
-    -----
-    The mean over the noises that the scatter allows, each as probable as it makes the scatter; before, the logarithm of
-    the noise is uniform.
-    """
-    if scatter == 0.0:
-        return step / sqrt(12)
-    variance, error = _rounded()
-    expected = variance.mean(axis=1)
-    # Of the sample variance within a position: of normal readings, and of readings that take two values.
-    sampling = 2.0 * variance**2 / (samples - 1.0) + np.maximum(variance * (1.0 - 4.0 * variance), 0.0) / samples
-    spread = (variance.var(axis=1) + sampling.mean(axis=1)) / positions
-    likelihood = -0.5 * ((scatter / step**2 - expected) ** 2 / spread + np.log(spread))
-    weight = np.exp(likelihood - likelihood.max())
-    return step * float(weight @ error / weight.sum())
-
-
-@cache
-def _rounded() -> tuple[Array, Array]:
-    """Return the variance of readings rounded to 1, by noise and place between two steps; and the error by noise."""
-    from scipy.special import ndtr
-
-    place = (np.arange(200) + 0.5) / 200.0 - 0.5
-    value = np.arange(-6.0, 7.0)[:, None, None]
-    upper, lower = (ndtr((value + side - place) / _NOISES[:, None]) for side in (0.5, -0.5))
-    mean = np.sum((upper - lower) * value, axis=0)
-    variance = np.sum((upper - lower) * value**2, axis=0) - mean**2
-    return variance, np.sqrt(np.mean((mean - place) ** 2, axis=1))

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from tiltcal.core.orientation import STRAIGHT, Orientation, orientation
+from tiltcal.core.attitude import STRAIGHT, Orientation, orientation
 from tiltcal.files.document import Document
 from tiltcal.files.record import FromZero, Record, Text, about
 

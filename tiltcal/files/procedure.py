@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from msgspec import Meta
 
-from tiltcal.core.gravity_direction import LEVEL, Vector, gravity_from_tilt, normalised
+from tiltcal.core.attitude import LEVEL, Vector, gravity_from_tilt, normalised
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import ORDER_LIMIT
 from tiltcal.files.document import Document

@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
-from tiltcal.core.gravity_direction import Vector, normalised
+from tiltcal.core.attitude import Vector, normalised
 from tiltcal.core.model import AXES
 from tiltcal.errors import InputError
 from tiltcal.files.document import Document, document_of, parse_document, read_text

@@ -13,8 +13,8 @@ from msgspec import Meta
 
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.model import AXES
-from tiltcal.drivers.twin.gradiometer import CHANNELS, FASTEST, Accelerometer, Disk, StageTruth
-from tiltcal.drivers.twin.truth import Fault, Truth
+from tiltcal.drivers.stage import CHANNELS, FASTEST, Accelerometer, Disk, StageTruth
+from tiltcal.drivers.virtual import Fault, Truth
 from tiltcal.files.coefficients import MountingSection, Polynomials, require_equal_columns
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.record import ByAxis, Count, FromZero, Number, Record, Text, about, one_of

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from datetime import date, timedelta
+from dataclasses import dataclass, replace
 from itertools import chain
 from math import nan
 from pathlib import Path
@@ -13,10 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import tiltcal
-from tiltcal.calibration.calibration import read
-from tiltcal.errors import InputError
+from tiltcal.calibration.calibration_folder import CalibrationFolder
+from tiltcal.calibration.record import record_in
+from tiltcal.errors import InputError, UsageError
 from tiltcal.files.atomic import require_apart
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.document import read_document
+from tiltcal.files.pair import PairRecord
 from tiltcal.logs.apply_summary import ApplySummary, ColumnWidths
 from tiltcal.logs.cf_attributes import DEGREE, same_unit
 from tiltcal.logs.columns import (
@@ -31,12 +33,12 @@ from tiltcal.logs.columns import (
     require_one_unit,
     require_unit,
 )
-from tiltcal.logs.compensation_kernel import RoleValues
 from tiltcal.logs.formats import create_log, open_log, require_way
+from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
-from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
+from tiltcal.logs.options import ApplyOptions, require_consistent
 from tiltcal.logs.streams import STANDARD, log_sink, sha256_of, with_writeback
-from tiltcal.stated_arguments import require_path, require_text_or_none
+from tiltcal.stated_arguments import require_path
 
 NO_TIME = (
     "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "
@@ -45,119 +47,29 @@ NO_TIME = (
 
 if TYPE_CHECKING:
     from tiltcal.core.heading import FieldLength
-    from tiltcal.logs.averaging import Means
+    from tiltcal.logs.means import Means
 
 
-def apply_log(
-    calibration: tiltcal.Calibration | tiltcal.PairCalibration | tiltcal.CalibrationLibrary | str | Path,
-    log: str | Path,
-    output: str | Path,
-    *,
-    columns: Mapping[str, str] | str = "",
-    uncertainty: bool = False,
-    first_order: bool = False,
-    reading_noise: float | None = None,
-    mounting: Mapping[str, float] | str = "",
-    serial: str | None = None,
-    stability: float | None = None,
-    start: str | date | None = None,
-    magnetometer: Sequence[str] | str = (),
-    velocity: Sequence[str] | str = (),
-    declination: float | None = None,
-    magnetometer_noise: float | None = None,
-    average: int | None = None,
-    every: str | float | timedelta | None = None,
-    skip_bad_rows: bool = False,
-    say: Callable[[str], None] = lambda line: None,
-    progress: Progress | None = None,
+Applied = CalibrationRecord | PairRecord | CalibrationFolder | str | Path
+"""What can be applied: a calibration, its file, or a folder of them, of which each row takes that of its time."""
+
+
+def apply_to_log(
+    calibration: Applied, log: str | Path, output: str | Path, options: ApplyOptions, progress: Progress | None = None
 ) -> ApplySummary:
-    """Apply a calibration to a recorded log, whatever its size, and write the result.
+    """Apply a calibration to a recorded log, and write the result, whole or not at all.
 
-    Parameters
-    ----------
-    calibration : Calibration, PairCalibration, CalibrationLibrary, str or Path
-        A calibration, or its file; or a folder of calibrations, of which each row takes that of its time.
-    log : str or Path
-        CSV, Parquet or NetCDF-4, by the end of its name; ``-`` is CSV on standard input.
-    output : str or Path
-        Its name selects its format. It appears whole or not at all; ``-`` is CSV on standard output.
-    columns : mapping of str to str, or str
-        The column of each reading, such as ``{"x": "VoutX"}`` or ``"x=VoutX"``; without it, the column of its name.
-    uncertainty : bool
-        Add the standard uncertainty of every angle and half of its 95 % interval, degrees.
-    first_order : bool
-        Use Cross-axis Compensation eq. 6 in place of the whole matrix.
-    reading_noise : float, optional
-        Standard uncertainty of a reading of the log, in its unit, in place of that of a sample at the bench.
-    mounting : mapping of str to float, or str
-        How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of its own mounting.
-    serial : str, optional
-        With a folder: of the sensor; else that of the log's metadata, or of its column names (``SERIAL_x``).
-    stability : float, optional
-        With a folder: the standard deviation of the offset's change in one day, mg, in place of an estimate.
-    start : str or datetime, optional
-        With a folder: when the time of the log is 0, as text in ISO 8601, where its time is relative.
-    magnetometer : sequence of str, or str
-        The three columns of the magnetic field, such as ``"mx,my,mz"``: adds ``heading``, degrees.
-    velocity : sequence of str, or str
-        The three columns of a velocity, such as ``"u,v,w"``: adds ``v_east``, ``v_north`` and ``v_up`` in their
-        unit. It needs a magnetometer, or a heading among the columns.
-    declination : float, optional
-        How far magnetic north is east of true north, degrees; added to the heading, of a column as well.
-    magnetometer_noise : float, optional
-        With `uncertainty`: standard uncertainty of a component of the field, in its unit.
-    average : int, optional
-        Apply to the means of so many rows each, and add ``count``.
-    every : str, float or timedelta, optional
-        Apply to the means of so much time each, such as ``"10s"``, or in seconds, and add ``count``.
-    skip_bad_rows : bool
-        Keep rows that cannot be parsed, with flag 9, instead of raising.
-    say : callable
-        Called with each remark about what had to be assumed.
-    progress : callable, optional
-        Called with the bytes that have been read, after each block.
-
-    Returns
-    -------
-    ApplySummary
-        Rows by flag and reason.
-
-    Raises
-    ------
-    UsageError
-        A file cannot be opened or written, or the log has a column of a name that the result needs.
-    InputError
-        The calibration or the log is wrong, or a column is not there; the message names file and line.
-
-    Notes
-    -----
-    A damaged Parquet or NetCDF file can end the process in its library, or keep it there: run ``tiltcal apply`` in a
-    process of its own for files of doubtful origin.
+    The arguments, errors and what is returned are those of :func:`tiltcal.apply_log`.
     """
     require_path("the log", log)
     require_path("the output", output)
     require_way(log, output)
     if str(output) != STANDARD:
         require_apart(output, log, *([calibration] if isinstance(calibration, str | Path) else []))
-    options = ApplyOptions(
-        first_order=first_order,
-        uncertainty=uncertainty,
-        reading_noise=reading_noise,
-        mounting=mounting,
-        serial=serial,
-        stability=stability,
-        start=start,
-        magnetometer=magnetometer,
-        velocity=velocity,
-        declination=declination,
-        magnetometer_noise=magnetometer_noise,
-        average=average,
-        every=every,
-    )
-    ready = prepare_any(calibration, options, say)
-    with open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as reader:
-        prepared = ready(reader, columns)
-        rows = CompensatedLog.of(reader, prepared, columns, say)
+    ready = prepare_any(calibration, options)
+    with open_log(log, skip_bad_rows=options["skip_bad_rows"], progress=progress) as reader:
+        prepared = ready(reader)
+        rows = CompensatedLog.of(reader, prepared, options)
         with log_sink(str(output)) as sink:
             writer = create_log(output, sink, reader, prepared.columns, prepared.origin, rows.units)
             writer.write(with_writeback(sink, rows.blocks(frames=writer.frames)))
@@ -165,50 +77,20 @@ def apply_log(
 
 
 def apply_frame(
-    calibration: tiltcal.Calibration | tiltcal.PairCalibration | tiltcal.CalibrationLibrary,
-    frame: Any,
-    *,
-    columns: Mapping[str, str] | str = "",
-    unit: str | None = None,
-    say: Callable[[str], None] = lambda line: None,
-    **options: Any,
+    calibration: CalibrationRecord | PairRecord | CalibrationFolder, frame: Any, options: ApplyOptions
 ) -> Any:
-    """Apply a calibration to a frame.
-
-    Parameters
-    ----------
-    frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
-        A column for each reading, and for the temperature in °C where there is one.
-    columns : mapping of str to str, or str
-        The column of each reading, such as ``{"x": "VoutX"}``; without it, the column of its name.
-    unit : str, optional
-        Of the readings; an xarray Dataset states it itself.
-    say : callable
-        Called with each remark about what had to be assumed.
-    **options
-        Those of :class:`ApplyOptions`.
-
-    Returns
-    -------
-    frame
-        The same kind, with the columns that ``tiltcal apply`` adds to a log, and their values to the last bit.
+    """Apply a calibration to a frame, and return the same kind with the columns that are added to a log.
 
     UsageError: the frame is of no known kind, or has a column of a name that the result needs.
     InputError: a column is not there or holds no numbers, or the readings are in another unit than the calibration's.
     """
     from tiltcal.logs.frames import FrameReader
 
-    require_text_or_none("--unit", unit)
-    for name in options.keys() - {option.name for option in fields(ApplyOptions)}:
-        raise TypeError(f"apply() has no option {name!r}")
+    if options["skip_bad_rows"]:
+        raise UsageError("--skip-bad-rows is for logs: a frame has no row that cannot be parsed")
     reader = FrameReader(frame)
-    prepared = prepare_any(calibration, ApplyOptions(**options), say)(reader, columns)
-    log = CompensatedLog.of(reader, prepared, columns, say)
-    for channel, index in zip(prepared.channels, log.channels, strict=True):
-        own = prepared.units.get(channel)
-        if unit is not None and own not in (None, DEGREE) and not same_unit(unit, own):
-            why = f"column {reader.names[index]!r} is in {unit}, and the calibration in {own}"
-            raise InputError(f"{why}: convert the readings", file=reader.name)
+    prepared = prepare_any(calibration, options)(reader)
+    log = CompensatedLog.of(reader, prepared, options)
     blocks = list(log.blocks(count=False))
     if prepared.averaging is not None:
         return reader.of_means(blocks, log.channels, log.units)
@@ -216,32 +98,29 @@ def apply_frame(
     return reader.with_columns(table, log.channels, log.units)
 
 
-def prepare_any(
-    calibration: tiltcal.Calibration | tiltcal.PairCalibration | tiltcal.CalibrationLibrary | str | Path,
-    options: ApplyOptions,
-    say: Callable[[str], None] = lambda line: None,
-) -> Callable[[LogReader, Mapping[str, str] | str], PreparedCalibration]:
-    """Make a calibration, its file or a folder ready; what is returned takes the log and its columns.
+def prepare_any(calibration: Applied, options: ApplyOptions) -> Callable[[LogReader], PreparedCalibration]:
+    """Make a calibration, its file or a folder ready for a log.
 
     UsageError: the options are not for this calibration.
     InputError: the calibration is wrong.
     """
+    require_consistent(options)
     if not isinstance(calibration, str | Path) or os.path.isdir(calibration):
-        from tiltcal.calibration.calibration_library import CalibrationLibrary, open_calibrations
         from tiltcal.logs.apply_library import prepare_library
 
-        found = open_calibrations(calibration) if isinstance(calibration, str | Path) else calibration
-        if isinstance(found, CalibrationLibrary):
-            return lambda log, columns: prepare_library(found, log, options, columns, say)
-        calibration = found
-    options.require_file()
+        folder = CalibrationFolder(calibration) if isinstance(calibration, str | Path) else calibration
+        if isinstance(folder, CalibrationFolder):
+            return lambda log: prepare_library(folder, log, options)
+        calibration = folder
+    for name in ("serial", "stability", "start"):
+        if options[name] is not None:
+            raise UsageError(f"--{name} is for a folder of calibrations (--calibrations)")
     if isinstance(calibration, str | Path):
-        path, stated = Path(calibration), read(calibration)
-        origin = {"calibration": path.name, "sha256": sha256_of(path)}
-        prepared = prepare(stated, options, say, file=path, origin=origin)
+        path, record = Path(calibration), record_in(read_document(calibration))
+        prepared = prepare(record, options, file=path, origin={"calibration": path.name, "sha256": sha256_of(path)})
     else:
-        prepared = prepare(calibration, options, say)
-    return lambda log, columns: prepared
+        prepared = prepare(calibration, options)
+    return lambda log: prepared
 
 
 @dataclass(frozen=True)
@@ -274,19 +153,13 @@ class CompensatedLog:
     field_length: FieldLength | None = None
 
     @classmethod
-    def of(
-        cls,
-        log: LogReader,
-        prepared: PreparedCalibration,
-        columns: Mapping[str, str] | str = "",
-        say: Callable[[str], None] = lambda line: None,
-    ) -> CompensatedLog:
-        """Find the readings of a log, and whatever else the calibration asks for; ``say`` gets a note if no time is.
+    def of(cls, log: LogReader, prepared: PreparedCalibration, options: ApplyOptions) -> CompensatedLog:
+        """Find the readings of a log, and whatever else the calibration asks for; report it if there is no time.
 
         UsageError: the log has a column of a name that the result needs.
         InputError: a column is not there, or its unit is not that of the calibration.
         """
-        named = named_columns(columns, prepared.channels, prepared.roles)
+        named = named_columns(options["columns"], prepared.channels, prepared.roles)
         optional = (*prepared.optional_roles, *(() if prepared.averaging is None else (TIME,)))
         roles = (*prepared.roles, *(role for role in optional if role in named or role in log.names))
         where = locate_columns(log, prepared.channels, named, roles)
@@ -295,6 +168,9 @@ class CompensatedLog:
         channels = tuple(where[channel] for channel in prepared.channels)
         for channel, unit in prepared.units.items():
             require_unit(log, [where[channel]], unit)
+            if (stated := options["unit"]) is not None and unit != DEGREE and not same_unit(stated, unit):
+                why = f"column {log.names[where[channel]]!r} is in {stated}, and the calibration in {unit}"
+                raise InputError(f"{why}: convert the readings", file=log.name)
         require_celsius(log, where)
         if HEADING in where:
             require_degrees(log, where[HEADING], "headings")
@@ -305,14 +181,14 @@ class CompensatedLog:
                 require_celsius(log, {TEMPERATURE: channels[sensor.thermometer]})
         present = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
         if TIME in prepared.optional_roles and TIME not in present:
-            say(NO_TIME)
+            options["say"](NO_TIME)
         field_length = None
         if vectors.get("magnetometer"):
             from tiltcal.core.heading import FieldLength
 
             field_length = FieldLength()
         summary = ApplySummary(widths={name: ColumnWidths() for name in prepared.watched})
-        return cls(log, prepared, channels, present, vectors, summary, say, field_length)
+        return cls(log, prepared, channels, present, vectors, summary, options["say"], field_length)
 
     @property
     def units(self) -> dict[str, str | None]:
@@ -380,7 +256,7 @@ class CompensatedLog:
     def _means(self) -> Means | None:
         if self.prepared.averaging is None:
             return None
-        from tiltcal.logs.averaging import Means
+        from tiltcal.logs.means import Means
 
         sensors = [sensor.of(self.channels) for sensor in self.prepared.sensors] or [SensorColumns("", self.channels)]
         time, heading = self.roles.get(TIME), self.roles.get(HEADING)

@@ -1,8 +1,6 @@
 """A folder of calibrations, applied to a log: for each row the calibration that holds at its time.
 
-The time between two calibrations is divided into 64 steps, each with a compensation of its own. Within a step all
-coefficients follow their line row by row, so that nothing jumps: offset and temperature drift exactly, the others as
-:mod:`tiltcal.logs.step_change` says.
+Between two calibrations gravity is interpolated from what both make of a row, and the angles follow from it.
 """
 
 from __future__ import annotations
@@ -10,32 +8,34 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import inf
-from typing import TYPE_CHECKING, TypeVar
+from math import cos, inf, radians
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.calibration_library import calibration_at
-from tiltcal.calibration.interpolation import Interval
+from tiltcal.calibration.calibration_folder import calibration_at
+from tiltcal.calibration.interpolation import FARTHEST_TURN
+from tiltcal.calibration.record import limits_of
 from tiltcal.calibration.summary import objections
 from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_columns
-from tiltcal.core.model import Array, polynomial
-from tiltcal.core.named_coefficients import referred, values
+from tiltcal.core.heading import HEADING, full_circle
+from tiltcal.core.model import Array
+from tiltcal.core.mounting_angles import mounting_matrix
+from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
-from tiltcal.files.uncertainty import Uncertainty, length_tolerance
+from tiltcal.files.uncertainty import length_tolerance
 from tiltcal.logs.columns import TEMPERATURE, TIME, SensorColumns, named_columns
-from tiltcal.logs.compensation_kernel import Kernel, LagCorrection, RoleValues
+from tiltcal.logs.kernel import Kernel, LagCorrection, PreparedCalibration, RoleValues, RowRemarks, prepare
 from tiltcal.logs.log import LogReader, Table
-from tiltcal.logs.prepared_calibration import ApplyOptions, PreparedCalibration, prepare
-from tiltcal.logs.step_change import StepChange
+from tiltcal.logs.options import ApplyOptions, silent
 from tiltcal.logs.streams import sha256_of
 from tiltcal.logs.text_to_numbers import no_time_yet
+from tiltcal.options import complete
 
 if TYPE_CHECKING:
-    from tiltcal.calibration.calibration_library import CalibrationLibrary
+    from tiltcal.calibration.calibration_folder import CalibrationFolder
     from tiltcal.calibration.interpolation import Stability
     from tiltcal.calibration.sensor_history import SensorHistory
     from tiltcal.files.calibration import CalibrationRecord
@@ -43,33 +43,35 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 STEPS = 64
-"""Of the time between two calibrations, where more than offset and drift changes, or an uncertainty is asked for."""
+"""Of the time between two calibrations, each with an uncertainty of its own."""
 
 SERIAL_NOTES = ("serial", "serial_number", "sensor_serial_number", "instrument_serial_number")
 """The attributes or metadata of a log that may state its sensor."""
 
-_ON_LINE = ("offset", "temperature.offset")
-_MOST_PIECES = 1000  # of a block, compensated one by one
-_OUTSIDE = 1 << 16  # steps before the first calibration and after the last one are counted from here
-_GROWTH = 8  # steps of the time outside, for each doubling of it
+_GROWTH, _DOUBLINGS = 8, 20  # steps of the time outside for each doubling of it, from an hour to 120 years
+_WITHOUT_UNCERTAINTY: ApplyOptions = {
+    "uncertainty": False,
+    "reading_noise": None,
+    "stability": None,
+    "magnetometer_noise": None,
+}
 
 
 def prepare_library(
-    library: CalibrationLibrary,
+    library: CalibrationFolder,
     log: LogReader,
     options: ApplyOptions,
-    columns: Mapping[str, str] | str = "",
-    say: Callable[[str], None] = lambda line: None,
 ) -> PreparedCalibration:
     """Find the calibrations of a log's sensors and make them ready.
 
     UsageError: the log and the options do not name a sensor of the folder, or name different ones.
     InputError: a calibration is wrong, or two contradict each other.
     """
-    start = None if options.start is None else moment(options.start).timestamp()
+    say = options["say"]
+    start = None if options["start"] is None else moment(options["start"]).timestamp()
     for problem in library.index.problems:
         say(f"note: left out: {problem}")
-    found = _serials(library, log, options, say)
+    found = _serials(library, log, options)
     leads = [lead for _, lead in found]
     parts = []
     for history in [library.history(serial) for serial, _ in found]:
@@ -78,23 +80,21 @@ def prepare_library(
         for calibration in history.calibrations[:-1]:
             for objection in objections(calibration.record):
                 say(f"note: {calibration.name}: {objection}")
-        stability = library.stability(history.sensor.serial, options.stability) if options.uncertainty else None
+        stability = library.stability(history.sensor.serial, options["stability"]) if options["uncertainty"] else None
         _say_stability(history, stability, say)
-        parts.append(_prepare_sensor(history, stability, options, start, log.name, say))
+        parts.append(_prepare_sensor(history, stability, options, start, log.name))
     others = parts[0].roles
-    named = named_columns(columns, [name for part in parts for name in part.channels], others)
+    named = named_columns(options["columns"], [name for part in parts for name in part.channels], others)
     roles = others if start is not None and named.get(TIME, TIME) not in log.names else (TIME, *others)
     if leads == [""]:
         return replace(parts[0], roles=roles)
     return _bench(leads, parts, log.names, roles)
 
 
-def _serials(
-    library: CalibrationLibrary, log: LogReader, options: ApplyOptions, say: Callable[[str], None]
-) -> list[tuple[str, str]]:
+def _serials(library: CalibrationFolder, log: LogReader, options: ApplyOptions) -> list[tuple[str, str]]:
     """Return the serial number of each sensor of a log, and what the names of its columns begin with."""
     noted = next((str(log.notes[key]) for key in SERIAL_NOTES if key in log.notes), None)
-    serial = options.serial
+    serial, say = options["serial"], options["say"]
     if serial and noted and serial != noted:
         raise UsageError(f"{log.name} states the serial number {noted!r}, and --serial says {serial!r}: leave one out")
     if serial or noted:
@@ -144,22 +144,25 @@ def _prepare_sensor(
     options: ApplyOptions,
     start: float | None,
     log: str,
-    say: Callable[[str], None],
 ) -> PreparedCalibration:
     calibrations = history.calibrations
     origin = {
         "calibration": ", ".join(calibration.name for calibration in calibrations),
         "sha256": ", ".join(sha256_of(calibration.path) for calibration in calibrations),
     }
-    template = prepare(Calibration(calibrations[-1].record), options, say, origin=origin)
+    template = prepare(calibrations[-1].record, options, origin=origin)
     kernel = LibraryKernel(history, stability, options, template, start, log)
-    alone = ApplyOptions(options.first_order, mounting=options.mounting)
-    readings = template.readings and _prepare_sensor(history, None, alone, start, log, lambda line: None)
+    alone = complete(ApplyOptions, {name: options[name] for name in ("first_order", "mounting")})
+    readings = template.readings and _prepare_sensor(history, None, alone, start, log)
     return replace(template, kernel=kernel, readings=readings)
 
 
 class LibraryKernel:
-    """The compensation of a sensor by the calibration that holds at the time of each row.
+    """The compensation of a sensor by the calibrations before and after each row.
+
+    Between two, gravity is interpolated from what both make of a row; the worse flag counts. Before the first and after
+    the last, and of different mountings, the nearer in time is taken. An uncertainty is that of the calibration at the
+    middle of a step, of which there are 64 between two.
 
     Parameters
     ----------
@@ -181,49 +184,75 @@ class LibraryKernel:
         log: str,
     ) -> None:
         self.columns, self._remarks = template.kernel.columns, template.remarks[""]
-        records = [calibration.record for calibration in history.calibrations]
-        self._length = max(length_tolerance(one.uncertainty, one.coefficients, one.limits) for one in records)
-        if not options.uncertainty:
-            history = _each(history, lambda record: replace(record, uncertainty=Uncertainty({}, {})))
-        if options.mounting:  # it replaces that of each
-            history = _mounted_as_last(history)
-        self._history, self._stability, self._options = history, stability, options
-        self._offset_alone = _moves_offset_alone(history)
-        self._parts = 1 if not options.uncertainty and self._offset_alone else STEPS
+        self._stability = stability
+        self._options: ApplyOptions = {**options, "say": silent}
+        self._plain: ApplyOptions = {**self._options, **_WITHOUT_UNCERTAINTY}
         self._start, self._log = start, log
-        channels = history.calibrations[-1].record.coefficients.channels
-        rails = Calibration(history.calibrations[-1].record).limits.reading
-        self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in channels}
+        last = history.calibrations[-1].record
+        mounting = last.coefficients.mounting
+        records = [one.record for one in history.calibrations]
+        if options["mounting"]:  # it replaces that of each
+            records = [replace(one, coefficients=replace(one.coefficients, mounting=mounting)) for one in records]
+        self._length = max(length_tolerance(one.uncertainty, one.coefficients, one.limits) for one in records)
+        rails = limits_of(last).reading
+        self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in last.coefficients.channels}
+        dated = zip(history.calibrations, records, strict=True)
+        self._history = replace(history, calibrations=tuple(replace(one, record=record) for one, record in dated))
         self._dates = np.array([calibration.date.timestamp() for calibration in history.calibrations])
-        self._kernels: dict[int, tuple[Kernel, float]] = {}
-        self._changes: dict[int, StepChange] = {}
-        self._intervals: dict[int, Interval] = {}
+        self._joined = [_joined(self._history, k) for k in range(len(records) - 1)]
+        self._edges = self._dates if stability is None else _steps(self._dates)
+        middles = [self._dates[k : k + 2].mean() for k, joined in enumerate(self._joined) if not joined]
+        self._edges = np.unique([*self._edges, *middles])
+        self._kernels: dict[tuple[float, bool, bool], Kernel] = {}
         self._last: float | None = None
-        thermal = history.calibrations[-1].record.coefficients.thermal
+        thermal = last.coefficients.thermal
         self._correct_lag = LagCorrection(0.0 if thermal is None else thermal.lag)
 
     def __call__(self, values: RoleValues) -> Table:
         time = self._times(values)
-        steps = self._steps(time)
         values, lost = self._correct_lag(replace(values, time=time))
-        table = self._compensated(values, time, steps)
+        table = self._compensated(values, time)
+        table = mark_columns(table, (time < self._dates[0]) | (time > self._dates[-1]), SUSPECT, OUTSIDE_TIME)
         return table if lost is None else mark_columns(table, lost, SUSPECT, NO_TEMPERATURE)
 
-    def _compensated(self, values: RoleValues, time: Array, steps: NDArray[np.int64]) -> Table:
-        changes = np.diff(steps)
-        if np.count_nonzero(changes) > _MOST_PIECES and (changes < 0).any():  # the rows are in no order
-            order = np.argsort(steps, kind="stable")
-            table = self._compensated(_taken(values, order), time[order], steps[order])
-            return {name: column[np.argsort(order)] for name, column in table.items()}
-        ends = [0, *(np.flatnonzero(changes) + 1).tolist(), len(steps)]
-        parts = []
-        for begin, end in pairwise(ends):
-            rows, step = slice(begin, end), int(steps[begin])
-            table = self._of_step(step, _taken(values, rows), time[rows])
-            parts.append(table if 0 <= step <= _OUTSIDE else mark_columns(table, np.True_, SUSPECT, OUTSIDE_TIME))
-        if len(parts) == 1:
-            return parts[0]
-        return {name: np.concatenate([part[name] for part in parts]) for name in self.columns}
+    def _compensated(self, values: RoleValues, time: Array) -> Table:
+        steps = np.searchsorted(self._edges, time, "right")
+        if steps.min() == steps.max():  # the usual block of a log
+            return self._of_step(int(steps[0]), values, time)
+        order = np.argsort(steps, kind="stable")
+        pieces = np.split(order, np.flatnonzero(np.diff(steps[order])) + 1)
+        tables = [self._of_step(int(steps[rows[0]]), _taken(values, rows), time[rows]) for rows in pieces]
+        back = np.argsort(order)
+        return {name: np.concatenate([table[name] for table in tables])[back] for name in self.columns}
+
+    def _of_step(self, step: int, values: RoleValues, time: Array) -> Table:
+        """Return the columns of rows that lie between two edges."""
+        dates = self._dates
+        edges = np.array([self._edges[0] - 2.0, *self._edges, self._edges[-1] + 2.0])
+        middle = float(edges[step] + edges[step + 1]) / 2.0
+        k = int(np.searchsorted(dates, middle, "right")) - 1
+        if not 0 <= k < len(dates) - 1:
+            return self._kernel(middle)(values)
+        if not self._joined[k]:
+            return self._kernel(float(dates[k] if middle - dates[k] < dates[k + 1] - middle else dates[k + 1]))(values)
+        share = (time - dates[k]) / (dates[k + 1] - dates[k])
+        before = self._kernel(float(dates[k]), plain=True)(values)
+        table = _interpolated(before, self._kernel(float(dates[k + 1]), plain=True, counts=False)(values), share)
+        if self._options["uncertainty"]:
+            table |= {name: u for name, u in self._kernel(middle, counts=False)(values).items() if name not in table}
+        return {name: table[name] for name in self.columns}
+
+    def _kernel(self, time: float, *, plain: bool = False, counts: bool = True) -> Kernel:
+        """Return the compensation by the calibration of a time: without uncertainty, and counted for the remarks."""
+        if (key := (time, plain, counts)) not in self._kernels:
+            dated = [one.record for one in self._history.calibrations if one.date.timestamp() == time]
+            record = _without_lag(dated[0] if dated else calibration_at(self._history, time, self._stability))
+            # With them stated, nothing looks for the sensor's model in each step.
+            record = replace(record, limits=replace(record.limits, reading=self._rails, length=self._length))
+            options = self._plain if plain else self._options
+            remarks = self._remarks if counts else RowRemarks()
+            self._kernels[key] = prepare(record, options, remarks=remarks).kernel
+        return self._kernels[key]
 
     def _times(self, values: RoleValues) -> Array:
         """Return the time of each row, seconds since 1970.
@@ -259,121 +288,49 @@ class LibraryKernel:
             self._last = float(time[-1])
         return time
 
-    def _steps(self, time: Array) -> NDArray[np.int64]:
-        """Return the number of the step in which each row lies; below 0 before the first calibration."""
-        low, high = float(time.min()), float(time.max())
-        dates = self._dates
-        k = int(np.searchsorted(dates, low, "right")) - 1
-        if 0 <= k < len(dates) - 1 and high < dates[k + 1]:  # the usual log
-            share = (time - dates[k]) * (self._parts / (dates[k + 1] - dates[k]))
-            return np.asarray(k * self._parts + share.astype(np.int64))
-        position = np.interp(time, dates, np.arange(len(dates)) * float(self._parts))
-        steps: NDArray[np.int64] = np.minimum(position.astype(np.int64), max(0, len(dates) - 1) * self._parts - 1)
-        early, late = time < dates[0], time > dates[-1]
-        steps[early] = -1 - self._grown(dates[0] - time[early])
-        steps[late] = _OUTSIDE + self._grown(time[late] - dates[-1])
-        if len(dates) == 1:  # one calibration has no step; its own moment is no time outside
-            steps[~early & ~late] = _OUTSIDE
-        return steps
 
-    def _grown(self, seconds: Array) -> NDArray[np.int64]:
-        """Return how far outside a row lies, in steps that grow with it; all alike without an uncertainty."""
-        if self._stability is None:
-            return np.ones(len(seconds), np.int64)
-        return np.asarray(np.ceil(_GROWTH * np.log2(1.0 + seconds / 3600.0)), np.int64)
-
-    def _of_step(self, step: int, values: RoleValues, time: Array) -> Table:
-        if step not in self._kernels:
-            middle = self._middle(step)
-            record = _without_lag(self._record_at(step, middle))
-            # With them stated, nothing looks for the sensor's model in each step.
-            record = replace(record, limits=replace(record.limits, reading=self._rails, length=self._length))
-            self._kernels[step] = prepare(Calibration(record), self._options, remarks=self._remarks).kernel, middle
-        kernel, middle = self._kernels[step]
-        if 0 <= step < _OUTSIDE:
-            shifted = self._on_line(step // self._parts, values, time - middle)
-            if not self._offset_alone:
-                shifted -= self._change(step, replace(values, readings=shifted), time - middle)
-            values = replace(values, readings=self._at_rail(values.readings, shifted))
-        return kernel(values)
-
-    def _record_at(self, step: int, middle: float) -> CalibrationRecord:
-        if not 0 <= step < _OUTSIDE:
-            return calibration_at(self._history, middle, self._stability).record
-        k, part = divmod(step, self._parts)
-        if k not in self._intervals:
-            self._intervals[k] = self._history.interval(k)
-        return self._intervals[k].at((part + 0.5) / self._parts, self._stability)
-
-    def _middle(self, step: int) -> float:
-        """Return the time for which the compensation of a step is made, seconds since 1970."""
-        if 0 <= step < _OUTSIDE:
-            k, part = divmod(step, self._parts)
-            return float(self._dates[k] + (part + 0.5) / self._parts * (self._dates[k + 1] - self._dates[k]))
-        grown = (step - _OUTSIDE) if step >= _OUTSIDE else -1 - step
-        seconds = 3600.0 * (2.0 ** (grown / _GROWTH) - 1.0)
-        return float(self._dates[-1] + seconds if step >= _OUTSIDE else self._dates[0] - seconds)
-
-    def _on_line(self, k: int, values: RoleValues, seconds: Array) -> Array:
-        """Return the readings less what offset and drift have changed since the middle of the step."""
-        before, after = (self._history.calibrations[i].record for i in (k, k + 1))
-        late = after.coefficients
-        early = before.coefficients if late.thermal is None else referred(before.coefficients, late.thermal.reference)
-        share = seconds / (self._dates[k + 1] - self._dates[k])
-        shifted = np.empty(values.readings.shape[::-1]).T
-        for i, reading in enumerate(values.readings.T):
-            change: Array | float = float(late.offset[i] - early.offset[i])
-            if late.thermal is not None and early.thermal is not None and values.temperature is not None:
-                drifts = late.thermal.drift[i], early.thermal.drift[i]
-                if not np.array_equal(*drifts):
-                    dt = np.where(np.isfinite(values.temperature), values.temperature - late.thermal.reference, 0.0)
-                    change = change + polynomial(drifts[0], dt) - polynomial(drifts[1], dt)
-            np.multiply(share, change, out=shifted[:, i])
-            np.subtract(reading, shifted[:, i], out=shifted[:, i])
-        return shifted
-
-    def _change(self, step: int, values: RoleValues, seconds: Array) -> Array:
-        """Return what all but offset and drift have changed of the readings since the middle of the step."""
-        k, part = divmod(step, self._parts)
-        if step not in self._changes:
-            shares = [(part + share) / self._parts for share in (0.0, 0.5, 1.0)]
-            self._changes[step] = StepChange.of(*map(self._intervals[k].coefficients, shares))
-        share = seconds * (self._parts / (self._dates[k + 1] - self._dates[k]))
-        return np.asarray(self._changes[step](values.readings, values.temperature) * share[:, None])
-
-    def _at_rail(self, readings: Array, shifted: Array) -> Array:
-        """Return shifted readings, of which those stay as they are that are at the rail."""
-        for i, rails in enumerate(self._rails.values()):
-            if rails == (-inf, inf):
-                continue
-            stuck = (readings[:, i] <= rails[0]) | (readings[:, i] >= rails[1])
-            if stuck.any():
-                shifted[stuck, i] = readings[stuck, i]
-        return shifted
+def _steps(dates: Array) -> Array:
+    """Return the edges of the times for which an uncertainty holds: 64 between two dates, outside ever longer ones."""
+    outside = 3600.0 * 2.0 ** (np.arange(_GROWTH * _DOUBLINGS) / _GROWTH)
+    within = [np.linspace(first, last, STEPS, endpoint=False) for first, last in pairwise(dates)]
+    return np.concatenate([dates[0] - outside[::-1], *within, dates[-1:], dates[-1] + outside])
 
 
-def _each(history: SensorHistory, change: Callable[[CalibrationRecord], CalibrationRecord]) -> SensorHistory:
-    calibrations = (replace(calibration, record=change(calibration.record)) for calibration in history.calibrations)
-    return replace(history, calibrations=tuple(calibrations))
+def _joined(history: SensorHistory, k: int) -> bool:
+    """Return whether gravity may be interpolated between a calibration and the next: the sensor sat in one way."""
+    history.interval(k)  # raises where the two are not of one sensor
+    before, after = (history.calibrations[i].record.coefficients.mounting for i in (k, k + 1))
+    if before is None or after is None:
+        return True
+    return float(np.trace(mounting_matrix(before).T @ mounting_matrix(after))) >= 1.0 + 2.0 * cos(
+        radians(FARTHEST_TURN)
+    )
 
 
-def _mounted_as_last(history: SensorHistory) -> SensorHistory:
-    mounting = history.calibrations[-1].record.coefficients.mounting
-    return _each(history, lambda record: replace(record, coefficients=replace(record.coefficients, mounting=mounting)))
-
-
-def _moves_offset_alone(history: SensorHistory) -> bool:
-    """Return whether calibrations differ in offset and drift alone, as after ``level``: rows follow these."""
-    last = history.calibrations[-1].record.coefficients
-    reference = None if last.thermal is None else last.thermal.reference
-    kept = []
-    for calibration in history.calibrations:
-        coefficients = calibration.record.coefficients
-        if reference is not None and coefficients.thermal is not None:
-            coefficients = referred(coefficients, reference)
-        known = {name: value for name, value in values(coefficients).items() if not name.startswith(_ON_LINE)}
-        kept.append((known, coefficients.mounting, coefficients.axes))
-    return all(calibration == kept[-1] for calibration in kept)
+def _interpolated(before: Mapping[str, Any], after: Mapping[str, Any], share: Array) -> dict[str, Any]:
+    """Return the columns at a share of the time between two calibrations, shape (n,), from those of both."""
+    table = {}
+    for name, column in before.items():
+        if name == "flag":
+            table[name] = np.maximum(column, after[name])
+        elif name == "reason":
+            table[name] = np.bitwise_or(column, after[name])
+        elif name == HEADING:
+            turn = (after[name] - column + 180.0) % 360.0 - 180.0
+            table[name] = full_circle(column + share * turn, 360.0)
+        else:
+            table[name] = (1.0 - share) * column + share * after[name]
+    components = [name for name in before if name in ("g_x", "g_y", "g_z")]
+    gravity = np.stack([table[name] for name in components])
+    if len(components) == 3:
+        angles = np.empty((6, len(share)))
+        tilts_of_three(gravity, angles)
+        names = (*(f"tilt_{name[2:]}" for name in components), *DIRECTIONS)
+    else:
+        angles, names = np.stack([tilt(component) for component in gravity]), tuple(f"tilt_{n[2:]}" for n in components)
+    for name, angle in zip(names, angles, strict=True):
+        table[name] = np.where(np.isfinite(table[name]), angle, np.nan)
+    return table
 
 
 def _without_lag(record: CalibrationRecord) -> CalibrationRecord:

@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.free_positions import require_no_jig
 from tiltcal.calibration.joint_fit import no_sensitivity
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
@@ -19,9 +18,9 @@ from tiltcal.calibration.suitability import require_tilt
 from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import significant
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
@@ -36,6 +35,7 @@ from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, IntervalSamples, Rails, sampled
 from tiltcal.logs.log import Progress
+from tiltcal.logs.options import FitOptions
 from tiltcal.logs.ramp import read_ramp
 from tiltcal.logs.recorded_readings import RecordedReadings, recorded_readings
 from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
@@ -48,122 +48,35 @@ from tiltcal.logs.static_intervals import (
     unplaced,
 )
 from tiltcal.logs.streams import imported_meanwhile, sha256_of
-from tiltcal.stated_arguments import is_number, require_boolean, require_name, require_whole, shown
-
-SHORTEST = 4
-"""Rows of a window over which a sensor can be still."""
-
-LOCAL_GRAVITY = (9.7, 9.9)
-"""Gravity on the ground is between these, m/s²."""
+from tiltcal.stated_arguments import require_name
 
 R = TypeVar("R", LogRecord, FileRecord, SegmentsRecord)
 
 FOUND_ONLY = "--window and --segments-out are for `tiltcal fit free` without --segments, which finds them"
 
 
-def fit(
+def fit_recorded(
     procedure: str | Path,
     data: Any,
-    *,
-    serial: str | None = None,
-    unit: str | None = None,
-    sensor: str | None = None,
-    segments: Any = None,
-    table: bool | None = None,
-    columns: Mapping[str, str] | str = "",
-    jig: float | None = None,
-    thermometer: float | None = None,
-    table_lean: float | None = None,
-    heading: float | None = None,
-    tilt: float | None = None,
-    gravity: float | None = None,
-    window: int | None = None,
-    alignment: float | None = None,
-    base: str | Path | None = None,
-    say: Callable[[str], None] = lambda line: None,
+    options: FitOptions,
     progress: Progress | None = None,
-) -> Calibration:
-    """Calibrate a sensor from recorded data, by the positions of a procedure.
-
-    Parameters
-    ----------
-    procedure : str or Path
-        Its name, or the path of your own. With ``free`` the positions need not be known: gravity is 1 g in each.
-    data : str, Path or frame
-        A log (CSV, Parquet or NetCDF-4), or a table of positions; or a frame of either: polars, pandas, pyarrow, an
-        xarray Dataset, a dict of arrays.
-    serial : str, optional
-        The sensor's serial number; without it that of the ``base``.
-    unit : str, optional
-        Of the readings, such as ``m/s2``, ``V`` or ``count``; a known ``sensor`` has its own.
-    sensor : str, optional
-        The sensor's model, where it is one of ``tiltcal devices``.
-    segments : str, Path, frame or sequence of mapping, optional
-        Which rows were taken in which position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz where
-        the position is not the procedure's. With ``free`` the static intervals are found where it is left out.
-    table : bool, optional
-        ``data`` is a table of positions already averaged: position, x, y, z, and where known gx, gy, gz, ux, uy, uz
-        (the means' standard uncertainties), n, temperature. Of a frame without segments it is taken to be one where it
-        has a column ``position``.
-    columns : mapping of str to str, or str
-        Which column holds which reading, such as ``{"x": "acc_x"}`` or ``"x=acc_x,y=acc_y"``; in a log without a header
-        by number from 1.
-    jig : float, optional
-        Standard uncertainty of a set angle, degrees; where it is not stated, the positions' scatter shows it.
-    thermometer : float, optional
-        Standard uncertainty of a temperature, °C; where it is not stated, the step of the sensor's own thermometer.
-    table_lean : float, optional
-        Standard uncertainty of the lean of the table that all positions share, degrees per axis.
-    heading : float, optional
-        Standard uncertainty of a heading, degrees.
-    tilt : float, optional
-        The angle that the procedure leaves free, degrees.
-    gravity : float, optional
-        Local gravity, m/s²: adds the sensitivity per m/s² beside that per g.
-    window : int, optional
-        Rows over which the sensor must be still, where static intervals are found; several are tried without it.
-    alignment : float, optional
-        With ``level``: by how much at most the sensor may sit askew since its calibration, degrees about each axis.
-    base : str or Path, optional
-        The sensor's calibration file: a mounting completes it, and its sensitivity stands in where the procedure
-        determines none.
-    say : callable, optional
-        Called with each line of what is found on the way.
-    progress : callable, optional
-        Called with the bytes of a log that have been read, after each block.
-
-    Returns
-    -------
-    Calibration
-
-    Raises
-    ------
-    UsageError
-        What is asked for contradicts itself, or cannot be done.
-    InputError
-        A file is wrong; the message names file and line.
-    EstimateError
-        The positions cannot determine the coefficients.
-    """
-    steps = find_procedure(procedure, tilt).with_alignment(alignment)
+) -> CalibrationRecord:
+    """Calibrate a sensor from recorded data; arguments and errors are those of :func:`tiltcal.fit`."""
+    steps = find_procedure(procedure, options["tilt"]).with_alignment(options["alignment"])
     steps.require_positions()
-    table = _is_table(data, segments) if table is None else table
-    require_boolean("--table", table)
-    source = FitSource(data, segments, table, columns, window, progress)
+    table = _is_table(data, options["segments"]) if options["table"] is None else options["table"]
+    source = FitSource(data, options["segments"], table, options["columns"], options["window"], progress)
     source.require_sound(steps)
-    require_no_jig(steps, jig)
-    bench = BenchUncertainty(jig, thermometer, table_lean, heading)
-    if gravity is not None and not (is_number(gravity, LOCAL_GRAVITY[0]) and gravity <= LOCAL_GRAVITY[1]):
-        raise UsageError(
-            f"--gravity {shown(gravity)}: local gravity is between {LOCAL_GRAVITY[0]:g} and {LOCAL_GRAVITY[1]:g} m/s²"
-        )
-    model = find_model(sensor) if sensor else None
+    require_no_jig(steps, options["jig"])
+    bench = BenchUncertainty(options["jig"], options["thermometer"], options["table_lean"], options["heading"])
+    gravity, base, say = options["gravity"], options["base"], options["say"]
+    model = find_model(options["sensor"]) if options["sensor"] else None
     if model is not None:
         require_tilt(steps, model)
-    serial = _serial(serial, base)
+    serial = _serial(options["serial"], base)
     known = bases_of(steps, base, [serial]).get(serial)
     own = None if known is None else known.calibration
-    identity = _identity(own, model, steps, unit, serial)
+    identity = _identity(own, model, steps, options["unit"], serial)
     if own is None and model is None:
         identity = identity.replaced(channels=source.channels(steps, say))
     nominal = None if model is None or model.unit != identity.unit else model
@@ -190,7 +103,7 @@ def fit(
     )
     (found,) = calibrate([measured], steps, bench, table=source.table, gravity=gravity)
     origin = None if known is None else known.origin
-    return Calibration(replace(found, provenance=positions.provenance.replaced(base=origin)))
+    return replace(found, provenance=positions.provenance.replaced(base=origin))
 
 
 @dataclass(frozen=True)
@@ -212,7 +125,7 @@ class FitPositions:
 
 @dataclass(frozen=True)
 class FitSource:
-    """Recorded data as the user names them; the attributes are the arguments of :func:`fit`."""
+    """Recorded data as the user names them; the attributes are the arguments of :func:`tiltcal.fit`."""
 
     data: Any
     segments: Any
@@ -243,7 +156,6 @@ class FitSource:
             )
         if self.window is not None and not (free and self.finds):
             raise UsageError(FOUND_ONLY)
-        require_whole("--window", self.window, SHORTEST, "rows")
 
     def require_unit(self, unit: str) -> None:
         """Raise InputError for a table in an xarray Dataset whose means are in another unit; a log is checked later."""

@@ -23,7 +23,7 @@ import numpy as np
 from tiltcal.core.detection import TEMPERATURE_JUMP, distances, outliers
 from tiltcal.core.model import Array
 from tiltcal.core.quantisation import DifferentValues, resolution
-from tiltcal.core.statistics import BLOCKS, Moments, moments_of
+from tiltcal.core.samples import BLOCKS, Moments, moments_of
 from tiltcal.files.tables import Segment
 from tiltcal.logs.recorded_readings import RecordedReadings
 

@@ -1,91 +1,109 @@
-"""Matching accelerometer pairs by a recorded log: the library's ``match``, which ``tiltcal match`` calls."""
+"""Matching accelerometer pairs by a recorded log.
+
+The log of a turning stage is read to its end, as one record, and demodulated; its spectra are those of the source.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from math import hypot
+from math import ceil, hypot, log2
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import tiltcal
-from tiltcal.calibration.pair_calibration import PairCalibration
-from tiltcal.core.pair.demodulate import CHUNK, Demodulation
-from tiltcal.core.pair.matching import PairCoefficients, drifts, solve
+from tiltcal.core.model import Array
+from tiltcal.core.pair.demodulate import CHUNK, Demodulation, demodulate
+from tiltcal.core.pair.matching import Matching, PairCoefficients, drifts, solve
 from tiltcal.core.pair.matching import match as match_demodulated
-from tiltcal.core.pair.model import Pair
+from tiltcal.core.pair.model import Pair, sum_weights
 from tiltcal.core.pair.online import Online, OnlineHistory
-from tiltcal.core.pair.record import StageRecord
+from tiltcal.core.pair.spin import estimated_angle
+from tiltcal.core.pair.stage import STANDSTILL, StageRecord, require_turns, stage_record
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance
+from tiltcal.logs.columns import TIME, locate_columns, require_degrees
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
-from tiltcal.logs.pair_log import PairLog, read_pair_log
+from tiltcal.logs.numbers import read_columns
 from tiltcal.logs.streams import imported_meanwhile
 from tiltcal.stated_arguments import require_boolean, require_text_or_none
 
+_LARGEST = 1e140
+"""Reading whose squares can be summed up in double precision."""
+_TURNS_OF_SEGMENT = 8
+_LONGEST_SEGMENT = 1 << 18
 
-def match(
-    data: Any,
-    pairs: Sequence[tuple[str, str, str]],
-    *,
-    phase: str | None = None,
-    online: bool = False,
-    loops: bool = False,
-    skip_bad_rows: bool = False,
-    say: Callable[[str], None] = lambda line: None,
-) -> PairCalibration:
-    """Match pairs of accelerometers on a turning stage: scale factor p and misalignment q.
 
-    Parameters
+@dataclass(frozen=True)
+class PairLog:
+    """A log of pairs, demodulated.
+
+    Attributes
     ----------
-    data : str, Path or frame
-        A log (CSV, Parquet or NetCDF-4), or a frame of its columns.
-    pairs : sequence of (str, str, str)
-        One or two pairs: the columns of the first and the second accelerometer, and of one a quarter turn away.
-    phase : str, optional
-        The column of the stage angle, degrees. Without it the spin is estimated from the readings and the column
-        ``time``.
-    online : bool
-        Estimate turn by turn, as on a live stream; it takes the ``phase``.
-    loops : bool
-        With ``online``: by the two PID loops of the source, not the recursive estimator.
-    skip_bad_rows : bool
-        Leave out rows of a log that cannot be parsed, instead of raising.
-    say : callable, optional
-        Called with each remark about the data.
-
-    Returns
-    -------
-    PairCalibration
-
-    Raises
-    ------
-    UsageError
-        The pairs are not pairs.
-    InputError
-        A column is missing or has no values, or a row cannot be parsed.
-    EstimateError
-        The stage does not turn as it must.
-
-    Examples
-    --------
-    >>> print(tiltcal.match("disk.csv", [("a1", "a2", "a4")], phase="theta"))
+    turns : float
+        Of the stage.
+    rows, missing : int
+        Those that were used, and those that were left out because a value is missing.
+    seconds : float or None
+        From the first row to the last; None without time.
     """
-    return match_log(
-        *(data, pairs_of(pairs)), phase=phase, online=online, loops=loops, skip_bad_rows=skip_bad_rows, say=say
-    ).calibration
+
+    record: StageRecord
+    demodulation: Demodulation
+    turns: float
+    rows: int
+    missing: int
+    seconds: float | None
+
+    @property
+    def frequency(self) -> float | None:
+        """The frequency of the spin, Hz; None where the log has no time."""
+        return self.turns / self.seconds if self.seconds else None
+
+    @property
+    def rate(self) -> float | None:
+        """Rows per second; None where the log has no time."""
+        return (self.rows + self.missing - 1) / self.seconds if self.seconds else None
+
+    def densities(self, matching: Matching) -> tuple[Array, dict[str, Array]]:
+        """Return frequencies, and the densities of the source's figure 6 by Welch's method; unit²/Hz.
+
+        Raises
+        ------
+        EstimateError
+            The record is shorter than a segment.
+        """
+        segment = 1 << ceil(log2(max(_TURNS_OF_SEGMENT * self.rows / self.turns, 64)))
+        segment = min(segment, _LONGEST_SEGMENT)
+        if self.rows < segment:
+            raise EstimateError(f"the record is too short for a spectrum; {2 * _TURNS_OF_SEGMENT} turns will do")
+        pair, places = matching.pair, np.flatnonzero(self.record.whole)
+        columns = [self.record.readings[self.record.channels.index(channel)] for channel in pair.channels]
+        mixes = np.array([[1.0, 0.0, 0.0], sum_weights(matching.p, 0.0), sum_weights(matching.p, matching.q)])
+        # The periodic Hann window, as Welch's method takes it.
+        window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(segment) / segment)
+        starts = range(0, len(places) - segment + 1, segment // 2)
+        power = np.zeros((3, segment // 2 + 1))
+        for start in starts:
+            part = mixes @ np.stack([column[places[start : start + segment]] for column in columns])
+            power += np.abs(np.fft.rfft((part - part.mean(axis=1, keepdims=True)) * window)) ** 2
+        power[:, 1:-1] *= 2.0
+        rate = self.rate or 1.0
+        density = power / (len(starts) * rate * float(window @ window))
+        names = (pair.first, "sum after p", "sum after p and q")
+        return np.arange(segment // 2 + 1) * rate / segment, dict(zip(names, density, strict=True))
 
 
 @dataclass(frozen=True)
 class MatchedLog:
     """A matching with the data that a figure of it shows: the log, and the course of the first pair's estimates."""
 
-    calibration: PairCalibration
+    calibration: PairRecord
     log: PairLog
     course: Sequence[OnlineHistory]
 
@@ -132,7 +150,7 @@ def match_log(
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
 ) -> MatchedLog:
-    """Match pairs, and keep what a figure shows; the arguments are those of :func:`match`.
+    """Match pairs, and keep what a figure shows; the arguments are those of :func:`tiltcal.match`.
 
     Raises
     ------
@@ -191,7 +209,7 @@ def match_log(
         matchings=matchings,
         provenance=provenance,
     )
-    return MatchedLog(PairCalibration(record), read, estimators[0].course if online else ())
+    return MatchedLog(record, read, estimators[0].course if online else ())
 
 
 def _with_rounding(estimate: PairCoefficients, demodulation: Demodulation, pair: Pair) -> PairCoefficients:
@@ -209,6 +227,64 @@ def _pushed(estimators: Sequence[Online], record: StageRecord) -> Iterator[str]:
         readings = np.stack([column[rows] for column in record.readings])
         notices = [each.push(record.theta[rows], readings, record.whole[rows]) for each in estimators]
         yield from dict.fromkeys(str(notice) for of_pair in notices for notice in of_pair)
+
+
+def read_pair_log(
+    log: LogReader,
+    channels: Sequence[str],
+    phase: str | None,
+    *,
+    say: Callable[[str], None] = lambda line: None,
+    online: bool = False,
+) -> PairLog:
+    """Read a log to its end, and demodulate its readings.
+
+    Parameters
+    ----------
+    phase : str or None
+        The column of the stage angle in degrees; None where there is no encoder and the spin is to be estimated, from
+        the column ``time`` or, without one, from the number of the row.
+    say : callable
+        Told which channel is stuck, and from which row on.
+    online : bool
+        A stage that turns too little, or backwards, is left to the online estimators.
+
+    Raises
+    ------
+    InputError
+        A column is missing or has no values, or a row cannot be parsed.
+    EstimateError
+        The stage does not turn as it must.
+    """
+    where = locate_columns(log, channels, {}, option="--pair or --orthogonal ")
+    columns = [where[channel] for channel in channels]
+    if phase is not None:
+        columns.append(locate_columns(log, (phase,), {}, option="--phase ")[phase])
+        require_degrees(log, columns[-1], "stage angles")
+    index = log.names.index(TIME) if TIME in log.names else None
+    numbers = read_columns(log, columns if index is None else [*columns, index], index)
+    readings = numbers.columns[: len(channels)]
+    for name, column in zip((*channels, str(phase)), numbers.columns[: len(columns)], strict=False):
+        finite = np.isfinite(column)
+        if not finite.any():
+            raise InputError(f"column {name!r} has no value in any row: is {name} connected?", file=log.name)
+        largest = max(np.max(column, initial=0.0, where=finite), -np.min(column, initial=0.0, where=finite))
+        if name in channels and largest > _LARGEST:
+            raise InputError(f"column {name!r} has a reading of {largest:.3g}, which is no measurement", file=log.name)
+    time = np.arange(float(len(numbers))) if index is None else numbers.columns[-1]
+    record = stage_record(
+        channels, estimated_angle(time, readings) if phase is None else numbers.columns[len(channels)], readings
+    )
+    for line in record.stuck:
+        say(line)
+    angle = record.angle[record.whole]
+    if len(angle) and (not online or np.ptp(angle) < STANDSTILL):
+        require_turns(angle)
+    demodulation = demodulate(channels, record.angle, readings, record.whole)
+    timed = np.flatnonzero(np.isfinite(time))
+    seconds = float(time[timed[-1]] - time[timed[0]]) if index is not None and len(timed) else 0.0
+    turns, missing = float(angle[-1] - angle[0]), len(numbers) - len(angle)
+    return PairLog(record, demodulation, turns, len(angle), missing, seconds if seconds > 0.0 else None)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""The noise of a sensor at rest: the library's ``noise``, which ``tiltcal noise`` calls."""
+"""The noise of a sensor at rest, from a log or a frame of its readings."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.disturbances import moved_rows, stuck_rows
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.noise import FEWEST_SAMPLES, ChannelNoise, NoiseScale, characterise
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.columns import OF_G
-from tiltcal.drivers.device import Model
+from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.files.calibration import read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.logs.columns import TIME, locate_columns, locate_readings, named_columns
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
@@ -29,91 +28,14 @@ from tiltcal.logs.noise_summary import NoiseTarget, SensorNoise
 from tiltcal.logs.numbers import read_columns
 from tiltcal.logs.streams import imported_meanwhile
 from tiltcal.logs.uniform_sampling import SamplingInterval, evenly_spaced
-from tiltcal.stated_arguments import require_above_zero, require_text_or_none, require_whole
-
-
-def noise(
-    readings: Any,
-    *,
-    rate: float | None = None,
-    unit: str | None = None,
-    sensor: str | None = None,
-    calibration: Calibration | str | Path | None = None,
-    columns: Mapping[str, str] | str = "",
-    averages: Sequence[int] = (),
-    target: float | None = None,
-    target_range: float | None = None,
-    skip_bad_rows: bool = False,
-) -> SensorNoise:
-    """Characterise the noise of a sensor at rest, and how many samples its positions need.
-
-    Parameters
-    ----------
-    readings : str, Path or frame
-        A log (CSV, Parquet or NetCDF-4) of a sensor that was not touched, or a frame of its columns.
-    rate : float, optional
-        Samples a second; without it the column ``time`` shows it.
-    unit : str, optional
-        Of the readings, where neither model nor calibration states it; of m/s2 and g the scale is known.
-    sensor : str, optional
-        The sensor's model: its unit and its nominal sensitivity.
-    calibration : Calibration, str or Path, optional
-        The sensor's own, or its file.
-    columns : mapping of str to str, or str
-        The column of each reading [x, y, z, as far as there] and of ``time``.
-    averages : sequence of int
-        More sizes of averages for the table, beside 1, 10, 100.
-    target : float, optional
-        Standard uncertainty that the mean of a position should have, degrees of an axis near level.
-    target_range : float, optional
-        Range that 100 means of a position should have, degrees of an axis near level.
-    skip_bad_rows : bool
-        Count rows of a log that cannot be parsed as missing.
-
-    Returns
-    -------
-    SensorNoise
-
-    Raises
-    ------
-    UsageError
-        What is stated of the sensor contradicts itself, or a target is given and nothing states the scale.
-    InputError
-        A column is missing, a row cannot be parsed, or a reading is stuck.
-    EstimateError
-        The log is too short.
-
-    Examples
-    --------
-    >>> print(tiltcal.noise(readings, rate=102.4, unit="m/s2"))
-    """
-    require_text_or_none("--unit", unit)
-    facts = NoiseFacts.of(sensor, None, calibration, unit)
-    wanted = NoiseTarget(target, target_range)
-    facts.require_scale(wanted)
-    return characterise_readings(
-        readings,
-        facts,
-        wanted,
-        rate=rate,
-        columns=columns,
-        averages=averages,
-        skip_bad_rows=skip_bad_rows,
-    )
+from tiltcal.stated_arguments import require_above_zero, require_whole
 
 
 @dataclass(frozen=True)
 class NoiseFacts:
-    """What is known of the sensor beside its readings.
+    """What is stated of the sensor beside its readings: channels and unit, and sensitivities from a ``source``.
 
-    Attributes
-    ----------
-    channels : tuple of str
-        Its readings; empty where the log has to show them.
-    sensitivity : dict of str to float
-        Unit/g, per channel, or under ``*`` for all of them; empty where it is not known.
-    source : str
-        Where the sensitivity is from.
+    No ``channels`` are those of the log. ``sensitivity`` is in unit/g, per channel, or under ``*`` for all of them.
     """
 
     channels: tuple[str, ...]
@@ -126,33 +48,28 @@ class NoiseFacts:
         cls,
         sensor: str | None,
         address: str | None,
-        calibration: Calibration | str | Path | None,
+        calibration: CalibrationRecord | str | Path | None,
         unit: str | None,
     ) -> NoiseFacts:
-        """Gather what model, address, calibration and user state.
-
-        Raises
-        ------
-        UsageError
-            They contradict each other.
-        """
+        """Gather what model, address, calibration and user state; a UsageError where they contradict each other."""
         model = find_model(sensor) if sensor else None
         if model is not None and address is not None:
             model = model.at(parse_address(address))
-        known = Calibration(read_calibration(calibration)) if isinstance(calibration, str | Path) else calibration
-        if known is not None and not isinstance(known, Calibration):
+        if isinstance(calibration, str | Path):
+            calibration = read_calibration(calibration)
+        if calibration is not None and not isinstance(calibration, CalibrationRecord):
             raise UsageError(f"--calibration takes a tilt calibration or its file, not {calibration!r}")
-        _refuse_contradiction(model, known, unit)
-        own_unit = unit or (known.sensor.unit if known else None) or (model.unit if model else None)
-        channels = tuple(model.channels) if model else known.sensor.channels if known else ()
-        if known is not None:
-            own = {channel: value for (channel, axis), value in known.sensitivity.items() if channel == axis}
-            return cls(channels, own_unit, own, f"calibration of {known.sensor.serial}")
+        stated = _stated_unit(model, calibration, unit)
+        channels = tuple(model.channels) if model else calibration.sensor.channels if calibration else ()
+        if calibration is not None:
+            coefficients = calibration.coefficients
+            along = {c: coefficients.own_sensitivity(c) for c in coefficients.channels if c in coefficients.axes}
+            return cls(channels, stated, along, f"calibration of {calibration.sensor.serial}")
         if model is not None and model.scaled:
-            return cls(channels, own_unit, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}")
-        if own_unit in OF_G:
-            return cls(channels, own_unit, {"*": OF_G[own_unit]}, f"unit {own_unit}")
-        return cls(channels, own_unit, {}, "")
+            return cls(channels, stated, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}")
+        if stated in OF_G:
+            return cls(channels, stated, {"*": OF_G[stated]}, f"unit {stated}")
+        return cls(channels, stated, {}, "")
 
     def require_scale(self, target: NoiseTarget) -> None:
         """Raise UsageError for a target in degrees where nothing states how much a degree is."""
@@ -181,7 +98,7 @@ def characterise_readings(
     name: str | None = None,
     progress: Progress | None = None,
 ) -> SensorNoise:
-    """Characterise readings with the facts that are known; the other arguments are those of :func:`noise`.
+    """Characterise readings with the facts that are known; the other arguments are those of :func:`tiltcal.noise`.
 
     ``name`` is what messages call the log, in place of its own name.
     """
@@ -259,16 +176,20 @@ def _noise(channel: str, samples: Array, file: str, pace: SamplingInterval, aver
         return characterise(samples, pace.interval, averages)
 
 
-def _refuse_contradiction(model: Model | None, known: Calibration | None, unit: str | None) -> None:
+def _stated_unit(model: Model | None, calibration: CalibrationRecord | None, unit: str | None) -> str | None:
+    """Return the unit that is stated, once or several times; refuse what contradicts itself."""
     units = {
         "--sensor": model.unit if model else None,
-        "--calibration": known.sensor.unit if known else None,
+        "--calibration": calibration.sensor.unit if calibration else None,
         "--unit": unit,
     }
-    said = {name: known for name, known in units.items() if known is not None}
-    if len(set(said.values())) > 1:
-        raise UsageError("the readings have one unit: " + ", but ".join(f"{name} says {u}" for name, u in said.items()))
-    if model and known and set(known.sensor.channels) - set(model.channels):
+    stated = {option: unit for option, unit in units.items() if unit is not None}
+    if len(set(stated.values())) > 1:
+        contradiction = ", but ".join(f"{option} says {unit}" for option, unit in stated.items())
+        raise UsageError(f"the readings have one unit: {contradiction}")
+    if model and calibration and set(calibration.sensor.channels) - set(model.channels):
         raise UsageError(
-            f"--calibration is of {', '.join(known.sensor.channels)}, and {model.name} has {', '.join(model.channels)}"
+            f"--calibration is of {', '.join(calibration.sensor.channels)}, and {model.name} has "
+            f"{', '.join(model.channels)}"
         )
+    return next(iter(stated.values()), None)

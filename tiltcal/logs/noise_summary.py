@@ -27,12 +27,8 @@ _FEWEST_SAMPLES = 2
 class NoiseTarget:
     """How good the mean of a position should be, degrees of an axis near level.
 
-    Attributes
-    ----------
-    uncertainty : float or None
-        Standard uncertainty of the mean.
-    range : float or None
-        Range of 100 such means, as the source's table I judges them.
+    ``uncertainty`` is the standard uncertainty of the mean, ``range`` that of 100 such means, as the source's table I
+    judges them; None where it is not stated.
     """
 
     uncertainty: float | None = None
@@ -46,7 +42,7 @@ class NoiseTarget:
     def degrees(self) -> float | None:
         """The standard uncertainty that meets both; None where neither is stated."""
         stated = [self.uncertainty, None if self.range is None else self.range / RANGE_OF_100]
-        return min((seconds for seconds in stated if seconds is not None), default=None)
+        return min((target for target in stated if target is not None), default=None)
 
     def __str__(self) -> str:
         parts = {"": self.uncertainty, "a range of ": self.range}
@@ -66,18 +62,10 @@ _WHY: dict[Limit, str] = {
 
 @dataclass(frozen=True)
 class NoisePositions:
-    """What the channels' advice comes to for a position that all of them need.
+    """What the channels' advice comes to for a position of so many ``samples``, which ``channel`` settles.
 
-    Attributes
-    ----------
-    channel : str
-        The one that settles it.
-    samples : int
-        Of a position.
-    uncertainty : mapping of str to float
-        Of each channel's mean of so many samples, unit.
-    met : mapping of str to bool
-        Whether it is as good as the target; empty without one.
+    ``uncertainty`` is that of each channel's mean of them, unit, and ``met`` whether it is as good as the target; empty
+    without one.
     """
 
     advice: Mapping[str, SampleSize]
@@ -97,18 +85,12 @@ class SensorNoise:
         How the readings follow each other.
     channels : mapping of str to ChannelNoise
         Averages, Allan deviation and kinds of noise of each channel, in its unit.
-    missing : mapping of str to int
-        Values that are missing in the log's own rows, per channel that lacks some.
-    faulty : int
-        Rows that could not be parsed.
-    moved : sequence of (start, end)
-        Where the sensor was moved; rows at an even pace, missing ones counted.
-    stuck : (start, end) or None
-        Where no channel changed.
-    scale : NoiseScale
-        How much of the readings' unit a g is, where that is stated.
-    target : NoiseTarget
-        How good the mean of a position should be.
+    missing, faulty : mapping of str to int, int
+        Values that are missing in the log's own rows, per channel that lacks some; rows that could not be parsed.
+    moved, stuck : sequence of (start, end), (start, end) or None
+        Rows at an even pace, missing ones counted: where the sensor was moved, and where no channel changed.
+    scale, target : NoiseScale, NoiseTarget
+        How much of the readings' unit a g is, where that is stated, and how good the mean of a position should be.
     """
 
     pace: SamplingInterval
@@ -286,34 +268,29 @@ def _table(noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> Iterator[st
 
 
 def _kinds(channel: str, noise: ChannelNoise, scale: NoiseScale) -> Iterator[str]:
-    value, unit = noise.terms.value, scale.unit
-    lines = []
-    if "N" in value:
-        density = sqrt(2.0) * value["N"]
-        lines.append(
-            f"white noise {density:.3g} {unit}/√Hz{_in_g(channel, density, scale, '/√Hz')}, "
-            f"which is {value['N']:.3g} {unit} after 1 s"
-        )
-    if "B" in value:
-        flat = FLICKER * value["B"]
-        lines.append(f"flicker noise {flat:.3g} {unit}{_in_g(channel, flat, scale)} at any time")
-    for term, name, per in (("K", "random walk", "/√s"), ("R", "drift", "/s")):
-        if term in value:
-            lines.append(f"{name} {value[term]:.3g} {unit}{per}{_in_g(channel, value[term], scale, per)}")
-    first = float(noise.tau[noise.terms.first])
-    if not noise.terms.follows:
+    unit, terms, lines = scale.unit, noise.terms, []
+
+    def sized(name: str, value: float, per: str = "") -> str:
+        return f"{name} {value:.3g} {unit}{per}{_in_g(channel, value, scale, per)}"
+
+    for term, value in terms.value.items():
+        if term == "N":
+            density = sized("white noise", sqrt(2.0) * value, "/√Hz")
+            lines.append(f"{density}, which is {value:.3g} {unit} after 1 s")
+        elif term == "B":
+            lines.append(sized("flicker noise", FLICKER * value) + " at any time")
+        else:
+            lines.append(sized("random walk", value, "/√s") if term == "K" else sized("drift", value, "/s"))
+    first, (tau, low) = float(noise.tau[terms.first]), noise.lowest
+    if not terms.follows:
         lines.append("(the Allan deviation does not follow them: look at the --figure)")
-    elif noise.terms.first:
+    elif terms.first:
         lines.append(f"(from {first:.3g} s on: samples that follow each other faster are not independent)")
     if noise.settled:
-        tau, low = noise.lowest
-        lines.append(f"bias instability {low:.3g} {unit}{_in_g(channel, low, scale)} at {tau:.3g} s")
+        lines.append(f"{sized('bias instability', low)} at {tau:.3g} s")
     else:
-        high = float(noise.high[-1])
-        lines.append(
-            f"bias instability not reached: below {high:.3g} {unit}{_in_g(channel, high, scale)} after "
-            f"{float(noise.tau[-1]):.3g} s"
-        )
+        below = sized("bias instability not reached: below", float(noise.high[-1]))
+        lines.append(f"{below} after {float(noise.tau[-1]):.3g} s")
     if noise.step:
         shows = noise.rounding > _SHOWS * float(noise.deviation.min())
         left = f"of which averaging leaves {noise.rounding:.2g} {unit}" if shows else "which averaging removes"
@@ -347,16 +324,13 @@ def _advice(noise: SensorNoise) -> Iterator[str]:
 
 
 def _foretold(advice: SampleSize, interval: float) -> str:
-    if advice.predicted is None:
+    if advice.predicted is not None:
         return (
-            " with any number of samples"
-            if advice.met is False
-            else " with this number of samples; fewer are sufficient for it"
+            f" with any number of samples within this record; with white noise, {advice.predicted} samples would "
+            f"({advice.predicted * interval:.4g} s)"
         )
-    return (
-        f" with any number of samples within this record; with white noise, {advice.predicted} samples would "
-        f"({advice.predicted * interval:.4g} s)"
-    )
+    never = advice.met is False
+    return " with any number of samples" if never else " with this number of samples; fewer are sufficient for it"
 
 
 def _in_degrees(channel: str, value: float, scale: NoiseScale) -> str:

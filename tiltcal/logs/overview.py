@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.flags import MISSING, NOT_A_NUMBER
 from tiltcal.logs.apply import CompensatedLog
+from tiltcal.logs.kernel import PreparedCalibration
 from tiltcal.logs.log import LogBlock, LogReader, Table
-from tiltcal.logs.prepared_calibration import PreparedCalibration
+from tiltcal.logs.options import ApplyOptions
 from tiltcal.logs.streams import read_ahead
 
 _ABSENT = {"flag": MISSING, "reason": NOT_A_NUMBER}
@@ -20,14 +21,14 @@ _ABSENT = {"flag": MISSING, "reason": NOT_A_NUMBER}
 
 
 def look_over(
-    log: LogReader, prepared: PreparedCalibration, columns: str = "", time: int | None = None
+    log: LogReader, prepared: PreparedCalibration, options: ApplyOptions, time: int | None = None
 ) -> tuple[ColumnStatistics, bool]:
     """Return what a report shows of a log, and whether it has the columns that the calibration would add.
 
     Parameters
     ----------
-    columns : str
-        The column of each reading of a raw log.
+    options : ApplyOptions
+        How the calibration is applied to a raw log.
     time : int, optional
         Where the time stands, in seconds or ISO 8601; rows are counted where there is none.
 
@@ -41,7 +42,7 @@ def look_over(
         blocks = log.rows(sorted({*where.values(), *(() if time is None else (time,))}), time, needs_time=True)
         tables = ((block, {name: block.values[index] for name, index in where.items()}) for block in blocks)
     else:
-        tables = CompensatedLog.of(log, prepared, columns).blocks(time)
+        tables = CompensatedLog.of(log, prepared, options).blocks(time)
     overview = ColumnStatistics(prepared.angles)
     for block, table in read_ahead(iter(tables)):
         shown = np.stack([np.asarray(table[angle], float) for angle in prepared.angles]).T

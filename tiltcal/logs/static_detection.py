@@ -20,7 +20,7 @@ import numpy as np
 from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
 from tiltcal.core.model import Array
 from tiltcal.core.rows import LongRuns, Rows, Span, Stillest, lost_rows, stuck_spans, window_scatter
-from tiltcal.core.statistics import BLOCKS
+from tiltcal.core.samples import BLOCKS
 from tiltcal.errors import EstimateError
 from tiltcal.files.tables import Segment
 from tiltcal.logs.row_sums import Numbers, RowSums
@@ -204,7 +204,7 @@ def _fit(readings: Rows, sums: RowSums, attitudes: Sequence[Numbers]) -> FreeFit
 
 
 def mean_of(readings: Rows, sums: RowSums, spans: Numbers) -> tuple[Array, Array]:
-    """Return the mean of an attitude and its standard uncertainty, by :func:`tiltcal.core.statistics.summarise`."""
+    """Return the mean of an attitude and its standard uncertainty, by :func:`tiltcal.core.samples.summarise`."""
     starts, ends = spans.T
     n = int((ends - starts).sum())
     each = sums.between(starts, ends)

@@ -12,10 +12,10 @@ from math import sqrt
 from typing import Any
 
 from tiltcal.calibration.measurement import Measurement, at_rail
+from tiltcal.core.attitude import Vector
 from tiltcal.core.detection import LEFT_OUT, TILTED, identical_by_chance, noise_of_positions
-from tiltcal.core.gravity_direction import Vector
 from tiltcal.core.model import AXES
-from tiltcal.core.statistics import SampleSummary, summary_of
+from tiltcal.core.samples import SampleSummary, summary_of
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Position, Procedure

@@ -11,8 +11,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from tiltcal.errors import UsageError
 from tiltcal.files.atomic import whole_file
-from tiltcal.report.number_format import SUPERSCRIPT
+from tiltcal.report.numbers import SUPERSCRIPT
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,6 +37,18 @@ _STYLE: dict[Any, Any] = {
     "axes.unicode_minus": True,
     "text.parse_math": False,  # a unit or a position may be called $\\frac{$
 }
+
+
+def require_extra() -> None:
+    """Check that the libraries of a report are installed, before anything is read.
+
+    UsageError: one is not; the message names the extra.
+    """
+    from importlib.util import find_spec
+
+    for module, name in (("jinja2", "Jinja2"), ("matplotlib", "matplotlib")):
+        if find_spec(module) is None:
+            raise UsageError(f"a report needs {name}, which is not installed: pip install 'tiltcal[report]'")
 
 
 @dataclass(frozen=True)

@@ -1,48 +1,160 @@
-"""The HTML of a page: one file, with its style and figures inside."""
+"""The pages of a calibration, of pairs and of a fleet: each one HTML file, with its style and figures inside."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.errors import UsageError
+import numpy as np
+
+from tiltcal.calibration.fleet import FleetHistory
+from tiltcal.calibration.pair_summary import suppressed
+from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty
+from tiltcal.files.atomic import check_writable, write_whole
+from tiltcal.files.calibration import CalibrationRecord, dump_calibration
+from tiltcal.files.pair import PairRecord, dump_pair
+from tiltcal.files.results import FileRecord
+from tiltcal.report import sentences, tables
+from tiltcal.report.calibration_figures import residual_figure, temperature_figure, tilt_figure
+from tiltcal.report.figure import require_extra
+from tiltcal.report.numbers import Html, grouped, plain
+from tiltcal.report.record_figures import (
+    PairDrawing,
+    ReportedLog,
+    change_figure,
+    distribution_figure,
+    log_figure,
+    spectra_figure,
+)
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-KEPT = 16
-"""Largest number of rows of a table that is kept on one page."""
 
+def write_page(path: str | Path, calibration: CalibrationRecord | PairRecord) -> None:
+    """Write the page of a calibration in memory.
 
-def require_extra() -> None:
-    """Check that the libraries of a report are installed, before anything is read.
-
-    UsageError: one is not; the message names the extra.
+    UsageError: the libraries of the extra ``report`` are not installed, or the page cannot be written there.
     """
-    from importlib.util import find_spec
+    require_extra()
+    check_writable(path)
+    if isinstance(calibration, PairRecord):
+        text = pair_page(calibration, FileRecord.of_text("pairs.yaml", dump_pair(calibration)))
+    else:
+        name = f"{calibration.sensor.serial}.yaml"
+        text = tilt_page(calibration, FileRecord.of_text(name, dump_calibration(calibration)))
+    write_whole(path, text)
 
-    for module, name in (("jinja2", "Jinja2"), ("matplotlib", "matplotlib")):
-        if find_spec(module) is None:
-            raise UsageError(f"a report needs {name}, which is not installed: pip install 'tiltcal[report]'")
 
+def tilt_page(
+    calibration: CalibrationRecord,
+    source: FileRecord,
+    earlier: Sequence[tuple[CalibrationRecord, str]] = (),
+    logs: Sequence[ReportedLog] = (),
+) -> str:
+    """Return the page of a tilt calibration; the same input gives the same page.
 
-def render(template: str, **content: Any) -> str:
-    """Return a page.
-
-    Parameters
-    ----------
-    template : str
-        One of the folder ``templates``. Whatever it is given is escaped, but the figures, which are drawn here.
-    content
-        What the template names; a name that is missing is an error.
+    ``earlier`` are calibrations of the sensor, with the names of their files.
     """
+    curves = tilt_uncertainty(calibration)
+    return _render(
+        "tilt.html.j2",
+        calibration=calibration,
+        notice=sentences.notice(calibration.provenance),
+        result=sentences.result(calibration, curves),
+        facts=sentences.facts(calibration, source),
+        coefficients=tables.coefficient_table(calibration),
+        budget=tables.budget_table(calibration),
+        shaded=tuple(tables.SOURCES),
+        derived=tables.derived_groups(calibration),
+        tilt=tilt_figure(calibration, curves),
+        temperature=temperature_figure(calibration),
+        procedure=sentences.procedure_facts(calibration),
+        positions=tables.position_table(calibration),
+        verdict=list(sentences.verdict(calibration)),
+        remarks=sentences.remarks(calibration),
+        residuals=residual_figure(calibration),
+        correlations=tables.correlation_table(calibration),
+        covered=sentences.covered(calibration),
+        not_covered=sentences.not_covered(calibration),
+        changes=[
+            (sentences.dated(name, before.provenance), *tables.change_table(before, calibration))
+            for before, name in earlier
+        ],
+        logs=[_log(log, number) for number, log in enumerate(logs, start=1)],
+    )
+
+
+def _log(log: ReportedLog, number: int) -> dict[str, Any]:
+    overview = log.overview
+    any_angle = bool(np.isfinite(overview.low).any())
+    return {
+        "name": log.name,
+        "sha256": log.sha256,
+        "rows": "1 row" if overview.rows == 1 else f"{grouped(overview.rows)} rows",
+        "how": "The tilt is that of the log." if log.compensated else "The calibration was applied to its readings.",
+        "flags": tables.flag_table(overview),
+        "angles": tables.angle_table(overview) if any_angle else None,
+        "figure": log_figure(log, number) if any_angle else None,
+    }
+
+
+def pair_page(calibration: PairRecord, source: FileRecord, spectra: Sequence[tuple[str, PairDrawing]] = ()) -> str:
+    """Return the page of accelerometer pairs, with the spectra of logs; the same input gives the same page."""
+    return _render(
+        "pair.html.j2",
+        names=[f"{matching.pair.first} and {matching.pair.second}" for matching in calibration.matchings],
+        notice=sentences.notice(calibration.provenance),
+        facts=sentences.pair_facts(calibration, source),
+        pairs=[
+            {
+                "heading": f"{one.pair.first} and {one.pair.second}, orthogonal {one.pair.orthogonal}",
+                "coefficients": tables.pair_coefficient_table(one),
+                "suppression": f"{suppressed(one, _factor)}.".capitalize(),
+                "components": tables.component_table(one),
+            }
+            for one in calibration.matchings
+        ],
+        logs=[(name, spectra_figure(name, number, drawing)) for number, (name, drawing) in enumerate(spectra, start=1)],
+    )
+
+
+def _factor(value: float) -> str:
+    """Return a factor with three significant digits and separated thousands."""
+    return grouped(int(float(f"{value:.3g}"))) if value >= 1000.0 else plain(value, 3)
+
+
+def fleet_page(history: FleetHistory) -> str:
+    """Return the page of a folder of calibrations: what is due, what changed, and how coefficients are distributed."""
+    return _render(
+        "fleet.html.j2",
+        history=history,
+        facts=sentences.fleet_facts(history),
+        sensors=tables.sensor_table(history),
+        changes=tables.fleet_change_table(history),
+        models=[
+            {
+                "heading": f"{len(model.histories)} {model.model}"
+                + ("" if model.reference is None else f", at {model.reference:g} °C"),
+                "coefficients": tables.distribution_table(model),
+                "figures": [distribution_figure(model, number), change_figure(model, number)],
+            }
+            for number, model in enumerate(history.models, start=1)
+        ],
+        remarks=list(sentences.fleet_remarks(history)),
+    )
+
+
+def _render(template: str, **content: Any) -> str:
+    """Return a page from a template; whatever it is given is escaped but :class:`Html` and figures."""
     return _environment().get_template(template).render(**content)
 
 
 @cache
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
 
     environment = Environment(
         loader=PackageLoader("tiltcal.report"),
@@ -52,6 +164,5 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["svg"] = lambda picture: Markup(picture.svg)
-    environment.globals["KEPT"] = KEPT
+    environment.filters["svg"] = lambda picture: Html(picture.svg)
     return environment

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from tiltcal.bench.recording import CsvRecorder, record
-from tiltcal.bench.sensor_set import ConnectedSensor, SensorSet
+from tiltcal.bench.record import CsvRecorder, record
+from tiltcal.bench.sensors import ConnectedSensor, SensorSet
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.device import Reading
+from tiltcal.drivers.model import Reading
 from tiltcal.errors import BusError
 from tiltcal.files import atomic
 

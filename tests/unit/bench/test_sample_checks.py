@@ -22,7 +22,7 @@ from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.statistics import summarise
+from tiltcal.core.samples import summarise
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.calibration import SensorIdentity

@@ -11,7 +11,7 @@ from tiltcal.bench.sensors import Sample, SensorSet
 from tiltcal.bench.settle import Window, wait_until_still
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.device import Reading
+from tiltcal.drivers.model import Reading
 
 SCA100T = find_model("sca100t-d02")
 SOAK = Window(10.0, temperature_drift=0.3, target=5.5)

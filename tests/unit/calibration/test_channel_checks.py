@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure_file import find_procedure

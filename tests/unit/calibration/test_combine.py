@@ -13,23 +13,22 @@ from support import FIXTURES
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.calibration import Calibration
-from tiltcal.calibration.combine import combine
 from tiltcal.calibration.combined_session import CombinedSession
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
 from tiltcal.core.model import Array, Coefficients, Mounting, Thermal
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
-from tiltcal.drivers.device import Model, Population
+from tiltcal.drivers.model import Model, Population
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Determines, Procedure
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.results import CompletingRun, FileRecord, Provenance
 from tiltcal.files.uncertainty import Covariance, Uncertainty
+from tiltcal.library.calibration import Calibration, combine
 
 SENSOR = SensorIdentity("sca100t-d02", "S-1", "count", ("x", "y"))
 TRUTH = Coefficients(
@@ -292,10 +291,10 @@ def test_a_renewed_offset_holds_where_the_level_lay(warmth: float | None, holds:
     mounted = [scale.positions[0].replaced(position="mounted", temperature=30.0)]
     run = scale.procedure.replaced(mounting=CompletingRun(positions=("mounted",)))
     scale = replace(scale, procedure=run, positions=(*scale.positions, *mounted))
-    assert CombinedSession.of(Calibration(scale)).temperature == (20.0, 0.0)
+    assert CombinedSession.of(scale).temperature == (20.0, 0.0)
     at_level = [replace(measured(ZERO_45, 2, at=5.0)[0], position="again", temperature=warmth)]
     renewed = level(scale, at_level, find_procedure("level"), BenchUncertainty(JIG))
-    assert CombinedSession.of(Calibration(renewed)).temperature == holds
+    assert CombinedSession.of(renewed).temperature == holds
 
 
 def test_an_offset_without_a_temperature_is_left_out() -> None:

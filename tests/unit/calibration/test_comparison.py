@@ -9,11 +9,11 @@ import pytest
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import SensorIdentity
 from tiltcal.files.procedure_file import find_procedure
+from tiltcal.library.calibration import Calibration
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
 ZERO_45 = find_procedure("zero-45")

@@ -12,15 +12,15 @@ from scipy.spatial.transform import Rotation
 from support import FIXTURES, WITHOUT_PRIORS
 
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.calibration.level import NO_LEVEL, NO_NOISE, level, level_summary
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.model import Array, Mounting, vector_of, with_vector
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.library.calibration import Calibration
 
 COMPLETE = read_calibration(FIXTURES / "complete.yaml")
 """Two channels over x, y and z, with a drift."""

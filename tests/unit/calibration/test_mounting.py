@@ -13,7 +13,7 @@ from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.mounting import mount
 from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.uncertainty import Uncertainty

@@ -12,7 +12,7 @@ from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.temperature import choose_order, swept, with_order
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity

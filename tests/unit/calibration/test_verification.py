@@ -10,7 +10,7 @@ import pytest
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.verification import Verification, VerifiedPosition, verify_positions
 from tiltcal.core.model import Coefficients, Thermal
-from tiltcal.core.statistics import SampleSummary
+from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure_file import find_procedure
 

@@ -20,7 +20,7 @@ from tiltcal.core.model import Array, Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
-from tiltcal.logs.compensation_kernel import RoleValues, TiltKernel
+from tiltcal.logs.kernel import RoleValues, TiltKernel
 
 DIP, DECLINATION, FIELD = radians(66.0), 10.0, 50.0
 SLANTED = Mounting(radians(20.0), radians(30.0), radians(130.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiltcal.core.gravity_direction import gravity_from_tilt
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.plausibility import ExpectedReadings
 
 PLANE = {

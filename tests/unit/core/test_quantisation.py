@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from support import coloured_noise as coloured
 
-from tiltcal.core.quantisation import DifferentValues, ReadingStep, StepFinder, noise_under_rounding, resolution
+from tiltcal.core.quantisation import DifferentValues, ReadingStep, StepFinder, resolution
+from tiltcal.core.samples import noise_under_rounding
 
 
 def test_resolution_is_the_smallest_step_of_any_channel() -> None:

@@ -15,7 +15,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import link_letter, modbus, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.device import Sensor
+from tiltcal.drivers.model import Sensor
 from tiltcal.errors import BusError, DeviceFault, UsageError
 
 pytest.importorskip("pymodbus", reason="the pymodbus package is not installed")

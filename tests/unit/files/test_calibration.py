@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import (
@@ -25,6 +24,7 @@ from tiltcal.files.calibration import (
 from tiltcal.files.document import parse_document
 from tiltcal.files.results import FitRecord, PositionRecord, Provenance, WorstResidual
 from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.library.calibration import Calibration
 
 EXAMPLE = """\
 tiltcal: 1

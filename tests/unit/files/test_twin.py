@@ -9,8 +9,8 @@ import pytest
 from tiltcal.bench.sensors import truth_of
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.twin.gradiometer import StageTruth
-from tiltcal.drivers.twin.truth import Fault, Truth
+from tiltcal.drivers.stage import StageTruth
+from tiltcal.drivers.virtual import Fault, Truth
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.twin import read_twin
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support import FIXTURES
 
-from tiltcal.calibration.calibration import Calibration, read
+from tiltcal.library.calibration import Calibration, read
 
 
 @pytest.fixture(scope="session")

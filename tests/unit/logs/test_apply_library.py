@@ -13,13 +13,12 @@ import xarray
 from support import FIXTURES, WITHOUT_PRIORS
 
 import tiltcal
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.core.model import Array, Mounting, Thermal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.results import Provenance
 from tiltcal.files.uncertainty import Uncertainty
-from tiltcal.logs.apply import apply_frame
+from tiltcal.library.calibration import Calibration
 
 LEVEL = read_calibration(WITHOUT_PRIORS)
 START = datetime(2026, 1, 1, tzinfo=UTC)
@@ -85,44 +84,47 @@ def changed(record: CalibrationRecord, days: float, **coefficients: Any) -> Cali
     return replace(record, coefficients=replace(record.coefficients, **coefficients), provenance=ended)
 
 
-def test_a_sensitivity_lies_on_the_line(tmp_path: Path) -> None:
-    """It changes by 5 % in 100 days: with the middle of one of 64 steps gravity was off by up to 4e-4 of itself."""
-    first = changed(calibrated(0, (1000, 1000)), 0, sensitivity=800.0 * np.eye(2))
-    library = tiltcal.open_calibrations(kept(tmp_path, first, changed(first, 100, sensitivity=840.0 * np.eye(2))))
-    days = np.random.default_rng(3).uniform(0.0, 100.0, 500)
-    found = library.apply({"time": seconds(days), "x": np.full(500, 1700.0), "y": np.full(500, 600.0)})
-    scale = 800.0 + 0.4 * days
-    assert found["g_x"] == pytest.approx(700.0 / scale, abs=1e-6)
-    assert found["g_y"] == pytest.approx(-400.0 / scale, abs=1e-6)
-
-
 @pytest.mark.parametrize("name", ["free", "multi-angle", "sensitivity-drift", "six-face", "mounting"])
-def test_all_coefficients_follow_their_line(name: str, tmp_path: Path) -> None:
-    """Three axes, a nonlinearity, a gain, a hidden z axis, a mounting: each row as with its own calibration."""
+def test_between_two_gravity_is_interpolated_from_what_both_make_of_a_row(name: str, tmp_path: Path) -> None:
+    """Three axes, a nonlinearity, a gain, a hidden z axis, a mounting; the worse flag counts."""
     first = replace(read_calibration(FIXTURES / f"{name}.yaml"), uncertainty=Uncertainty())
     old = first.coefficients
     new: dict[str, Any] = {"offset": old.offset + 20.0, "sensitivity": old.sensitivity * 1.05 + 3.0}
-    if old.thermal is not None:
-        new["thermal"] = replace(old.thermal, drift=old.thermal.drift + 0.3, gain=old.thermal.gain + 5e-4)
-    if old.nonlinearity is not None:
-        new["nonlinearity"] = old.nonlinearity + 0.01
     if old.mounting is not None:
         new["mounting"] = replace(old.mounting, roll=old.mounting.roll + 0.02, pitch=old.mounting.pitch + 0.02)
-    library = tiltcal.open_calibrations(kept(tmp_path, changed(first, 0), changed(first, 100, **new)))
+    records = changed(first, 0), changed(first, 100, **new)
     draw, n = np.random.default_rng(3), 60
-    days, temperature = draw.uniform(0.0, 100.0, n), draw.uniform(5.0, 20.0, n)
-    temperature[7] = np.inf  # not a temperature: the reference counts
+    share, temperature = draw.uniform(0.0, 1.0, n), draw.uniform(5.0, 20.0, n)
     up = np.column_stack([*draw.uniform(-0.6, 0.6, (2, n)), np.zeros(n)])
     up[:, 2] = np.sqrt(1.0 - (up**2).sum(axis=1))
     readings = dict(zip(old.channels, old.predict(up, np.full(n, 12.0)).T, strict=True))
-    frame = {"time": seconds(days), "temperature": temperature} | readings
-    found = library.apply(frame)
-    for row, day in enumerate(days):
-        at = library.at(first.sensor.serial, START + timedelta(days=day))
-        alone = at.apply({column: values[row : row + 1] for column, values in frame.items()})
-        for column in (column for column in alone if column.startswith("g_")):
-            assert found[column][row] == pytest.approx(alone[column][0], abs=1e-6)
-        assert (found["flag"][row], found["reason"][row]) == (alone["flag"][0], alone["reason"][0])
+    frame = {"time": seconds(100.0 * share), "temperature": temperature} | readings
+    found = tiltcal.open_calibrations(kept(tmp_path, *records)).apply(frame)
+    before, after = (Calibration(record).apply(frame) for record in records)
+    gravity = {
+        axis: (1.0 - share) * before[f"g_{axis}"] + share * after[f"g_{axis}"] for axis in "xyz" if f"g_{axis}" in found
+    }
+    for axis, component in gravity.items():
+        others = [gravity[other] for other in gravity if other != axis]
+        angle = np.arcsin(np.clip(component, -1, 1)) if len(gravity) < 3 else np.arctan2(component, np.hypot(*others))
+        np.testing.assert_allclose(found[f"g_{axis}"], component, atol=1e-14)
+        np.testing.assert_allclose(found[f"tilt_{axis}"], np.degrees(angle), atol=1e-11)
+    assert found["flag"].tolist() == np.maximum(before["flag"], after["flag"]).tolist()
+    assert found["reason"].tolist() == (before["reason"] | after["reason"]).tolist()
+
+
+def test_a_heading_takes_the_short_way_between_both(tmp_path: Path) -> None:
+    """A level sensor that points north by one mounting and 4° west of it by the next: 1° west after a quarter."""
+    records = [calibrated(days, (1000, 1000)) for days in (0, 100)]
+    turned = [
+        replace(r, coefficients=replace(r.coefficients, mounting=Mounting(0.0, 0.0, np.radians(yaw))))
+        for r, yaw in zip(records, (0.0, 4.0), strict=True)
+    ]
+    level = {"time": seconds([25.0]), "x": [1000.0], "y": [1000.0], "mx": [20.0], "my": [0.0], "mz": [-44.0]}
+    found = tiltcal.open_calibrations(kept(tmp_path, *turned)).apply(level, magnetometer="mx,my,mz")
+    after = Calibration(turned[1]).apply(level, magnetometer="mx,my,mz")["heading"][0]
+    assert min(after, 360.0 - after) == pytest.approx(4.0)
+    assert found["heading"] == pytest.approx([1.0 if after < 180.0 else 359.0])
 
 
 def test_a_row_has_the_same_result_wherever_its_block_begins(tmp_path: Path) -> None:
@@ -140,11 +142,8 @@ def test_a_row_has_the_same_result_wherever_its_block_begins(tmp_path: Path) -> 
         assert {name: column[0] for name, column in alone.items()} == {name: whole[name][row] for name in whole}
 
 
-def test_a_season_of_hours_with_many_calibrations_takes_each_in_its_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_season_of_hours_with_many_calibrations_takes_each_in_its_time(tmp_path: Path) -> None:
     """4 calibrations, 30 days apart, have 192 steps of 12 rows; the uncertainty is that of a step's middle."""
-    monkeypatch.setattr("tiltcal.logs.apply_library._MOST_PIECES", 100)  # of which rows in order may have more
     records = [calibrated(30.0 * k, (1000.0 + k * k, 990.0 - k)) for k in range(4)]
     library = tiltcal.open_calibrations(kept(tmp_path, *records))
     days = (np.arange(2304) + 0.5) * 90.0 / 2304
@@ -293,8 +292,8 @@ def test_the_unit_that_is_stated_for_a_frame_is_that_of_every_sensor(tmp_path: P
     library = tiltcal.open_calibrations(tmp_path)
     frame = {"time": seconds(np.zeros(1))} | {name: np.array([1000.0]) for name in ("A_x", "A_y", "B_x", "B_y")}
     with pytest.raises(InputError, match="column 'A_x' is in V, and the calibration in count: convert the readings"):
-        apply_frame(library, frame, unit="V")
-    assert apply_frame(library, frame, unit="count")["A_flag"].tolist() == [1]
+        library.apply(frame, unit="V")
+    assert library.apply(frame, unit="count")["A_flag"].tolist() == [1]
 
 
 def test_a_calibration_without_a_date_is_named_where_it_is_missed(tmp_path: Path) -> None:
@@ -388,18 +387,18 @@ def mounted(record: CalibrationRecord, roll: float) -> CalibrationRecord:
     return replace(record, coefficients=replace(record.coefficients, mounting=Mounting(np.radians(roll), 0.0, 0.0)))
 
 
-def test_what_no_time_changes_is_not_interpolated(tmp_path: Path) -> None:
-    """A step of a 64th of 4° of roll is 0.06°; its middle is 0.03° away, 5.5e-4 g."""
+def test_of_different_mountings_the_nearer_in_time_is_taken(tmp_path: Path) -> None:
+    """Two mountings that are 180° apart: each holds on its side of the middle."""
     first, last = calibrated(0, (1000, 1000)), calibrated(100, (1000, 1000))
-    frame = {"time": seconds([50.0]), "x": np.array([1100.0]), "y": np.array([1100.0])}
+    frame = {"time": seconds([49.0, 51.0]), "x": np.full(2, 1100.0), "y": np.full(2, 1100.0)}
     (tmp_path / "near").mkdir()
     near = tiltcal.open_calibrations(kept(tmp_path / "near", mounted(first, 178.0), mounted(last, -178.0)))
-    assert near.apply(frame)["g_y"] == pytest.approx([-100.0 / SCALE], abs=5.5e-4)
+    assert near.apply(frame)["g_y"] == pytest.approx(np.full(2, -100.0 / SCALE), abs=2e-3)
     (tmp_path / "far").mkdir()
     far = tiltcal.open_calibrations(kept(tmp_path / "far", mounted(first, 0.0), mounted(last, 180.0)))
-    with pytest.raises(UsageError, match=r"0\.yaml and S-1-1\.yaml: the mountings are more than 5° apart.* --mounting"):
-        far.apply(frame)
-    assert far.apply(frame, mounting="roll=180")["g_y"] == pytest.approx([-100.0 / SCALE])
+    for options in ({}, {"uncertainty": True}):
+        assert far.apply(frame, **options)["g_y"] == pytest.approx([100.0 / SCALE, -100.0 / SCALE])
+    assert far.apply(frame, mounting="roll=180")["g_y"] == pytest.approx(np.full(2, -100.0 / SCALE))
     (tmp_path / "other").mkdir()
     turned = replace(last, coefficients=replace(last.coefficients, sensitivity=-SCALE * np.eye(2)))
     with pytest.raises(UsageError, match=r"0\.yaml and S-1-1\.yaml: the sensitivity of x differs"):

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from support import FIXTURES
 
-from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import InputError
-from tiltcal.logs.apply import NO_TIME, apply_log
+from tiltcal.library.apply import apply_log
+from tiltcal.library.calibration import Calibration, read
+from tiltcal.logs.apply import NO_TIME
 
 LAG = 120.0
 

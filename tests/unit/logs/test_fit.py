@@ -15,7 +15,7 @@ import xarray
 import tiltcal
 from tiltcal.errors import InputError
 from tiltcal.files.procedure_file import find_procedure
-from tiltcal.logs.fit import fit
+from tiltcal.library.fit import fit
 
 OWN = """\
 tiltcal: 1

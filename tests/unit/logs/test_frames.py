@@ -16,15 +16,16 @@ import xarray
 from support import FIXTURES
 from support.frames import READINGS, array
 
-from tiltcal.calibration.calibration import Calibration, read
-from tiltcal.calibration.pair_calibration import PairCalibration
 from tiltcal.errors import UsageError
-from tiltcal.logs.apply import apply_frame, apply_log
-from tiltcal.logs.compensation_kernel import RoleValues
+from tiltcal.library.apply import apply_log
+from tiltcal.library.calibration import Calibration, read
+from tiltcal.library.pair_calibration import PairCalibration
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import rows_of
+from tiltcal.logs.kernel import RoleValues, prepare
 from tiltcal.logs.log import LogBlock
-from tiltcal.logs.prepared_calibration import ApplyOptions, prepare
+from tiltcal.logs.options import ApplyOptions
+from tiltcal.options import complete
 
 ROWS = 40_000  # more than a chunk of the kernel, and no multiple of one
 CAL = FIXTURES / "mavs.yaml"
@@ -71,7 +72,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
 def test_results_are_those_of_the_command(kind: str, written: pl.DataFrame) -> None:
     own, made = KINDS[kind]
     given = made(log())
-    found = apply_frame(read(CAL), given, columns={"temperature": "T"}, uncertainty=True)
+    found = read(CAL).apply(given, columns={"temperature": "T"}, uncertainty=True)
     assert type(found) is own
     assert set(written["flag"].to_list()) == {1, 3, 4, 9}
     for name in written.columns[4:]:
@@ -89,7 +90,7 @@ def test_remarks_are_those_of_the_command(tmp_path: Path) -> None:
     of_frame: list[str] = []
     lagging = FIXTURES / "ramp.yaml"
     apply_log(lagging, tmp_path / "log.csv", tmp_path / "out.csv", magnetometer="mx,my,mz", say=of_log.append)
-    apply_frame(read(lagging), frame, magnetometer="mx,my,mz", say=of_frame.append)
+    read(lagging).apply(frame, magnetometer="mx,my,mz", say=of_frame.append)
     assert of_frame == of_log
     assert [text.split(":")[0] for text in of_frame] == ["note"] * 2
 
@@ -97,7 +98,7 @@ def test_remarks_are_those_of_the_command(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_its_own_columns_stay(kind: str) -> None:
     made = KINDS[kind][1]
-    found = apply_frame(read(CAL), made(log()), columns="temperature=T")
+    found = read(CAL).apply(made(log()), columns="temperature=T")
     given = made(log())
     for name in ("x", "y", "T"):
         np.testing.assert_array_equal(array(found, name), array(given, name))
@@ -116,18 +117,18 @@ class TestNotes:
     def test_they_stay(self, how: dict[str, int], calibration: Calibration) -> None:
         frame = pd.DataFrame(READINGS)
         frame.attrs["serial"] = "S-1"
-        assert apply_frame(calibration, frame, **how).attrs == {"serial": "S-1"}
+        assert calibration.apply(frame, **how).attrs == {"serial": "S-1"}
         table = pa.table(READINGS).replace_schema_metadata({"serial": "S-1"})
-        assert apply_frame(calibration, table, **how).schema.metadata == {b"serial": b"S-1"}
+        assert calibration.apply(table, **how).schema.metadata == {b"serial": b"S-1"}
         data = xarray.Dataset({name: ("row", column) for name, column in READINGS.items()}, attrs={"serial": "S-1"})
-        assert apply_frame(calibration, data, **how).attrs == {"serial": "S-1"}
+        assert calibration.apply(data, **how).attrs == {"serial": "S-1"}
 
 
 def test_coordinates_of_a_dataset_stay_coordinates_of_its_means(calibration: Calibration) -> None:
     """The times and the depths along them, and a place of its own; the readings stay variables."""
     columns = {name: ("time", values, {"units": "count"}) for name, values in READINGS.items()}
     coords = {"time": [0.0, 1.0], "depth": ("time", [10.0, 12.0], {"units": "m"}), "site": 4.0}
-    found = apply_frame(calibration, xarray.Dataset(columns, coords), average=2)
+    found = calibration.apply(xarray.Dataset(columns, coords), average=2)
     assert set(found.coords) == {*coords}
     assert {"x", "y", "tilt_x", "count"} <= set(found.data_vars)
     assert (found["time"].values.tolist(), found["depth"].values.tolist()) == ([0.5], [11.0])
@@ -141,13 +142,13 @@ class TestIndexOfPandas:
 
     def test_it_holds_the_time(self, calibration: Calibration) -> None:
         frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]}, index=self.TIMES)
-        found = apply_frame(calibration, frame, every="10s")
+        found = calibration.apply(frame, every="10s")
         assert found.index.tolist() == [pd.Timestamp("2026-05-01T12:00:02.5Z")]
         assert found["count"].tolist() == [2]
         assert found.index.name == "time"
 
     def test_it_stays(self, calibration: Calibration) -> None:
-        found = apply_frame(calibration, pd.DataFrame(READINGS, index=self.TIMES))
+        found = calibration.apply(pd.DataFrame(READINGS, index=self.TIMES))
         assert found.index.equals(self.TIMES)
         assert list(found.columns[:3]) == ["x", "y", "g_x"]
 
@@ -155,7 +156,7 @@ class TestIndexOfPandas:
     def test_moments_without_a_name_are_the_time(self, how: dict[str, Any], calibration: Calibration) -> None:
         """As ``pandas.date_range`` makes them; means had the numbers of their rows for an index."""
         frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]}, index=self.TIMES.rename(None))
-        found = apply_frame(calibration, frame, **how)
+        found = calibration.apply(frame, **how)
         assert found.index.equals(pd.DatetimeIndex([pd.Timestamp("2026-05-01T12:00:02.5Z")]))
         assert found.index.name is None
         assert "time" not in found
@@ -166,7 +167,7 @@ class TestIndexOfPandas:
 
     def test_a_column_of_its_name_is_meant(self, calibration: Calibration) -> None:
         frame = pd.DataFrame(READINGS | {"time": [0.0, 5.0]}, index=self.TIMES)
-        assert apply_frame(calibration, frame, every="10s")["time"].tolist() == [2.5]
+        assert calibration.apply(frame, every="10s")["time"].tolist() == [2.5]
 
 
 class TestPairs:
@@ -215,17 +216,14 @@ def test_a_frame_is_read_like_a_log(frame: Any) -> None:
 
 
 def test_csv_files_load_no_frames(tmp_path: Path) -> None:
-    script = (
-        f"import sys\nfrom tiltcal.logs.apply import apply_log\napply_log({str(CAL)!r}, 'log.csv', 'out.csv')\n"
-        "print(*sys.modules)"
-    )
+    script = f"import sys, tiltcal\ntiltcal.apply_log({str(CAL)!r}, 'log.csv', 'out.csv')\nprint(*sys.modules)"
     import subprocess
 
     (tmp_path / "log.csv").write_text("x,y\n1024,1024\n")
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
     assert "tiltcal.logs.formats.csv" in loaded
-    unwanted = ("tiltcal.core.pair", "tiltcal.files.pair", "tiltcal.drivers", "tiltcal.logs.frames", "narwhals")
+    unwanted = ("tiltcal.drivers", "tiltcal.logs.frames", "narwhals")
     assert not [name for name in loaded if name.startswith((*unwanted, "tiltcal.logs.formats.netcdf", "xarray"))]
 
 
@@ -240,7 +238,7 @@ def test_results_do_not_depend_on_where_blocks_end(name: str) -> None:
     """Files are cut into blocks, frames are not: sums in another order would differ in the last bit."""
     found = read(FIXTURES / f"{name}.yaml")
     assert isinstance(found, Calibration)
-    kernel = prepare(found, ApplyOptions(uncertainty=True)).kernel
+    kernel = prepare(found.record, complete(ApplyOptions, {"uncertainty": True})).kernel
     draw = np.random.default_rng(2)
     span = abs(np.diag(found.coefficients.sensitivity)).max()
     channels = len(found.coefficients.channels)

@@ -15,9 +15,8 @@ import pytest
 import xarray
 from support.frames import READINGS, array
 
-from tiltcal.calibration.calibration import Calibration
 from tiltcal.errors import InputError
-from tiltcal.logs.apply import apply_frame
+from tiltcal.library.calibration import Calibration
 from tiltcal.logs.frames import rows_of
 
 
@@ -27,10 +26,10 @@ class TestMissingValues:
     @pytest.mark.parametrize("kind", [float, int])
     def test_a_masked_reading_is_missing(self, kind: type, calibration: Calibration) -> None:
         masked = np.ma.masked_array(np.array([1024, 1100], dtype=kind), mask=[True, False])
-        found = apply_frame(calibration, READINGS | {"x": masked, "temperature": [20.0, 20.0]})
+        found = calibration.apply(READINGS | {"x": masked, "temperature": [20.0, 20.0]})
         assert np.isnan(found["tilt_x"]).tolist() == [True, False]
         assert found["flag"].tolist() == [9, 1]
-        means = apply_frame(calibration, READINGS | {"x": masked, "temperature": [20.0, 20.0]}, average=2)
+        means = calibration.apply(READINGS | {"x": masked, "temperature": [20.0, 20.0]}, average=2)
         assert means["count"].tolist() == [1]
 
     def test_a_masked_cell_of_a_table_is_missing(self) -> None:
@@ -56,16 +55,16 @@ class TestPythonValues:
         ids=["lists", "arrays", "pandas", "polars", "xarray"],
     )
     def test_numbers(self, made: Callable[[dict[str, Any]], Any], calibration: Calibration) -> None:
-        expected = apply_frame(calibration, self.SAME)
+        expected = calibration.apply(self.SAME)
         assert expected["flag"].tolist() == [1, 9]
-        found = apply_frame(calibration, made(self.COLUMNS))
+        found = calibration.apply(made(self.COLUMNS))
         for name in ("tilt_x", "tilt_y", "flag", "reason"):
             np.testing.assert_array_equal(array(found, name), expected[name])
 
     @pytest.mark.parametrize("made", [dict, pl.DataFrame, pd.DataFrame, pa.table])
     def test_a_column_without_a_value(self, made: Callable[[dict[str, Any]], Any], calibration: Calibration) -> None:
         """As an empty column of CSV: reason 16 of SPEC 10, temperature missing."""
-        found = apply_frame(calibration, made(READINGS | {"temperature": [None, None]}))
+        found = calibration.apply(made(READINGS | {"temperature": [None, None]}))
         assert array(found, "reason").tolist() == [16, 16]
 
     @pytest.mark.parametrize("cells", [[True, False], ["1", None], [1.0, "2"], [[1.0], [2.0, 3.0]]])
@@ -73,7 +72,7 @@ class TestPythonValues:
         columns = READINGS | {"x": pd.Series(cells, dtype=object)}
         for frame in (columns, pd.DataFrame(columns)):
             with pytest.raises(InputError, match=r"column 'x' holds .*, not numbers"):
-                apply_frame(calibration, frame)
+                calibration.apply(frame)
 
     @pytest.mark.parametrize(
         "times",
@@ -87,12 +86,12 @@ class TestPythonValues:
     def test_moments(self, times: list[Any], calibration: Calibration) -> None:
         columns = READINGS | {"time": times}
         for how in ({"average": 2}, {"every": "10s"}):
-            assert apply_frame(calibration, columns, **how)["time"] == [np.datetime64("2026-05-01T12:00:02.5")]
+            assert calibration.apply(columns, **how)["time"] == [np.datetime64("2026-05-01T12:00:02.5")]
 
     def test_moments_in_a_polars_column_of_objects(self, calibration: Calibration) -> None:
         """They had the time of the first row."""
         times = pl.Series("time", [datetime(2026, 5, 1, 12), datetime(2026, 5, 1, 12, 0, 5)], pl.Object)
-        found = apply_frame(calibration, pl.DataFrame(READINGS).with_columns(times), average=2)
+        found = calibration.apply(pl.DataFrame(READINGS).with_columns(times), average=2)
         assert found["time"].to_list() == [datetime(2026, 5, 1, 12, 0, 2, 500_000)]
 
     @pytest.mark.parametrize("name", ["x", "other"])
@@ -100,16 +99,16 @@ class TestPythonValues:
         """Polars has none: it panicked."""
         cells = [Decimal("1000.25"), Decimal("1001.25")]
         table = READINGS | {"temperature": [20.0, 20.0], name: pa.array(cells, pa.decimal256(40, 2))}
-        found = apply_frame(calibration, pa.table(table), average=2)
+        found = calibration.apply(pa.table(table), average=2)
         assert found.column(name).to_pylist() == [1000.75]
 
     def test_durations(self, calibration: Calibration) -> None:
-        found = apply_frame(calibration, READINGS | {"time": [timedelta(0), timedelta(seconds=5)]}, every="10s")
+        found = calibration.apply(READINGS | {"time": [timedelta(0), timedelta(seconds=5)]}, every="10s")
         assert found["time"] == [np.timedelta64(2500, "ms")]
 
     def test_a_moment_that_is_missing(self, calibration: Calibration) -> None:
         times = [datetime(2026, 5, 1, 12), None]
-        assert apply_frame(calibration, READINGS | {"time": times}, every="10s")["time"] == [np.datetime64(times[0])]
+        assert calibration.apply(READINGS | {"time": times}, every="10s")["time"] == [np.datetime64(times[0])]
 
 
 class TestMeans:
@@ -120,7 +119,7 @@ class TestMeans:
         frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]})
         frame["time"] = pd.Series(["2026-05-01T12:00:00Z", None], dtype=kind)
         for how in ({"average": 2}, {"every": "10s"}):
-            found = apply_frame(calibration, frame, **how)
+            found = calibration.apply(frame, **how)
             assert found["time"].tolist() == ["2026-05-01T12:00:00Z"]
             assert found["count"].tolist() == [2]
 
@@ -131,13 +130,13 @@ class TestMeans:
         data = xarray.Dataset({name: ("time", column) for name, column in columns.items()}, {"time": times})
         for frame in (columns | {"time": times}, data, columns | {"time": times - times[0]}):
             for how in ({"average": 2}, {"every": "10s"}, {"every": timedelta(seconds=10)}):
-                found = np.asarray(apply_frame(calibration, frame, **how)["time"])
+                found = np.asarray(calibration.apply(frame, **how)["time"])
                 assert found - np.asarray(frame["time"])[0] == [np.timedelta64(2500, "ms")]
 
     def test_a_masked_moment_is_missing(self, calibration: Calibration) -> None:
         times = np.ma.masked_array(np.array(["2026-05-01T12:00", "2036-05-01T12:00"], "M8[s]"), mask=[False, True])
         frame = READINGS | {"temperature": [20.0, 20.0], "time": times}
-        found = apply_frame(calibration, frame, every="10s")
+        found = calibration.apply(frame, every="10s")
         assert found["count"].tolist() == [2]
         assert found["time"].tolist() == [times[0].astype(object)]
 
@@ -149,7 +148,7 @@ class TestMeans:
         columns = READINGS | {"temperature": [20.0, 20.0], "note": np.array(cells, object)}
         data = xarray.Dataset({name: ("row", column) for name, column in columns.items()})
         for frame in (columns, data, pd.DataFrame(columns)):
-            (found,) = np.asarray(apply_frame(calibration, frame, average=2)["note"]).tolist()
+            (found,) = np.asarray(calibration.apply(frame, average=2)["note"]).tolist()
             assert (None if found != found else found) == first
 
     @pytest.mark.parametrize(
@@ -167,14 +166,14 @@ class TestMeans:
         ids=["mixed", "complex", "sparse", "period", "interval", "number for a name", "lists", "another length"],
     )
     def test_other_columns_do_not_matter(self, frame: Any, calibration: Calibration) -> None:
-        expected = apply_frame(calibration, {name: [np.mean(column)] for name, column in READINGS.items()})
-        assert array(apply_frame(calibration, frame), "flag").tolist() == [3, 3]
-        means = apply_frame(calibration, frame, average=2)
+        expected = calibration.apply({name: [np.mean(column)] for name, column in READINGS.items()})
+        assert array(calibration.apply(frame), "flag").tolist() == [3, 3]
+        means = calibration.apply(frame, average=2)
         assert array(means, "tilt_x").tolist() == expected["tilt_x"].tolist()
 
     def test_a_masked_text_is_missing(self, calibration: Calibration) -> None:
         note = np.ma.masked_array(["a", "b"], mask=[True, False])
-        found = apply_frame(calibration, READINGS | {"temperature": [20.0, 20.0], "note": note}, average=2)
+        found = calibration.apply(READINGS | {"temperature": [20.0, 20.0], "note": note}, average=2)
         assert found["note"].tolist() == [None]
 
 

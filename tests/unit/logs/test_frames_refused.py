@@ -13,17 +13,16 @@ import xarray
 from support import FIXTURES
 from support.frames import READINGS
 
-from tiltcal.calibration.calibration import Calibration, read
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.apply import apply_frame
+from tiltcal.library.calibration import Calibration, read
+from tiltcal.library.match import match
 from tiltcal.logs.frames import rows_of
-from tiltcal.logs.match import match
 
 
 @pytest.mark.parametrize("temperature", [20.0, [[20.0, 21.0]]])
 def test_a_column_without_rows(temperature: Any, calibration: Calibration) -> None:
     with pytest.raises(InputError, match=r"column 'temperature' has [02] dimensions .*: a log's columns have one"):
-        apply_frame(calibration, READINGS | {"temperature": temperature})
+        calibration.apply(READINGS | {"temperature": temperature})
 
 
 def test_columns_of_a_table_that_differ_in_length() -> None:
@@ -34,45 +33,45 @@ def test_columns_of_a_table_that_differ_in_length() -> None:
 
 def test_columns_along_different_dimensions(calibration: Calibration) -> None:
     with pytest.raises(InputError, match="rows of different kinds: 'x' along 'a' and 'y' along 'b'"):
-        apply_frame(calibration, xarray.Dataset({"x": ("a", READINGS["x"]), "y": ("b", READINGS["y"])}))
+        calibration.apply(xarray.Dataset({"x": ("a", READINGS["x"]), "y": ("b", READINGS["y"])}))
 
 
 def test_a_temperature_in_kelvin(calibration: Calibration) -> None:
     warm = {"temperature": ("n", [293.1, 293.2], {"units": "K"})}
     data = xarray.Dataset({name: ("n", column) for name, column in READINGS.items()} | warm)
     with pytest.raises(InputError, match="column 'temperature' is in K, and temperatures in °C"):
-        apply_frame(calibration, data)
+        calibration.apply(data)
 
 
 def test_one_column_for_two_readings(calibration: Calibration) -> None:
     with pytest.raises(InputError, match="x and y are one column, 'x'"):
-        apply_frame(calibration, READINGS, columns="y=x")
+        calibration.apply(READINGS, columns="y=x")
 
 
 def test_two_columns_of_one_name(calibration: Calibration) -> None:
     for frame in (pd.DataFrame([[1.0, 2.0]], columns=["x", "x"]), pa.table([[1.0], [2.0]], names=["x", "x"])):
         with pytest.raises(InputError, match="the frame: two columns have one name"):
-            apply_frame(calibration, frame)
+            calibration.apply(frame)
 
 
 def test_numbers_for_names_of_columns(calibration: Calibration) -> None:
     frame = pd.DataFrame({0: READINGS["x"], 1: READINGS["y"]})
-    found = apply_frame(calibration, frame, columns={"x": "0", "y": "1"})
+    found = calibration.apply(frame, columns={"x": "0", "y": "1"})
     assert list(found.columns[:3]) == [0, 1, "g_x"]
-    assert found["tilt_x"].tolist() == apply_frame(calibration, READINGS)["tilt_x"].tolist()
+    assert found["tilt_x"].tolist() == calibration.apply(READINGS)["tilt_x"].tolist()
 
 
 def test_no_columns(calibration: Calibration) -> None:
     with pytest.raises(InputError, match="there are no columns"):
-        apply_frame(calibration, {})
+        calibration.apply({})
 
 
 def test_another_unit(calibration: Calibration) -> None:
     with pytest.raises(InputError, match="column 'x' is in V, and the calibration in count"):
-        apply_frame(calibration, READINGS, unit="V")
+        calibration.apply(READINGS, unit="V")
     volts = xarray.Dataset({name: ("n", column, {"units": "V"}) for name, column in READINGS.items()})
     with pytest.raises(InputError, match="column 'x' is in V, and the calibration in count"):
-        apply_frame(calibration, volts)
+        calibration.apply(volts)
 
 
 @pytest.mark.parametrize(
@@ -90,11 +89,11 @@ def test_units_of_a_vector_and_of_a_heading(
     columns = READINGS | {"a": [20.0, 20.0], "b": [2.0, 2.0], "c": [1.0, 1.0]}
     columns |= {} if option == "magnetometer" else {"heading": [0.0, 1.0]}
     data = xarray.Dataset({name: ("n", column) for name, column in columns.items()})
-    assert len(apply_frame(calibration, data, **{option: "a,b,c"})["flag"]) == 2
+    assert len(calibration.apply(data, **{option: "a,b,c"})["flag"]) == 2
     for name, unit in units.items():
         data[name].attrs["units"] = unit
     with pytest.raises(InputError, match=why):
-        apply_frame(calibration, data, **{option: "a,b,c"})
+        calibration.apply(data, **{option: "a,b,c"})
 
 
 def test_a_stage_angle_in_radians() -> None:
@@ -109,41 +108,41 @@ def test_a_stage_angle_in_radians() -> None:
 
 @pytest.mark.parametrize("unit", ["count", "counts", "Count", "1", "LSB"])
 def test_another_spelling_of_the_unit_is_none(unit: str, calibration: Calibration) -> None:
-    assert apply_frame(calibration, READINGS, unit=unit)["flag"].tolist() == [3, 3]  # no temperature
+    assert calibration.apply(READINGS, unit=unit)["flag"].tolist() == [3, 3]  # no temperature
 
 
 def test_a_column_that_is_not_there(calibration: Calibration) -> None:
     with pytest.raises(InputError, match="the frame: there is no column 'VoutX'; the log has x, y"):
-        apply_frame(calibration, READINGS, columns={"x": "VoutX"})
+        calibration.apply(READINGS, columns={"x": "VoutX"})
 
 
 def test_a_role_that_is_none(calibration: Calibration) -> None:
     with pytest.raises(UsageError, match=r"there is no role 'X' .*; the roles are x, y, temperature, time"):
-        apply_frame(calibration, READINGS, columns={"X": "x"})
+        calibration.apply(READINGS, columns={"X": "x"})
 
 
 @pytest.mark.parametrize("frame", [{**READINGS, "x": ["a", "b"]}, pl.DataFrame({**READINGS, "x": ["a", "b"]})])
 def test_text_for_numbers(frame: Any, calibration: Calibration) -> None:
     with pytest.raises(InputError, match=r"column 'x' holds .*, not numbers"):
-        apply_frame(calibration, frame)
+        calibration.apply(frame)
 
 
 def test_columns_of_different_length(calibration: Calibration) -> None:
     with pytest.raises(InputError, match="differ in length"):
-        apply_frame(calibration, {**READINGS, "x": [1.0]})
+        calibration.apply({**READINGS, "x": [1.0]})
 
 
 def test_no_rows(calibration: Calibration) -> None:
     with pytest.raises(InputError, match="no rows"):
-        apply_frame(calibration, {"x": [], "y": []})
+        calibration.apply({"x": [], "y": []})
 
 
 def test_a_frame_that_was_compensated(calibration: Calibration) -> None:
     with pytest.raises(UsageError, match="column 'g_x' already"):
-        apply_frame(calibration, apply_frame(calibration, READINGS))
+        calibration.apply(calibration.apply(READINGS))
 
 
 @pytest.mark.parametrize("frame", [pl.LazyFrame(READINGS), 5, [1.0]])
 def test_what_is_no_frame(frame: Any, calibration: Calibration) -> None:
     with pytest.raises(UsageError, match="give a polars, pandas or pyarrow frame"):
-        apply_frame(calibration, frame)
+        calibration.apply(frame)

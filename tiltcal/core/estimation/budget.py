@@ -15,7 +15,7 @@ The four add up to v² (1 - G sin t).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from math import isfinite
 
 import numpy as np
@@ -28,58 +28,47 @@ from tiltcal.core.uncertainty_budget import Budget
 
 
 def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> list[Budget]:
-    """Return the uncertainty of each sensor's coefficients.
+    """Return the uncertainty of each sensor's coefficients; ``estimated`` are the variances that the residuals showed.
 
-    Parameters
-    ----------
-    estimated : mapping of str to EstimatedVariance
-        The variance that the residuals showed, by its source: JIG, THERMOMETER, or ADC for noise and rounding together.
+    That of NOISE is of noise and rounding together.
     """
-    equations, errors, covariance = solution.equations, solution.errors, solution.covariance
-    weights, n = equations.weights(errors), len(equations.names)
-    measured = solution.near.measured
+    equations, bench, near, covariance = solution.equations, solution.bench, solution.near, solution.covariance
+    readings = len(equations.u)
+    measured = bench[NOISE] * (equations.u / near.sigma) ** 2  # the rest is the square of uncertain attitudes
     rounding = np.concatenate([channel.adc for channel in equations.channels]) / equations.u
-    rounding = measured * np.minimum(rounding**2 / errors.noise, 1.0)
+    rounding = measured * np.minimum(rounding**2 / bench[NOISE], 1.0)
     groups, dofs = _pooled_noise(solution)
-    found = []
-    for own in _by_sensor(solution):
-        by = solution.near.times(covariance[:, own])  # readings by coefficients
+    stated = {source: equations.rows(source) for source in equations.errors if bench[source]}
+    if len(equations.stated_target):
+        stated = {PRIOR: equations.rows(PRIOR), **stated}
+    by_readings = near.part(slice(0, readings)).normal if estimated else np.zeros((0, 0))
+    budgets = []
+    for own in equations.sensor_coefficients():
+        by = near.times(covariance[:, own])  # equations by coefficients
         squares = np.square(by)
-        noise = squares * (measured - rounding)[:, None]
-        variance = {NOISE: noise.sum(axis=0), ADC: rounding @ squares}
-        if len(equations.prior_target):
-            variance[PRIOR] = np.sum((covariance[own, :n] @ equations.prior_rows.T) ** 2, axis=1)
-        for source, columns in equations.errors.items():
-            if weights[columns].any():
-                variance[source] = np.sum((covariance[own, columns] * weights[columns]) ** 2, axis=1)
-        if errors.jig:
-            variance[JIG] = variance[JIG] + (1.0 - measured) @ squares
+        noise = squares[:readings] * (measured - rounding)[:, None]
+        variance = {NOISE: noise.sum(axis=0), ADC: rounding @ squares[:readings]}
+        variance |= {source: squares[rows].sum(axis=0) for source, rows in stated.items() if rows.stop > rows.start}
+        if bench[JIG]:
+            variance[JIG] = variance[JIG] + (1.0 - measured) @ squares[:readings]
         parts: list[tuple[Array, float]] = []
-        if ADC in estimated:
-            parts.append((variance[NOISE] + variance[ADC], estimated[ADC].dof))
+        if NOISE in estimated:
+            parts.append((variance[NOISE] + variance[ADC], estimated[NOISE].dof))
         elif len(dofs):
             shares = np.stack([np.bincount(groups, column, len(dofs)) for column in noise.T], axis=1)
             parts += [(share, dof) for share, dof in zip(shares, dofs.tolist(), strict=True) if isfinite(dof)]
-        for source, shown in estimated.items():
-            if source != ADC and shown.information:
-                parts.append((np.sum(_by_error(solution, source, own) ** 2, axis=1), shown.information))
         total = covariance[own, own]
-        jig = estimated.get(JIG)
-        if jig is not None and jig.value < 0.0:
-            # The noise, by chance, was less than measured: so is what it does to the coefficients.
-            by_angle = _by_error(solution, JIG, own)
-            total = total + jig.value * by_angle @ by_angle.T
-            variance[NOISE] = variance[NOISE] + jig.value * np.sum(by_angle**2, axis=1)
-        found.append(Budget(total, variance, welch_satterthwaite(np.diag(total), parts)))
-    return found
-
-
-def _by_sensor(solution: Solution) -> Iterator[slice]:
-    """Yield the coefficients of each sensor."""
-    start = 0
-    for sensor in solution.equations.sensors:
-        yield slice(start, start + len(sensor.design.names))
-        start += len(sensor.design.names)
+        for source, shown in estimated.items():
+            if source == NOISE or not shown.information:
+                continue
+            by_error = (by_readings[equations.errors[source]] @ covariance[:, own]).T
+            parts.append((np.sum(by_error**2, axis=1), shown.information))
+            if source == JIG and shown.value < 0.0:
+                # The noise, by chance, was less than measured: so is what it does to the coefficients.
+                total = total + shown.value * by_error @ by_error.T
+                variance[NOISE] = variance[NOISE] + shown.value * np.sum(by_error**2, axis=1)
+        budgets.append(Budget(total, variance, welch_satterthwaite(np.diag(total), parts)))
+    return budgets
 
 
 def _pooled_noise(solution: Solution) -> tuple[Indices, Array]:
@@ -93,12 +82,3 @@ def _pooled_noise(solution: Solution) -> tuple[Indices, Array]:
     keys = [np.stack([np.full(len(c.u), k), c.u, c.dof], axis=1) for k, c in enumerate(channels)]
     unique, groups = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
     return np.asarray(groups.ravel(), dtype=np.intp), unique[:, 2]
-
-
-def _by_error(solution: Solution, source: str, own: slice) -> Array:
-    """Return how the coefficients follow the errors of a source, shape (coefficients, errors)."""
-    columns, covariance = solution.equations.errors[source], solution.covariance
-    u = getattr(solution.errors, source)
-    if u > 0.0:
-        return np.asarray(covariance[own, columns] / u**2)
-    return np.asarray(covariance[own] @ solution.near.normal[:, columns])

@@ -1,215 +1,285 @@
-"""The input of the estimator: positions with their mean readings, and the coefficients to determine."""
+"""The plan of a session: what its positions leave undetermined, which to add, and the uncertainty that it will reach.
+
+The same equations as the estimator's, at nominal coefficients: their covariance needs no readings.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from math import inf
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from operator import itemgetter
 
-from tiltcal.core.model import Array, ChannelModel
-from tiltcal.core.orientation import STRAIGHT
+import numpy as np
+
+from tiltcal.core.attitude import Vector, gravity_from_tilt
+from tiltcal.core.estimation.budget import budgets
+from tiltcal.core.estimation.equations import ChannelReadings, Equations
+from tiltcal.core.estimation.free import UNKNOWNS, planned_budget
+from tiltcal.core.estimation.positions import Design, Observation, SensorObservations, require_sound
+from tiltcal.core.estimation.solve import UNDETERMINED, solved_at, undetermined
+from tiltcal.core.model import AXES, Array
+from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.errors import EstimateError
+
+MOST_POSITIONS = 3
+"""Positions that may be proposed to be added to those that leave coefficients undetermined."""
+
+WARMER = 20.0
+"""How much another temperature that is proposed differs, °C."""
+
+STRONG = 0.9
+"""A correlation from here on is named."""
+
+WORTH = 0.8
+"""A position is proposed where it brings the largest uncertainty below this share of what it was."""
+
+LEVEL = "level (+z up)"
+CANDIDATES: dict[str, Vector] = {
+    LEVEL: (0.0, 0.0, 1.0),
+    "upside down (+z down)": (0.0, 0.0, -1.0),
+    "+x straight up": (1.0, 0.0, 0.0),
+    "+x straight down": (-1.0, 0.0, 0.0),
+    "+y straight up": (0.0, 1.0, 0.0),
+    "+y straight down": (0.0, -1.0, 0.0),
+    **{f"{angle:+}° of {axis}": gravity_from_tilt({axis: float(angle)}) for axis in ("x", "y") for angle in (45, -45)},
+}
+"""Positions that may be proposed."""
+
+
+# What is missing
+
+
+def require_determined(equations: Equations, z: Array) -> None:
+    """Refuse positions that leave a combination of coefficients free, whatever the jig.
+
+    ``z`` are the unknowns near their minimum, shape (unknowns,). The EstimateError names the coefficients, and
+    positions that would separate them.
+    """
+    for channel in equations.channels:
+        u = equations.prior_u[channel.coefficients]
+        moving = u > 0.0
+        rows = _rows(equations, channel, z)
+        size = np.linalg.norm(rows, axis=0)
+        rows = np.vstack([rows, np.diag(np.where(size > 0, size, 1.0))[np.isfinite(u)]])  # what is stated beside them
+        mixed = undetermined(rows[:, moving], np.array(channel.model.coefficients)[moving].tolist())
+        if not mixed:
+            continue
+        add = _positions_to_add(equations, channel, z, np.vstack([rows, np.eye(len(u))[~moving]]))
+        advice = f"add the position{'' if len(add) == 1 else 's'} {_listed(add)}"
+        advice = advice if add else "add positions that differ from these"
+        if len(mixed) == 1:
+            raise EstimateError(f"no position determines {mixed[0]}: {advice}")
+        raise EstimateError(f"the {len(channel.dt)} positions do not separate {_listed(mixed)}: {advice}")
+
+
+def _rows(
+    equations: Equations, channel: ChannelReadings, z: Array, gravity: Array | None = None, dt: Array | None = None
+) -> Array:
+    """Return the derivatives of a channel's readings by its coefficients, in its positions or in another one."""
+    if gravity is None:
+        gravity, dt = equations.gravity[channel.places] @ channel.orientation.T, channel.dt
+    return channel.model.read(z[channel.coefficients], gravity, channel.dt if dt is None else dt).by_coefficient
+
+
+def _positions_to_add(equations: Equations, channel: ChannelReadings, z: Array, rows: Array) -> list[str]:
+    """Return positions that would determine all coefficients of a channel, in words, the most informative first.
+
+    There is none where no few positions do. ``rows`` is what is there already, shape (rows, coefficients).
+    """
+    z = z.copy()
+    # A gain has no effect before the sensitivity is known; any value will do to see whether a position shows it.
+    places = range(channel.coefficients.start + 1, channel.coefficients.start + 1 + len(channel.model.axes))
+    if not z[list(places)].any():
+        z[list(places)] = 1.0
+    candidates = {
+        name: _rows(equations, channel, z, np.array([gravity]), np.array([dt]))
+        for name, gravity, dt in _candidates(equations, channel)
+    }
+    add: list[str] = []
+    while undetermined(rows, channel.model.coefficients) and len(add) < MOST_POSITIONS:
+        add.append(max(candidates, key=lambda name: _strength(np.vstack([rows, candidates[name]]))))
+        rows = np.vstack([rows, candidates.pop(add[-1])])
+    return [] if undetermined(rows, channel.model.coefficients) else add
+
+
+def _candidates(equations: Equations, channel: ChannelReadings) -> Iterator[tuple[str, Sequence[float], float]]:
+    """Yield positions that may be added, in words, with up in the sensor frame and °C from the reference."""
+    low, high = float(channel.dt.min()), float(channel.dt.max())
+    for name, gravity in CANDIDATES.items():
+        yield name, gravity, float(channel.dt[0])
+    if not (channel.model.drift or channel.model.gain):
+        return
+    directions = {tuple(up) for up in (equations.gravity[channel.places] @ channel.orientation.T).tolist()}
+    for words, dt in (
+        ("at another, higher temperature", high + WARMER),
+        ("at another, lower temperature", low - WARMER),
+        ("at a third temperature between", (low + high) / 2 + 1.0),
+    ):
+        for up in directions:
+            in_words = "gravity [" + ", ".join(f"{component:.3g}" for component in up) + "]"
+            name = next((name for name, gravity in CANDIDATES.items() if np.allclose(gravity, up)), in_words)
+            yield f"{name} {words}", up, dt
+
+
+def _strength(rows: Array) -> tuple[int, float]:
+    """Return the rank, and the smallest singular value that counts."""
+    size = np.linalg.norm(rows, axis=0)
+    values = np.linalg.svd(rows / np.where(size > 0, size, 1.0), compute_uv=False)
+    counted = values[values > UNDETERMINED * values[0]]
+    return len(counted), round(float(counted[-1]), 9)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+# What a plan will reach
 
 
 @dataclass(frozen=True)
-class Observation:
-    """The mean reading in one position.
+class PlannedPosition:
+    """Position of a planned session: up in the sensor frame, g; °C; degrees; ``held`` stands as the one before."""
 
-    Attributes
-    ----------
-    gravity : ndarray, shape (3,)
-        Up in the sensor frame as set, g.
-    mean : ndarray, shape (channels,)
-        In the sensor's unit.
-    u : ndarray, shape (channels,)
-        Standard uncertainty of the mean from noise and quantisation, same unit.
-    temperature : float or None
-        °C.
-    heading : float or None
-        How far the fixture is turned about the vertical, degrees.
-    held : bool
-        The fixture was not set again after the position before: it has the same attitude error.
-    dof : ndarray, shape (channels,), or float
-        Degrees of freedom of the noise's part of ``u``; infinite where it is known.
-    adc : ndarray, shape (channels,), or float
-        The part of ``u`` that quantisation gives.
-    noise_unknown : bool
-        Nothing else is in ``u``, because nothing is known of the noise: one number for all readings.
-    looser : float
-        By what the design's jig is multiplied here: sessions set their positions each with its own.
-    """
-
-    position: str
-    gravity: Array
-    mean: Array
-    u: Array
+    name: str
+    gravity: Vector
     temperature: float | None = None
     heading: float | None = None
     held: bool = False
-    dof: Array | float = inf
-    adc: Array | float = 0.0
-    noise_unknown: bool = False
-    looser: float = 1.0
 
 
 @dataclass(frozen=True)
-class Prior:
-    """Value and uncertainty of a coefficient before anything is measured.
+class Prediction:
+    """Uncertainty that a planned session will reach in named coefficients, and degrees of freedom to check them.
 
-    Attributes
-    ----------
-    u : float
-        Standard uncertainty, same unit; 0 holds the coefficient at the value.
-    """
-
-    value: float
-    u: float = 0.0
-
-
-@dataclass(frozen=True)
-class StatedCoefficients:
-    """What a calibration file states: ``rows @ coefficients`` is ``values``, with a covariance.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The coefficient that each value is of, first of all.
-    rows : ndarray, shape (k, coefficients)
-        By the names of the design.
-    values : ndarray, shape (k,)
-    covariance : ndarray, shape (k, k)
+    ``correlations`` are pairs that the plan hardly separates, the strongest first; ``worth_adding`` has a position, the
+    coefficient that it helps most, and the share of its uncertainty that is left, best first.
     """
 
     names: tuple[str, ...]
-    rows: Array
-    values: Array
-    covariance: Array
+    budget: Budget
+    dof: int
+    correlations: tuple[tuple[str, str, float], ...]
+    worth_adding: tuple[tuple[str, str, float], ...]
+
+    def uncertainty(self) -> dict[str, float]:
+        """Return the predicted standard uncertainty of each coefficient."""
+        return dict(zip(self.names, self.budget.u.tolist(), strict=True))
 
 
-@dataclass(frozen=True)
-class Design:
-    """Which coefficients are to be determined, and how well the bench sets what it sets.
+def predict_uncertainty(
+    design: Design,
+    positions: Sequence[PlannedPosition],
+    noise: float,
+    *,
+    sensitivity: float = 1.0,
+    drift: float = 0.0,
+    adc: float = 0.0,
+    sensors: int = 1,
+    level: bool = False,
+) -> Prediction:
+    """Compute the uncertainty that a planned session will reach for each of some equal sensors.
 
-    Attributes
-    ----------
-    axes : tuple of str
-        Columns of the sensitivity matrix.
-    drift, gain : int
-        Orders of the temperature polynomials; 0 leaves them out.
-    reference : float
-        Reference temperature, °C; used where an order is above 0.
-    jig : float or None
-        Standard uncertainty of each set angle, degrees, normal and per axis. None: not stated, and estimated from the
-        residuals. Infinite: free positions.
-    table : float or None
-        Standard uncertainty of the table's lean, degrees per axis; all positions share it. None where nothing is known
-        of it: positions at several headings then show it, and at one heading it goes into the offsets unseen.
-    heading : float
-        Standard uncertainty of each heading, degrees.
-    thermometer : float or None
-        Standard uncertainty of each temperature, °C. None: not stated, and estimated from the residuals where a stated
-        jig leaves more of them than it explains.
-    nonlinearity : int
-        0 for a straight line, 1 for a square, 2 for a square and a cube.
-    priors : mapping of str to Prior
-        By the coefficient's dotted name.
-    nominal : float
-        Sensitivity of the model, unit/g; 0 where it is not known.
-    stated : tuple of StatedCoefficients
-        What calibrations of the sensor state of coefficients jointly, beside the priors.
+    A jig that is not stated counts as perfect. ``noise`` and ``adc`` are standard uncertainties of a position's mean,
+    unit; ``sensitivity`` is nominal, unit/g; ``drift`` is that of a usual part, unit/°C, by which an error of the
+    thermometer counts; of a ``level`` procedure no other direction is proposed. An EstimateError names coefficients
+    that the plan leaves undetermined, and a position that would determine them.
     """
+    nominal = {
+        **{f"sensitivity.{channel}.{channel}": sensitivity for channel in design.channels},
+        **{f"temperature.offset.{channel}.1": drift for channel in design.channels},
+    }
+    u = max(float(np.hypot(noise, adc)), 1e-12 * abs(sensitivity))
 
-    channels: tuple[str, ...]
-    axes: tuple[str, ...]
-    drift: int = 0
-    gain: int = 0
-    reference: float = 0.0
-    jig: float | None = None
-    table: float | None = None
-    heading: float = 0.0
-    thermometer: float | None = 0.0
-    nonlinearity: int = 0
-    priors: Mapping[str, Prior] = field(default_factory=dict)
-    nominal: float = 0.0
-    stated: tuple[StatedCoefficients, ...] = ()
+    def reached(planned: Sequence[PlannedPosition]) -> tuple[Budget, int]:
+        if design.free:
+            gravity = np.array([position.gravity for position in planned])
+            return planned_budget(gravity, u, sensitivity), len(planned) - UNKNOWNS
+        plan = [_sensor(replace(design, jig=design.jig or 0.0), planned, u, adc)] * sensors
+        require_sound(plan)
+        equations = Equations(plan)
+        z = np.zeros(equations.unknowns)
+        z[: len(equations.names)] = [
+            prior if np.isfinite(stated) else nominal.get(name, 0.0)
+            for name, prior, stated in zip(equations.names, equations.prior_value, equations.prior_u, strict=True)
+        ]
+        require_determined(equations, z)
+        solution = solved_at(equations, z)
+        return budgets(solution, {})[0], solution.dof
 
-    @property
-    def assumes_sensitivity(self) -> bool:
-        """Whether the sensitivities are known before, and not determined."""
-        return any(f"sensitivity.{channel}.{channel}" in self.priors for channel in self.channels)
-
-    @property
-    def thermal(self) -> bool:
-        """Whether temperature terms are asked for."""
-        return bool(self.drift or self.gain)
-
-    @property
-    def free(self) -> bool:
-        """Whether the directions of gravity are unknown."""
-        return self.jig == inf
-
-    @cached_property
-    def models(self) -> tuple[ChannelModel, ...]:
-        """The model of each channel."""
-        return tuple(ChannelModel(name, self.axes, self.drift, self.gain, self.nonlinearity) for name in self.channels)
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Dotted names of all coefficients, channel by channel."""
-        return tuple(name for model in self.models for name in model.coefficients)
+    budget, dof = reached(positions)
+    return Prediction(
+        names=design.names,
+        budget=budget,
+        dof=dof,
+        correlations=_strong_correlations(design.names, budget.covariance),
+        worth_adding=_worth_adding(design, positions, lambda plan: reached(plan)[0].u, budget.u, level=level),
+    )
 
 
-@dataclass(frozen=True)
-class SensorObservations:
-    """Observations of one sensor of a fixture.
+def _sensor(design: Design, positions: Sequence[PlannedPosition], u: float, adc: float) -> SensorObservations:
+    """Return a sensor whose readings in planned positions are 0, with their standard uncertainty, unit."""
+    channels = len(design.channels)
+    observations = [
+        Observation(
+            position.name,
+            np.array(position.gravity),
+            np.zeros(channels),
+            np.full(channels, u),
+            position.temperature,
+            position.heading,
+            position.held,
+            adc=adc,
+        )
+        for position in positions
+    ]
+    return SensorObservations(design, observations)
 
-    Attributes
-    ----------
-    observations : sequence of Observation
-        Positions are common to the sensors of a fixture by their names, which are unique.
-    orientation : sequence of sequence of float
-        3 by 3; takes a vector of the fixture's frame to the sensor's.
+
+def _strong_correlations(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
+    """Return pairs of coefficients that a covariance, shape (k, k), correlates strongly, the strongest first."""
+    u = np.sqrt(np.diag(covariance))
+    strong = [
+        (names[i], names[j], round(float(covariance[i, j] / (u[i] * u[j])), 3))
+        for i, j in combinations(range(len(names)), 2)
+        if u[i] * u[j] > 0.0 and abs(covariance[i, j]) >= STRONG * u[i] * u[j]
+    ]
+    return tuple(sorted(strong, key=lambda pair: -abs(pair[2])))
+
+
+def _worth_adding(
+    design: Design,
+    positions: Sequence[PlannedPosition],
+    reached: Callable[[Sequence[PlannedPosition]], Array],
+    before: Array,
+    *,
+    level: bool,
+) -> tuple[tuple[str, str, float], ...]:
+    """Return positions that would make some coefficient much better known: directions that the sensor can be set to,
+
+    other temperatures, and the fixture turned round where the table's lean is stated.
     """
-
-    design: Design
-    observations: Sequence[Observation]
-    orientation: Sequence[Sequence[float]] = STRAIGHT.matrix
-
-
-def _bench(design: Design) -> tuple[float | None, ...]:
-    return design.jig, design.table, design.heading, design.thermometer
-
-
-def require_sound(sensors: Sequence[SensorObservations]) -> None:
-    """Refuse sensors that do not belong on one fixture, and designs that contradict themselves.
-
-    Raises
-    ------
-    EstimateError
-        Nothing to estimate from, a missing temperature, a position twice, benches that differ, a channel whose
-        nonlinearity has no own axis.
-    """
-    if not sensors:
-        raise EstimateError("no sensor, nothing to estimate")
-    first = sensors[0].design
-    for sensor in sensors:
-        design = sensor.design
-        if not sensor.observations:
-            raise EstimateError("no position was measured: measure the procedure's positions first")
-        if _bench(design) != _bench(first):
-            raise EstimateError("the sensors of one fixture share its jig, its table and its thermometer")
-        names = [observation.position for observation in sensor.observations]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise EstimateError(f"position {twice} is there twice: name each one differently")
-        if design.nonlinearity and not set(design.channels) <= set(design.axes):
-            raise EstimateError("a nonlinearity is counted along each channel's own axis: determine that axis too")
-        for observation in sensor.observations:
-            if design.thermal and observation.temperature is None:
-                raise EstimateError(
-                    f"position {observation.position}: a temperature is needed for the temperature terms"
-                )
-        strange = sorted(set(design.priors) - set(design.names))
-        if strange:
-            raise EstimateError(f"a prior names {strange[0]}, which is no coefficient of this design")
+    first, met = positions[0], [one.temperature for one in positions if one.temperature is not None]
+    usual = met[0] if met else None
+    candidates = [
+        PlannedPosition(name, gravity, usual, first.heading)
+        for name, gravity in CANDIDATES.items()
+        if any(abs(gravity[AXES.index(axis)]) > 0.0 for axis in design.axes) or not design.axes
+    ]
+    if design.thermal and met:
+        candidates += [
+            PlannedPosition(f"level at {temperature:g} °C", CANDIDATES[LEVEL], temperature, first.heading)
+            for temperature in (max(met) + WARMER, min(met) - WARMER)
+        ]
+    candidates = [] if level else candidates
+    if design.table is not None:
+        turned, heading = f"{first.name} with the fixture turned by 180°", (first.heading or 0.0) + 180.0
+        candidates.append(replace(first, name=turned, heading=heading, held=False))
+    fixed = (before == 0.0) | np.array([name in design.priors for name in design.names])
+    worth = []
+    for candidate in candidates:
+        share = np.where(fixed, 1.0, reached([*positions, candidate]) / np.where(before > 0.0, before, 1.0))
+        most = int(np.argmin(np.round(share, 6)))
+        if share[most] < WORTH:
+            worth.append((candidate.name, design.names[most], round(float(share[most]), 3)))
+    return tuple(sorted(worth, key=itemgetter(2)))

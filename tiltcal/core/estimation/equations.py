@@ -13,24 +13,30 @@ the variance q per axis shortens gravity on average by 1 - q.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from math import inf, radians
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.estimation.attitude import heading_rotations, tangent_basis, turned
-from tiltcal.core.estimation.design import SensorObservations
+from tiltcal.core.attitude import heading_rotations, tangent_basis, turned
+from tiltcal.core.estimation.positions import SensorObservations
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
 
 Indices = NDArray[np.intp]
+Number = TypeVar("Number", np.float64, np.intp)
 
 NOISE, ADC, JIG, TABLE, HEADING = "noise", "adc", "jig", "table", "heading"
 THERMOMETER, HYSTERESIS, PRIOR = "thermometer", "hysteresis", "assumed"
 """Where an uncertainty comes from."""
+
+Bench = Mapping[str, float]
+"""Standard uncertainties by source: JIG, TABLE, HEADING, radians; THERMOMETER, °C; NOISE, a factor of its variance."""
 
 UNKNOWN_TABLE = radians(5.0)
 """Standard uncertainty of a lean that is not stated, radians: no table in use leans more."""
@@ -45,75 +51,38 @@ _PER_LEAN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class BenchErrors:
-    """Standard uncertainties of the bench: jig and lean in radians, thermometer in °C; and the factor of the noise."""
-
-    jig: float
-    table: float
-    heading: float
-    thermometer: float
-    noise: float = 1.0
-
-
-@dataclass(frozen=True)
 class ChannelReadings:
-    """The readings of one channel of one sensor in n positions.
-
-    Attributes
-    ----------
-    sensor : int
-    coefficients : slice
-        Its coefficients among the unknowns.
-    places, settings : ndarray of int, shape (n,)
-        The position of each reading, and the setting of the fixture there.
-    temperatures : ndarray of int, shape (n,)
-        Which temperature error each reading shares.
-    mean, u, adc, dof, dt : ndarray, shape (n,)
-        Reading, its standard uncertainty, the part of rounding, degrees of freedom of the rest; °C from the reference.
-    """
+    """The readings of one channel in n positions; every array has the shape (n,)."""
 
     sensor: int
     model: ChannelModel
-    coefficients: slice
-    orientation: Array
-    places: Indices
-    settings: Indices
-    temperatures: Indices
+    coefficients: slice  # among the unknowns
+    orientation: Array  # of the sensor, shape (3, 3)
+    places: Indices  # the position of each reading
+    settings: Indices  # and the setting of the fixture there
+    temperatures: Indices  # which temperature error each shares
     mean: Array
     u: Array
-    adc: Array
-    dof: Array
-    dt: Array
+    adc: Array  # the part of rounding in u
+    dof: Array  # of the rest
+    dt: Array  # °C from the reference
 
 
 @dataclass(frozen=True)
 class Linearised:
-    """The equations about some unknowns: residuals over their uncertainty, and minus their derivatives.
+    """The equations about some unknowns, over their uncertainty: the readings, what is stated, the bench's errors."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (readings, few)
-        Derivatives of each reading by the few unknowns on which it depends.
-    columns : ndarray of int, shape (readings, few)
-        Which these are.
-    unknowns : int
-        How many there are.
-    measured : ndarray, shape (readings,)
-        The share of noise and rounding in the variance of each reading; the rest is the square of uncertain attitudes.
-    """
-
-    residual: Array
-    values: Array
-    columns: Indices
+    residual: Array  # shape (equations,)
+    values: Array  # minus its derivatives by the few unknowns on which each equation depends, shape (equations, few)
+    columns: Indices  # which these are, shape (equations, few)
     unknowns: int
-    measured: Array
+    sigma: Array  # of each reading, shape (readings,), unit
 
     @cached_property
     def normal(self) -> Array:
-        """Products of the derivatives by all unknowns, summed over the readings, shape (unknowns, unknowns)."""
-        places = self.columns[:, :, None] * self.unknowns + self.columns[:, None, :]
+        """Products of the derivatives, summed over the equations, shape (unknowns, unknowns)."""
+        places, size = self.columns[:, :, None] * self.unknowns + self.columns[:, None, :], self.unknowns
         products = self.values[:, :, None] * self.values[:, None, :]
-        size = self.unknowns
         return np.asarray(np.bincount(places.ravel(), products.ravel(), size * size).reshape(size, size), dtype=float)
 
     @cached_property
@@ -123,12 +92,16 @@ class Linearised:
         return np.asarray(np.bincount(self.columns.ravel(), products.ravel(), self.unknowns), dtype=float)
 
     def times(self, table: Array) -> Array:
-        """Return the derivatives times a table, shape (unknowns, k) or (unknowns,): (readings, k) or (readings,)."""
-        return np.asarray(np.einsum("rf,rf...->r...", self.values, table[self.columns]))
+        """Return the derivatives times a table, shape (unknowns, k) or (unknowns,): (equations, k) or (equations,)."""
+        return np.asarray(np.einsum("ef,ef...->e...", self.values, table[self.columns]))
+
+    def part(self, rows: slice | NDArray[np.bool_]) -> Linearised:
+        """Return some of the equations."""
+        return replace(self, residual=self.residual[rows], values=self.values[rows], columns=self.columns[rows])
 
 
 class Equations:
-    """All equations of a fixture.
+    """All equations of a fixture; an EstimateError where two sensors disagree on the direction of a position.
 
     Attributes
     ----------
@@ -137,129 +110,123 @@ class Equations:
     names : tuple of str
         Of the coefficients, sensor by sensor.
     gravity : ndarray, shape (places, 3)
-        As set, in the fixture's frame.
+        As set, in the fixture's frame; ``basis``, (places, 3, 2), are the directions in which it can move.
     prior_value, prior_u : ndarray, shape (coefficients,)
         What is stated of each; infinite u for nothing, 0 for one that is held at its value.
-    prior_rows, prior_target : ndarray, shape (statements, coefficients) and (statements,)
-        All that is stated of them, over its uncertainty: ``prior_rows @ coefficients`` is ``prior_target``.
+    stated_values, stated_columns, stated_target : ndarray, shape (statements, few), (statements, few), (statements,)
+        All that is stated of them, over its uncertainty: factors of some coefficients, which, and the sums that result.
     exact : bool
         Whether a reading has no uncertainty that is known: chi-square is then no test.
     errors : mapping of str to slice
         The unknowns that are errors of the bench, by their source.
-
-    Raises
-    ------
-    EstimateError
-        Two sensors disagree on the direction or heading of a position.
     """
 
     def __init__(self, sensors: Sequence[SensorObservations]) -> None:
         self.sensors = tuple(sensors)
         design = sensors[0].design
         self._place_positions()
-        thermal = any(sensor.design.thermal for sensor in sensors) and design.thermometer != 0.0
-        self.names = tuple(name for sensor in sensors for name in sensor.design.names)
-        priors = [sensor.design.priors.get(name) for sensor in sensors for name in sensor.design.names]
-        self.prior_value = np.array([prior.value if prior else 0.0 for prior in priors])
-        self.prior_u = np.array([prior.u if prior else inf for prior in priors])
-        self.prior_rows, self.prior_target = self._statements()
-        temperatures, count = self._number_temperatures()
+        self._state_coefficients()
         self.exact = False
-        self.channels = self._channels(temperatures)
+        self.channels = self._channels()
+        self.u = np.concatenate([channel.u for channel in self.channels])
+        self.basis = tangent_basis(self.gravity)
         self.table_stated = design.table is not None
-        leans = design.table != 0.0 and (self.table_stated or len({round(h % 360.0, 9) for h in self.headings}) > 1)
+        several = len({round(heading % 360.0, 9) for heading in self.headings}) > 1
+        leans = several if design.table is None else design.table > 0.0
         self._rotations = heading_rotations(np.radians(self.headings)) if leans else None
-        settings = int(self.settings.max()) + 1
+        warms = any(sensor.design.thermal for sensor in sensors) and design.thermometer != 0.0
+        settings, temperatures = len(self.looser), 1 + max(int(c.temperatures.max()) for c in self.channels)
         self.errors: dict[str, slice] = {}
         start = len(self.names)
-        for source, number in (
-            (THERMOMETER, count if thermal else 0),
+        for source, count in (
+            (THERMOMETER, temperatures if warms else 0),
             (TABLE, 2 if leans else 0),
             (HEADING, settings if leans and design.heading else 0),
             (JIG, 2 * settings),
         ):
-            self.errors[source] = slice(start, start + number)
-            start += number
+            self.errors[source] = slice(start, start + count)
+            start += count
         self.unknowns = start
-        self.stated = BenchErrors(
-            radians(design.jig or 0.0),
-            radians(design.table) if design.table is not None else UNKNOWN_TABLE,
-            radians(design.heading),
-            design.thermometer or 0.0,
-        )
+        self.stated: Bench = {
+            JIG: radians(design.jig or 0.0),
+            TABLE: UNKNOWN_TABLE if design.table is None else radians(design.table),
+            HEADING: radians(design.heading),
+            THERMOMETER: design.thermometer or 0.0,
+            NOISE: 1.0,
+        }
+        self.as_set: Bench = {JIG: 0.0, TABLE: self.stated[TABLE], HEADING: 0.0, THERMOMETER: 0.0, NOISE: 1.0}
         self.noise_unknown = all(one.noise_unknown for sensor in sensors for one in sensor.observations)
 
-    @cached_property
-    def u(self) -> Array:
-        """Standard uncertainty of each reading, shape (readings,)."""
-        return np.concatenate([channel.u for channel in self.channels])
+    def rows(self, source: str) -> slice:
+        """Return the equations of the errors of the bench, or of what is stated of the coefficients (PRIOR)."""
+        readings, statements = len(self.u), len(self.stated_target)
+        if source == PRIOR:
+            return slice(readings, readings + statements)
+        behind = readings + statements - len(self.names)
+        return slice(self.errors[source].start + behind, self.errors[source].stop + behind)
 
-    @cached_property
-    def basis(self) -> Array:
-        """The directions in which gravity can move, shape (places, 3, 2)."""
-        return tangent_basis(self.gravity)
+    def sensor_coefficients(self) -> list[slice]:
+        """Return the coefficients of each sensor among the unknowns."""
+        ends = np.cumsum([0, *(len(sensor.design.names) for sensor in self.sensors)]).tolist()
+        return [slice(start, stop) for start, stop in pairwise(ends)]
 
-    def start(self) -> Array:
-        """Return every unknown at its prior value, shape (unknowns,)."""
-        return np.concatenate([self.prior_value, np.zeros(self.unknowns - len(self.names))])
-
-    def weights(self, errors: BenchErrors) -> Array:
+    def weights(self, bench: Bench) -> Array:
         """Return one over the standard uncertainty of each error of the bench, 0 for none, shape (unknowns,)."""
         weights = np.zeros(self.unknowns)
-        stated = {THERMOMETER: errors.thermometer, TABLE: errors.table, HEADING: errors.heading, JIG: errors.jig}
-        for source, u in stated.items():
-            weights[self.errors[source]] = 1.0 / u if u else 0.0
+        for source, columns in self.errors.items():
+            weights[columns] = 1.0 / bench[source] if bench[source] else 0.0
         weights[self.errors[JIG]] /= np.repeat(self.looser, 2)
         return weights
 
-    def moving(self, errors: BenchErrors) -> NDArray[np.bool_]:
+    def moving(self, bench: Bench) -> NDArray[np.bool_]:
         """Return which unknowns are not held, shape (unknowns,): an error without uncertainty is."""
-        moving = self.weights(errors) > 0.0
+        moving = self.weights(bench) > 0.0
         moving[: len(self.names)] = self.prior_u > 0.0
         return moving
 
-    def at(self, z: Array, errors: BenchErrors, shortened: Array) -> Linearised:
-        """Linearise about the unknowns.
+    def at(self, z: Array, bench: Bench, shortened: Array | float = 0.0) -> Linearised:
+        """Linearise about the unknowns, shape (unknowns,).
 
         ``shortened`` is by how much the attitude angles that are left uncertain shorten gravity on average, shape
         (settings,).
         """
-        up, by_angle, rotations, by_heading = self._directions(z, shortened)
-        warmer = z[self.errors[THERMOMETER]]
-        residuals, values, columns, bent = [], [], [], []
+        shortened = np.broadcast_to(shortened, len(self.looser))
+        up, by_angle, by_heading = self._directions(z, shortened)
+        warmer, lean, heading = z[self.errors[THERMOMETER]], self.errors[TABLE], self.errors[HEADING]
+        residuals, sigmas, values, columns = [], [], [], []
         for channel in self.channels:
             own, places = channel.coefficients, channel.places
             dt = channel.dt + warmer[channel.temperatures] if len(warmer) else channel.dt
             reading = channel.model.read(z[own], up[places] @ channel.orientation.T, dt)
+            by_gravity = reading.by_gravity @ channel.orientation
             residuals.append(channel.mean - reading.value)
-            along = np.einsum("nj,nj->n", reading.by_gravity @ channel.orientation, self.gravity[places])
-            bent.append(along * shortened[channel.settings])
-            angle = np.einsum("i,ij,njk->nk", reading.sensitivity, channel.orientation, by_angle[places])
-            angle *= reading.by_signal[:, None]
-            value = [reading.by_coefficient, angle]
-            column = [np.broadcast_to(np.arange(own.start, own.stop), reading.by_coefficient.shape)]
-            column.append(self.errors[JIG].start + 2 * channel.settings[:, None] + [0, 1])
+            # The square of an angle shortens gravity, and scatters by as much as it does so on average.
+            along = np.einsum("nj,nj->n", by_gravity, self.gravity[places]) * shortened[channel.settings]
+            sigmas.append(np.sqrt(bench[NOISE] * channel.u**2 + along**2))
+            angle = np.einsum("nj,njk->nk", by_gravity, by_angle[places])
+            terms = [(reading.by_coefficient, np.arange(own.start, own.stop))]
+            terms.append((angle, self.errors[JIG].start + 2 * channel.settings[:, None] + [0, 1]))
             if len(warmer):
-                value.append(reading.by_temperature[:, None])
-                column.append(self.errors[THERMOMETER].start + channel.temperatures[:, None])
-            if rotations is not None:
-                lean = self.errors[TABLE]
-                value.append(np.einsum("nj,njk->nk", angle, rotations[places]))
-                column.append(np.broadcast_to(np.arange(lean.start, lean.stop), (len(places), 2)))
+                terms.append(
+                    (reading.by_temperature[:, None], self.errors[THERMOMETER].start + channel.temperatures[:, None])
+                )
             if by_heading is not None:
-                value.append(np.sum(angle * by_heading[places], axis=1)[:, None])
-                column.append(self.errors[HEADING].start + channel.settings[:, None])
-            values.append(np.hstack(value))
-            columns.append(np.hstack(column))
-        # The square of an angle shortens gravity, and scatters by as much as it does so on average.
-        sigma = np.sqrt(errors.noise * self.u**2 + np.concatenate(bent) ** 2)
-        few = max(value.shape[1] for value in values)
-        table, where = (
-            np.concatenate([np.pad(part, ((0, 0), (0, few - part.shape[1]))) for part in parts])
-            for parts in (values, columns)
-        )
-        measured = errors.noise * self.u**2 / sigma**2
-        return Linearised(np.concatenate(residuals) / sigma, table / sigma[:, None], where, self.unknowns, measured)
+                rotations, per_heading = by_heading
+                terms.append((np.einsum("nj,njk->nk", angle, rotations[places]), np.arange(lean.start, lean.stop)))
+                if heading.stop > heading.start:
+                    turn = np.sum(angle * per_heading[places], axis=1)[:, None]
+                    terms.append((turn, heading.start + channel.settings[:, None]))
+            values.append(np.hstack([value for value, _ in terms]))
+            columns.append(np.hstack([np.broadcast_to(column, value.shape) for value, column in terms]))
+        n, weights = len(self.names), self.weights(bench)
+        missing = self.stated_target - np.sum(self.stated_values * z[self.stated_columns], axis=1)
+        values += [self.stated_values, weights[n:, None]]
+        columns += [self.stated_columns, np.arange(n, self.unknowns)[:, None]]
+        sigma = np.concatenate(sigmas)
+        residual = np.concatenate([np.concatenate(residuals) / sigma, missing, -weights[n:] * z[n:]])
+        table = _padded(values)
+        table[: len(sigma)] /= sigma[:, None]
+        return Linearised(residual, table, _padded(columns), self.unknowns, sigma)
 
     def unexplained(self, z: Array) -> Array:
         """Return measured minus modelled readings in the positions as set, shape (readings,), in the sensors' units."""
@@ -270,46 +237,49 @@ class Equations:
             ]
         )
 
-    def _directions(self, z: Array, shortened: Array) -> tuple[Array, Array, Array | None, Array | None]:
-        """Return mean gravity and its derivative by the angles, and how lean and heading turn each place."""
-        rotations, headings = self._rotations, z[self.errors[HEADING]]
+    def _directions(self, z: Array, shortened: Array) -> tuple[Array, Array, tuple[Array, Array] | None]:
+        """Return mean gravity and its derivative by the angles, and how these follow lean and heading at each place."""
+        rotations, by_heading = self._rotations, None
         angles = z[self.errors[JIG]].reshape(-1, 2)[self.settings]
         if rotations is not None:
+            lean, headings = z[self.errors[TABLE]], z[self.errors[HEADING]]
             if len(headings):
                 rotations = heading_rotations(headings[self.settings]) @ rotations
-            angles = angles + rotations @ z[self.errors[TABLE]]
+            angles = angles + rotations @ lean
+            by_heading = rotations, (_PER_LEAN @ rotations) @ lean
         up, by_angle = turned(self.gravity, self.basis, angles)
-        up *= 1.0 - shortened[self.settings, None]
-        if rotations is None or not len(headings):
-            return up, by_angle, rotations, None
-        return up, by_angle, rotations, (_PER_LEAN @ rotations) @ z[self.errors[TABLE]]
+        return up * (1.0 - shortened[self.settings, None]), by_angle, by_heading
 
-    def _statements(self) -> tuple[Array, Array]:
-        """Return the rows and the target of what is stated; the estimate starts at what is stated last."""
+    def _state_coefficients(self) -> None:
+        """Collect what is stated of the coefficients; the estimate starts at what is stated last."""
+        designs = [sensor.design for sensor in self.sensors]
+        self.names = tuple(name for design in designs for name in design.names)
+        priors = [design.priors.get(name) for design in designs for name in design.names]
+        self.prior_value = np.array([prior.value if prior else 0.0 for prior in priors])
+        self.prior_u = np.array([prior.u if prior else inf for prior in priors])
         assumed = np.flatnonzero((self.prior_u > 0.0) & (self.prior_u < inf))
-        rows = [np.eye(len(self.names))[assumed] / self.prior_u[assumed, None]]
-        targets, start = [self.prior_value[assumed] / self.prior_u[assumed]], 0
-        for sensor in self.sensors:
-            stop = start + len(sensor.design.names)
-            for stated in sensor.design.stated:
+        factors, columns = [1.0 / self.prior_u[assumed, None]], [assumed[:, None]]
+        targets = [self.prior_value[assumed] / self.prior_u[assumed]]
+        for design, own in zip(designs, self.sensor_coefficients(), strict=True):
+            for stated in design.stated:
                 u = np.sqrt(np.diag(stated.covariance))
-                at = start + np.array([sensor.design.names.index(name) for name in stated.names], dtype=np.intp)
-                self.prior_value[at], self.prior_u[at] = stated.values, u
+                places = own.start + np.array([design.names.index(name) for name in stated.names], dtype=np.intp)
+                self.prior_value[places], self.prior_u[places] = stated.values, u
                 values, vectors = np.linalg.eigh(stated.covariance / np.outer(u, u))
                 white = (vectors / np.sqrt(np.maximum(values, _ROUNDED))).T / u
-                rows.append(np.zeros((len(u), len(self.names))))
-                rows[-1][:, start:stop] = white @ stated.rows
+                factors.append(white @ stated.rows)
+                columns.append(np.tile(np.arange(own.start, own.stop), (len(u), 1)))
                 targets.append(white @ stated.values)
-            start = stop
-        return np.vstack(rows), np.concatenate(targets)
+        self.stated_values, self.stated_columns = _padded(factors), _padded(columns)
+        self.stated_target = np.concatenate(targets)
 
     def _place_positions(self) -> None:
         """Number the positions of all sensors by name, and the settings of the fixture."""
         self.places: dict[str, int] = {}
         gravity: list[Array] = []
-        headings: list[float] = []
+        self.headings: list[float] = []
         settings: list[int] = []
-        looser: dict[int, float] = {}
+        looser: list[float] = []
         for sensor in self.sensors:
             back = np.array(sensor.orientation, dtype=float).T
             before: int | None = None
@@ -318,56 +288,28 @@ class Equations:
                 number = self.places.setdefault(one.position, len(gravity))
                 if number == len(gravity):
                     gravity.append(direction)
-                    headings.append(heading)
-                    held = one.held and before is not None
-                    settings.append(settings[before or 0] if held else max(settings, default=-1) + 1)
-                    looser.setdefault(settings[-1], one.looser)
-                elif np.max(np.abs(direction - gravity[number])) > SAME_DIRECTION or heading != headings[number]:
+                    self.headings.append(heading)
+                    if not one.held or before is None:
+                        looser.append(one.looser)
+                    settings.append(settings[before] if one.held and before is not None else len(looser) - 1)
+                elif np.max(np.abs(direction - gravity[number])) > SAME_DIRECTION or heading != self.headings[number]:
                     raise EstimateError(
                         f"position {one.position}: two sensors of the fixture name different directions for it; check "
                         "their axes"
                     )
                 before = number
-        self.gravity, self.headings = np.array(gravity), headings
-        self.settings: Indices = np.array(settings, dtype=np.intp)
-        self.looser = np.array([looser[setting] for setting in sorted(looser)])
+        self.gravity, self.settings, self.looser = np.array(gravity), np.array(settings, np.intp), np.array(looser)
 
-    def _number_temperatures(self) -> tuple[list[Indices], int]:
-        """Number the temperature errors; sensors that read the same temperatures have one thermometer."""
-        thermometers: list[dict[str, tuple[float, int]]] = []
-        numbers, count = [], 0
-        for sensor in self.sensors:
-            read = {one.position: one.temperature or 0.0 for one in sensor.observations}
-            shared = next(
-                (
-                    known
-                    for known in thermometers
-                    if known.keys() & read.keys()
-                    and all(known[name][0] == read[name] for name in known.keys() & read.keys())
-                ),
-                None,
-            )
-            if shared is None:
-                shared = {}
-                thermometers.append(shared)
-            for name, temperature in read.items():
-                if name not in shared:
-                    shared[name] = (temperature, count)
-                    count += 1
-            numbers.append(np.array([shared[name][1] for name in read], dtype=np.intp))
-        return numbers, count
-
-    def _channels(self, temperatures: Sequence[Indices]) -> list[ChannelReadings]:
+    def _channels(self) -> list[ChannelReadings]:
         channels, start = [], 0
+        met: dict[tuple[str, float], int] = {}  # sensors that read the same temperature in a position share its error
         for number, sensor in enumerate(self.sensors):
             design, observations = sensor.design, sensor.observations
             places = np.array([self.places[one.position] for one in observations], dtype=np.intp)
-            dt = np.array(
-                [(one.temperature or 0.0) - design.reference if design.thermal else 0.0 for one in observations]
-            )
-            shape = (len(observations), len(design.channels))
+            warmth = np.array([one.temperature or 0.0 for one in observations])
+            errors = [met.setdefault((one.position, one.temperature or 0.0), len(met)) for one in observations]
             mean, u, adc, dof = (
-                np.array([np.broadcast_to(getattr(one, name), shape[1]) for one in observations], dtype=float)
+                np.array([np.broadcast_to(getattr(one, name), len(design.channels)) for one in observations], float)
                 for name in ("mean", "u", "adc", "dof")
             )
             # Far below the others, and above the rounding of the arithmetic.
@@ -376,24 +318,29 @@ class Equations:
             self.exact |= bool(np.any(u < least))
             u = np.maximum(u, least)
             if all(one.noise_unknown for one in observations):
-                u = np.full(shape, u.max())
+                u = np.full(u.shape, u.max())
             for k, model in enumerate(design.models):
-                own = slice(start, start + len(model.coefficients))
-                start = own.stop
                 channels.append(
                     ChannelReadings(
-                        number,
-                        model,
-                        own,
-                        np.array(sensor.orientation, dtype=float),
-                        places,
-                        self.settings[places],
-                        temperatures[number],
-                        mean[:, k],
-                        u[:, k],
-                        adc[:, k],
-                        dof[:, k],
-                        dt,
+                        sensor=number,
+                        model=model,
+                        coefficients=slice(start, start + len(model.coefficients)),
+                        orientation=np.array(sensor.orientation, dtype=float),
+                        places=places,
+                        settings=self.settings[places],
+                        temperatures=np.array(errors, dtype=np.intp),
+                        mean=mean[:, k],
+                        u=u[:, k],
+                        adc=adc[:, k],
+                        dof=dof[:, k],
+                        dt=warmth - design.reference if design.thermal else np.zeros(len(warmth)),
                     )
                 )
+                start += len(model.coefficients)
         return channels
+
+
+def _padded(tables: Sequence[NDArray[Number]]) -> NDArray[Number]:
+    """Return tables of several widths in one, filled up with 0."""
+    width = max(table.shape[1] for table in tables)
+    return np.concatenate([np.pad(table, ((0, 0), (0, width - table.shape[1]))) for table in tables])

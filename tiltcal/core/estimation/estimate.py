@@ -2,29 +2,29 @@
 
 Generalised least squares on the covariance of noise and bench serves every bench
 (:mod:`tiltcal.core.estimation.equations`). At most one variance is estimated from the residuals, the first that is not
-stated: that of the noise, of the jig, of the thermometer (:mod:`tiltcal.core.estimation.solve`). Attitudes that nobody
-set have a fit of their own (:mod:`tiltcal.core.estimation.free`).
+stated: that of the noise, of the jig, of the thermometer (:mod:`tiltcal.core.estimation.solve`). A grossly wrong
+position is refused before its attitude becomes an unknown: an estimate that may turn it would fit it. Attitudes that
+nobody set have a fit of their own (:mod:`tiltcal.core.estimation.free`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import degrees, sqrt
+from dataclasses import dataclass, replace
+from math import degrees, inf, sqrt
 
 import numpy as np
 
-from tiltcal.core.estimation.attitude import rotation_vectors
+from tiltcal.core.attitude import rotation_vectors
 from tiltcal.core.estimation.budget import budgets
-from tiltcal.core.estimation.design import Design, Observation, SensorObservations, require_sound
-from tiltcal.core.estimation.equations import ADC, JIG, THERMOMETER, Equations
-from tiltcal.core.estimation.identifiability import require_determined
-from tiltcal.core.estimation.set_positions import LIKE_THE_REST, errors_as_set, require_positions, wrong_position
+from tiltcal.core.estimation.design import require_determined
+from tiltcal.core.estimation.equations import JIG, NOISE, TABLE, THERMOMETER, Equations
+from tiltcal.core.estimation.positions import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.solve import (
     LARGEST_JIG,
     EstimatedVariance,
     Solution,
-    projected,
+    shown_variance,
     solved,
     solved_at,
     start_as_set,
@@ -43,6 +43,15 @@ SUSPICION = 0.01
 IMPROBABLE = 0.01
 """Say that more is left than noise and attitudes explain if its probability is below this."""
 
+BEYOND, SMALLEST_ERROR = 5.0, 2.0
+"""A position is grossly wrong where it is off by more than so many stated jigs and noises, and by more degrees."""
+
+LIKE_THE_REST = 0.2
+"""Positions agree without one of them where the largest error falls to this share of what it was."""
+
+LEAST_SENSITIVITY = 0.5
+"""Sensitivities of which a singular value is less than this share of the nominal one follow from a wrong position."""
+
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
 LEAN = "lean"
 """In ``not_covered``: all positions have one heading, where a lean of the table goes into the offsets."""
@@ -55,22 +64,12 @@ ABOVE_NOISE = "the residuals are larger than noise and attitudes explain: is the
 
 @dataclass(frozen=True)
 class AttitudeError:
-    """Attitude error of a position, as the readings show it.
-
-    Attributes
-    ----------
-    turn : ndarray, shape (3,)
-        Rotation vector of gravity in the fixture's frame, degrees.
-    chi_square : float
-        The turn, squared, over the variance that it should have if the jig is as stated.
-    p : float
-        Probability of that much or more.
-    """
+    """Attitude error of a position, as the readings show it."""
 
     position: str
-    turn: Array
-    chi_square: float
-    p: float
+    turn: Array  # rotation vector of gravity in the fixture's frame, shape (3,), degrees
+    chi_square: float  # the turn, squared, over the variance that it should have if the jig is as stated
+    p: float  # probability of that much or more
 
 
 @dataclass(frozen=True)
@@ -91,14 +90,11 @@ class Estimate(DeterminedCoefficients):
         Whether the covariance comes from stated uncertainties, and not from the residuals.
     attitudes : tuple of AttitudeError
         One a position, where the jig is stated; empty otherwise.
-    estimated_jig : float or None
-        Standard deviation of a set angle that the residuals show where the jig is not stated, degrees.
-    estimated_thermometer : float or None
-        Standard deviation of a temperature that they show where a jig, but no thermometer is stated, °C.
-    estimated_noise : float or None
-        Standard deviation of the readings' noise that they show where nothing is stated of it, unit.
-    noise_dof : float or None
-        Degrees of freedom of that.
+    estimated_jig, estimated_thermometer, estimated_noise : float or None
+        Standard deviations that the residuals show of what is not stated: of a set angle, degrees; of a temperature
+        beside a stated jig, °C; of the readings, unit, with its degrees of freedom ``noise_dof``.
+    by_reading : ndarray, shape (coefficients, positions, channels), or None
+        How the coefficients follow the readings.
     notes : tuple of str
         What limits the numbers, in words.
     not_covered : tuple of str
@@ -116,6 +112,7 @@ class Estimate(DeterminedCoefficients):
     estimated_thermometer: float | None = None
     estimated_noise: float | None = None
     noise_dof: float | None = None
+    by_reading: Array | None = None
     notes: tuple[str, ...] = ()
     not_covered: tuple[str, ...] = ()
 
@@ -126,29 +123,17 @@ class Estimate(DeterminedCoefficients):
 
 
 def estimate(observations: Sequence[Observation], design: Design) -> Estimate:
-    """Determine the coefficients of one sensor from positions.
-
-    Raises
-    ------
-    EstimateError
-        The positions leave coefficients undetermined (they are named), or a temperature is missing.
-    """
+    """Determine the coefficients of one sensor from positions; see :func:`estimate_jointly`."""
     return estimate_jointly([SensorObservations(design, observations)])[0]
 
 
 def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, ...]:
     """Determine the coefficients of each sensor of a fixture; their attitude errors are common to them.
 
-    Parameters
-    ----------
-    sensors : sequence of SensorObservations
-        With the same jig, table and thermometer. Positions belong together by their names.
+    The sensors have the same jig, table and thermometer, and their positions belong together by their names.
 
-    Raises
-    ------
-    EstimateError
-        The positions leave coefficients undetermined (they are named), a position is grossly wrong, or a temperature is
-        missing.
+    EstimateError: the positions leave coefficients undetermined (they are named), a position is grossly wrong, or a
+    temperature is missing.
     """
     require_sound(sensors)
     jig = sensors[0].design.jig
@@ -156,7 +141,7 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     start = start_as_set(equations)
     require_determined(equations, start)
     if jig is not None:
-        require_positions(equations, start, jig)
+        _require_positions(equations, start, jig)
     solution = solved_at(equations, start)
     if solution.dof <= 0 or not (jig is None or equations.noise_unknown):
         solution = solved(equations, equations.stated, start)
@@ -164,15 +149,15 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     estimated: dict[str, EstimatedVariance] = {}
     source = _not_stated(solution)
     if source:
-        found, shown = with_estimated(solution, source)
-        if source != THERMOMETER or found.errors.thermometer < LARGEST_THERMOMETER:
-            solution, estimated[source] = found, shown
-    if solution.errors.jig > LARGEST_JIG:
-        errors = errors_as_set(equations, start)
+        fitted, variance = with_estimated(solution, source)
+        if source != THERMOMETER or fitted.bench[THERMOMETER] < LARGEST_THERMOMETER:
+            solution, estimated[source] = fitted, variance
+    if solution.bench[JIG] > LARGEST_JIG:
+        errors = _errors_as_set(equations, start)
         raise EstimateError(
-            f"{wrong_position(equations, errors, LIKE_THE_REST * max(errors.values()))}: the residuals are larger than "
-            "any error of the set angles explains; see that the positions are named right, and that the readings are "
-            "plausible"
+            f"{_wrong_position(equations, errors, LIKE_THE_REST * max(errors.values()))}: the residuals are larger "
+            "than any error of the set angles explains; see that the positions are named right, and that the readings "
+            "are plausible"
         )
     return _estimates(solution, estimated, dof, chi_square)
 
@@ -185,14 +170,17 @@ def _not_stated(solution: Solution) -> str:
     if solution.dof <= 0:
         return ""
     if equations.noise_unknown:
-        return ADC
+        return NOISE
     if design.jig is None:
         return JIG
     thermal = any(sensor.design.thermal for sensor in equations.sensors)
     if not thermal or design.thermometer is not None or equations.exact or solution.chi_square <= solution.dof:
         return ""
-    beside = projected(solution, THERMOMETER)
+    beside = shown_variance(solution, THERMOMETER)
     return THERMOMETER if not beside.count or chdtrc(beside.count, beside.rest) > IMPROBABLE else ""
+
+
+# What an estimate states
 
 
 def _estimates(
@@ -201,38 +189,40 @@ def _estimates(
     """Return the result of each sensor; ``dof`` and ``chi_square`` are those with all as it is stated."""
     from scipy.special import chdtrc
 
-    equations, design = solution.equations, solution.equations.sensors[0].design
+    equations, design, bench = solution.equations, solution.equations.sensors[0].design, solution.bench
     attitudes = _attitudes(solution) if design.jig else ()
-    residuals, row = equations.unexplained(solution.z), 0
+    residuals, sigma, first = equations.unexplained(solution.z), solution.near.sigma, 0
+    lean = equations.errors[TABLE]
+    covered = lean.stop > lean.start or design.table is not None
     estimates = []
-    for number, (sensor, budget) in enumerate(zip(equations.sensors, budgets(solution, estimated), strict=True)):
-        channels = [channel for channel in equations.channels if channel.sensor == number]
+    for sensor, own, budget in zip(
+        equations.sensors, equations.sensor_coefficients(), budgets(solution, estimated), strict=True
+    ):
+        shape = (len(sensor.design.channels), len(sensor.observations))
+        rows = slice(first, first + shape[0] * shape[1])
+        first = rows.stop
+        by_reading = solution.near.part(rows).times(solution.covariance[:, own]).T / sigma[rows]
         here = {observation.position for observation in sensor.observations}
-        own = residuals[row : row + len(channels) * len(sensor.observations)]
-        row += len(own)
-        noise = sqrt(max(solution.errors.noise - 1.0, 0.0)) * float(channels[0].u[0])
+        noise = sqrt(max(bench[NOISE] - 1.0, 0.0)) * float(equations.u[rows.start])
         estimates.append(
             Estimate(
-                coefficients=_coefficients(
-                    sensor, np.concatenate([solution.z[channel.coefficients] for channel in channels])
-                ),
+                coefficients=_coefficients(sensor, solution.z[own]),
                 names=sensor.design.names,
                 budget=budget,
                 positions=tuple(observation.position for observation in sensor.observations),
-                residuals=own.reshape(len(channels), -1).T,
+                residuals=residuals[rows].reshape(shape).T,
                 dof=dof,
                 chi_square=chi_square if dof else None,
                 p=float(chdtrc(dof, chi_square)) if dof else None,
                 stated=design.jig is not None or not dof,
                 attitudes=tuple(attitude for attitude in attitudes if attitude.position in here),
-                estimated_jig=degrees(solution.errors.jig) if design.jig is None and dof else None,
-                estimated_thermometer=solution.errors.thermometer or None if THERMOMETER in estimated else None,
-                estimated_noise=noise if ADC in estimated else None,
-                noise_dof=estimated[ADC].dof if ADC in estimated else None,
+                estimated_jig=degrees(bench[JIG]) if design.jig is None and dof else None,
+                estimated_thermometer=bench[THERMOMETER] or None if THERMOMETER in estimated else None,
+                estimated_noise=noise if NOISE in estimated else None,
+                noise_dof=estimated[NOISE].dof if NOISE in estimated else None,
+                by_reading=np.swapaxes(by_reading.reshape(-1, *shape), 1, 2),
                 notes=tuple(_notes(solution, estimated, dof)),
-                not_covered=()
-                if equations.errors["table"].stop > equations.errors["table"].start or design.table is not None
-                else (LEAN,),
+                not_covered=() if covered else (LEAN,),
             )
         )
     return tuple(estimates)
@@ -244,13 +234,12 @@ def _notes(solution: Solution, estimated: Mapping[str, EstimatedVariance], dof: 
 
     if not dof:
         return [NO_FREEDOM]
-    notes = []
-    jig = estimated.get(JIG)
+    notes, jig = [], estimated.get(JIG)
     if jig is not None and jig.count and chdtrc(jig.count, jig.rest) < IMPROBABLE:
         notes.append(ABOVE_NOISE)
     if jig is not None and not jig.information:
-        angles = solution.equations.errors[JIG]
-        if np.any(solution.covariance[: len(solution.equations.names)] @ solution.near.normal[:, angles]):
+        angles, coefficients = solution.equations.errors[JIG], slice(0, len(solution.equations.names))
+        if np.any(solution.covariance[coefficients] @ solution.near.normal[:, angles]):
             notes.append(JIG_NOT_SHOWN)
     return notes
 
@@ -259,18 +248,18 @@ def _attitudes(solution: Solution) -> tuple[AttitudeError, ...]:
     """Test each position's attitude error against the variance that its estimate has under the stated jig."""
     from scipy.special import chdtrc
 
-    equations, jig, columns = solution.equations, solution.errors.jig, solution.equations.errors[JIG]
-    own = solution.z[columns].reshape(-1, 2)
-    covariance = solution.covariance[columns, columns].reshape(len(own), 2, len(own), 2)
-    settings = np.arange(len(own))
-    stated = (jig * equations.looser) ** 2
+    equations, columns = solution.equations, solution.equations.errors[JIG]
+    angles = solution.z[columns].reshape(-1, 2)
+    covariance = solution.covariance[columns, columns].reshape(len(angles), 2, len(angles), 2)
+    settings = np.arange(len(angles))
+    stated = (solution.bench[JIG] * equations.looser) ** 2
     values, vectors = np.linalg.eigh(stated[:, None, None] * np.eye(2) - covariance[settings, :, settings])
     seen = values > 1e-6 * stated[:, None]
-    along = np.einsum("sij,si->sj", vectors, own)
+    along = np.einsum("sij,si->sj", vectors, angles)
     squares = np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1)
     count = seen.sum(axis=1)
     p = np.where(count > 0, chdtrc(np.maximum(count, 1), squares), 1.0)
-    turns = rotation_vectors(equations.gravity, equations.basis, own[equations.settings])
+    turns = rotation_vectors(equations.gravity, equations.basis, angles[equations.settings])
     return tuple(
         AttitudeError(name, np.degrees(turn), float(squares[setting]), float(p[setting]))
         for name, turn, setting in zip(equations.places, turns, equations.settings, strict=True)
@@ -278,16 +267,12 @@ def _attitudes(solution: Solution) -> tuple[AttitudeError, ...]:
 
 
 def _coefficients(sensor: SensorObservations, theta: Array) -> Coefficients:
-    design = sensor.design
-    table = theta.reshape(len(design.channels), -1)
-    split = [model.split(row) for model, row in zip(design.models, table, strict=True)]
-    sensitivity, drift, gain, bend = (np.array(part) for part in zip(*split, strict=True))
+    design, table = sensor.design, theta.reshape(len(sensor.design.channels), -1)
+    sensitivity, drift, gain, bend = design.models[0].split(table)
     thermal = None
     if design.thermal:
-        temperatures = [
-            observation.temperature for observation in sensor.observations if observation.temperature is not None
-        ]
-        thermal = Thermal(design.reference, (float(min(temperatures)), float(max(temperatures))), drift, gain)
+        met = [one.temperature for one in sensor.observations if one.temperature is not None]
+        thermal = Thermal(design.reference, (float(min(met)), float(max(met))), drift, gain)
     return Coefficients(
         channels=design.channels,
         axes=design.axes,
@@ -296,3 +281,81 @@ def _coefficients(sensor: SensorObservations, theta: Array) -> Coefficients:
         thermal=thermal,
         nonlinearity=bend if design.nonlinearity else None,
     )
+
+
+# Grossly wrong positions
+
+
+def _require_positions(equations: Equations, start: Array, jig: float) -> None:
+    """Refuse a position that is off by more than a stated jig, degrees, explains, or all among which it lies."""
+    errors, limit = _errors_as_set(equations, start), max(BEYOND * jig, SMALLEST_ERROR)
+    if max(errors.values()) > limit:
+        raise EstimateError(
+            f"{_wrong_position(equations, errors, limit)}: positions as they were set contradict the readings by up to "
+            f"{max(errors.values()):.3g}°, where a jig of {jig:g}° is stated; see that it was the one that is "
+            "named, and take it again"
+        )
+
+
+def _wrong_position(equations: Equations, errors: Mapping[str, float], limit: float) -> str:
+    """Return the position without which the errors of the others stay below a limit, degrees, in words.
+
+    Where no single one is, these are all that are off by more.
+    """
+    named = [position for position in errors if _agree(equations.sensors, position, limit)]
+    named = named or [position for position, off in errors.items() if off > limit]
+    return f"{' or '.join(filter(None, (', '.join(named[:-1]), named[-1])))} is wrong"
+
+
+def _errors_as_set(equations: Equations, start: Array) -> dict[str, float]:
+    """Return how far each position is off, degrees, by its readings near a start as set.
+
+    Those of one setting are averaged, and those of one direction at several temperatures: what a reading changes with
+    temperature is no error of a position.
+    """
+    sensors, first = equations.sensors, 0
+    near = equations.at(start, equations.as_set)  # a lean that the start shows is no error
+    residuals = near.residual[: len(near.sigma)] * near.sigma
+    nominal = [
+        sensor.design.nominal or sizes.max(initial=0.0) or inf
+        for sensor, sizes in zip(sensors, _sizes(equations, start), strict=True)
+    ]
+    groups = equations.settings
+    if sensors[0].design.thermal:
+        groups = np.unique(np.round(equations.gravity, 6), axis=0, return_inverse=True)[1].ravel()
+    largest = np.zeros(int(groups.max()) + 1)
+    for channel in equations.channels:
+        group, rows = groups[channel.places], slice(first, first + len(channel.u))
+        first = rows.stop
+        count = np.maximum(np.bincount(group, minlength=len(largest)), 1)
+        mean, noise = (np.abs(np.bincount(group, part, len(largest))) / count for part in (residuals[rows], channel.u))
+        np.maximum(largest, (mean - BEYOND * noise) / nominal[channel.sensor], out=largest)
+    return dict(zip(equations.places, np.degrees(largest[groups]).tolist(), strict=True))
+
+
+def _agree(sensors: Sequence[SensorObservations], without: str, limit: float) -> bool:
+    """Return whether the positions without one of them agree, and give sensitivities that a sensor has."""
+    kept = [
+        replace(sensor, observations=[one for one in sensor.observations if one.position != without])
+        for sensor in sensors
+    ]
+    try:
+        require_sound(kept)
+        equations = Equations(kept)
+        start = start_as_set(equations)
+        require_determined(equations, start)
+    except EstimateError:  # nothing checks what the others give
+        return False
+    for sensor, sizes in zip(kept, _sizes(equations, start), strict=True):
+        nominal = sensor.design.nominal or sizes.max()
+        if sizes.min() < LEAST_SENSITIVITY * nominal or sizes.max() > nominal / LEAST_SENSITIVITY:
+            return False
+    return max(_errors_as_set(equations, start).values()) <= limit
+
+
+def _sizes(equations: Equations, z: Array) -> list[Array]:
+    """Return the singular values of the sensitivities of each sensor, unit/g."""
+    return [
+        np.asarray(np.linalg.svd(_coefficients(sensor, z[own]).sensitivity, compute_uv=False))
+        for sensor, own in zip(equations.sensors, equations.sensor_coefficients(), strict=True)
+    ]

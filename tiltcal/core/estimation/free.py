@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.estimation.equations import NOISE
-from tiltcal.core.estimation.identifiability import undetermined
+from tiltcal.core.estimation.solve import undetermined
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.uncertainty_budget import Budget
 from tiltcal.errors import EstimateError

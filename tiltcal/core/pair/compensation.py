@@ -20,7 +20,7 @@ from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import harmonic_columns
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import matched_sum
-from tiltcal.core.pair.turns import follow
+from tiltcal.core.pair.stage import follow
 
 GRADIENT = "gradient"
 _HARMONICS = 2

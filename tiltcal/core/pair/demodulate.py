@@ -14,7 +14,7 @@ that is sampled, and no more than the sine wave passes steps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -24,7 +24,8 @@ import numpy as np
 
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import common_step, rounding_uncertainty
+from tiltcal.core.quantisation import common_step
+from tiltcal.core.samples import rounding_uncertainty
 from tiltcal.errors import EstimateError
 
 HARMONICS = 4
@@ -55,12 +56,9 @@ def harmonic_columns(angle: Array, harmonics: int) -> Array:
     return columns
 
 
-def summed_products(block: Array, angle: Array, row: Array, readings: Array) -> Iterator[tuple[int, Array]]:
-    """Yield block numbers, and the products of all columns and readings of shape (channels, n), summed over each."""
-    table = np.concatenate([harmonic_columns(angle, HARMONICS), row[None, :], readings])
-    for start, end in pairwise([0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]):
-        part = table[:, start:end]
-        yield int(block[start]), part @ part.T
+def regression_columns(angle: Array, row: Array, readings: Array) -> Array:
+    """Return the columns of the regression and the readings behind them, shape (READINGS + channels, n)."""
+    return np.concatenate([harmonic_columns(angle, HARMONICS), row[None, :], readings])
 
 
 def moved(products: Array, rows: Array | int) -> Array:
@@ -83,8 +81,7 @@ def demodulate(
     EstimateError
         The rows cannot determine the components.
     """
-    whole = np.ones(len(angle), dtype=bool) if whole is None else whole
-    places = np.flatnonzero(whole)
+    places = np.arange(len(angle)) if whole is None else np.flatnonzero(whole)
     if not len(places):
         raise EstimateError("no row of the record has an angle and all readings")
     size = ceil(max(float(angle[places[-1]] - angle[places[0]]), 1.0) / (MOST_BLOCKS - 1))
@@ -96,9 +93,11 @@ def demodulate(
     for start in range(0, len(places), CHUNK):
         rows = places[start : start + CHUNK]
         values = np.stack([column[rows] for column in readings]) - pilot[:, None]
-        block = np.maximum.accumulate(np.floor(angle[rows] / size))
-        for number, products in summed_products(block, angle[rows], rows / len(angle) - 0.5, values):
-            blocks[number] = blocks.get(number, 0.0) + products
+        table = regression_columns(angle[rows], rows / len(angle) - 0.5, values)
+        block = np.maximum.accumulate(np.floor(angle[rows] / size)).astype(np.int64)
+        for first, end in pairwise([0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]):
+            part, number = table[:, first:end], int(block[first])
+            blocks[number] = blocks.get(number, 0.0) + part @ part.T
     result = regress(np.stack([blocks[number] for number in sorted(blocks)]), channels)
     result.coefficients[-2] += pilot
     return replace(result, rounding=_rounding(result, step, angle[beginning])) if step else result
@@ -121,7 +120,7 @@ class Demodulation:
     record and the drift over all of it, in the unit of the readings. ``inverse`` times a variance is their covariance
     in white noise; ``residual`` is the covariance of what is left, and ``rounding`` the variance of each component
     from the rounding of the readings, which all turns share, unit². ``scores`` are products of sin θ and cos θ with
-    what is left, and ``weights`` with each other, per block of turns.
+    what is left, and ``weights`` with each other, per block of turns. A mix is a weight for each channel.
     """
 
     channels: tuple[str, ...]
@@ -133,12 +132,20 @@ class Demodulation:
     weights: Array  # (blocks, 2, 2)
     rounding: Array  # (channels,)
 
-    def mix(self, weights: dict[str, float]) -> Array:
-        """Weights by name as a row for all channels, shape (channels,)."""
-        return np.array([weights.get(channel, 0.0) for channel in self.channels])
+    def of(self, channels: Sequence[str]) -> Demodulation:
+        """Return the regression of some of the channels, in this order."""
+        chosen = [self.channels.index(channel) for channel in channels]
+        return replace(
+            self,
+            channels=tuple(channels),
+            coefficients=self.coefficients[:, chosen],
+            residual=self.residual[np.ix_(chosen, chosen)],
+            scores=self.scores[..., chosen],
+            rounding=self.rounding[chosen],
+        )
 
     def components(self, mix: Array) -> Array:
-        """sin and cos component of a mix of channels, shape (2,)."""
+        """sin and cos component of a mix, shape (2,)."""
         return np.asarray(self.coefficients[:2] @ mix)
 
     def covariance(self, mix: Array) -> Array:

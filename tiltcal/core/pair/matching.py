@@ -102,9 +102,9 @@ class Matching:
 
 def match(demodulation: Demodulation, pair: Pair, coefficients: PairCoefficients | None = None) -> Matching:
     """Match a pair, by :func:`solve` where its coefficients are left out, and return its effect on the record."""
-    known = coefficients or solve(demodulation, pair)
-    components = _components(demodulation, pair, known.p, known.q)
-    return Matching(pair, known.p, known.q, known.u_p, known.u_q, components)
+    solved = coefficients or solve(demodulation, pair)
+    components = _components(demodulation.of(pair.channels), pair, solved.p, solved.q)
+    return Matching(pair, solved.p, solved.q, solved.u_p, solved.u_q, components)
 
 
 def solve(demodulation: Demodulation, pair: Pair) -> PairCoefficients:
@@ -115,16 +115,16 @@ def solve(demodulation: Demodulation, pair: Pair) -> PairCoefficients:
     EstimateError
         The record cannot determine p and q, or p is so near to 1 that nothing is left to divide by.
     """
-    vectors = [demodulation.components(demodulation.mix({channel: 1.0})) for channel in pair.channels]
-    _require_signal(demodulation, pair, vectors)
-    system = np.stack([vectors[0], vectors[2]], axis=1)
-    rest, q = (float(value) for value in np.linalg.solve(system, -vectors[1]))
+    record = demodulation.of(pair.channels)
+    _require_signal(record, pair)
+    first, second, orthogonal = record.coefficients[:2].T
+    inverse = np.linalg.inv(np.stack([first, orthogonal], axis=1))
+    rest, q = (-inverse @ second).tolist()
     if rest < _WEAKEST:
         raise EstimateError(_near_one(pair, 1.0 - rest))
     # The errors of the three components act as those of their mix in which nothing else is left.
-    mix = demodulation.mix(dict(zip(pair.channels, (rest, 1.0, q), strict=True)))
-    inverse = np.linalg.inv(system)
-    u_p, u_q = np.sqrt(np.diag(inverse @ demodulation.covariance(mix) @ inverse.T)).tolist()
+    covariance = record.covariance(np.array([rest, 1.0, q]))
+    u_p, u_q = np.sqrt(np.diag(inverse @ covariance @ inverse.T)).tolist()
     return PairCoefficients(1.0 - rest, q, u_p, u_q)
 
 
@@ -132,11 +132,11 @@ def drifts(demodulation: Demodulation, pair: Pair, coefficients: PairCoefficient
     """Return by how much p and q change from the beginning of a record to its end, those that clearly do."""
     if len(demodulation.scores) < 2 * COARSE_BLOCKS:
         return {}
-    weights = dict(zip(pair.channels, (1.0 - coefficients.p, 1.0, coefficients.q), strict=True))
-    scores, products = demodulation.coarse(demodulation.mix(weights))
-    vectors = [demodulation.components(demodulation.mix({name: 1.0})) for name in (pair.first, pair.orthogonal)]
+    record = demodulation.of(pair.channels)
+    scores, products = record.coarse(np.array([1.0 - coefficients.p, 1.0, coefficients.q]))
+    first, _, orthogonal = record.coefficients[:2].T
     # What is left of each stretch, as what p and q of that stretch differ by.
-    away = np.linalg.solve(products, scores[..., None])[..., 0] @ np.linalg.inv(np.stack([vectors[0], -vectors[1]]))
+    away = np.linalg.solve(products, scores[..., None])[..., 0] @ np.linalg.inv(np.stack([first, -orthogonal]))
     time = (np.arange(len(away)) + 0.5) / len(away) - 0.5
     slopes = time @ away / (time @ time)
     rest = away - away.mean(axis=0) - np.outer(time, slopes)
@@ -145,44 +145,39 @@ def drifts(demodulation: Demodulation, pair: Pair, coefficients: PairCoefficient
     return {name: slope for name, slope, u in clear if abs(slope) > _DRIFTS * u}
 
 
-def _components(demodulation: Demodulation, pair: Pair, p: float, q: float) -> Mapping[str, Mapping[str, Component]]:
+def _components(record: Demodulation, pair: Pair, p: float, q: float) -> Mapping[str, Mapping[str, Component]]:
     """Return the components of a pair before and after it is matched with some p and q (the source's Table 1)."""
     table = {}
-    for stage, (trim_p, trim_q) in zip(STAGES, ((0.0, 0.0), (p, 0.0), (p, q)), strict=True):
-        weights = sum_weights(trim_p, trim_q)
-        trimmed = {pair.second: weights[1], pair.orthogonal: weights[2]}
-        mixes = {
-            pair.first: {pair.first: 1.0},
-            pair.second: trimmed,
-            pair.orthogonal: {pair.orthogonal: 1.0},
-            SUM: {pair.first: 1.0, **trimmed},
+    for stage, trimmed in zip(STAGES, ((0.0, 0.0), (p, 0.0), (p, q)), strict=True):
+        weights = sum_weights(*trimmed)
+        mixes = [[1.0, 0.0, 0.0], [0.0, *weights[1:]], [0.0, 0.0, 1.0], weights]
+        table[stage] = {
+            name: _component(record, np.array(mix)) for name, mix in zip((*pair.channels, SUM), mixes, strict=True)
         }
-        table[stage] = {name: _component(demodulation, demodulation.mix(mix)) for name, mix in mixes.items()}
     return table
 
 
-def _component(demodulation: Demodulation, mix: Array) -> Component:
-    sin, cos = demodulation.components(mix).tolist()
-    u_sin, u_cos = np.sqrt(np.diag(demodulation.covariance(mix))).tolist()
+def _component(record: Demodulation, mix: Array) -> Component:
+    sin, cos = record.components(mix).tolist()
+    u_sin, u_cos = np.sqrt(np.diag(record.covariance(mix))).tolist()
     return Component(sin, cos, u_sin, u_cos)
 
 
-def _require_signal(demodulation: Demodulation, pair: Pair, vectors: list[Array]) -> None:
-    amplitudes = [float(np.hypot(*vector)) for vector in vectors]
-    mix = demodulation.mix({pair.first: 1.0})
-    noise = sqrt(float(np.trace(demodulation.covariance(mix))))
-    if amplitudes[0] < max(_CLEAREST * noise, _SMALLEST):
+def _require_signal(record: Demodulation, pair: Pair) -> None:
+    (sine, _, sine_across), (cosine, _, cosine_across) = record.coefficients[:2].tolist()
+    signal, across = hypot(sine, cosine), hypot(sine_across, cosine_across)
+    noise = sqrt(float(np.trace(record.covariance(np.array([1.0, 0.0, 0.0])))))
+    if signal < max(_CLEAREST * noise, _SMALLEST):
         raise EstimateError(
-            f"{pair.first} has no clear signal at the spin frequency ({amplitudes[0]:.3g}, uncertain by "
-            f"{noise:.2g}): incline the spin axis, and check that the accelerometer is connected"
+            f"{pair.first} has no clear signal at the spin frequency ({signal:.3g}, uncertain by {noise:.2g}): incline "
+            "the spin axis, and check that the accelerometer is connected"
         )
-    if amplitudes[2] < _WEAKEST * amplitudes[0]:
+    if across < _WEAKEST * signal:
         raise EstimateError(
-            f"{pair.orthogonal} has {amplitudes[2]:.3g} at the spin frequency where {pair.first} has "
-            f"{amplitudes[0]:.3g}: it cannot correct a misalignment; is it connected?"
+            f"{pair.orthogonal} has {across:.3g} at the spin frequency where {pair.first} has {signal:.3g}: it cannot "
+            "correct a misalignment; is it connected?"
         )
-    sine = float(vectors[0][0] * vectors[2][1] - vectors[0][1] * vectors[2][0]) / (amplitudes[0] * amplitudes[2])
-    if abs(sine) < _LEAST_ANGLE:
+    if abs(sine * cosine_across - cosine * sine_across) < _LEAST_ANGLE * signal * across:
         raise EstimateError(
             f"{pair.orthogonal} is not orthogonal to {pair.first}: their phases are less than 6° apart or opposite; "
             "name the accelerometer a quarter turn away"

@@ -52,14 +52,6 @@ class Pair:
         return f"{self.first}_{self.second}"
 
 
-def matching_coefficients(scale: Array, misalignment: Array) -> tuple[float, float]:
-    """Return what p and q must be for K, unit/g, and δP, rad, of first, second and orthogonal, shape (3,) (eq. 7)."""
-    k1, k2, k4 = (float(value) for value in scale)
-    d1, d2, d4 = (float(value) for value in misalignment)
-    shared = 1.0 + d1 * d4
-    return (k1 - k2 + (k1 * d1 - k2 * d2) * d4) / (k1 * shared), k2 * (d1 - d2) / (k4 * shared)
-
-
 def matched_sum(first: Array, second: Array, orthogonal: Array, p: float, q: float) -> Array:
     """I1 + (I2 + q I4) / (1 - p) of readings, or of components of readings, all of one shape; in their unit."""
     return np.asarray(first + (second + q * orthogonal) / (1.0 - p), dtype=float)

@@ -1,46 +1,183 @@
-"""Matching a pair online: the two loops of the source, and a recursive estimator that needs fewer turns.
+"""Matching a pair online: a stream cut into whole turns, and two estimators that take one turn after another.
 
-Both are fed once a turn. The loops demodulate the turn and trim p until the matched sum's component in phase with the
-first accelerometer is gone, then q as well until the component in quadrature is. The first accelerometer itself is the
-reference, so the zero of the stage angle does not matter. The recursive estimator keeps the sums of products of all
-rows, older ones with less weight (least squares with exponential forgetting), and solves for p and q in closed form.
+The two loops of the source demodulate the turn and trim p until the matched sum's component in phase with the first
+accelerometer is gone, then q as well until the component in quadrature is. The first accelerometer itself is the
+reference, so the zero of the stage angle does not matter. The recursive estimator needs fewer turns: it keeps the sums
+of products of all rows, older ones with less weight (least squares with exponential forgetting), and solves for p and q
+in closed form.
+
+A turn in which the stage stood or turned back, the stream had a gap or values were missing is not handed on: the
+estimators keep what they have, the stream says why, and goes on with the next whole turn.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import exp, hypot, inf, sqrt
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import ceil, hypot, inf, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
-from tiltcal.core.pair.demodulate import DRIFT, ONE, READINGS, moved, regress
+from tiltcal.core.pair.demodulate import DRIFT, ONE, READINGS, moved, regress, regression_columns
 from tiltcal.core.pair.matching import PairCoefficients, solve
 from tiltcal.core.pair.model import FEWEST_TURNS, Pair, sum_weights
-from tiltcal.core.pair.turns import Notice, Turn, TurnStream
+from tiltcal.core.pair.stage import BACKWARDS, PARTS, ROUNDING, STANDING, follow
 from tiltcal.errors import EstimateError
 
 MEMORY = 100.0
 """Turns after which a row counts 1/e."""
-_SETTLED = 1e-3
-"""In-phase residual, relative, below which the loop of p lets the loop of q begin."""
-_TURNS_TO_SETTLE = 20
-"""Turns after which it begins anyway: noise may not let the residual be that small."""
-_LOST = 1e-2
-"""Residual, relative, above which a loop runs with its full gain again."""
-_FULL, _LEAST = 0.9, 0.03
-"""Gains of a loop: at first, and when it has averaged for long."""
-_CALM = 8
-"""Turns with full gain, in which the error goes."""
-_FARTHEST = 0.9
-_LEAST_QUADRATURE = 0.1
+
+REMEMBERED = 4.0
+"""Times the memory after which a turn does not count at all."""
+
+STANDS, GAP, TURNS_BACK = "the stage stands still", "the stream has a gap", "the stage runs backwards"
+COARSE = (
+    "from one angle to the next are more than 45°, which is too coarse to be followed: more rows a turn, or a finer "
+    "encoder; without --online they will do"
+)
+
+_COMPLETE = 0.5  # of a turn's rows must have all values
 _FIRST_HARMONICS = [0, 1, 2, 3, ONE, DRIFT]
-_LATE = 200
-"""Turns whose scatter is the uncertainty of a loop."""
-_GROUPS = 10
+_SETTLED = 1e-3  # in-phase residual, relative, below which the loop of p lets the loop of q begin
+_TURNS_TO_SETTLE = 20  # after which it begins anyway: noise may not let the residual be that small
+_LOST = 1e-2  # residual, relative, above which a loop runs with its full gain again
+_FULL, _LEAST = 0.9, 0.03  # gains of a loop: at first, and when it has averaged for long
+_CALM = 8  # turns with full gain, in which the error goes
+_FARTHEST = 0.9  # p at which a loop gives up
+_LEAST_QUADRATURE = 0.1  # of the orthogonal accelerometer, over the first one
+_LATE = 200  # turns whose scatter is the uncertainty of a loop
+_GROUPS = 10  # of them, whose means show noise slower than a turn
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A whole turn: products of the columns of the regression, rows counted from its end; and the row behind it."""
+
+    products: Array
+    end: int
+
+
+@dataclass(frozen=True)
+class Notice:
+    """The stream is held from a row on, counted from 0, or goes on where ``why`` is empty."""
+
+    row: int
+    why: str
+
+    def __str__(self) -> str:
+        return f"row {self.row}: held, {self.why}" if self.why else f"row {self.row}: goes on"
+
+
+class TurnStream:
+    """Cuts a stream into whole turns.
+
+    Of its ``rows``, ``left_out`` are those of turns that were not handed on, or with a missing value; ``turns`` were
+    handed on, and from the first angle to the last the stage has ``turned``. ``why`` is why the stream is held now.
+    """
+
+    def __init__(self, channels: int) -> None:
+        self.rows = self.left_out = self.turns = 0
+        self.turned = 0.0
+        self.why = "the stage has not turned yet"
+        self._last: float | None = None
+        self._pilot: Array | None = None
+        self._typical = inf
+        self._start = np.nan
+        # The rows of the turn in progress: angle in turns, number of the row, readings (NaN where they do not count).
+        self._angle, self._row, self._readings = np.empty(0), np.empty(0, dtype=np.intp), np.empty((channels, 0))
+
+    def push(self, theta: Array, readings: Array, whole: Mask | None = None) -> list[Turn | Notice]:
+        """Take samples, and return the turns that they end, and where the stream is held and goes on.
+
+        Angles, shape (n,), are in degrees, readings of shape (channels, n), both NaN where one is missing. Rows whose
+        readings count are ``whole``, those that are finite where it is left out.
+        """
+        there = np.flatnonzero(np.isfinite(theta))
+        angle, values = follow(theta[there], self._last), readings[:, there]
+        if len(angle):
+            self.turned += float(angle[-1]) - (float(angle[0]) if self._last is None else self._last)
+            self._last = float(angle[-1])
+        if whole is not None:
+            values = np.where(whole[there], values, np.nan)
+        self._angle = np.concatenate([self._angle, angle])
+        self._row = np.concatenate([self._row, self.rows + there])
+        self._readings = np.concatenate([self._readings, values], axis=1)
+        self.rows += len(theta)
+        events: list[Turn | Notice] = []
+        while self._cut(events):
+            pass
+        return events
+
+    def _cut(self, events: list[Turn | Notice]) -> bool:
+        """Close the turns that have ended; return whether the stage ran backwards, with rows behind that."""
+        if not len(self._angle):
+            return False
+        if np.isnan(self._start):
+            self._start = ceil(PARTS * float(self._angle[0]) - ROUNDING) / PARTS
+        highest = np.maximum.accumulate(self._angle)
+        behind = np.flatnonzero(highest - self._angle > BACKWARDS)
+        end = int(behind[0]) if len(behind) else len(highest)
+        turned = highest[:end] - self._start
+        number = np.floor(turned)
+        part = np.floor(turned * PARTS).astype(np.int64) % PARTS
+        bounds = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist()]
+        for first, last in pairwise(bounds):
+            if number[first] >= 0.0:
+                self._close(
+                    slice(first, last), np.bincount(part[first:last], minlength=PARTS), int(self._row[last]), events
+                )
+        begun = bounds[-1]
+        if number[begun] >= 0.0:
+            if len(behind):
+                self.left_out += end - begun
+            elif np.bincount(part[begun:]).max() > STANDING * self._typical:
+                self._hold(int(self._row[begun]), STANDS, events)
+        if len(behind):
+            self._hold(int(self._row[end]), TURNS_BACK, events)
+            begun, self._start = end, np.nan
+        self._angle, self._row = self._angle[begun:], self._row[begun:]
+        self._readings = self._readings[:, begun:]
+        return bool(len(behind))
+
+    def _close(self, rows: slice, by_part: NDArray[np.int64], end: int, events: list[Turn | Notice]) -> None:
+        """Hand a turn on, its rows counted by the parts of the turn, or say why not."""
+        readings = self._readings[:, rows]
+        counts = np.asarray(np.isfinite(readings).all(axis=0))
+        count, used, visited = len(counts), int(np.count_nonzero(counts)), int(np.count_nonzero(by_part))
+        typical = max(float(np.median(by_part)), 1.0)
+        why = ""
+        if visited < PARTS:
+            why = COARSE if 1 < visited > 0.75 * count else GAP
+        elif by_part.max() > STANDING * typical:
+            why = STANDS
+        elif used < _COMPLETE * count:
+            why = "values are missing"
+        if why:
+            self._hold(int(self._row[rows.start]), why, events)
+            self.left_out += count
+            return
+        if self.why and self.turns:
+            events.append(Notice(int(self._row[rows.start]), ""))
+        self.why = ""
+        self.turns += 1
+        self.left_out += count - used
+        self._typical = typical
+        values = readings[:, counts]
+        # A large offset would take the digits that the noise needs in the sums of squares.
+        self._pilot = values[:, :1] if self._pilot is None else self._pilot
+        row = (self._row[rows][counts] - end).astype(np.float64)
+        table = regression_columns(self._angle[rows][counts], row, values - self._pilot)
+        events.append(Turn(table @ table.T, end))
+
+    def _hold(self, row: int, why: str, events: list[Turn | Notice]) -> None:
+        if why != self.why:
+            events.append(Notice(row, why))
+        self.why = why
 
 
 class TrimmingLoop:
@@ -54,7 +191,7 @@ class TrimmingLoop:
     def restart(self) -> None:
         """Run with full gain again."""
         self._turns = 0
-        self._each: deque[float] = deque(maxlen=_LATE)
+        self._estimates: deque[float] = deque(maxlen=_LATE)
 
     def trim(self, residual: float, correction: float) -> None:
         """Go on by one turn, whose own estimate differs by ``correction``; ``residual`` is its relative error."""
@@ -63,7 +200,7 @@ class TrimmingLoop:
         self._turns += 1
         self._latest.append(correction)
         if self._turns > _CALM // 2:
-            self._each.append(self.value + correction)
+            self._estimates.append(self.value + correction)
         gain = max(1.0 / (1.0 / _FULL + max(self._turns - _CALM, 0)), _LEAST)
         self.value += gain * correction
         self._squares = (1.0 - gain) ** 2 * self._squares + gain**2
@@ -73,14 +210,14 @@ class TrimmingLoop:
 
         Before it has settled, the latest corrections; infinite before the first.
         """
-        count = len(self._each)
+        count = len(self._estimates)
         if count < 6:
             return max(abs(correction) for correction in self._latest)
-        each = np.array(self._each)
-        variance, dof = float(each.var(ddof=1)), count - 1
+        estimates = np.array(self._estimates)
+        variance, dof = float(estimates.var(ddof=1)), count - 1
         if count >= 4 * _GROUPS:
             size = count // _GROUPS
-            slow = size * float(each[-size * _GROUPS :].reshape(_GROUPS, size).mean(axis=1).var(ddof=1))
+            slow = size * float(estimates[-size * _GROUPS :].reshape(_GROUPS, size).mean(axis=1).var(ddof=1))
             # Chance makes that of ten groups twice as large once in thirty records.
             variance, dof = (slow, _GROUPS - 1) if slow > 2.0 * variance else (variance, dof)
         return sqrt(self._squares * variance * dof / (dof - 2.0))
@@ -117,10 +254,12 @@ class TrimmingLoops:
         """
         columns, against = (turn.products[np.ix_(_FIRST_HARMONICS, to)] for to in (_FIRST_HARMONICS, self._where))
         sines, cosines = np.linalg.lstsq(columns, against, rcond=None)[0][:2]
-        total, first, orthogonal = ((sines + 1j * cosines) @ mix for mix in (sum_weights(self.p, self.q), *_ENDS))
+        phasors = sines + 1j * cosines
+        first, _, orthogonal = phasors
         if abs(first) < 1e-300:
             raise EstimateError(f"{self._pair.first} has no signal at the spin frequency")
-        residual, quadrature = total / first, (orthogonal / first).imag
+        residual = phasors @ sum_weights(self.p, self.q) / first
+        quadrature = (orthogonal / first).imag
         if abs(quadrature) < _LEAST_QUADRATURE:
             raise EstimateError(f"{self._pair.orthogonal} has no signal in quadrature to {self._pair.first}")
         rest = 1.0 - self.p
@@ -137,32 +276,18 @@ class TrimmingLoops:
             self._q.trim(float(residual.imag), float(-rest / quadrature * residual.imag))
 
 
-_ENDS = np.eye(3)[[0, 2]]
-"""The first and the orthogonal accelerometer alone."""
-
-
 class Recursive:
-    """Recursive least squares with exponential forgetting, on the channels of a stream."""
+    """Least squares with exponential forgetting over the turns of a stream."""
 
     def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
         self.p = self.q = 0.0
-        self._white = (inf, inf)
+        self._u = inf, inf
         self._pair, self._channels = pair, tuple(channels)
-        self._fade = exp(-1.0 / MEMORY)
-        self._products: Array | None = None
-        self._squared_weights = 0.0
-        self._latest: deque[Turn] = deque(maxlen=round(2 * MEMORY))
+        self._turns: deque[Turn] = deque(maxlen=round(REMEMBERED * MEMORY))
 
     def coefficients(self) -> PairCoefficients:
         """p and q as they are now; the uncertainties are infinite before the first estimate."""
-        if not self._latest:
-            return PairCoefficients(0.0, 0.0, inf, inf)
-        # How the latest turns scatter shows how much noise there is at the turning.
-        since = self._latest[-1].end - np.array([turn.end for turn in self._latest])
-        recent = regress(moved(np.stack([turn.products for turn in self._latest]), since), self._channels)
-        mix = recent.mix(dict(zip(self._pair.channels, (1.0 - self.p, 1.0, self.q), strict=True)))
-        colour = sqrt(recent.colour(mix))
-        return PairCoefficients(self.p, self.q, self._white[0] * colour, self._white[1] * colour)
+        return PairCoefficients(self.p, self.q, *self._u)
 
     def update(self, turn: Turn) -> None:
         """Go on by one turn, and solve for p and q.
@@ -170,18 +295,21 @@ class Recursive:
         Raises
         ------
         EstimateError
-            The sums do not determine p and q, which stay as they were.
+            The turns do not determine p and q, which stay as they were.
         """
-        products, rows = turn.products, float(turn.products[ONE, ONE])
-        if self._products is not None:
-            products = self._fade * moved(self._products, turn.end - self._latest[-1].end) + products
-        self._products = products
-        self._squared_weights = self._fade**2 * self._squared_weights + rows
-        self._latest.append(turn)
-        solved = solve(regress(products[None], self._channels), self._pair)
+        self._turns.append(turn)
+        blocks = moved(
+            np.stack([one.products for one in self._turns]), turn.end - np.array([one.end for one in self._turns])
+        )
+        weights = np.exp((np.arange(len(blocks)) + 1.0 - len(blocks)) / MEMORY)[:, None, None]
+        faded, whole = (regress(some, self._channels) for some in (weights * blocks, blocks))
         # Faded rows carry less of the mean than whole ones would, and have less noise in it too.
-        fading = sqrt(self._squared_weights / float(products[ONE, ONE]))
-        self.p, self.q, self._white = solved.p, solved.q, (solved.u_p * fading, solved.u_q * fading)
+        rows = blocks[:, ONE, ONE]
+        fading = float(weights[:, 0, 0] ** 2 @ rows / (weights[:, 0, 0] @ rows))
+        # How all of these turns scatter shows how much noise there is at the turning.
+        combined = replace(faded, inverse=fading * faded.inverse, scores=whole.scores, weights=whole.weights)
+        solved = solve(combined, self._pair)
+        self.p, self.q, self._u = solved.p, solved.q, (solved.u_p, solved.u_q)
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,8 @@ _MOST_SLIP = 0.5
 _FEWEST_ROWS = 16
 _ROWS_FOR_SPIN = 1 << 20
 """Rows from whose beginning the spin is estimated."""
-_TURNS_TO_FOLLOW = 16
-_PIECE = 1 << 14
-"""Rows whose columns are in memory together, and in the processor's cache."""
+_TURNS_TO_FOLLOW, _ROWS_TO_FOLLOW = 16, 1 << 14
+"""Turns and rows that a piece has at least in which the spin is taken for steady."""
 _PADDING = 2
 _MOST_EMPTY = 8
 """The length of the record over that of its rows, at the most."""
@@ -116,7 +115,7 @@ def estimated_angle(time: Array, readings: Sequence[Array]) -> Array:
         raise EstimateError("no row of the record has all readings: is every accelerometer connected?")
     spin = estimate_spin(times, values)
     turns = spin.frequency * float(times[-1] - times[0])
-    rows = max(ceil(_TURNS_TO_FOLLOW * len(times) / turns), _PIECE)
+    rows = max(ceil(_TURNS_TO_FOLLOW * len(times) / turns), _ROWS_TO_FOLLOW)
     for start in range(0, len(time), rows):
         spin = followed_spin(spin, *timed(start, start + rows))
         theta[start : start + rows] = spin.theta(time[start : start + rows])
@@ -158,17 +157,11 @@ def _strongest(centred: Array, readings: Array) -> float:
 
 def _refined(centred: Array, readings: Array, turns: float) -> tuple[float, Array]:
     """Return how many turns to add, and the coefficients of sine and cosine before it."""
-    products, against = np.zeros((6, 6)), np.zeros((6, readings.shape[1]))
-    for start in range(0, len(centred), _PIECE):
-        time = centred[start : start + _PIECE]
-        columns = np.empty((6, len(time)))
-        np.sin(2.0 * pi * turns * time, out=columns[0])
-        np.cos(2.0 * pi * turns * time, out=columns[1])
-        columns[2], columns[3] = 1.0, time
-        np.multiply(columns[:2], time, out=columns[4:])
-        products += columns @ columns.T
-        # A large offset would take the digits that the noise needs in the sums.
-        against += columns @ (readings[start : start + _PIECE] - readings[0])
+    angle = 2.0 * pi * turns * centred
+    waves = np.stack([np.sin(angle), np.cos(angle)])
+    columns = np.concatenate([waves, np.ones((1, len(centred))), centred[None], centred * waves])
+    # A large offset would take the digits that the noise needs in the sums.
+    products, against = columns @ columns.T, columns @ (readings - readings[0])
     solver = np.linalg.pinv(products[:4, :4], hermitian=True)
     coefficients = solver @ against[:4]
     rest = against - products[:, :4] @ coefficients

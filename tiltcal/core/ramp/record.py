@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP
 from tiltcal.core.flags import Mask
@@ -26,38 +27,23 @@ SMALLEST_RANGE = 2.0
 OVERLAP = 0.5
 """Part of the whole range that the ways up and the ways down must both cover."""
 
-FEWEST_STEPS = 8
-"""Steps of the thermometer that the whole range must have."""
-
-FEWEST_ROWS = 32
-"""Rows of a record."""
+FEWEST_STEPS, FEWEST_ROWS = 8, 32
+"""Steps of the thermometer that the whole range must have, and rows of a record."""
 
 _STEPS = 4.0  # usual steps by which a ramp of few rows may change from one row to the next
 _GAP = 10.0  # usual intervals without a row, after which any temperature may follow
+_BURST = 0.8  # of the mean interval, within which rows belong to one burst, which counts as one row
 _FIRST = 5  # rows whose median is the temperature that a record begins with
 _SQUARE_OF_90_PERCENT = 2.706  # what the square of a normal variable of variance 1 is below in 90 % of cases
 
 
 @dataclass(frozen=True)
 class RampRecord:
-    """Means of consecutive rows of a record.
+    """Means of consecutive rows of a record: times in s, temperatures in °C, readings of shape (n, channels).
 
-    Attributes
-    ----------
-    time : ndarray, shape (n,)
-        s.
-    temperature : ndarray, shape (n,)
-        Of the thermometer, °C.
-    readings : ndarray, shape (n, channels)
-        Unit.
-    noise : ndarray, shape (channels,)
-        Standard deviation of a single reading about its neighbours, unit.
-    rows : int
-        Rows of the record that count.
-    jumps : str
-        Which temperatures were left out, in words; empty where none was.
-    step : float
-        Of the thermometer's reading, °C; 0 where it is continuous.
+    ``noise`` is the standard deviation of a single reading about its neighbours, unit, shape (channels,), ``rows`` the
+    number of rows that count, ``jumps`` which temperatures were left out, in words, and ``step`` that of the
+    thermometer, °C, 0 where it is continuous.
     """
 
     time: Array
@@ -72,19 +58,8 @@ class RampRecord:
 def ramp_record(time: Array, temperature: Array, readings: Sequence[Array], first: int = 0) -> RampRecord:
     """Return the means of the rows that have all values and whose temperature does not jump.
 
-    Parameters
-    ----------
-    time, temperature : ndarray, shape (n,)
-        s and °C; NaN where one is missing.
-    readings : sequence of ndarray, shape (n,)
-        Of each channel, unit.
-    first : int
-        The number of the first row.
-
-    Raises
-    ------
-    EstimateError
-        There are too few rows, or too many temperatures jump.
+    Times in s, temperatures in °C and the readings of each channel are of shape (n,), NaN where one is missing;
+    ``first`` is the number of the first row. An EstimateError where there are too few rows, or too many jump.
     """
     columns = (time, temperature, *readings)
     counts, jumps = _without_jumps(time, temperature, first)
@@ -96,10 +71,17 @@ def ramp_record(time: Array, temperature: Array, readings: Sequence[Array], firs
         raise EstimateError(f"the record has {rows} rows with time, temperature and readings: too few")
     step = StepFinder()
     step.add(columns[1])
-    size = max(rows // MOST, 1)
-    means = [column[: rows // size * size].reshape(-1, size).mean(axis=1) for column in columns]
+    times = columns[0]
+    bursts = np.flatnonzero(np.diff(times, prepend=-np.inf) >= _BURST * np.ptp(times) / rows)
+    means = [averaged(column, bursts[:: max(len(bursts) // MOST, 1)]) for column in columns]
     noise = np.array([np.sqrt(np.mean(np.diff(column) ** 2) / 2.0) for column in columns[2:]])
     return RampRecord(means[0], means[1], np.stack(means[2:], axis=1), noise, rows, jumps, step.result())
+
+
+def averaged(values: Array, starts: NDArray[np.intp]) -> Array:
+    """Return the means of rows from each start to the next one."""
+    sizes = np.diff(starts, append=len(values)).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(np.add.reduceat(values, starts, axis=0) / sizes)
 
 
 def _without_jumps(time: Array, temperature: Array, first: int) -> tuple[Mask, str]:
@@ -144,18 +126,9 @@ def row_noise(values: Array) -> float:
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of a record in which the temperature goes one way.
+    """A part of a record, from mean ``start`` to before ``end``, in which the temperature goes one way.
 
-    Attributes
-    ----------
-    start, end : int
-        Its first mean, and the one behind its last.
-    low, high : float
-        Its temperatures, °C.
-    seconds : float
-        How long it lasts.
-    pace : float
-        In the middle of its way, °C/min.
+    It goes between ``low`` and ``high``, °C, in so many ``seconds``, at a ``pace`` in the middle of its way, °C/min.
     """
 
     start: int
@@ -175,11 +148,7 @@ class Leg:
 def legs_of(record: RampRecord) -> list[Leg]:
     """Return the legs of a record, from turn to turn of its temperature.
 
-    Raises
-    ------
-    EstimateError
-        Time goes back, or there is no way up and no way down over the same temperatures; the message has the pace to
-        take.
+    An EstimateError, with the pace to take, where there is no way up and no way down over the same temperatures.
     """
     if np.any(np.diff(record.time) <= 0.0):
         raise EstimateError("the time of the record goes back or stands still: name its column of times, in order")

@@ -15,19 +15,19 @@ from scipy.spatial.transform import Rotation
 from support.accuracy_study import Regime, planned, simulate, sweep, two_temperatures
 from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of
 
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.coverage_factor import coverage_factor, welch_satterthwaite
 from tiltcal.core.derived_quantities import cross_axis, derived, misalignment
 from tiltcal.core.estimation.budget import budgets
-from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
+from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
-from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predict_uncertainty
-from tiltcal.core.estimation.pooling import pooled
-from tiltcal.core.estimation.solve import solved_at
-from tiltcal.core.gravity_direction import gravity_from_tilt
+from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
+from tiltcal.core.estimation.solve import solved_at, start_as_set
 from tiltcal.core.intrinsic_parameters import intrinsic, separated
 from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
+from tiltcal.core.samples import pooled
 from tiltcal.core.uncertainty_budget import propagated
 from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 from tiltcal.errors import EstimateError
@@ -94,7 +94,7 @@ class TestBudgetByHand:
         design = Design(("x",), ("x",), jig=self.JIG, priors=priors)
         reading = replace(self.pair(30.0)[0], dof=np.array([9.0]))
         equations = Equations([SensorObservations(design, [reading])])
-        budget = budgets(solved_at(equations, equations.start()), {})[0]
+        budget = budgets(solved_at(equations, start_as_set(equations)), {})[0]
         by_reading = known**2 * sin(t) / (self.NOISE**2 + self.STEP**2 + (known * sin(t)) ** 2 + jig**2)
         by_hand = {
             "noise": (by_reading * self.NOISE) ** 2,

@@ -14,14 +14,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from support.recordings import RECORDINGS, needs
 
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.closed_forms import (
     scale_from_tilt,
     sensitivity_from_pair,
     tempco_from_two_temperatures,
 )
-from tiltcal.core.estimation.design import Design, Observation, Prior
 from tiltcal.core.estimation.estimate import estimate
-from tiltcal.core.gravity_direction import gravity_from_tilt
+from tiltcal.core.estimation.positions import Design, Observation, Prior
 from tiltcal.errors import EstimateError
 
 needs_recorded_data = needs("ferraris_session.csv", "ferraris_segments.csv")

@@ -14,17 +14,16 @@ import scipy
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.coverage_factor import coverage_factor
-from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
+from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.estimate import LEAN, Estimate, estimate
-from tiltcal.core.estimation.hysteresis import largest_loops, with_hysteresis
-from tiltcal.core.estimation.planned_uncertainty import PlannedPosition, predict_uncertainty
-from tiltcal.core.estimation.pooling import TIMES, _by_correlation_time, correlated_noise, noise_of_means
-from tiltcal.core.gravity_direction import gravity_from_tilt
+from tiltcal.core.estimation.hysteresis import with_hysteresis
+from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.model import Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.mounting_rotation import solve_mounting
-from tiltcal.core.statistics import SampleSummary, summarise
+from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means, summarise
 
 Array = NDArray[np.float64]
 
@@ -161,19 +160,14 @@ class TestCorrelatedNoise:
         assert np.mean(hits) >= 0.93 - 3 * np.std(hits) / sqrt(20)
         assert np.mean(alarms) > 0.8
 
-    def test_the_mean_of_what_is_expected_of_short_records(self) -> None:
-        """3,000 autoregressive records of 300 samples, 200 of them a correlation time: mean and true factor."""
-        noise = scipy.signal.lfilter(
-            [1.0], [1.0, -0.995], np.random.default_rng(12).standard_normal((3000, 2600)), axis=1
-        )[:, 2300:]
-        blocks = noise.reshape(3000, 10, 30).mean(axis=2)
-        off = blocks - blocks.mean(axis=1, keepdims=True)
-        squares = np.sum(off**2, axis=1)
-        expected, factors = _by_correlation_time()
-        place = np.searchsorted(TIMES, -1.0 / np.log(0.995) / 30)
-        mean = np.mean(np.sum(off[:, :-1] * off[:, 1:], axis=1) / squares)
-        assert expected[place] == pytest.approx(mean, abs=0.012)
-        assert factors[place] == pytest.approx(np.std(blocks.mean(axis=1)) / np.sqrt(np.mean(squares) / 90), rel=0.05)
+    @pytest.mark.parametrize("memory", [0.95, 0.99, 0.995])
+    def test_the_factor_is_that_of_many_records(self, memory: float) -> None:
+        """3,000 positions of 300 samples, 20 to 200 of which are a correlation time: their means scatter so much."""
+        summaries = records(np.random.default_rng(12), memory, 3000)
+        correlated = correlated_noise(summaries)
+        assert correlated is not None
+        apparent = sqrt(np.mean([one.noise**2 for one in summaries]))
+        assert correlated.factor == pytest.approx(np.std([one.mean for one in summaries]) / apparent, rel=0.1)
 
     def test_white_noise_raises_no_alarm(self) -> None:
         rng = np.random.default_rng(6)
@@ -219,22 +213,18 @@ class TestCoarseConverter:
         assert np.isfinite(dof).all()
 
 
-def test_the_largest_loop_of_a_sweep() -> None:
-    """Level at 0, 20 and 40 °C on the way up, 0.4 more on the way down."""
+def test_a_loop_counts_where_noise_and_jig_do_not_explain_it() -> None:
+    """Level at 0, 20 and 40 °C on the way up, 0.4 more on the way down; set anew each time with a jig of 10°."""
     temperatures = (0.0, 20.0, 40.0, 20.5, 0.5)
     observations = [
-        Observation(f"p{k}", np.array([0.0, 0.0, 1.0]), np.array([0.01 * t + 0.4 * (k > 2)]), np.array([0.03]), t)
+        Observation(f"p{k}", LEVEL, np.array([0.01 * t + 0.4 * (k > 2)]), np.array([0.03]), t)
         for k, t in enumerate(temperatures)
     ]
-    design = Design(("x",), ("x",), drift=1, jig=0.0, priors={"sensitivity.x.x": Prior(1.0)})
-    found = estimate(observations, design)
-    loop = largest_loops(found, observations, 0.0)["x"]
-    assert loop.difference == pytest.approx(0.4, abs=0.01)
-    assert loop.u == pytest.approx(0.03 * sqrt(2))
-    # Each was set anew, and level is set wrong by 1°: two of sin 1°.
-    assert largest_loops(found, observations, 1.0)["x"].u == pytest.approx(sqrt(2) * np.hypot(0.03, radians(1.0)))
     untouched = [replace(one, held=k > 0) for k, one in enumerate(observations)]
-    assert largest_loops(found, untouched, 1.0)["x"].u == pytest.approx(0.03 * sqrt(2))
+    for jig, met, counts in ((0.0, observations, True), (10.0, observations, False), (10.0, untouched, True)):
+        design = Design(("x",), ("x",), drift=1, jig=jig, priors={"sensitivity.x.x": Prior(1.0)})
+        found = with_hysteresis(estimate(met, design), SensorObservations(design, met))
+        assert ("hysteresis" in found.budget.variance) is counts
 
 
 def test_a_loop_is_in_offset_and_drift() -> None:
@@ -249,7 +239,7 @@ def test_a_loop_is_in_offset_and_drift() -> None:
     design = Design(("x",), ("x",), drift=1, jig=0.0, priors={"sensitivity.x.x": Prior(1.0)})
     found = with_hysteresis(estimate(observations, design), SensorObservations(design, observations))
     drift, offset = np.linalg.pinv(np.vander(temperatures, 2))
-    loop = max(abs(find.difference) for find in largest_loops(found, observations, 0.0).values())
+    loop = max(found.residuals[3, 0] - found.residuals[1, 0], found.residuals[4, 0] - found.residuals[0, 0])
     expected = [loop**2 / 12.0 * (np.sum(by) ** 2 + by[2] ** 2) for by in (offset, drift)]
     assert loop == pytest.approx(0.4, abs=0.01)
     added = dict(zip(found.names, found.budget.variance["hysteresis"], strict=True))
@@ -274,10 +264,10 @@ def test_a_loop_moves_the_positions_of_its_own_setting_alone() -> None:
     design = Design(("x",), ("x",), drift=1, jig=0.0)
     found = with_hysteresis(estimate(observations, design), SensorObservations(design, observations))
     by = dict(zip(found.names, np.linalg.pinv([[1.0, x, t] for x, t, _, _ in rows]), strict=True))
-    (loop,) = largest_loops(found, observations, 0.0).values()
+    loop = max(found.residuals[3, 0] - found.residuals[1, 0], found.residuals[4, 0] - found.residuals[0, 0])
     added = dict(zip(found.names, found.budget.variance["hysteresis"], strict=True))
     for name, row in by.items():
-        expected = loop.difference**2 / 12.0 * (np.sum(row[:5]) ** 2 + row[2] ** 2)
+        expected = loop**2 / 12.0 * (np.sum(row[:5]) ** 2 + row[2] ** 2)
         assert added[name] == pytest.approx(expected, rel=1e-6, abs=1e-12), name
 
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from support.efficiency_study import CLASSES, EfficiencyRegime, bound_of, simulate
 from support.simulated_bench import FACES, POSITIONS, XYZ, design, fixture, measured, part, plan_of
 
-from tiltcal.core.estimation.design import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
+from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.errors import EstimateError
 
 OFFSETS = [0, 4, 8]

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tiltcal.core.ramp.fit import fit_ramp
-from tiltcal.core.ramp.record import RampRecord, legs_of, ramp_record
+from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
 
@@ -92,20 +92,6 @@ def test_a_lag_of_120_s_is_found_within_1_percent(pace, legs, sign):
     assert min(fit.explained) > 0.99
 
 
-def test_the_curve_is_ten_times_closer_than_that_of_a_polynomial_alone():
-    """An odd number of legs: the ways do not cancel."""
-    record = made(1.0, lag=120.0, legs=3, noise=0.1)
-    fit = fit_ramp(record, reference=REFERENCE)
-    alone = np.polynomial.polynomial.polyfit(record.temperature - REFERENCE, record.readings, 3).T
-    assert np.max(np.abs(curve_error(fit.coefficients))) < np.max(np.abs(curve_error(alone))) / 10.0
-
-
-def test_without_a_lag_none_is_used():
-    fit = fit_ramp(made(1.0), reference=REFERENCE)
-    assert not fit.uses_lag
-    assert abs(fit.found_lag) < 4.0 * fit.u_lag
-
-
 def test_hysteresis_without_time_is_no_lag_and_its_loop_is_in_the_uncertainty():
     """A play of 2 °C makes at one pace the loop of a lag of 60 s."""
     seconds = np.linspace(0.0, 4 * 2400.0, 2400)
@@ -140,6 +126,7 @@ def test_the_uncertainty_covers_the_curve(lag, wander):
         # 160 rows take half the time of 2400; each has the noise of a mean of 15.
         record = made(1.0, lag=lag, wander=wander * sqrt(15.0), noise=1.0 / sqrt(15.0), seed=seed, rows=160)
         fit = fit_ramp(record, reference=REFERENCE)
+        assert fit.uses_lag is (lag > 0.0)
         error = curve_error(fit.coefficients)
         inside += [np.abs(error[c]) < 1.96 * u_of_curve(fit, c) for c in (0, 1)]
     # Ten curves, of ten places that depend on each other: 95 % within what so few curves can show.
@@ -169,7 +156,7 @@ def test_a_late_thermometer_leaves_the_curve_where_it_is(seconds, own, noise, wi
     assert fit.lag == pytest.approx(own - 120.0, rel=0.02)
     error = np.abs(curve_error(fit.coefficients))
     assert np.max(error) < within
-    assert np.mean([error[c] < 1.96 * u_of_curve(fit, c) for c in (0, 1)]) > 0.8
+    assert np.sqrt(np.mean((error / [u_of_curve(fit, channel) for channel in (0, 1)]) ** 2)) < 2.0
 
 
 def two_lags(seconds, second, share):
@@ -223,13 +210,6 @@ def test_a_record_that_starts_on_the_way_is_refused():
         fit_ramp(recorded(seconds[late], chamber(seconds[late], 1.0), readings[late]), reference=REFERENCE)
 
 
-def test_the_legs_are_told_by_the_turns_of_the_temperature():
-    legs = legs_of(made(2.0, legs=3))
-    assert [leg.way for leg in legs] == ["up", "down", "up"]
-    assert [leg.pace for leg in legs] == pytest.approx([2.0] * 3, rel=0.01)
-    assert [leg.seconds for leg in legs] == pytest.approx([1200.0] * 3, rel=0.01)
-
-
 def test_one_way_is_refused_with_the_pace_to_take():
     with pytest.raises(EstimateError, match=r"goes only up.*let it come back.*at 2 °C/min or slower"):
         fit_ramp(made(2.0, legs=1), reference=REFERENCE)
@@ -271,7 +251,7 @@ def test_a_record_of_any_length_becomes_few_means():
     readings = np.random.default_rng(5).normal(size=n) + seconds
     record = ramp_record(seconds, seconds * 2.0, [readings])
     size = round(record.time[1] - record.time[0])
-    whole = len(record.time) * size
     assert 4096 <= len(record.time) < 8192
-    assert record.readings[:, 0] == pytest.approx(readings[:whole].reshape(-1, size).mean(axis=1))
+    expected = readings[: n // size * size].reshape(-1, size).mean(axis=1)
+    assert record.readings[: len(expected), 0] == pytest.approx(expected)
     assert record.temperature == pytest.approx(2.0 * record.time)

@@ -1,0 +1,188 @@
+"""Edges of two digital lines: their records, and the GPIO lines of a Linux board.
+
+Every edge travels as one record of 14 bytes, little-endian::
+
+    time    8 bytes   nanoseconds on the capturing clock
+    line    1 byte    0 is x, 1 is y
+    rising  1 byte    1 where the line goes up, 0 where it goes down
+    number  4 bytes   counts the edges of both lines as they were captured; a step of more than one is a loss
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterable, Iterator
+from struct import Struct
+from time import sleep
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+
+from tiltcal.drivers.bus.nodes import import_library, missing_node, no_permission
+from tiltcal.errors import BusError, HardwareError
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus import Device
+    from tiltcal.drivers.bus.address import Address
+
+RECORD = Struct("<QBBI")
+
+TIMEOUT = 2.0
+"""Seconds without an edge that are an error: two hundred of the part's longest periods."""
+
+GATHER = 0.005
+"""Seconds for which edges are collected into one answer: 20 edges at 4,000 per second."""
+
+KERNEL_BUFFER = 1024
+"""Edges that the kernel buffers for two lines before the oldest is lost; this is its maximum."""
+
+MOST_LINES = 65_536
+"""No chip has as many lines."""
+
+CONSUMER = "tiltcal"
+
+
+class Edge(NamedTuple):
+    """One change of one line.
+
+    Attributes
+    ----------
+    time_ns : int
+        On the capturing clock.
+    line : int
+        0 is x, 1 is y.
+    number : int
+        Counts the edges of both lines in the order of capture.
+    """
+
+    time_ns: int
+    line: int
+    rising: bool
+    number: int
+
+
+def pack_edges(edges: Iterable[Edge]) -> bytes:
+    """Return edges as the records of a link's answer; a number past 32 bits starts again at 0."""
+    return b"".join(RECORD.pack(edge.time_ns, edge.line, edge.rising, edge.number & 0xFFFFFFFF) for edge in edges)
+
+
+def unpack_edges(records: bytes) -> Iterator[Edge]:
+    """Iterate over the edges in a link's answer, the inverse of :func:`pack_edges`.
+
+    BusError: a torn record, or one of a line that is neither x nor y.
+    """
+    if len(records) % RECORD.size:
+        raise BusError(f"{len(records)} bytes are no whole number of edge records of {RECORD.size} bytes")
+    for time_ns, line, rising, number in RECORD.iter_unpack(records):
+        if line not in (0, 1):
+            raise BusError(f"an edge record names line {line}, where 0 is x and 1 is y")
+        yield Edge(time_ns, line, bool(rising), number)
+
+
+def open_gpio(address: Address, model: Device) -> GpioLink:
+    """Open a ``gpio:`` address.
+
+    Parameters
+    ----------
+    address : Address
+        The path is a GPIO chip; options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge that
+        are an error.
+
+    UsageError: a line is missing, or both are the same.
+    HardwareError: the gpiod package is not installed, or is older than version 2.
+    BusError: no such chip or line, no permission, or in use.
+    """
+    address.allow("x", "y", "timeout", *model.options)
+    x, y = (address.integer(name, low=0, high=MOST_LINES - 1) for name in ("x", "y"))
+    if x == y:
+        address.refuse(f"x and y are both line {x}; they are two wires")
+    timeout = address.number("timeout", TIMEOUT, low=0.01, high=3600.0)
+    return GpioLink(address.path, x, y, timeout)
+
+
+class GpioLink:
+    """Both lines of one sensor on one GPIO chip, with the kernel's monotonic timestamps; see :func:`open_gpio`."""
+
+    letter = "e"
+
+    def __init__(self, chip: str, x: int, y: int, timeout: float) -> None:
+        self._chip = chip
+        self._place = {x: 0, y: 1}
+        self._timeout = timeout
+        self._request: Any = None
+        gpiod = _gpiod()
+        settings = gpiod.LineSettings(
+            direction=gpiod.line.Direction.INPUT,
+            edge_detection=gpiod.line.Edge.BOTH,
+            event_clock=gpiod.line.Clock.MONOTONIC,
+        )
+        self._rising = gpiod.EdgeEvent.Type.RISING_EDGE
+        try:
+            self._request = gpiod.request_lines(
+                chip, consumer=CONSUMER, config={(x, y): settings}, event_buffer_size=KERNEL_BUFFER
+            )
+        except (OSError, ValueError) as cause:
+            if isinstance(cause, OSError) and cause.errno in (errno.ENODEV, errno.ENOTTY):
+                raise BusError(f"{chip} is no GPIO chip, as /dev/gpiochip0 is") from cause
+            self._fail(cause)
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Take the records of edges that have arrived; see :class:`~tiltcal.drivers.bus.link.Link`.
+
+        BusError: no edge within the timeout, or the chip is unplugged.
+        """
+        try:
+            if not count:
+                while self._request.wait_edge_events(0):
+                    self._request.read_edge_events(KERNEL_BUFFER)
+                return b""
+            if not self._request.wait_edge_events(self._timeout):
+                raise BusError(
+                    f"no edge on the lines of {self._chip} for {self._timeout:g} s: is the sensor powered, and are "
+                    "its outputs on the lines that the address names?"
+                )
+            sleep(GATHER)
+            return pack_edges(map(self._edge, self._request.read_edge_events(max(count // RECORD.size, 1))))
+        except (OSError, ValueError) as cause:
+            self._fail(cause)
+
+    def close(self) -> None:
+        """Release the lines; closing twice is allowed."""
+        if self._request is not None:
+            self._request.release()
+            self._request = None
+
+    def _edge(self, event: Any) -> Edge:
+        rising = event.event_type is self._rising
+        return Edge(event.timestamp_ns, self._place[event.line_offset], rising, event.global_seqno)
+
+    def _fail(self, cause: Exception) -> NoReturn:
+        raise BusError(_why(self._chip, cause)) from cause
+
+
+def _gpiod() -> Any:
+    """Import gpiod; version 2 is needed to request both lines with an event clock."""
+    install = "'tiltcal[gpio]'"
+    gpiod = import_library("gpiod", "edges of GPIO lines need the Python package gpiod, for Linux only", install)
+    if not hasattr(gpiod, "request_lines"):
+        raise HardwareError(
+            "the gpiod package here is older than version 2 (a distribution's package?): install it with  pip install "
+            f"{install}"
+        )
+    return gpiod
+
+
+def _why(chip: str, cause: Exception) -> str:
+    """Return the message for an error of the operating system: the cause and what to try."""
+    number = cause.errno if isinstance(cause, OSError) else None
+    if number == errno.ENOENT:
+        return missing_node(chip, ["gpiochip*"], "no GPIO chip is present")
+    if number in (errno.EACCES, errno.EPERM):
+        return no_permission(chip, "gpio")
+    if number == errno.EBUSY:
+        return f"a line of {chip} is in use by another program or by the kernel: stop that one first"
+    if number == errno.EINVAL or isinstance(cause, ValueError):
+        return f"{chip} refuses the lines ({cause}): does it have them?"
+    if number in (errno.ENODEV, errno.EIO, errno.ENXIO):
+        return f"{chip} is gone: plug it in again, then resume"
+    reason = os.strerror(number) if number is not None else str(cause)
+    return f"{chip} failed ({reason}): check the wiring, then resume"

@@ -1,0 +1,293 @@
+"""Four accelerometers on a rotary stage: a device prints their readings and the stage angle on a line.
+
+This is :mod:`tiltcal.drivers.columns` with the columns of a gravity gradient instrument, and with a virtual stage for
+``sim:``. The address may name other columns::
+
+    serial:///dev/ttyUSB0?columns=theta,a1,a2,-,a4&separator=semicolon
+
+Each virtual accelerometer measures, along its tangent at θ + φ,
+
+    a (sin + δP cos) + R (Γxx - Γyy) / 2 sin 2(θ + φ) + R Γxy cos 2(θ + φ) + noise
+
+and reads scale * (that + second_order * that²) + offset + drift * time. The common acceleration a results from the
+inclination of the stage and may vary. Every number is a function of the seed and the sample's number, so a stream can
+start anywhere.
+
+Source: Misalignment Angle Compensation during Scale Factor Matching (2018), figure 1 and eq. 1, 3 and 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from math import cos, log, pi, radians, sin, sqrt
+from typing import TYPE_CHECKING
+
+from tiltcal.drivers.columns import (
+    SEPARATORS,
+    SERIAL_COLUMNS,
+    UNKNOWN,
+    UNSTATED,
+    ColumnLayout,
+    ColumnsSensor,
+    columns_of,
+)
+from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth, normal, part_errors
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.bus.address import Address
+    from tiltcal.drivers.bus.clock import Clock
+    from tiltcal.drivers.model import Model
+
+PHASES = (0.0, 180.0, 90.0, 270.0)
+"""Where a1, a2, a3 and a4 sit, degrees."""
+CHANNELS = ("a1", "a2", "a3", "a4")
+TIME, THETA = "time", "theta"
+
+BAUDRATE = 921_600
+
+FASTEST = 400.0
+"""Largest number of lines per second at the baud rate."""
+
+_OCTAVES = 20
+_WANDER_PERIODS = (617.0, 1471.0)
+"""Seconds; no multiples of a turn."""
+
+
+@dataclass(frozen=True)
+class Accelerometer:
+    """One of the four.
+
+    Attributes
+    ----------
+    scale : float
+        Unit/g.
+    misalignment : float
+        δP, radians.
+    phase_error : float
+        Error of its angular place on the disk, radians.
+    offset : float
+        Unit.
+    drift : float
+        Of the offset, unit/s.
+    second_order : float
+        K_II, 1/g.
+    """
+
+    scale: float
+    misalignment: float = 0.0
+    phase_error: float = 0.0
+    offset: float = 0.0
+    drift: float = 0.0
+    second_order: float = 0.0
+
+
+@dataclass(frozen=True)
+class Disk:
+    """The stage with its accelerometers; the defaults are the magnitudes of the source.
+
+    Attributes
+    ----------
+    accelerometers : tuple of Accelerometer
+        Four, a1 to a4.
+    inclination : float
+        Of the spin axis, radians; its sine is the common acceleration in g.
+    spin : float
+        Hz; negative for a stage that turns backwards.
+    rate : float
+        Samples per second.
+    wander : float
+        Largest relative change of the common acceleration.
+    gradient : tuple of float
+        R (Γxx - Γyy) and R Γxy, g.
+    noise : float
+        White, one-sided amplitude density, g/√Hz.
+    corner : float
+        Where 1/f noise is as large as the white noise, Hz; 0 for none.
+    encoder_noise : float
+        Standard deviation of the stage angle, degrees.
+    """
+
+    accelerometers: tuple[Accelerometer, ...] = field(
+        default=(
+            Accelerometer(3.383, -0.0221),
+            Accelerometer(3.415, -0.0217),
+            Accelerometer(3.402, 0.0120),
+            Accelerometer(3.390, 0.0124),
+        )
+    )
+    inclination: float = 1.5e-3
+    spin: float = 0.125
+    rate: float = 50.0
+    wander: float = 0.0
+    gradient: tuple[float, float] = (0.0, 0.0)
+    noise: float = 1.5e-7
+    corner: float = 0.0
+    encoder_noise: float = 0.0
+
+
+@dataclass(frozen=True)
+class DiskSample:
+    """One row: seconds, the stage angle of the encoder in degrees (0 to 360), and the four readings."""
+
+    time: float
+    theta: float
+    readings: tuple[float, ...]
+
+
+class Gradiometer:
+    """Four accelerometers on a rotating disk."""
+
+    def __init__(self, disk: Disk, seed: int = 0) -> None:
+        self._disk = disk
+        self._seed = seed
+        self._white = disk.noise * sqrt(disk.rate / 2.0)
+        # Octaves of held normals of one variance v add up to the density v / (f ln 2).
+        self._flicker = disk.noise * sqrt(disk.corner * log(2.0))
+        self._octaves = {channel: [0.0] * _OCTAVES for channel in CHANNELS}
+        self._numbers = dict.fromkeys(CHANNELS, -1)
+
+    def sample(self, number: int) -> DiskSample:
+        """Return the sample with this number, counted from 0."""
+        disk = self._disk
+        time = number / disk.rate
+        turned = disk.spin * time % 1.0
+        common = sin(disk.inclination) * (1.0 + disk.wander * _wander(time))
+        readings = tuple(
+            self._reading(index, 2.0 * pi * turned, time, common, number) for index in range(len(CHANNELS))
+        )
+        theta = 360.0 * turned
+        if disk.encoder_noise:
+            theta += disk.encoder_noise * normal(self._seed, "encoder", number)
+        return DiskSample(time, theta % 360.0, readings)
+
+    def samples(self, count: int, start: int = 0) -> Iterator[DiskSample]:
+        """Return a stream of samples."""
+        for number in range(start, start + count):
+            yield self.sample(number)
+
+    def _reading(self, index: int, turned: float, time: float, common: float, number: int) -> float:
+        part = self._disk.accelerometers[index]
+        angle = turned + radians(PHASES[index]) + part.phase_error
+        differential, cross = self._disk.gradient
+        signal = common * (sin(angle) + part.misalignment * cos(angle))
+        signal += 0.5 * differential * sin(2.0 * angle) + cross * cos(2.0 * angle)
+        signal += self._noise(CHANNELS[index], number)
+        return part.offset + part.drift * time + part.scale * (signal + part.second_order * signal**2)
+
+    def _noise(self, channel: str, number: int) -> float:
+        noise = self._white * normal(self._seed, channel, number) if self._white else 0.0
+        if self._flicker:
+            noise += self._flicker * sum(self._held(channel, number))
+        return noise
+
+    def _held(self, channel: str, number: int) -> list[float]:
+        """Return normal numbers, of which each changes half as often as the one before."""
+        octaves, before = self._octaves[channel], self._numbers[channel]
+        changed = _OCTAVES if before < 0 else (number ^ before).bit_length()
+        for octave in range(min(changed, _OCTAVES)):
+            octaves[octave] = normal(self._seed, f"{channel}/{octave}", number >> octave)
+        self._numbers[channel] = number
+        return octaves
+
+
+@dataclass(frozen=True)
+class StageTruth(Truth):
+    """The true state of a virtual stage: a disk in place of the coefficients of a tilt sensor."""
+
+    disk: Disk = field(default_factory=Disk)
+
+    @classmethod
+    def of(cls, disk: Disk, seed: int) -> StageTruth:
+        """Return the truth of a disk, with all channels that it can print."""
+        return cls((TIME, THETA, *CHANNELS), {}, {}, seed=seed, disk=disk)
+
+
+def virtual_stage(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
+    """Return a stage that prints the columns of an address; a skipped or unknown column is 0.
+
+    Parameters
+    ----------
+    truth : StageTruth
+        During its fault ``stuck``, it repeats the first line of the fault.
+    """
+    disk = truth.disk if isinstance(truth, StageTruth) else Disk()
+    gradiometer = Gradiometer(disk, truth.seed)
+
+    def line(number: int) -> bytes:
+        fault = truth.fault(number / disk.rate)
+        sample = gradiometer.sample(round(fault.start * disk.rate) if fault.kind == "stuck" else number)
+        readings = dict(zip(CHANNELS, sample.readings, strict=True))
+        return columns.line({TIME: number / disk.rate, THETA: sample.theta, **readings})
+
+    return StreamingPart(truth, fixture, clock, line, period=1.0 / disk.rate, baudrate=BAUDRATE)
+
+
+def draw_truth(seed: int) -> StageTruth:
+    """Return accelerometers near those of the source; the tolerances are ours."""
+    within = part_errors(seed)
+
+    parts = tuple(
+        Accelerometer(
+            scale=3.4 * (1.0 + within(0.01, f"scale {name}")),
+            misalignment=within(0.02, f"misalignment {name}"),
+            phase_error=radians(within(0.1, f"place {name}")),
+            offset=within(0.002, f"offset {name}"),
+        )
+        for name in CHANNELS
+    )
+    return StageTruth.of(replace(Disk(), accelerometers=parts, encoder_noise=0.002), seed)
+
+
+def _wander(time: float) -> float:
+    """Return a slow variation within ±1."""
+    return 0.5 * sum(sin(2.0 * pi * time / period) for period in _WANDER_PERIODS)
+
+
+PRINTED = "time,theta,a1,a2,a3,a4"
+"""Default columns: seconds, the stage angle in degrees, the four readings."""
+
+
+def _configured(address: Address) -> Model:
+    """Return the model with the options of the address."""
+    columns = columns_of(address, PRINTED)
+    return replace(
+        GRADIOMETER,
+        channels=columns.channels,
+        unit=address.text("unit", "mA" if address.simulated else UNSTATED),
+        driver=partial(ColumnsSensor, columns),
+        twin=partial(virtual_stage, columns),
+    )
+
+
+_PRINTED = ColumnLayout(tuple(PRINTED.split(",")), SEPARATORS["any"])
+
+GRADIOMETER = replace(
+    SERIAL_COLUMNS,
+    name="gradiometer",
+    title="four accelerometers on a rotary stage, as numbers on a line",
+    channels=_PRINTED.channels,
+    unit="mA",
+    addresses=(f"serial:///dev/ttyUSB0?columns={PRINTED}",),
+    # Matching a pair does not need the value of 1 g.
+    sensitivity=UNKNOWN,
+    scaled=False,
+    thermometer=False,
+    driver=partial(ColumnsSensor, _PRINTED),
+    twin=partial(virtual_stage, _PRINTED),
+    not_modelled=(
+        "a stage that starts, stops or changes its speed: it turns steadily from the beginning of the session",
+        "the stage's bearing, vibration and angular acceleration",
+        "output and pendulous axes: only the misalignment in the plane of the disk couples",
+        "bandwidth and delay of the accelerometers, and of the encoder behind them",
+        "temperature, and the memory fault (parity) of other parts",
+        "loss and damage on the line",
+    ),
+    default_truth=draw_truth,
+    options=("columns", "separator", "unit"),
+    configure=_configured,
+)
+
+MODELS = {GRADIOMETER.name: GRADIOMETER}
+"""By the name that the user types."""

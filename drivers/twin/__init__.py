@@ -1,1 +1,0 @@
-"""Virtual sensors that answer the bytes of the real parts."""

@@ -1,0 +1,507 @@
+"""Virtual parts: links that answer the bytes of the real ones, the jig and chamber that hold them, and their truth.
+
+Nothing here has a state that a session could lose: each answer follows from the truth, the pose, the temperature, the
+time and what was written to the part's registers. A random number is a function of a seed, a name and a number, so
+sample number n does not depend on the samples before it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from hashlib import blake2b
+from itertools import pairwise
+from math import copysign, cos, exp, pi, radians, sin
+from typing import TYPE_CHECKING, Protocol
+
+from tiltcal.errors import BusError
+
+if TYPE_CHECKING:
+    from statistics import NormalDist
+
+    from tiltcal.drivers.bus.clock import Clock
+
+Vector = tuple[float, float, float]
+Polynomial = tuple[float, ...]
+
+LEVEL = (0.0, 0.0, 1.0)
+"""Up in the frame of a level sensor, g."""
+
+JIG, AMBIENT, TIME_CONSTANT = 0.01, 24.0, 20.0
+"""Jig (°), temperature at the start (°C) and chamber (s) of a virtual part that is drawn."""
+
+REFERENCE = 25.0
+"""Temperature of the errors of a part that is drawn within its tolerances, °C."""
+
+SILENCE = 5.0
+"""Timeout of a virtual line, s."""
+
+
+def uniform(seed: int, name: str, number: int) -> float:
+    """Return a number that is uniformly distributed over the open interval (0, 1)."""
+    digest = blake2b(f"{seed}/{name}/{number}".encode(), digest_size=8).digest()
+    return ((int.from_bytes(digest, "big") >> 11) + 0.5) / 2**53
+
+
+def normal(seed: int, name: str, number: int) -> float:
+    """Return a standard normal number."""
+    return _standard().inv_cdf(uniform(seed, name, number))
+
+
+@cache
+def _standard() -> NormalDist:
+    """Return the standard normal distribution; a real sensor does not load it."""
+    from statistics import NormalDist
+
+    return NormalDist()
+
+
+def part_errors(seed: int) -> Callable[[float, str], float]:
+    """Return a function that draws an error of a part, uniformly distributed within a limit of either sign, by name."""
+    return lambda limit, name: limit * (2.0 * uniform(seed, f"part {name}", 0) - 1.0)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of a virtual sensor, from ``start`` to ``end`` in seconds after the session began.
+
+    Attributes
+    ----------
+    kind : str
+        ``parity`` (memory error of the part), ``stuck`` (the reading does not change), ``silent`` (the data line floats
+        high), ``unplugged`` (every transaction fails); empty for no fault.
+    """
+
+    kind: str
+    start: float
+    end: float
+
+
+NO_FAULT = Fault("", 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The true coefficients of one virtual sensor, in the terms of the measurement model.
+
+    Attributes
+    ----------
+    offset : mapping of str to float
+        Per channel, unit, at the reference temperature.
+    sensitivity : mapping of str to mapping of str to float
+        Per channel and axis x, y, z, unit/g.
+    reference : float
+        Reference temperature, °C.
+    drift, gain : mapping of str to tuple of float
+        Per channel, coefficients of dT, dT², ..., in unit/°C**k and 1/°C**k.
+    nonlinearity : mapping of str to tuple of float
+        Per channel, coefficients of a², a³, ... where a is the signal in g, in g.
+    noise : mapping of str to float
+        Per channel, white, standard deviation of one sample, unit.
+    thermometer_error : float
+        Error of the sensor's own thermometer, positive if it reads too high, °C.
+    lag : float
+        By how much the sensing element is later than the chamber and the thermometer, s.
+    supply : float
+        Supply of an analog sensor, V; its coefficients always refer to 5 V.
+    mounting : tuple of float
+        Rotation of the sensor on the fixture: roll, pitch, yaw, degrees.
+    jig, ambient, time_constant : float
+        Of its fixture: see :class:`Fixture`.
+    """
+
+    channels: tuple[str, ...]
+    offset: Mapping[str, float]
+    sensitivity: Mapping[str, Mapping[str, float]]
+    reference: float = REFERENCE
+    drift: Mapping[str, Polynomial] = field(default_factory=dict)
+    gain: Mapping[str, Polynomial] = field(default_factory=dict)
+    nonlinearity: Mapping[str, Polynomial] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    thermometer_error: float = 0.0
+    lag: float = 0.0
+    supply: float = 5.0
+    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seed: int = 0
+    jig: float = 0.0
+    ambient: float = AMBIENT
+    time_constant: float = 0.0
+    faults: tuple[Fault, ...] = ()
+
+    def reading(self, channel: str, gravity: Vector, temperature: float) -> float:
+        """Return the reading of a channel without noise, in its unit, for up in the sensor frame, g, and °C."""
+        row, (x, y, z) = self.sensitivity[channel], gravity
+        signal = row.get("x", 0.0) * x + row.get("y", 0.0) * y + row.get("z", 0.0) * z
+        own = row[channel]
+        bend = own * _powers(self.nonlinearity.get(channel, ()), signal / own, 2)
+        dt = temperature - self.reference
+        drift = _powers(self.drift.get(channel, ()), dt, 1)
+        gain = _powers(self.gain.get(channel, ()), dt, 1)
+        return self.offset[channel] + drift + (1.0 + gain) * (signal + bend)
+
+    def sample(self, channel: str, gravity: Vector, temperature: float, now_ns: int, number: int) -> float:
+        """Return :meth:`reading` with the noise of sample ``number``; of a stuck sensor what it reads when level."""
+        if self.fault(now_ns / 1e9).kind == "stuck":
+            # A function of the fault alone, so a resumed session reads the same.
+            return self.reading(channel, LEVEL, self.ambient)
+        noise = self.noise.get(channel, 0.0)
+        drawn = normal(self.seed, f"noise {channel}", number) if noise else 0.0
+        return self.reading(channel, gravity, temperature) + noise * drawn
+
+    def fault(self, seconds: float) -> Fault:
+        """Return the fault that is present ``seconds`` after the session began; :data:`NO_FAULT` if there is none."""
+        for fault in self.faults:
+            if fault.start <= seconds < fault.end:
+                return fault
+        return NO_FAULT
+
+    def fault_on_link(self, now_ns: int, device: str = "sensor") -> Fault:
+        """Return the fault that is present at a transaction with what is called ``device`` in the message.
+
+        BusError: the device is unplugged.
+        """
+        fault = self.fault(now_ns / 1e9)
+        if fault.kind == "unplugged":
+            raise BusError(f"the virtual {device} is unplugged, a fault that its truth sets: resume the session later")
+        return fault
+
+
+def _powers(coefficients: Polynomial, variable: float, lowest: int) -> float:
+    """Return a polynomial that begins with a power."""
+    total = 0.0
+    for power, coefficient in enumerate(coefficients, lowest):
+        total += coefficient * variable**power
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """The limits of a part as delivered, within which a virtual part is drawn; every error is evenly distributed.
+
+    offset: g.
+    sensitivity, cross: relative to the nominal sensitivity, and to the part's own.
+    drift: of the offset, g/°C.
+    gain: of the sensitivity, 1/°C.
+    thermometer: °C.
+    """
+
+    offset: float
+    sensitivity: float
+    cross: float = 0.01
+    drift: float = 0.0
+    gain: float = 0.0
+    thermometer: float = 0.0
+
+    def draw(self, channels: tuple[str, ...], sensitivity: float, noise: float, seed: int, zero: float = 0.0) -> Truth:
+        """Draw a plausible part by its nominal sensitivity (unit/g), noise of a sample (unit) and zero (unit)."""
+        within = part_errors(seed)
+
+        def row(channel: str) -> dict[str, float]:
+            own = sensitivity * (1.0 + within(self.sensitivity, f"sensitivity {channel}"))
+            cross, direction = own * within(self.cross, f"cross {channel}"), within(pi, f"direction {channel}")
+            first, second = (other for other in "xyz" if other != channel)
+            return {channel: own, first: cross * cos(direction), second: cross * sin(direction)}
+
+        return Truth(
+            channels=channels,
+            offset={channel: zero + sensitivity * within(self.offset, f"offset {channel}") for channel in channels},
+            sensitivity={channel: row(channel) for channel in channels},
+            drift={channel: (sensitivity * within(self.drift, f"drift {channel}"),) for channel in channels},
+            gain={channel: (within(self.gain, f"gain {channel}"),) for channel in channels},
+            noise=dict.fromkeys(channels, noise),
+            thermometer_error=within(self.thermometer, "thermometer"),
+            seed=seed,
+            jig=JIG,
+            time_constant=TIME_CONSTANT,
+        )
+
+
+class HeldPose(Protocol):
+    """The attitude and temperature of a virtual part."""
+
+    @property
+    def gravity(self) -> Vector:
+        """Up in the sensor frame, g."""
+        ...
+
+    def temperature(self, lag: float = 0.0) -> float:
+        """Return the temperature of the sensor, or of what follows it with a time constant of ``lag`` s, °C."""
+        ...
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of the chamber's temperature from ``start`` to ``target``, °C.
+
+    pace: °C/s on a straight way; 0 for an exponential one.
+    time_constant: of the exponential way, s; 0 is an immediate change.
+    """
+
+    start_ns: int
+    start: float
+    target: float
+    pace: float
+    time_constant: float
+
+    def temperature(self, now_ns: int) -> float:
+        """Return the temperature of the chamber, °C."""
+        elapsed, way = (now_ns - self.start_ns) / 1e9, self.target - self.start
+        if self.pace:
+            return self.target if elapsed >= abs(way) / self.pace else self.start + copysign(self.pace * elapsed, way)
+        return self.target - way * exp(-elapsed / self.time_constant) if self.time_constant else self.target
+
+    def followed(self, now_ns: int, lag: float, before: float) -> float:
+        """Return the temperature of what follows with a lag, s, and had the temperature ``before`` at the start."""
+        elapsed, way = (now_ns - self.start_ns) / 1e9, self.target - self.start
+        if self.pace:
+            slope, arrival = copysign(self.pace, way), abs(way) / self.pace
+            ramped = min(elapsed, arrival)
+            steady = self.start + slope * (ramped - lag)
+            there = steady + (before - self.start + slope * lag) * exp(-ramped / lag)
+            return self.target + (there - self.target) * exp(-(elapsed - ramped) / lag)
+        constant = self.time_constant
+        if constant == lag:
+            constant *= 1.0 + 1e-9
+        # The chamber's own exponential, amplified by how much slower it is than what follows.
+        part = -way * constant / (constant - lag) if constant else 0.0
+        own = part * exp(-elapsed / constant) if constant else 0.0
+        return self.target + own + (before - self.target - part) * exp(-elapsed / lag)
+
+
+class Fixture:
+    """A jig that takes positions with an angle error, inside a chamber that follows its set point.
+
+    All virtual sensors of one bench share one fixture. Its random numbers are functions of the seed and of the number
+    of positions before, so a resumed session continues with the same fixture.
+
+    Parameters
+    ----------
+    clock : Clock
+        Session time; the chamber approaches its set point along it.
+    seed : int
+        Seed of the angle errors.
+    jig : float
+        Standard deviation of each angle error, degrees.
+    ambient : float
+        Temperature at the start, °C.
+    time_constant : float
+        Time constant of the chamber, s; 0 is an immediate change.
+    """
+
+    def __init__(
+        self, clock: Clock, *, seed: int = 0, jig: float = 0.0, ambient: float = AMBIENT, time_constant: float = 0.0
+    ) -> None:
+        self._clock = clock
+        self._seed = seed
+        self._jig = radians(jig)
+        self._time_constant = time_constant
+        self._moves = 0
+        self._asked: Vector | None = None
+        self._changes = [Change(0, ambient, ambient, 0.0, time_constant)]
+        self.gravity: Vector = LEVEL
+
+    def move(self, gravity: Vector, temperature: float | None = None, pace: float = 0.0) -> None:
+        """Take a position with an angle error, and set the chamber.
+
+        If the position is the present one, its angle error stays the same.
+
+        Parameters
+        ----------
+        gravity : tuple of float
+            Up in the fixture frame, a unit vector.
+        temperature : float, optional
+            New set point, °C; without it the set point stays the same.
+        pace : float
+            °C/min by which the chamber goes there; 0 for its time constant.
+        """
+        if gravity != self._asked:
+            errors = [self._jig * normal(self._seed, f"jig {axis}", self._moves) for axis in "xyz"]
+            self._moves += 1
+            self._asked = gravity
+            self.gravity = _rotated(gravity, errors)
+        if temperature is not None and temperature != self._changes[-1].target:
+            change = Change(self._clock.now_ns(), self.temperature(), temperature, pace / 60.0, self._time_constant)
+            self._changes.append(change)
+
+    def turned(self, seen: Callable[[Vector], Vector]) -> Pose:
+        """Return the pose of a sensor that is rotated on the fixture."""
+        return Pose(self, seen)
+
+    def temperature(self, lag: float = 0.0) -> float:
+        """Return the temperature of the chamber now, °C, or of what follows it with a time constant of ``lag`` s."""
+        now_ns = self._clock.now_ns()
+        if lag == 0.0:
+            return self._changes[-1].temperature(now_ns)
+        follows = self._changes[0].start
+        for change, until in pairwise((*self._changes, None)):
+            if change is not None:
+                follows = change.followed(now_ns if until is None else until.start_ns, lag, follows)
+        return follows
+
+
+class Pose:
+    """The pose of a sensor on a fixture; ``seen`` converts a vector of the fixture frame to the sensor frame."""
+
+    def __init__(self, fixture: Fixture, seen: Callable[[Vector], Vector]) -> None:
+        self._fixture = fixture
+        self._seen = seen
+        self._held = fixture.gravity
+        self._gravity = seen(self._held)
+
+    @property
+    def gravity(self) -> Vector:
+        """Up in the sensor frame, g."""
+        if self._fixture.gravity is not self._held:
+            self._held = self._fixture.gravity
+            self._gravity = self._seen(self._held)
+        return self._gravity
+
+    def temperature(self, lag: float = 0.0) -> float:
+        """Return the temperature of the chamber now, °C, or of what follows it with a time constant of ``lag`` s."""
+        return self._fixture.temperature(lag)
+
+
+def _rotated(vector: Vector, angles: list[float]) -> Vector:
+    """Return the vector rotated about x, then y, then z by small angles in radians."""
+    x, y, z = vector
+    (c, s) = cos(angles[0]), sin(angles[0])
+    y, z = c * y - s * z, s * y + c * z
+    (c, s) = cos(angles[1]), sin(angles[1])
+    x, z = c * x + s * z, c * z - s * x
+    (c, s) = cos(angles[2]), sin(angles[2])
+    x, y = c * x - s * y, s * x + c * y
+    return x, y, z
+
+
+class VirtualPart(ABC):
+    """Base of the links to virtual parts; a transaction moves the clock by the time that its bits take."""
+
+    letter: str
+    """The bus in a journal line."""
+
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
+        self._truth = truth
+        self._fixture = fixture
+        self._clock = clock
+
+    @abstractmethod
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Carry out one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
+
+    def close(self) -> None:  # noqa: B027 - a virtual part holds nothing
+        """Do nothing: there is nothing to release."""
+
+    def _fault(self) -> Fault:
+        """Return the fault that is present now; of an unplugged part it is a BusError."""
+        return self._truth.fault_on_link(self._clock.now_ns())
+
+    def _word(self, channel: str, rate: float, low: int, high: int, scale: float = 1.0) -> int:
+        """Return a channel with the noise of the present conversion, rounded and clipped, count.
+
+        ``scale`` is the counts of the measuring range that is set, to those of the truth.
+        """
+        gravity, temperature = self._fixture.gravity, self._fixture.temperature(self._truth.lag)
+        now = self._clock.now_ns() / 1e9
+        fault = self._fault()
+        if fault.kind == "stuck":
+            # Held at its level value: a function of the fault alone, so a resumed session reads the same words.
+            gravity, temperature, now = LEVEL, self._truth.ambient, fault.start
+        reading = self._truth.reading(channel, gravity, temperature)
+        noise = self._truth.noise.get(channel, 0.0)
+        if noise:
+            reading += noise * normal(self._truth.seed, f"noise {channel}", int(now * rate))
+        return min(max(round(scale * reading), low), high)
+
+    def _celsius(self) -> float:
+        """Return what the part's own thermometer measures now, °C."""
+        return self._fixture.temperature() + self._truth.thermometer_error
+
+    def _filler(self) -> int:
+        """Return a random byte, where the data sheet leaves the byte undefined."""
+        return int(uniform(self._truth.seed, "filler", self._clock.now_ns()) * 256)
+
+
+class RecallingPart(VirtualPart):
+    """A virtual part that keeps what its driver has set; see :class:`~tiltcal.drivers.bus.link.Recalling`."""
+
+    _recalls = False
+
+    def recall(self, out: bytes, now_ns: int) -> None:
+        """Repeat what was sent at an earlier time; in mid-session the part is already set up."""
+        if not self._recalls:
+            self._recalls = True
+            self._take_set_up_state()
+        with at_time(self._clock, now_ns - round(self._seconds(out) * 1e9)):
+            self._take(out)
+
+    @abstractmethod
+    def _take_set_up_state(self) -> None:
+        """Take the state of a part after the setup by its driver."""
+
+    @abstractmethod
+    def _seconds(self, out: bytes) -> float:
+        """Return how long before its end a transaction takes effect, s."""
+
+    @abstractmethod
+    def _take(self, out: bytes) -> object:
+        """Take what is sent; where that was earlier, its answer is dropped."""
+
+
+@contextmanager
+def at_time(clock: Clock, now_ns: int) -> Iterator[None]:
+    """Set the clock to another session time, in nanoseconds, for the time of the block."""
+    present_ns = clock.now_ns()
+    clock.seek(now_ns)
+    try:
+        yield
+    finally:
+        clock.seek(present_ns)
+
+
+class VirtualLine(VirtualPart):
+    """A virtual device on a line of its own: serial, or captured edge by edge."""
+
+    def _require_line(self, *, silent: bool = True) -> None:
+        """Raise the BusError of a line that is unplugged, or silent where ``silent`` is set."""
+        if self._fault().kind == "silent" and silent:
+            self._clock.sleep(SILENCE)
+            raise BusError(f"the virtual sensor was silent for {SILENCE:g} s, a fault that its truth sets")
+
+
+class StreamingPart(VirtualLine):
+    """A device that sends message number n at ``n * period`` (s); one that is not read at once is lost.
+
+    message: ``message(number)`` returns its bytes, which take less time than the period.
+    baudrate: with ten bits a byte; the clock moves to the arrival of the last byte that is returned.
+    """
+
+    letter = "r"
+
+    def __init__(
+        self,
+        truth: Truth,
+        fixture: HeldPose,
+        clock: Clock,
+        message: Callable[[int], bytes],
+        *,
+        period: float = 0.010,
+        baudrate: int = 115_200,
+    ) -> None:
+        super().__init__(truth, fixture, clock)
+        self._message = message
+        self._period_ns = round(period * 1e9)
+        self._byte_ns = round(10e9 / baudrate)
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Wait for the next message; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        self._require_line(silent=count > 0)
+        if not count:
+            return b""
+        now_ns = self._clock.now_ns()
+        number = -(-now_ns // self._period_ns)
+        arrived = self._message(number)[:count]
+        self._clock.sleep((number * self._period_ns + len(arrived) * self._byte_ns - now_ns) / 1e9)
+        return arrived

@@ -1,0 +1,119 @@
+"""Mean, noise and uncertainty of a run of samples."""
+
+from __future__ import annotations
+
+import statistics
+from fractions import Fraction
+from math import sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiltcal.core.samples import drift, moments_of, summarise, summary_of
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=50))
+def test_mean_and_std_are_the_standard_librarys(samples: list[float]) -> None:
+    summary = summarise(samples)
+    assert summary.mean == pytest.approx(statistics.fmean(samples), rel=1e-12, abs=1e-9)
+    assert summary.std == pytest.approx(statistics.stdev(samples), rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e3, 1e12])
+def test_the_mean_of_a_long_run_is_as_good_as_its_samples(spread: float) -> None:
+    """Beside its sum as a fraction of whole numbers, which rounds nothing; one sample after the other is off by 600."""
+    rng = np.random.default_rng(1)
+    large = rng.normal(0.0, spread, 25_000)
+    samples = np.concatenate([rng.permutation(np.concatenate([large, -large])), [0.1, 0.2, 0.3]]) + 0.1
+    exact = sum(map(Fraction, samples.tolist()))
+    size = float(np.mean(np.abs(samples)))
+    assert abs(summarise(samples).mean - float(exact) / len(samples)) <= 2 * np.finfo(float).eps * size
+
+
+def test_the_summary_of_parts_is_that_of_all_samples() -> None:
+    """Blocks of 123 samples, which the parts cut."""
+    samples = 100.0 + np.cumsum(np.random.default_rng(3).normal(size=1234))
+    edges = [(0, 123, 246, 369, 400), (0, 92, 215, 338, 461, 500), (0, 84, 207, 330, 334)]
+    parts = [
+        moments_of(part, first, edge)
+        for part, first, edge in zip(np.split(samples, [400, 900]), (0, 3, 7), edges, strict=True)
+    ]
+    whole, found = summarise(samples), summary_of(parts)
+    assert (found.mean, found.std, found.u) == pytest.approx((whole.mean, whole.std, whole.u), rel=1e-12)
+    assert found.correlation == pytest.approx(whole.correlation, rel=1e-9)
+
+
+def test_white_noise_averages_down() -> None:
+    """The stated uncertainty is what means of white noise scatter by, over many runs."""
+    rng = np.random.default_rng(1)
+    runs = [summarise(rng.normal(0.0, 2.0, 100).tolist()) for _ in range(400)]
+    scatter = np.std([run.mean for run in runs])
+    assert scatter == pytest.approx(0.2, rel=0.1)
+    assert 0.9 * scatter < np.sqrt(np.mean([run.u**2 for run in runs])) < 1.35 * scatter
+
+
+def test_correlated_noise_does_not() -> None:
+    """An autoregressive record: std/sqrt(n) would claim far too little, the block means do not."""
+    rng = np.random.default_rng(2)
+    runs = []
+    for _ in range(200):
+        noise = rng.normal(size=400)
+        for i in range(1, 400):
+            noise[i] += 0.9 * noise[i - 1]
+        runs.append(summarise(noise.tolist()))
+    scatter = np.std([run.mean for run in runs])
+    claimed = np.sqrt(np.mean([run.u**2 for run in runs]))
+    naive = np.mean([run.std for run in runs]) / sqrt(400)
+    assert naive < 0.4 * scatter
+    assert 0.7 * scatter < claimed < 1.3 * scatter
+
+
+def test_a_reading_that_never_changes_is_uncertain_by_its_step() -> None:
+    assert summarise([1024.0] * 100, resolution=1.0).u == pytest.approx(1 / sqrt(12))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 3.0])
+def test_a_step_that_is_known_later_counts_as_if_it_had_been_known(noise: float) -> None:
+    samples = np.rint(np.random.default_rng(5).normal(7.0, noise, 100)).tolist()
+    later, known = summarise(samples).with_resolution(1.0), summarise(samples, 1.0)
+    assert (later.u, later.quantisation) == pytest.approx((known.u, known.quantisation), rel=1e-12)
+    assert later.resolution == known.resolution == 1.0
+
+
+def test_dithered_quantisation_averages_out() -> None:
+    """Noise of 0.6 step: means of rounded samples scatter about the truth as the stated uncertainty says."""
+    rng = np.random.default_rng(3)
+    errors, claimed = [], []
+    for _ in range(400):
+        truth = rng.uniform(0.0, 1.0)
+        summary = summarise(np.round(rng.normal(truth, 0.6, 200)).tolist(), resolution=1.0)
+        errors.append(summary.mean - truth)
+        claimed.append(summary.u)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.sqrt(np.mean(np.square(claimed))), rel=0.25)
+
+
+def test_drift_is_the_lines_change() -> None:
+    times = [0.1 * k for k in range(50)]
+    change, uncertainty = drift(times, [3.0 + 0.5 * time for time in times])
+    assert change == pytest.approx(0.5 * 4.9)
+    assert uncertainty == pytest.approx(0.0, abs=1e-9)
+
+
+def test_drift_uncertainty_covers_noise() -> None:
+    rng = np.random.default_rng(4)
+    times = [0.1 * k for k in range(40)]
+    ratios = [change / u for change, u in (drift(times, rng.normal(size=40).tolist()) for _ in range(500))]
+    assert np.std(ratios) == pytest.approx(1.0, abs=0.12)
+
+
+def test_samples_of_one_instant_have_not_drifted() -> None:
+    assert drift([2.5, 2.5, 2.5], [1.0, 7.0, 3.0]) == (0.0, 0.0)
+
+
+def test_identical_samples_have_no_scatter_at_all() -> None:
+    """A hundred times 0.1 is not 10 in binary digits."""
+    for value in (0.1, 107.123, 1 / 3):
+        summary = summarise([value] * 97)
+        assert (summary.mean, summary.std, summary.u) == (value, 0.0, 0.0)

@@ -1,0 +1,107 @@
+"""The virtual stage of four accelerometers against its source, and the virtual jig and chamber."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import cos, hypot, radians, sin
+from statistics import fmean, stdev
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from support import accelerometer_disk as disk
+
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.clock import VirtualClock
+from tiltcal.drivers.stage import Accelerometer, Disk, Gradiometer
+from tiltcal.drivers.virtual import Fixture, _rotated
+
+QUIET = Disk(noise=0.0)
+
+
+def taken(made: Disk, count: int, seed: int = 0) -> disk.Record:
+    samples = list(Gradiometer(made, seed).samples(count))
+    return disk.Record(*(np.array([getattr(one, name) for one in samples]) for name in ("time", "theta", "readings")))
+
+
+def test_eq_4_by_hand() -> None:
+    part = Accelerometer(3.0, misalignment=0.02, offset=0.5, drift=0.001)
+    made = replace(QUIET, accelerometers=(part,) * 4, inclination=radians(30.0))
+    sample = Gradiometer(made).sample(70)  # 1.4 s at 50 Hz: 63° at 0.125 Hz
+    assert sample.theta == pytest.approx(63.0)
+    along, across = 1.5 * sin(radians(63)), 1.5 * cos(radians(63))
+    radial, tangential = along + 0.02 * across, across - 0.02 * along
+    felt = [radial, -radial, tangential, -tangential]
+    assert sample.readings == pytest.approx([0.5 + 0.0014 + one for one in felt])
+
+
+def test_gradient_and_second_order_turn_up_twice_a_turn_with_the_signs_of_eq_1() -> None:
+    made = taken(replace(QUIET, inclination=0.0, gradient=(2e-6, 5e-7), accelerometers=(Accelerometer(1.0),) * 4), 4000)
+    for index, sign in enumerate((1, 1, -1, -1)):
+        assert disk.judged(made, made.readings[:, index], harmonic=2) == pytest.approx((sign * 1e-6, sign * 5e-7))
+    parts = (Accelerometer(1.0, second_order=0.1),) * 4
+    made = taken(replace(QUIET, inclination=radians(30.0), accelerometers=parts), 4000)
+    # 0.1 (0.5 sin)² = 0.0125 (1 - cos 2θ)
+    assert disk.judged(made, made.readings[:, 0], harmonic=2) == pytest.approx((0.0, -0.0125), abs=1e-12)
+
+
+def test_a_stream_begun_anywhere_is_the_same() -> None:
+    noisy = Disk(corner=0.1, wander=0.02, encoder_noise=0.05)
+    whole = list(Gradiometer(noisy, 7).samples(300))
+    assert list(Gradiometer(noisy, 7).samples(50, start=250)) == whole[250:]
+    assert whole != list(Gradiometer(noisy, 8).samples(300))
+
+
+def test_a_line_is_the_next_sample_of_the_disk_in_the_columns_of_the_address() -> None:
+    for options in ("", "&columns=a4,-,theta,time&separator=semicolon"):
+        where, clock = parse_address(f"sim:seed=5{options}"), VirtualClock()
+        model = find_model("gradiometer").at(where)
+        assert model.channels == (("a4", "theta") if options else ("theta", "a1", "a2", "a3", "a4"))
+        truth = model.default_truth(5)
+        sensor = model.driver(model.twin(truth, None, clock), clock)
+        sensor.read()
+        for number in range(2, 6):
+            sample = Gradiometer(truth.disk, 5).sample(number)
+            expected = (sample.readings[3], sample.theta) if options else (sample.theta, *sample.readings)
+            assert sensor.read().values == pytest.approx(expected, rel=1e-8)
+            assert clock.now_ns() / 1e9 == pytest.approx(number / 50, abs=0.01)
+
+
+@pytest.mark.parametrize(("pace", "constant"), [(2.0, 0.0), (0.0, 200.0), (0.0, 90.0)])
+def test_what_follows_the_chamber_obeys_its_differential_equation(pace: float, constant: float) -> None:
+    clock = VirtualClock()
+    fixture = Fixture(clock, ambient=20.0, time_constant=constant)
+    assert fixture.temperature(60.0) == fixture.temperature() == 20.0
+    seconds, chamber, element = np.arange(0.0, 2000.0, 20.0), [], []
+    for now in seconds:
+        clock.seek(round(now * 1e9))
+        if now in (100.0, 1200.0):
+            fixture.move((0.0, 0.0, 1.0), {100.0: 40.0, 1200.0: 10.0}[now], pace)
+        chamber.append(fixture.temperature())
+        element.append(fixture.temperature(90.0))
+
+    def slope(t: float, e: float) -> float:
+        return (np.interp(t, seconds, chamber) - e) / 90.0
+
+    solved = solve_ivp(slope, (0.0, 1980.0), [20.0], t_eval=seconds, max_step=5.0, rtol=1e-8).y[0]
+    assert element == pytest.approx(solved, abs=0.05)
+    assert chamber[20] == pytest.approx(30.0 if pace else 40.0 - 20.0 * np.exp(-300.0 / constant))
+
+
+def test_a_jig_misses_each_position_by_its_angle_and_keeps_it_while_it_is_held() -> None:
+    fixture = Fixture(VirtualClock(), seed=4, jig=0.5)
+    misses = []
+    for _ in range(2000):
+        fixture.move((0.0, 1.0, 0.0))
+        fixture.move((0.0, 0.0, 1.0))
+        misses.append(fixture.gravity[0])
+    assert stdev(misses) == pytest.approx(sin(radians(0.5)), rel=0.08)
+    assert abs(fmean(misses)) < 5 * sin(radians(0.5)) / 2000**0.5
+    assert hypot(*fixture.gravity) == pytest.approx(1.0, abs=1e-12)
+    before = fixture.gravity
+    fixture.move((0.0, 0.0, 1.0), temperature=5.5)
+    assert fixture.gravity == before
+    angles, up = [0.3, -0.2, 0.7], (0.48, -0.6, 0.64)
+    assert _rotated(up, angles) == pytest.approx(Rotation.from_euler("xyz", angles).apply(up))

@@ -1,0 +1,124 @@
+"""What a program holds of a calibration file."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from copy import copy, deepcopy
+from math import radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import FIXTURES
+
+from tiltcal.drivers import find_model
+from tiltcal.errors import InputError
+from tiltcal.library.calibration import Calibration, read
+from tiltcal.library.pair_calibration import PairCalibration
+
+FILE = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: sca100t-d02, serial: S-0042, unit: count, channels: [x, y]}
+calibration:
+  offset: {x: 1024.6, y: 1021.9}
+  sensitivity:
+    x: {x: 818.2, y: 9.1}
+    y: {x: -6.4, y: 820.7}
+uncertainty:
+  offset: {x: 0.4, y: 0.5}
+  sensitivity: {x: {x: 1.2, y: 0.1}, y: {x: 0.2, y: 1.3}}
+limits:
+  tilt: {x: [-30, 30]}
+"""
+
+
+@pytest.fixture
+def calibration(tmp_path: Path) -> Calibration:
+    path = tmp_path / "S-0042.yaml"
+    path.write_text(FILE, encoding="utf-8")
+    found = read(path)
+    assert isinstance(found, Calibration)
+    return found
+
+
+def test_coefficients_are_named(calibration: Calibration) -> None:
+    assert calibration.offset == {"x": 1024.6, "y": 1021.9}
+    assert calibration.sensitivity["x", "y"] == 9.1
+    assert calibration.sensitivity["y", "x"] == -6.4
+    assert calibration.uncertainty["offset.x"] == 0.4
+    assert calibration.uncertainty["sensitivity.y.y"] == 1.3
+
+
+@pytest.mark.parametrize("name", ["mavs", "multi-angle"])
+def test_arrays_cannot_be_changed(name: str) -> None:
+    """A drift and a nonlinearity are among them."""
+    coefficients = read(FIXTURES / f"{name}.yaml").coefficients
+    thermal = coefficients.thermal
+    terms = [] if thermal is None else [thermal.drift, thermal.gain]
+    shares = [] if coefficients.nonlinearity is None else [coefficients.nonlinearity]
+    assert terms or shares
+    for array in (coefficients.offset, coefficients.sensitivity, *terms, *shares):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
+@pytest.mark.parametrize("copied", [copy, deepcopy, lambda calibration: pickle.loads(pickle.dumps(calibration))])
+def test_a_copy_is_equal_and_cannot_be_changed(copied: Callable[[Calibration], Calibration]) -> None:
+    original = read(FIXTURES / "mavs.yaml")
+    found = copied(original)
+    assert found == original
+    assert hash(found) == hash(original)
+    assert not found.coefficients.offset.flags.writeable
+
+
+def test_limits_have_the_rails_of_the_model_where_the_file_names_none(calibration: Calibration) -> None:
+    assert calibration.limits.tilt["x"] == pytest.approx((radians(-30), radians(30)))
+    assert calibration.limits.reading == dict.fromkeys(("x", "y"), find_model("sca100t-d02").rails)
+    result = calibration.compensation()(np.array([[0.0, 1021.9]]))
+    assert (int(result.flag[0]), int(result.reason[0]) & 4) == (4, 4)
+
+
+def test_a_log_without_a_model_is_looked_up_in_no_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "log.yaml"
+    path.write_text(FILE.replace("sca100t-d02", "recorded"), encoding="utf-8")  # what `fit` writes without --model
+    monkeypatch.setattr("tiltcal.drivers._plug_ins_on", lambda path: pytest.fail("all packages are searched"))
+    found = read(path)
+    assert isinstance(found, Calibration)
+    assert found.limits.reading == {}
+
+
+def test_text_has_every_coefficient_with_its_uncertainty_and_unit(calibration: Calibration) -> None:
+    lines = [" ".join(line.split()) for line in str(calibration).splitlines()]
+    assert "offset x 1024.60 ± 0.40 count" in lines
+    assert "sensitivity yx -6.40 ± 0.20 count/g" in lines
+
+
+def test_at_a_prompt_it_is_named_in_a_line(calibration: Calibration) -> None:
+    assert repr(calibration) == "<Calibration of sca100t-d02 S-0042: x, y in count>"
+    assert repr(read(FIXTURES / "rotation.yaml")) == "<PairCalibration of a1 and a2, a3 and a4>"
+
+
+def test_saved_file_reads_back_equal(calibration: Calibration, tmp_path: Path) -> None:
+    calibration.save(tmp_path / "copy.yaml")
+    again = read(tmp_path / "copy.yaml")
+    assert isinstance(again, Calibration)
+    assert (again.offset, again.sensitivity, again.limits) == (
+        calibration.offset,
+        calibration.sensitivity,
+        calibration.limits,
+    )
+
+
+def test_file_of_pairs_is_read_as_pairs() -> None:
+    pair = read(FIXTURES / "rotation.yaml")
+    assert isinstance(pair, PairCalibration)
+    assert str(pair).startswith("a1 and a2, orthogonal a4")
+
+
+def test_wrong_file_names_file_line_and_key(tmp_path: Path) -> None:
+    path = tmp_path / "wrong.yaml"
+    path.write_text(FILE.replace("x: 818.2", "x: fast"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"wrong\.yaml:7: calibration\.sensitivity\.x\.x"):
+        read(path)

@@ -1,0 +1,359 @@
+"""Measuring from Python: a rig needs no pipe, a reading passes few frames, and nothing of pairs is loaded for tilt."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support import FIXTURES
+
+import tiltcal
+from tiltcal import Calibration, PairCalibration, measure, open_sensor
+from tiltcal.bench import sensors
+from tiltcal.bench.journal import calibrations_of
+from tiltcal.bench.operators import PythonObject, understood
+from tiltcal.bench.setup import Setup
+from tiltcal.cli.main import run
+from tiltcal.drivers.bus.clock import SystemClock
+from tiltcal.errors import InputError, Stopped, UsageError
+from tiltcal.files.base_calibration import BaseFile
+from tiltcal.files.bench import BenchFile, BenchSensor
+from tiltcal.files.journal import read_journal
+from tiltcal.files.procedure_file import find_procedure
+
+SENSOR = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "samples": 4, "settle": 0.2}
+
+
+PLANE = [
+    *("measure", "plane", "--operator=sim", "--output=S-1.yaml"),
+    *(f"--{name}={value}" for name, value in SENSOR.items()),
+]
+
+
+class Rig:
+    """A tilt table in Python: says ready, and half a degree more on y; keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[Mapping[str, Any]] = []
+
+    def position(self, ask: Mapping[str, Any]) -> Mapping[str, Any]:
+        self.told.append(ask)
+        return {"answer": "ready", "tilt": {axis: angle + 0.5 for axis, angle in ask["tilt"].items() if axis == "y"}}
+
+    def accepted(self, event: Mapping[str, Any]) -> None:
+        self.told.append(event)
+
+    def done(self, event: Mapping[str, Any]) -> None:
+        self.told.append(event)
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_a_rig_in_python_is_asked_as_a_program_is() -> None:
+    rig = Rig()
+    found = measure("plane", operator=rig, output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    assert isinstance(found, Calibration)
+    assert found.procedure.set["y-tilt1"].tilt == {"y": 30.5}
+    asks, events = rig.told[:-1:2], rig.told[1:-1:2]
+    assert [one["position"] for one in asks] == ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"]
+    assert asks[0] == {
+        "ask": "position",
+        "position": "x-tilt1",
+        "tilt": {"x": 30.0},
+        "gravity": [0.5, 0.0, pytest.approx(0.866, abs=1e-3)],
+        "heading": 0,
+        "temperature": None,
+        "prompt": asks[0]["prompt"],
+    }
+    assert [set(one) for one in events] == [{"event", "position", "mean", "std", "n", "temperature"}] * 4
+    assert rig.told[-1] == {"event": "done", "calibrations": ["S-1.yaml"], "journal": "S-1.journal.jsonl"}
+
+
+def test_a_session_from_python_is_the_session_of_the_command_line() -> None:
+    measure("plane", operator="sim", output="S-1.yaml", journal="J.jsonl", **SENSOR)  # type: ignore[arg-type]
+    Path("again").mkdir()
+    options = [f"--{name}={value}" for name, value in SENSOR.items()]
+    arguments = ["measure", "plane", "--operator=sim", "-o", "again/S-1.yaml", "--journal", "again/J.jsonl", *options]
+    assert run(arguments) == 0
+    assert Path("again/S-1.yaml").read_bytes() == Path("S-1.yaml").read_bytes()
+
+
+def test_a_session_that_a_rig_stopped_goes_on_where_it_stopped() -> None:
+    class Tired(Rig):
+        def position(self, ask: Mapping[str, Any]) -> Mapping[str, Any]:
+            return super().position(ask) if len(self.told) < 4 else {"answer": "quit"}
+
+    with pytest.raises(Stopped, match=r"quit.*--resume S-1\.journal\.jsonl"):
+        measure("plane", operator=Tired(), output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    rig = Rig()
+    found = measure(operator=rig, resume="S-1.journal.jsonl")
+    assert isinstance(found, Calibration)
+    assert [one["position"] for one in rig.told if "ask" in one] == ["y-tilt1", "y-tilt2"]
+    assert found.procedure.set["y-tilt2"].tilt == {"y": -29.5}
+    assert calibrations_of(read_journal("S-1.journal.jsonl")).texts() == {"S-1": Path("S-1.yaml").read_text()}
+
+
+def test_a_bench_without_a_file() -> None:
+    bench = BenchFile(tuple(BenchSensor(f"S-{k}", "sca100t-d02", f"sim:?seed={k}") for k in (1, 2)), operator="A. Rig")
+    found = measure("plane", operator=Rig(), bench=bench, samples=4, settle=0.2)
+    assert isinstance(found, list)
+    assert [one.sensor.serial for one in found] == ["S-1", "S-2"]
+
+
+def test_a_stage_is_turned_by_a_rig() -> None:
+    class Stage:
+        turns = 0
+        matched: Mapping[str, Any] = {}
+
+        def rotation(self, ask: Mapping[str, Any]) -> Mapping[str, Any]:
+            assert ask["ask"] == "rotation"
+            return {"answer": "ready"}
+
+        def turn(self, event: Mapping[str, Any]) -> None:
+            self.turns = event["turn"]
+
+        def poll(self) -> Mapping[str, Any] | None:
+            return {"answer": "stop"} if self.turns >= 3 else None
+
+        def accepted(self, event: Mapping[str, Any]) -> None:
+            self.matched = event
+
+    stage = Stage()
+    options = {"sensor": "gradiometer", "address": "sim:", "serial": "G-1", "output": "pair.yaml"}
+    found = measure("rotation", operator=stage, **options)
+    assert isinstance(found, PairCalibration)
+    assert stage.matched["turns"] == pytest.approx(3.0, abs=0.6)
+    assert set(stage.matched) == {"event", "position", "turns", "p", "q", "u_p", "u_q", "suppression"}
+
+
+def test_an_operator_without_the_method_is_refused_before_anything_is_captured() -> None:
+    with pytest.raises(UsageError, match=r"no method position\(ask\)"):
+        measure("plane", operator=object(), output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="no operator 'robot'"):
+        measure("plane", operator="robot", output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"no method rotation\(ask\)"):
+        PythonObject(Rig(), "rotation")
+    assert list(Path().iterdir()) == []
+
+
+def test_a_rig_whose_answers_are_none_is_given_up_with_the_reason() -> None:
+    class Mute:
+        def position(self, ask: object) -> None:
+            return None
+
+    with pytest.raises(Stopped, match="an answer is an object"):
+        measure("plane", operator=Mute(), output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+
+
+def test_a_rig_that_only_talks_nonsense_while_the_stage_turns_is_given_up() -> None:
+    class Babbling:
+        def rotation(self, ask: object) -> Mapping[str, Any]:
+            return {"answer": "ready"}
+
+        def poll(self) -> object:
+            return {"answer": "perhaps"}
+
+    with pytest.raises(Stopped, match="'perhaps' is not one of stop, quit"):
+        measure("rotation", operator=Babbling(), sensor="gradiometer", address="sim:", serial="G-1", output="p.yaml")
+
+
+@pytest.mark.parametrize(
+    "said",
+    [None, 3, {}, {"answer": "yes"}, {"answer": "ready", "tilt": {"x": float("inf")}}, {"answer": "ready", "tilt": []}],
+)
+def test_an_answer_is_checked(said: object) -> None:
+    with pytest.raises(InputError):
+        understood(said)
+
+
+@pytest.mark.parametrize("axis", ["\ud800", "z", "X", ""])
+def test_an_angle_has_an_axis(axis: str) -> None:
+    """A lone surrogate cannot be written to the journal."""
+    with pytest.raises(InputError, match="an angle is that of x or y") as refused:
+        understood({"answer": "ready", "tilt": {axis: 30.0}})
+    assert str(refused.value).isascii()
+
+
+def test_numbers_of_numpy_are_understood() -> None:
+    """An encoder that is read with numpy gives its types; 30.5 is a number of each of them."""
+    said = {"tilt": {"y": np.float32(30.5)}, "gravity": np.array([0.0, 0.6, 0.8]), "temperature": np.int64(20)}
+    found = understood({"answer": "ready", **said})
+    assert found == understood({"answer": "ready", "tilt": {"y": 30.5}, "gravity": [0.0, 0.6, 0.8], "temperature": 20})
+    assert [type(value) for value in (found.tilt["y"], *(found.gravity or ()), found.temperature)] == [float] * 5
+    for wrong in (np.bool_(True), np.float32("nan"), np.array([30.0]), np.array("30")):
+        with pytest.raises(InputError, match=r"temperature in the answer is .*, not a number"):
+            understood({"answer": "ready", "temperature": wrong})
+
+
+@pytest.mark.parametrize("gravity", [[0, 0.5, 0.866025404], [0, 0.500302, 0.865851]], ids=["asked", "reached"])
+def test_an_answer_may_repeat_the_direction_that_was_asked_or_reached(gravity: list[float]) -> None:
+    """By hand: sin 30.02° = 0.500302, cos 30.02° = 0.865851; the tilt counts, and was dropped beside a gravity."""
+    (asked,) = (each for each in find_procedure("plane", 30.0).positions if each.name == "y-tilt1")
+    reached = understood({"answer": "ready", "tilt": {"y": 30.02}, "gravity": gravity}).as_set(asked)
+    assert reached.gravity == pytest.approx((0.0, 0.500302, 0.865851), abs=1e-6)
+
+
+def test_an_answer_that_contradicts_itself_is_refused() -> None:
+    (asked,) = (each for each in find_procedure("plane", 30.0).positions if each.name == "y-tilt1")
+    said = understood({"answer": "ready", "tilt": {"y": 30.02}, "gravity": [0.0, 0.6, 0.8]})
+    with pytest.raises(InputError, match="a tilt and a gravity that contradict each other"):
+        said.as_set(asked)
+
+
+def test_a_sensor_is_read_by_itself() -> None:
+    with open_sensor("sca100t-d02", "sim:?seed=1") as sensor:
+        reading = sensor.read()
+    # Level, 1024 count ± 0.1 g of 819 count/g; room temperature.
+    assert reading.values == pytest.approx((1024, 1024), abs=82)
+    assert reading.temperature == pytest.approx(24.0, abs=5.0)
+
+
+def test_at_the_bus_twelve_frames_of_ours_stand_on_the_stack(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the entry point of the command to the link that is recorded; counted where the bytes leave."""
+    depths: set[int] = set()
+    connect = sensors.open_device
+    ours = (str(Path(tiltcal.__file__).parent), str(Path(tiltcal.__file__).parents[1] / "drivers"))
+
+    class Inspected:
+        """A link that counts the frames above it."""
+
+        letter = "s"
+
+        def __init__(self, *args: Any) -> None:
+            self._link = connect(*args)
+            self.close = self._link.close
+
+        def exchange(self, out: bytes, count: int = 0) -> bytes:
+            frame, depth = sys._getframe(1), 0
+            while frame is not None:
+                depth += frame.f_code.co_filename.startswith(ours)
+                frame = frame.f_back  # type: ignore[assignment]
+            depths.add(depth)
+            return self._link.exchange(out, count)
+
+    monkeypatch.setattr(sensors, "open_device", Inspected)
+    options = [f"--{name}={value}" for name, value in SENSOR.items()]
+    assert run(["measure", "plane", "--operator=sim", "--output=S-1.yaml", *options]) == 0
+    assert depths
+    assert max(depths) <= 12, depths
+
+
+def test_measuring_tilt_loads_nothing_of_a_stage() -> None:
+    program = f"""
+import sys
+from tiltcal.cli.main import run
+assert run({PLANE!r}) == 0
+pair = ("tiltcal.files.rotation", "tiltcal.bench.rotation")
+print([name for name in sys.modules if any(one in name for one in pair)])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+PLANE = [
+    "measure",
+    "plane",
+    "--operator=sim",
+    "--output=S-1.yaml",
+    *(f"--{name}={value}" for name, value in SENSOR.items()),
+]
+
+
+def test_a_full_disk_says_how_to_go_on_and_costs_nothing() -> None:
+    """The operating system itself refuses the bytes beyond a limit of the process."""
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))
+
+    # Without -B the limit would cut the byte code of a module that no process has imported before, for good.
+    command = [sys.executable, "-B", "-m", "tiltcal"]
+    done = subprocess.run([*command, *PLANE], capture_output=True, text=True, preexec_fn=limited, timeout=120)
+    assert done.returncode == 2
+    assert "cannot be written: File too large; make room on the disk, then resume" in done.stderr
+    assert "tiltcal measure --resume S-1.journal.jsonl" in done.stderr
+    assert "Traceback" not in done.stderr
+    measure(resume="S-1.journal.jsonl")
+    options = {**SENSOR, "output": "whole/S-1.yaml", "journal": "whole/S-1.journal.jsonl"}
+    Path("whole").mkdir()
+    measure("plane", operator="sim", **options)  # type: ignore[arg-type]
+    assert set(tiltcal.read("S-1.yaml").fit.residuals) == set(tiltcal.read("whole/S-1.yaml").fit.residuals)  # type: ignore[union-attr]
+    log = [*command, "record", "--sensor=sca100t-d02", "--address=sim:", "--rows=1000", "-o", "log.csv"]
+    done = subprocess.run(log, capture_output=True, text=True, preexec_fn=limited, timeout=120)
+    assert done.returncode == 2
+    assert "cannot write log.csv: File too large; the rows before are kept" in done.stderr
+    assert Path("log.csv").read_text().endswith("\n")
+
+
+@pytest.mark.parametrize("name", ["../outside.yaml", "{here}/../outside.yaml"])
+def test_a_journal_of_somebody_else_writes_nowhere_but_beside_it(name: str, tmp_path: Path) -> None:
+    Path("inside").mkdir()
+    measure("plane", operator="sim", output=name.format(here=tmp_path), journal="inside/J.jsonl", **SENSOR)  # type: ignore[arg-type]
+    written = Path(name.format(here=tmp_path))
+    whole = written.read_bytes()
+    written.unlink()
+    with pytest.raises(UsageError, match="outside its own folder: say with -o where the calibration goes"):
+        measure(resume="inside/J.jsonl")
+    assert not written.exists()
+    measure(resume="inside/J.jsonl", output="here.yaml")
+    assert Path("here.yaml").read_bytes() == whole
+
+
+def test_a_link_beside_the_journal_leads_nowhere_else(tmp_path: Path) -> None:
+    measure("plane", operator="sim", output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    Path("S-1.yaml").unlink()
+    Path("S-1.yaml").symlink_to("/tmp/elsewhere.yaml")
+    with pytest.raises(UsageError, match="outside its own folder"):
+        measure(resume="S-1.journal.jsonl")
+
+
+def test_a_clock_that_went_back_is_taken_from_the_journal() -> None:
+    """A Raspberry Pi without a clock wakes in the past: a pause is then no time, and time goes on from there."""
+    clock = SystemClock(time.time_ns() + 86_400_000_000_000)
+    clock.seek(3_600_000_000_000)
+    first = clock.now_ns()
+    clock.sleep(0.002)
+    assert 3_600_000_000_000 <= first < 3_600_000_000_000 + 10_000_000_000
+    assert clock.now_ns() - first >= 2_000_000
+
+
+def test_output_to_a_full_device_is_an_error_in_words() -> None:
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "tiltcal", "procedures"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60
+        )
+    assert (done.returncode, done.stderr) == (2, "tiltcal: the output cannot be written: No space left on device\n")
+
+
+def test_headings_and_stage_angles_are_shown_and_recorded() -> None:
+    Path("own.yaml").write_text(
+        "tiltcal: 1\nkind: procedure\nname: own\ntitle: Two headings on a stage\ndetermines: {axes: []}\npositions:\n"
+        "  - {name: first, tilt: {x: 0, y: 0}, heading: 0, stage: 12.5, prompt: Lay it down.}\n"
+        "  - {name: second, tilt: {x: 0, y: 0}, heading: 180, stage: 192.5, prompt: Turn it round.}\n"
+    )
+    rig = Rig()
+    found = measure("own.yaml", operator=rig, output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
+    assert isinstance(found, Calibration)
+    assert [(one["heading"], one["stage"]) for one in rig.told if "ask" in one] == [(0, 12.5), (180, 192.5)]
+    written = tiltcal.read("S-1.yaml")
+    assert isinstance(written, Calibration)
+    assert [(one.heading, one.stage) for one in written.procedure.set.values()] == [(0, 12.5), (180, 192.5)]
+
+
+def test_a_base_states_the_sensitivity_of_a_device_of_any_kind() -> None:
+    """serial-columns has none of its own; two-temperature determines none."""
+    sensor = BenchSensor("S-1", "serial-columns", "serial:///dev/null?columns=x,y,temperature&unit=V")
+    options = (find_procedure("two-temperature"), BenchFile(sensors=(sensor,)), [None], Path("j.jsonl"))
+    with pytest.raises(UsageError, match=r"or name the sensor's calibration \(--base\)"):
+        Setup.begin(*options, operator="json")
+    base = BaseFile((FIXTURES / "zero-45.yaml").read_text())
+    assert Setup.begin(*options, operator="json", bases={"S-1": base}).bases == {"S-1": base}

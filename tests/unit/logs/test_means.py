@@ -1,0 +1,302 @@
+"""Means of rows: what belongs into one, what is left out, and that their stated uncertainty holds."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from math import hypot, nan, radians
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+import xarray
+
+import tiltcal
+from tiltcal.errors import InputError, UsageError
+from tiltcal.library.apply import apply_log
+from tiltcal.library.calibration import Calibration, read
+from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
+from tiltcal.logs.formats.csv_types import ColumnTypes
+from tiltcal.logs.kernel import RoleValues, prepare
+from tiltcal.logs.means import GroupSize
+from tiltcal.logs.options import ApplyOptions
+from tiltcal.options import complete
+
+CAL = """\
+tiltcal: 1
+kind: tilt
+sensor: {model: bench-built, serial: S-1, unit: V, channels: [x, y]}
+calibration:
+  offset: {x: 2.5, y: 2.5}
+  sensitivity: {x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}
+uncertainty:
+  offset: {x: 0.003, y: 0.003}
+  sensitivity: {x: {x: 0.002, y: 0.001}, y: {x: 0.001, y: 0.002}}
+  single_reading: {x: 0.04, y: 0.04}
+limits:
+  reading: {x: [0.0, 5.0], y: [0.0, 5.0]}
+"""
+
+
+@pytest.fixture
+def cal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Calibration:
+    monkeypatch.chdir(tmp_path)
+    Path("cal.yaml").write_text(CAL)
+    found = read("cal.yaml")
+    assert isinstance(found, Calibration)
+    return found
+
+
+def rows(**columns: Any) -> dict[str, Any]:
+    number = len(next(iter(columns.values())))
+    return {"x": np.full(number, 2.5), "y": np.full(number, 2.5), **columns}
+
+
+class TestGroups:
+    def test_so_many_rows_each_and_the_last_may_have_fewer(self, cal: Calibration) -> None:
+        found = cal.apply(rows(x=[2.5, 2.7, 2.6, 2.9, 3.1]), average=2)
+        assert found["count"].tolist() == [2, 2, 1]
+        assert found["x"] == pytest.approx([2.6, 2.75, 3.1])
+        assert found["g_x"] == pytest.approx([0.05, 0.125, 0.3])
+
+    @pytest.mark.parametrize(
+        ("times", "means"),
+        [
+            (
+                ["2026-05-01 12:00", "2026-05-01T12:00:03Z", "2026-05-01"],
+                ["2026-05-01T12:00:01.500Z", "2026-05-01T00:00:00Z"],
+            ),
+            (["8", "9.5", "11"], ["8.75", "11.0"]),
+            (["noon", "noon", "one"], ["noon", "one"]),
+        ],
+    )
+    def test_times_that_are_text_get_their_mean(self, times: list[str], means: list[str], cal: Calibration) -> None:
+        frame = pl.DataFrame(rows(x=[2.5, 2.7, 2.6], time=times))
+        assert cal.apply(frame, average=2)["time"].to_list() == means
+
+    def test_readings_are_averaged_and_not_angles(self, cal: Calibration) -> None:
+        found = cal.apply(rows(x=[2.5, 4.5]), average=2)
+        assert found["tilt_x"] == pytest.approx([30.0])  # of the angles it is 45
+
+    def test_so_much_time_each_on_the_clock_of_the_log(self, cal: Calibration) -> None:
+        time = [7.0, 9.0, 10.0, nan, 19.9, 41.0]
+        found = cal.apply(rows(time=time), every="10s")
+        assert found["count"].tolist() == [2, 3, 1]
+        assert found["time"] == pytest.approx([8.0, (10.0 + 19.9) / 2, 41.0])
+
+    @pytest.mark.parametrize(
+        ("interval", "every", "count"), [(0.02, "100ms", 5), (0.01, "30ms", 3), (1 / 3000, "1ms", 3)]
+    )
+    @pytest.mark.parametrize("begin", [0.0, 1767225600.0])
+    def test_a_row_on_a_border_begins_its_mean(
+        self, cal: Calibration, begin: float, interval: float, every: str, count: int
+    ) -> None:
+        """Dates in seconds have errors of 0.1 µs; all three begin on a border, as 1767225600 is a multiple of 30 ms."""
+        time = begin + np.round(np.arange(900) * interval, 6)
+        assert set(cal.apply(rows(time=time), every=every)["count"].tolist()) == {count}
+
+    def test_a_row_a_microsecond_before_a_border_does_not(self, cal: Calibration) -> None:
+        time = 1767225600.0 + np.array([0.0, 0.099999, 0.1, 0.199999])
+        assert cal.apply(rows(time=time), every="100ms")["count"].tolist() == [2, 2]
+
+    def test_rows_without_any_time_are_refused(self, cal: Calibration) -> None:
+        with pytest.raises(InputError, match=r"the frame: none of the first rows \(2\) has a time, which .* mean"):
+            cal.apply(rows(time=[nan, nan]), every="10s")
+
+    def test_missing_rows_are_left_out_and_not_counted(self, cal: Calibration) -> None:
+        found = cal.apply(rows(x=[2.5, nan, 2.7, nan, nan], n=[1, 2, 4, 6, 8]), average=3)
+        assert found["count"].tolist() == [2, 0]
+        assert found["x"] == pytest.approx([2.6, nan], nan_ok=True)
+        assert found["n"] == pytest.approx([2.5, 7.0])
+        assert (found["flag"].tolist(), found["reason"].tolist()) == ([1, 9], [0, 32])
+
+    def test_a_row_at_the_rail_fails_its_mean(self, cal: Calibration) -> None:
+        found = cal.apply(rows(x=[2.5, 5.0, 2.5, 2.6]), average=2)
+        assert (found["flag"].tolist(), found["reason"].tolist()) == ([4, 1], [4, 0])
+
+    def test_a_temperature_that_is_there_in_part_is_averaged_where_it_is(self, cal: Calibration) -> None:
+        assert cal.apply(rows(temperature=[20.0, nan, 21.0]), average=3)["temperature"] == pytest.approx([20.5])
+
+    def test_headings_are_averaged_as_directions(self, cal: Calibration) -> None:
+        flow = {"heading": [359.0, 3.0], "u": [1.0, 1.0], "v": [0.0, 0.0], "w": [0.0, 0.0]}
+        found = cal.apply(rows(**flow), average=2, velocity="u,v,w")
+        assert found["heading"] == pytest.approx([1.0])
+        assert found["v_east"] == pytest.approx([np.sin(radians(1.0))])
+
+    @pytest.mark.parametrize(
+        ("headings", "mean", "flag", "reason"),
+        [
+            ([350.0, 10.0], 0.0, 1, 0),  # the cosine of 10° is 0.985
+            ([340.0, 20.0], 0.0, 3, 128),  # and that of 20° is 0.940
+            ([10.0, 189.0], 99.5, 3, 128),
+        ],
+    )
+    def test_headings_that_cancel_are_told(
+        self, cal: Calibration, headings: list[float], mean: float, flag: int, reason: int
+    ) -> None:
+        flow = {"heading": headings, "u": [1.0, 1.0], "v": [0.0, 0.0], "w": [0.0, 0.0]}
+        found = cal.apply(rows(**flow), average=2, velocity="u,v,w")
+        assert found["heading"] == pytest.approx([mean])
+        assert 0.0 <= found["heading"][0] < 360.0
+        assert (found["flag"].tolist(), found["reason"].tolist()) == ([flag], [reason])
+
+    @pytest.mark.parametrize("every", ["10q", "0s", "-1", "", "1.2.3s"])
+    def test_a_wrong_time_is_refused(self, every: str) -> None:
+        with pytest.raises(UsageError, match="--every takes a time such as 10s"):
+            GroupSize.of(None, every)
+
+    def test_both_are_refused(self, cal: Calibration) -> None:
+        with pytest.raises(UsageError, match="give one of them"):
+            cal.apply(rows(x=[2.5]), average=2, every="10s")
+        assert GroupSize.of(None, "5min") == GroupSize(seconds=300.0)
+
+
+def test_blocks_of_a_file_and_a_frame_give_the_same(cal: Calibration) -> None:
+    """A CSV block is 4 MB: 150,000 rows are several."""
+    draw = np.random.default_rng(1)
+    log = pl.DataFrame(
+        {"time": np.arange(150_000.0), "x": draw.uniform(1.0, 4.0, 150_000), "y": 2.5, "who": "a somewhat longer text"}
+    )
+    log.write_csv("log.csv")
+    for options in ({"average": 70_001}, {"every": "7s"}):
+        apply_log(cal, "log.csv", "out.csv", **options)
+        whole = cal.apply(log, **options)
+        found = pl.read_csv("out.csv")
+        assert found.columns == whole.columns
+        assert found["count"].to_list() == whole["count"].to_list()
+        np.testing.assert_allclose(found["tilt_x"], whole["tilt_x"], atol=1e-9)
+        assert found["who"].to_list() == whole["who"].to_list()
+
+
+@pytest.mark.parametrize("count", [1, 100, 10_000])
+def test_the_uncertainty_of_a_mean_holds(cal: Calibration, count: int) -> None:
+    """Offset, sensitivity and each reading are off by random errors of the stated size; means are drawn as such."""
+    trials = 20_000
+    draw = np.random.default_rng(count)
+    g_x, g_y = draw.uniform(-0.6, 0.6, (2, trials))
+    offset, noise = draw.normal(0.0, 0.003, trials), draw.normal(0.0, 0.04, trials)
+    own, other = draw.normal(2.0, 0.002, trials), draw.normal(0.0, 0.001, trials)
+    reading = 2.5 + offset + own * g_x + other * g_y
+    with_noise = reading + noise / np.sqrt(count)
+    # A mean of `count` rows is told apart from a single one by its count alone.
+    log = {"x": np.repeat(with_noise, 1), "y": 2.5 + 2.0 * g_y}
+    kernel = prepare(cal.record, complete(ApplyOptions, {"uncertainty": True, "average": count})).kernel
+    table = kernel(RoleValues(np.column_stack([log["x"], log["y"]]), count=np.full(trials, count)))
+    error = np.abs(table["tilt_x"] - np.degrees(np.arcsin(g_x)))
+    assert 0.94 < np.mean(error <= table["U95_tilt_x"]) < 0.96
+    shares = np.hypot(table["u_random_tilt_x"], table["u_common_tilt_x"])
+    np.testing.assert_allclose(shares, table["u_tilt_x"], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("options", "told"), [({"uncertainty": True}, 1), ({}, 0)])
+def test_that_the_noise_counts_as_white_is_told_where_there_is_an_uncertainty(
+    cal: Calibration, options: dict[str, bool], told: int
+) -> None:
+    said: list[str] = []
+    prepare(cal.record, complete(ApplyOptions, {"average": 2, "say": said.append, **options}))
+    assert sum("the noise of readings counts as white" in line for line in said) == told
+
+
+def test_shares_are_those_worked_out_by_hand(cal: Calibration) -> None:
+    found = cal.apply(rows(x=np.full(100, 2.5)), average=100, uncertainty=True)
+    degree = np.degrees(1.0 / 2.0)
+    assert found["u_common_tilt_x"] == pytest.approx([0.003 * degree], rel=1e-3)
+    assert found["u_random_tilt_x"] == pytest.approx([0.004 * degree], rel=1e-3)
+    assert found["u_tilt_x"] == pytest.approx([hypot(0.003, 0.004) * degree], rel=1e-3)
+
+
+def test_netcdf_states_which_errors_are_random(cal: Calibration) -> None:
+    """The attributes are those of obsarray's user guide, from which punpy propagates."""
+    log = xarray.Dataset(
+        {name: ("time", values) for name, values in rows(x=np.full(7, 2.6)).items()}, attrs={"site": "A"}
+    )
+    log["time"] = ("time", np.arange(7.0), {"units": "seconds since 2026-01-01"})
+    log.to_netcdf("log.nc", engine="h5netcdf")
+    apply_log(cal, "log.nc", "out.nc", average=3, uncertainty=True)
+    with xarray.open_dataset("out.nc", engine="h5netcdf", decode_times=False) as found:
+        assert found["count"].values.tolist() == [3, 3, 1]
+        assert found["time"].values.tolist() == [1.0, 4.0, 6.0]
+        assert found["time"].attrs["units"] == "seconds since 2026-01-01"
+        assert found.attrs["site"] == "A"
+        assert list(found["tilt_x"].attrs["unc_comps"]) == ["u_random_tilt_x", "u_common_tilt_x"]
+        for name, form in (("u_random_tilt_x", "random"), ("u_common_tilt_x", "systematic")):
+            attrs = found[name].attrs
+            assert (attrs["err_corr_1_dim"], attrs["err_corr_1_form"]) == ("time", form)
+            assert len(attrs["err_corr_1_params"]) == len(attrs["err_corr_1_units"]) == 0
+            assert attrs["pdf_shape"] == "gaussian"
+
+
+def test_netcdf_keeps_what_is_true_or_false(cal: Calibration) -> None:
+    columns = rows(x=np.full(4, 2.6), wet=np.array([True, True, False, True]))
+    xarray.Dataset({name: ("row", values) for name, values in columns.items()}).to_netcdf("log.nc", engine="h5netcdf")
+    apply_log(cal, "log.nc", "out.nc", average=2)
+    with xarray.open_dataset("out.nc", engine="h5netcdf") as found:
+        assert (found["wet"].dtype, found["wet"].values.tolist()) == (bool, [True, False])
+
+
+def test_every_kind_of_frame_stays_its_kind(cal: Calibration) -> None:
+    log = rows(x=np.full(5, 2.6), who=np.array(list("abcde")))
+    frame = pl.DataFrame(log)
+    kinds = (log, frame, frame.to_pandas(), frame.to_arrow(), xarray.Dataset({k: ("row", v) for k, v in log.items()}))
+    for kind in kinds:
+        found = tiltcal.read("cal.yaml").apply(kind, average=2)
+        assert type(found) is type(kind)
+        assert [int(one) for one in found["count"]] == [2, 2, 1]
+        assert [str(one) for one in np.asarray(found["who"])] == ["a", "c", "e"]
+
+
+class TestTimeOfCsv:
+    """The type that the time of a CSV log has in Parquet and in means."""
+
+    @pytest.mark.parametrize(
+        ("cells", "typed"),
+        [
+            (("1767225600000000001", ""), [1767225600000000001, None]),
+            (("0012.5", "13.5"), [12.5, 13.5]),
+            (("1767225600000000", "0.5"), [1767225600000000.0, 0.5]),
+            (("12:00:01", "noon"), ["12:00:01", "noon"]),
+            (("2026-05-01 12:00", "noon"), [datetime(2026, 5, 1, 12, tzinfo=UTC), None]),
+        ],
+    )
+    def test_it_keeps_what_it_holds(self, cells: tuple[str, str], typed: list[Any]) -> None:
+        frame = self.types().typed(self.block(*cells)).frame
+        assert frame is not None
+        assert frame["time"].to_list() == typed
+
+    def test_whole_numbers_that_go_on_with_others_are_refused(self) -> None:
+        types = self.types()
+        types.typed(self.block("1767225600000000001"))
+        with pytest.raises(InputError, match=r"^log\.csv: row 1: column 'time' holds '1.5', and numbers above it"):
+            types.typed(self.block("1.5"))
+
+    @pytest.mark.parametrize(
+        ("cells", "mean"),
+        [
+            (("1767225600000000", "1767225600000002"), 1767225600000001),
+            (("0012.5", "0013.5"), 13),
+            (("12:00:01", "12:00:03"), "12:00:01"),
+            (("2026-05-01 12:00", "2026-05-01 12:01"), "2026-05-01T12:00:30Z"),
+        ],
+    )
+    @pytest.mark.usefixtures("cal")
+    def test_means_of_so_many_rows_have_one(self, cells: tuple[str, str], mean: str | int) -> None:
+        Path("log.csv").write_text("time,x,y\n" + "".join(f"{cell},2.5,2.5\n" for cell in cells))
+        apply_log("cal.yaml", "log.csv", output="means.csv", average=2)
+        (found,) = pl.read_csv("means.csv", infer_schema=False)["time"]
+        assert (found if isinstance(mean, str) else float(found)) == mean
+
+    def test_the_text_of_a_bad_row_stays(self) -> None:
+        rows = parse_rows(b"noon,1\nsoon,1,2\n", ("time", "n"), (0,), time=0, texts=(0, 1))
+        frame = self.types().typed(rows).frame
+        assert frame is not None
+        assert frame["time"].to_list() == ["noon", "soon"]
+
+    @staticmethod
+    def types() -> ColumnTypes:
+        return ColumnTypes(("time", "n"), (0,), 0, file="log.csv")
+
+    @staticmethod
+    def block(*cells: str) -> CsvBlock:
+        data = "".join(f"{cell},1\n" for cell in cells).encode()
+        return parse_rows(data, ("time", "n"), (0,), time=0, texts=(0, 1))

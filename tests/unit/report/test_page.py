@@ -1,0 +1,313 @@
+"""The page of a tilt calibration says what its file says, and is a page that anyone can read, print and keep."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from decimal import Decimal
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from support import FIXTURES, WITHOUT_PRIORS
+from support.html_page import Page, undrawn
+
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.results import (
+    FileRecord,
+    FitRecord,
+    PositionRecord,
+    PositionSet,
+    ProcedureRecord,
+    Provenance,
+    SegmentsRecord,
+    SuspectPosition,
+)
+from tiltcal.report.page import tilt_page
+
+SOURCE = FileRecord(name="S.yaml", sha256="0" * 64)
+
+
+def golden(name: str) -> CalibrationRecord:
+    return read_calibration(FIXTURES / f"{name}.yaml")
+
+
+def as_data(name: str) -> dict[str, Any]:
+    """A golden file, read by another reader than ours."""
+    data: dict[str, Any] = yaml.safe_load((FIXTURES / f"{name}.yaml").read_text(encoding="utf-8"))
+    return data
+
+
+def page_of(calibration: CalibrationRecord, **more: Any) -> Page:
+    return Page(tilt_page(calibration, SOURCE, **more))
+
+
+@cache
+def text_of(name: str) -> str:
+    """The page of a golden file, without its figures."""
+    with undrawn():
+        return tilt_page(golden(name), SOURCE)
+
+
+@pytest.fixture(scope="module")
+def complete() -> Page:
+    return Page(text_of("complete"))
+
+
+def number(text: str) -> Decimal:
+    return Decimal(text.replace("−", "-"))
+
+
+def read(text: str) -> tuple[Decimal, Decimal]:
+    """Value and standard uncertainty of ``1026.115(75)``."""
+    value, brackets = text.removesuffix(")").split("(")
+    return number(value), Decimal(int(brackets)).scaleb(number(value).as_tuple().exponent)  # type: ignore[arg-type]
+
+
+class TestCoefficients:
+    @pytest.mark.parametrize("name", ["complete", "multi-angle", "temperature-sweep", "free"])
+    def test_every_one_has_its_value_uncertainty_and_interval(self, name: str) -> None:
+        data, shown = as_data(name), Page(text_of(name))
+        rows = {
+            row.attributes["data-name"]: [cell.text for cell in row.find("td")]
+            for row in shown.root.find("tr")
+            if re.match("offset|sensitivity|temperature|nonlinearity", row.attributes.get("data-name", ""))
+        }
+        checked = 0
+        for dotted, value, u in coefficients(data):
+            _, told, _, half, factor = rows[dotted] if u else [*rows[dotted], *("",) * (5 - len(rows[dotted]))]
+            if not u:
+                assert number(told) == Decimal(repr(value)).normalize()
+                assert not half
+                continue
+            mean, bracket = read(told)
+            assert bracket == Decimal(f"{u:.1e}"), dotted
+            assert abs(mean - Decimal(repr(value))) * 2 <= Decimal(1).scaleb(bracket.adjusted() - 1), dotted
+            k = data["uncertainty"]["coverage_factor"][dotted]
+            assert Decimal(half) == Decimal(f"{k * u:.1e}")
+            assert float(factor) == pytest.approx(k, abs=0.00501)
+            checked += 1
+        assert checked == len(data["uncertainty"]["covariance"]["parameters"])
+        assert len(rows) >= checked
+
+    def test_the_points_of_a_column_are_below_each_other(self, complete: Page) -> None:
+        table = next(one for one in complete.root.find("table") if "Quantity" in one.text)
+        spans = [row.find("td")[1].find("span") for row in table.find("tr")[1:]]
+        assert len({whole.attributes["style"] for whole, _ in spans}) == 1
+        assert all(rest.text.startswith(".") for _, rest in spans)
+
+
+def coefficients(data: dict[str, Any]) -> list[tuple[str, float, float]]:
+    """Name, value and uncertainty of all that the section ``calibration`` holds, but the mounting."""
+    section, u = data["calibration"], data["uncertainty"]
+    found = [(f"offset.{c}", v, u["offset"][c]) for c, v in section["offset"].items()]
+    for c, row in section["sensitivity"].items():
+        found += [(f"sensitivity.{c}.{axis}", v, u["sensitivity"][c][axis]) for axis, v in row.items()]
+    for c, row in section.get("nonlinearity", {}).items():
+        found += [(f"nonlinearity.{c}.{k}", v, u["nonlinearity"][c][k - 2]) for k, v in enumerate(row, start=2)]
+    for what in ("offset", "sensitivity"):
+        for c, row in section.get("temperature", {}).get(what, {}).items():
+            doubts = u["temperature"].get(what, {}).get(c, [0.0] * len(row))
+            found += [(f"temperature.{what}.{c}.{k + 1}", v, doubts[k]) for k, v in enumerate(row)]
+    return found
+
+
+class TestRecords:
+    def test_the_head_says_what_was_calibrated(self, complete: Page) -> None:
+        provenance = as_data("complete")["provenance"]
+        assert complete.headings[0] == (1, "sca100t-d02 SIM-42")
+        assert complete.facts["Serial number"] == "SIM-42"
+        assert complete.facts["Operator"] == provenance["operator"]
+        assert complete.facts["Software"] == provenance["software"]
+        assert complete.facts["Journal"] == provenance["journal"]["name"]
+        assert complete.facts["SHA-256 of the journal"] == provenance["journal"]["sha256"]
+        assert complete.facts["SHA-256 of the file"] == "0" * 64
+        ended = re.match(r"2000-01-01T(\d\d:\d\d:\d\d)\.", provenance["ended"])
+        assert ended is not None
+        assert complete.facts["Calibrated"] == f"2000-01-01 00:00:00 UTC to {ended[1]} UTC"
+
+    def test_a_virtual_bench_is_marked(self, complete: Page) -> None:
+        notes = [one.text for one in complete.root.find("p") if one.attributes.get("role") == "note"]
+        assert notes == ["Made by the virtual bench: no real sensor was measured."]
+
+    @pytest.mark.usefixtures("undrawn")
+    def test_a_real_sensor_is_not(self) -> None:
+        known = golden("complete")
+        real = page_of(replace(known, provenance=known.provenance.replaced(made_by="measurement")))
+        assert not [one for one in real.root.find("p") if one.attributes.get("role") == "note"]
+        assert real.facts["Made by"] == "measurement"
+        assert "virtual" not in " ".join(one.text for one in real.root.find("li"))
+
+    @pytest.mark.usefixtures("undrawn")
+    def test_nothing_of_the_provenance_is_left_out(self) -> None:
+        known = golden("complete")
+        more = known.provenance.replaced(
+            link_statistics={"sentences": 812, "damaged": 3}, segments=SegmentsRecord(found="so")
+        )
+        facts = page_of(replace(known, provenance=more)).facts
+        assert facts["Link statistics: damaged"] == "3"
+        assert facts["Segments: found"] == "so"
+
+    def test_positions_are_there_as_they_were_set_and_measured(self, complete: Page) -> None:
+        data = as_data("complete")
+        rows = complete.below("Procedure and positions")[2:]
+        assert [row[0] for row in rows] == [one["position"] for one in data["positions"]]
+        assert [row[1] for row in rows][:3] == ["x 45°", "x −45°", "y 45°"]
+        assert rows[4][1] == "up (0, 0, −1)"
+        for row, record in zip(rows, data["positions"], strict=True):
+            for channel, cell in zip("xy", row[4:6], strict=True):
+                assert read(cell)[1] == Decimal(f"{record['u'][channel]:.1e}")
+            residual = data["fit"]["residuals"][record["position"]]
+            assert [float(number(cell)) for cell in row[6:]] == pytest.approx([residual["x"], residual["y"]], abs=6e-4)
+
+    def test_the_budget_has_the_shares_and_bars_of_their_lengths(self, complete: Page) -> None:
+        budget = as_data("complete")["fit"]["budget"]
+        table = next(one for one in complete.root.find("table") if "Share of the variance" in one.text)
+        head, *rows = table.find("tr")
+        sources = [cell.text.removesuffix(" / %").lower() for cell in head.find("th")[3:]]
+        shares = {row.find("th")[0].text: [cell.text for cell in row.find("td")[2:]] for row in rows}
+        stated = budget["sensitivity.x.z"]
+        assert shares["Sensitivity of x to z"] == [f"{100 * stated[s]:.1f}" if s in stated else "" for s in sources]
+        assert len(rows) == len(budget)
+        for row in rows:
+            bars = row.find("rect")
+            end = float(bars[-1].attributes["x"]) + float(bars[-1].attributes["width"])
+            assert end == pytest.approx(520.0, abs=2.0)  # the file leaves out shares that round to nothing
+
+    def test_derived_quantities(self, complete: Page) -> None:
+        derived = as_data("complete")["derived"]
+        rows = {row[0]: row[1:] for row in complete.below("Cross-axis error")}
+        value, u = read(rows["Cross-axis sensitivity of y"][0])
+        assert value == round(Decimal(repr(derived["cross_axis_percent"]["y"])), 3)
+        assert u == Decimal(f"{derived['uncertainty']['cross_axis_percent']['y']:.1e}")
+        assert rows["Misalignment of x"][1] == "°"
+
+    @pytest.mark.parametrize(("name", "said"), [("mounting", "for the mounting"), ("level", "level, for the offset")])
+    def test_positions_that_were_not_fitted_say_what_they_are_for(self, name: str, said: str) -> None:
+        rows = Page(text_of(name)).below("Procedure and positions")[2:]
+        completing = as_data(name)["procedure"][name]["positions"]
+        assert [row[1] for row in rows[-len(completing) :]] == [said] * len(completing)
+        assert said not in [row[1] for row in rows[: -len(completing)]]
+
+    def test_mounting_and_intrinsic_parameters(self) -> None:
+        mounted, stated = Page(text_of("mounting")).below("Mounting"), as_data("mounting")
+        for row, angle in zip(mounted[1:], ("roll", "pitch", "yaw"), strict=True):
+            self.assert_told(row[1], stated["calibration"]["mounting"][angle], stated["uncertainty"]["mounting"][angle])
+        free, own = Page(text_of("free")), as_data("free")["derived"]["intrinsic"]
+        rows = {row[0]: row[1] for row in free.below("Intrinsic parameters")}
+        told = rows["Angle between x and z"]
+        self.assert_told(told, own["angle_degrees"]["xz"], own["uncertainty"]["angle_degrees"]["xz"])
+        assert any("undetermined" in one.text for one in free.root.find("p"))
+
+    @staticmethod
+    def assert_told(text: str, value: float, u: float) -> None:
+        mean, brackets = read(text)
+        assert brackets == Decimal(f"{u:.1e}")
+        assert abs(float(mean) - value) <= 0.06 * u
+
+    def test_notes_are_there_word_for_word(self) -> None:
+        notes = as_data("temperature-sweep")["fit"]["notes"]
+        items = [one.text for one in Page(text_of("temperature-sweep")).root.find("li")]
+        assert set(notes) <= set(items)
+        assert "assumed: sensitivity: nominal of the model" in items
+
+    def test_correlations_are_those_of_the_covariance(self, complete: Page) -> None:
+        matrix = as_data("complete")["uncertainty"]["covariance"]["matrix"]
+        expected = matrix[3][0] / (matrix[3][3] * matrix[0][0]) ** 0.5
+        rows = complete.below("Correlations")
+        assert rows[3][0] == "Sxz"
+        assert float(number(rows[3][1])) == pytest.approx(expected, abs=0.005)
+
+    def test_what_is_not_covered_is_said(self) -> None:
+        plane = " ".join(one.text for one in page_of(read_calibration(WITHOUT_PRIORS)).root.find("li"))
+        for word in ("Temperature", "Nonlinearity", "mounting", "Sensitivity to z", "virtual", "ageing"):
+            assert word in plane
+        bent = " ".join(one.text for one in Page(text_of("multi-angle")).root.find("li"))
+        assert "Nonlinearity" not in bent
+        assert Page(text_of("plane")).facts["Tilt of x"] == "−30 to 30°"
+
+
+@pytest.mark.usefixtures("undrawn")
+class TestVerdict:
+    def judged(self, **fit: Any) -> str:
+        known = golden("plane")
+        page = page_of(replace(known, fit=known.fit.replaced(**{"degrees_of_freedom": 2, **fit})))
+        return " ".join(one.text for one in page.root.find("p"))
+
+    def test_positions_that_agree(self) -> None:
+        said = self.judged(chi_square=2.69, p_value=0.26)
+        assert "Degrees of freedom 2, uncertainty from residuals, chi-square 2.69." in said
+        assert "not credible" not in said
+
+    def test_positions_that_do_not_and_the_suspect(self) -> None:
+        suspects = {"x-tilt2": SuspectPosition(off_degrees=0.512, chi_square=33.0)}
+        said = self.judged(chi_square=40.1, p_value=2e-9, suspect_positions=suspects)
+        assert "Chi-square 40.1 with 2 degrees of freedom (probability 2e-09) is not credible: noise, jig or" in said
+        assert "Further off than the stated jig allows, the worst first: x-tilt2 (0.512°)." in said
+
+
+class TestAnyFile:
+    """Only sensor and calibration are needed."""
+
+    @pytest.mark.usefixtures("undrawn")
+    def test_a_file_written_by_hand(self, tmp_path: Path) -> None:
+        known = golden("plane")
+        bare = CalibrationRecord(known.sensor, known.coefficients)
+        page = page_of(bare)
+        assert page.headings[0][0] == 1
+        assert page.below("Coefficients")[1][2] == f"{known.coefficients.offset[0]:.6g}"
+
+    def test_markup_in_a_file_is_text(self, tmp_path: Path) -> None:
+        nasty = '<script>alert("1")</script><img src=x onerror=alert(1)>'
+        known = golden("complete")
+        calibration = replace(
+            known,
+            sensor=known.sensor.replaced(serial=nasty, model=nasty, unit=nasty),
+            fit=FitRecord(notes=(nasty,), budget={nasty: {nasty: 1.0}}, residuals={nasty: {"x": 1.0}}),
+            procedure=ProcedureRecord(name=nasty, title=nasty, set={nasty: PositionSet(tilt={"x": 1.0})}),
+            positions=(PositionRecord(position=nasty, mean={"x": 1.0}, n=1),),
+            provenance=Provenance(made_by=f"virtual {nasty}", operator=nasty),
+        )
+        page = page_of(calibration)
+        assert not page.root.find("script", "img")
+        assert not [one for one in page.root.find("p", "td", "text", "svg", "rect") if "onerror" in one.attributes]
+        assert page.headings[0][1] == f"{nasty} {nasty}"
+        assert nasty in [one.text for one in page.root.find("li")]
+
+    def test_mathematics_in_a_file_is_text(self) -> None:
+        known, maths = golden("temperature-sweep"), ["$\\frac{$", "$x$", "\\", "$$"]
+        names = dict(zip(known.fit.residuals, [*maths, *list(known.fit.residuals)[len(maths) :]], strict=True))
+        calibration = replace(
+            known,
+            sensor=known.sensor.replaced(unit=" ".join(maths)),
+            fit=known.fit.replaced(residuals={names[name]: row for name, row in known.fit.residuals.items()}),
+            positions=tuple(one.replaced(position=names[one.position]) for one in known.positions),
+        )
+        drawn = [text.text for figure in page_of(calibration).root.find("svg") for text in figure.find("text")]
+        assert set(maths) <= set(drawn)
+        assert any(f"[{' '.join(maths)}]" in text for text in drawn)
+
+
+@pytest.mark.usefixtures("undrawn")
+class TestDrift:
+    def test_what_changed_is_named_and_marked(self, tmp_path: Path) -> None:
+        before = golden("plane")
+        offset = before.coefficients.offset + np.array([15.0, 0.0])
+        after = replace(before, coefficients=replace(before.coefficients, offset=offset))
+        page = page_of(after, earlier=[(before, "spring.yaml")])
+        rows = {row[0]: row for row in page.below("Change since earlier calibrations")}
+        stated = as_data("plane")
+        names, matrix = (stated["uncertainty"]["covariance"][key] for key in ("parameters", "matrix"))
+        row = dict(zip(names, matrix[names.index("offset.x")], strict=True))
+        priors = {name: u for name, u in stated["fit"]["priors"].items() if not name.endswith(".2")}  # level and 30°
+        common = sum((row[name] / u) ** 2 for name, u in priors.items())
+        u = (row["offset.x"] - common) ** 0.5
+        assert float(number(rows["Offset of x"][-1])) == pytest.approx(15.0 / (2.0**0.5 * u), abs=0.006)
+        assert read(rows["Offset of x"][4])[0] == Decimal("15.0")
+        assert read(rows["Offset of y"][4])[0] == 0
+        assert any(one.text.startswith("Changed: offset.x by more than") for one in page.root.find("p"))
+        marked = [row.find("th")[0].text for row in page.root.find("tr") if row.attributes.get("class") == "mark"]
+        assert marked == ["Offset of x"]

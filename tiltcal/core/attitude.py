@@ -1,0 +1,202 @@
+"""Attitudes: the unit vector that points up, from the tilt of axes; how a sensor sits; and small errors of what is set.
+
+A position is set to the direction ``g``; its true direction is ``g'``, a great-circle arc away::
+
+    g' = cos|a| g + sin|a| / |a| * (b1 a1 + b2 a2)
+
+``b1, b2`` span the plane perpendicular to ``g`` and ``a`` holds the two angles in radians. A turn about gravity itself
+moves no reading, so two angles are all there is. The basis is what the shortest turn from level to ``g`` makes of the
+fixture's x and y: a table that leans by ``(t1, t2)`` then adds the same two angles to every position that is set with
+the fixture at one heading, and turned ones to a position at another heading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import asin, cos, degrees, hypot, isfinite, pi, radians, sin, sqrt
+
+import numpy as np
+
+from tiltcal.core.model import AXES, Array
+from tiltcal.errors import InputError
+
+Vector = tuple[float, float, float]
+
+LEVEL: Vector = (0.0, 0.0, 1.0)
+"""Up in the frame of what is level."""
+
+_UNIT: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_UPSIDE_DOWN = 1e-12
+_SMALL = 1e-6
+
+
+# Directions
+
+
+def gravity_from_tilt(tilt: Mapping[str, float]) -> Vector:
+    """Return up in the sensor frame where axes are tilted: (g_x, g_y, g_z) with g_z = +sqrt(1 - g_x² - g_y²).
+
+    Parameters
+    ----------
+    tilt : mapping of str to float
+        Tilt of axes x and y in degrees; an axis that is left out is level. Tilt of axis i is asin(g_i).
+
+    InputError: an axis other than x and y, an angle outside ±90°, or two tilts that no direction has.
+    """
+    strange = sorted(set(tilt) - {"x", "y"})
+    if strange:
+        raise InputError(f"tilt names axis {strange[0]!r}; it may name x and y (give gravity: for other directions)")
+    x, y = tilt.get("x", 0.0), tilt.get("y", 0.0)
+    for angle in (x, y):
+        if not (isfinite(angle) and -90.0 <= angle <= 90.0):
+            raise InputError(f"a tilt of {angle}° is not between -90° and 90°")
+    g_x, g_y = _sine(x), _sine(y)
+    rest = 1.0 - g_x * g_x - g_y * g_y
+    if rest < -1e-12:
+        raise InputError(f"no direction has a tilt of {x}° on x and {y}° on y at once")
+    return g_x, g_y, sqrt(max(rest, 0.0))
+
+
+def normalised(gravity: Sequence[float]) -> Vector:
+    """Return a direction of gravity as a unit vector; an InputError where it is not three finite numbers, or 0."""
+    if len(gravity) != 3 or not all(isfinite(component) for component in gravity):
+        raise InputError("gravity takes three finite numbers [gx, gy, gz]")
+    length = hypot(*gravity)
+    if length == 0.0:
+        raise InputError("gravity [0, 0, 0] has no direction")
+    g_x, g_y, g_z = (component / length for component in gravity)
+    return g_x, g_y, g_z
+
+
+def tilt_from_gravity(gravity: Sequence[float]) -> dict[str, float]:
+    """Return the tilt of x and y in degrees, the inverse of :func:`gravity_from_tilt` where g_z is positive."""
+    g_x, g_y, _ = normalised(gravity)
+    return {"x": degrees(asin(g_x)), "y": degrees(asin(g_y))}
+
+
+def _sine(angle: float) -> float:
+    """Return the sine of an angle in degrees, exact at 0° and ±90°, where procedures put most of their positions."""
+    if abs(angle) == 90.0:
+        return 1.0 if angle > 0 else -1.0
+    if abs(angle) == 30.0:
+        return 0.5 if angle > 0 else -0.5
+    return cos(pi / 2 - radians(angle)) if abs(angle) > 45.0 else sin(radians(angle))
+
+
+# How a sensor sits on the fixture
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """A turn by right angles from the fixture's frame to a sensor's.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The fixture axis that each sensor axis points along, such as ``("-y", "x", "z")``.
+    """
+
+    names: tuple[str, ...] = AXES
+
+    @property
+    def straight(self) -> bool:
+        """Whether the sensor's frame is the fixture's."""
+        return self.names == AXES
+
+    @property
+    def matrix(self) -> tuple[Vector, Vector, Vector]:
+        """Rows: the sensor's axes in the fixture's frame; takes a vector of that frame to the sensor's."""
+        first, second, third = (_direction(name) for name in self.names)
+        return first, second, third
+
+    def seen(self, vector: Vector) -> Vector:
+        """Return a vector of the fixture's frame, such as gravity's direction, in the sensor's."""
+        x, y, z = (sum(a * b for a, b in zip(row, vector, strict=True)) for row in self.matrix)
+        return x, y, z
+
+
+STRAIGHT = Orientation()
+"""The sensor's frame is the fixture's."""
+
+
+def orientation(names: Sequence[str]) -> Orientation:
+    """Return the orientation that two or three signed axis names state.
+
+    Parameters
+    ----------
+    names : sequence of str
+        ``x``, ``-x``, ``y``, ... for the sensor's x, y and, where it is given, z axis. A third one that is left out
+        completes a right-handed frame.
+
+    InputError: not two or three different axes, or a left-handed frame.
+    """
+    plain = [name.lstrip("+-") for name in names]
+    if len(names) not in (2, 3) or any(axis not in _UNIT for axis in plain) or len(set(plain)) < len(plain):
+        raise InputError(f"axes [{', '.join(names)}] are not two or three different ones of x, y, z with their signs")
+    tidy = [name.removeprefix("+") for name in names]
+    across = np.cross(_direction(tidy[0]), _direction(tidy[1]))
+    third = ("-" if across.sum() < 0.0 else "") + AXES[int(np.argmax(np.abs(across)))]
+    if len(tidy) == 3 and tidy[2] != third:
+        raise InputError(
+            f"axes [{', '.join(names)}] are a left-handed frame, which no turn of a sensor gives; the third is {third}"
+        )
+    return Orientation((tidy[0], tidy[1], third))
+
+
+def _direction(name: str) -> Vector:
+    x, y, z = _UNIT[name[-1]]
+    return (-x, -y, -z) if name.startswith("-") else (x, y, z)
+
+
+# Small errors of what is set
+
+
+def tangent_basis(gravity: Array) -> Array:
+    """Return the two directions in which each unit vector can move, shapes (n, 3) and (n, 3, 2).
+
+    Upside down, where the shortest turn from level is not unique, it is the half turn about x.
+    """
+    x, y, z = gravity.T
+    below = 1.0 + z < _UPSIDE_DOWN
+    share = 1.0 / np.where(below, 1.0, 1.0 + z)
+    basis = np.empty((len(gravity), 3, 2))
+    basis[:, :, 0] = np.stack([1.0 - x * x * share, -x * y * share, -x], axis=1)
+    basis[:, :, 1] = np.stack([-x * y * share, 1.0 - y * y * share, -y], axis=1)
+    basis[below] = np.array([[1.0, 0.0], [0.0, -1.0], [0.0, 0.0]])
+    return basis
+
+
+def turned(gravity: Array, basis: Array, angles: Array) -> tuple[Array, Array]:
+    """Turn unit vectors, (n, 3), along arcs, (n, 2), radians; and differentiate them by the arcs, (n, 3, 2), g/rad.
+
+    ``basis`` comes from :func:`tangent_basis`.
+    """
+    size = np.linalg.norm(angles, axis=1)
+    sinc = np.sinc(size / np.pi)
+    # (cos r - sin r / r) / r², whose limit is -1/3.
+    small = size < _SMALL
+    bend = np.where(small, -1.0 / 3.0, (np.cos(size) - sinc) / np.where(small, 1.0, size) ** 2)
+    along = np.einsum("nij,nj->ni", basis, angles)
+    direction = np.cos(size)[:, None] * gravity + sinc[:, None] * along
+    derivative = sinc[:, None, None] * (basis - gravity[:, :, None] * angles[:, None, :])
+    derivative += bend[:, None, None] * along[:, :, None] * angles[:, None, :]
+    return direction, derivative
+
+
+def heading_rotations(heading: Array) -> Array:
+    """Return the matrices, (n, 2, 2), that take the lean of a table to the angles of positions at headings, (n,).
+
+    ``angles = matrix @ lean``, the lean in the frame of the table. A heading is how far the fixture is turned about the
+    vertical, counterclockwise seen from above, radians.
+    """
+    c, s = np.cos(heading), np.sin(heading)
+    return np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
+
+
+def rotation_vectors(gravity: Array, basis: Array, angles: Array) -> Array:
+    """Return the arcs of :func:`turned` as right-handed rotation vectors in the fixture's frame, shape (n, 3), radians.
+
+    None has a part along gravity.
+    """
+    return np.cross(gravity, np.einsum("nij,nj->ni", basis, angles))

@@ -1,0 +1,135 @@
+"""The input of the estimator: positions with their mean readings, and the coefficients to determine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import inf
+
+from tiltcal.core.attitude import STRAIGHT
+from tiltcal.core.model import Array, ChannelModel
+from tiltcal.errors import EstimateError
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The mean reading in one position."""
+
+    position: str
+    gravity: Array  # up in the sensor frame as set, shape (3,), g
+    mean: Array  # shape (channels,), unit
+    u: Array  # its standard uncertainty from noise and rounding, shape (channels,), unit
+    temperature: float | None = None  # °C
+    heading: float | None = None  # how far the fixture is turned about the vertical, degrees
+    held: bool = False  # not set again after the position before: it has the same attitude error
+    dof: Array | float = inf  # of the noise in u, shape (channels,); infinite where the noise is known
+    adc: Array | float = 0.0  # the part of u that rounding gives, shape (channels,), unit
+    noise_unknown: bool = False  # nothing but rounding is in u: the residuals show one noise for all readings
+    looser: float = 1.0  # factor of the design's jig here: sessions set their positions each with its own
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Value and standard uncertainty of a coefficient before anything is measured; u = 0 holds it at the value."""
+
+    value: float
+    u: float = 0.0
+
+
+@dataclass(frozen=True)
+class StatedCoefficients:
+    """What a calibration file states: ``rows @ coefficients`` is ``values``, with a covariance."""
+
+    names: tuple[str, ...]  # the coefficient that each value is of, first of all
+    rows: Array  # by the names of the design, shape (k, coefficients)
+    values: Array  # shape (k,)
+    covariance: Array  # shape (k, k)
+
+
+@dataclass(frozen=True)
+class Design:
+    """Which coefficients are to be determined, and how well the bench sets what it sets (standard uncertainties).
+
+    A jig that is not stated (None) is estimated from the residuals, and so is a thermometer beside a stated jig; an
+    infinite jig means free positions. Of a lean that is not stated positions at several headings show what it is.
+    """
+
+    channels: tuple[str, ...]
+    axes: tuple[str, ...]  # columns of the sensitivity matrix
+    drift: int = 0  # order of the offset's polynomial in temperature
+    gain: int = 0  # and of the sensitivity's
+    reference: float = 0.0  # °C, where an order is above 0
+    jig: float | None = None  # of each set angle, degrees per axis
+    table: float | None = None  # of the lean that all positions share, degrees per axis
+    heading: float = 0.0  # degrees
+    thermometer: float | None = 0.0  # °C
+    nonlinearity: int = 0  # 0 for a straight line, 1 for a square, 2 for a square and a cube
+    priors: Mapping[str, Prior] = field(default_factory=dict)  # by the coefficient's dotted name
+    nominal: float = 0.0  # sensitivity of the model, unit/g; 0 where it is not known
+    stated: tuple[StatedCoefficients, ...] = ()  # what calibrations of the sensor state jointly, beside the priors
+
+    @property
+    def assumes_sensitivity(self) -> bool:
+        """Whether the sensitivities are known before, and not determined."""
+        return any(f"sensitivity.{channel}.{channel}" in self.priors for channel in self.channels)
+
+    @property
+    def thermal(self) -> bool:
+        """Whether temperature terms are asked for."""
+        return bool(self.drift or self.gain)
+
+    @property
+    def free(self) -> bool:
+        """Whether the directions of gravity are unknown."""
+        return self.jig == inf
+
+    @property
+    def bench(self) -> tuple[float | None, ...]:
+        """What the sensors of one fixture have in common."""
+        return self.jig, self.table, self.heading, self.thermometer
+
+    @cached_property
+    def models(self) -> tuple[ChannelModel, ...]:
+        """The model of each channel."""
+        return tuple(ChannelModel(name, self.axes, self.drift, self.gain, self.nonlinearity) for name in self.channels)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Dotted names of all coefficients, channel by channel."""
+        return tuple(name for model in self.models for name in model.coefficients)
+
+
+@dataclass(frozen=True)
+class SensorObservations:
+    """The positions of one sensor of a fixture; those of several sensors belong together by their names.
+
+    ``orientation`` is 3 by 3 and takes a vector of the fixture's frame to the sensor's.
+    """
+
+    design: Design
+    observations: Sequence[Observation]
+    orientation: Sequence[Sequence[float]] = STRAIGHT.matrix
+
+
+def require_sound(sensors: Sequence[SensorObservations]) -> None:
+    """Refuse sensors that do not belong on one fixture, and designs that contradict themselves, with EstimateErrors."""
+    if not sensors:
+        raise EstimateError("no sensor, nothing to estimate")
+    for design, observations in ((sensor.design, sensor.observations) for sensor in sensors):
+        if not observations:
+            raise EstimateError("no position was measured: measure the procedure's positions first")
+        if design.bench != sensors[0].design.bench:
+            raise EstimateError("the sensors of one fixture share its jig, its table and its thermometer")
+        names = [observation.position for observation in observations]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise EstimateError(f"position {twice} is there twice: name each one differently")
+        if design.nonlinearity and not set(design.channels) <= set(design.axes):
+            raise EstimateError("a nonlinearity is counted along each channel's own axis: determine that axis too")
+        cold = next((one.position for one in observations if design.thermal and one.temperature is None), None)
+        if cold is not None:
+            raise EstimateError(f"position {cold}: a temperature is needed for the temperature terms")
+        strange = sorted(set(design.priors) - set(design.names))
+        if strange:
+            raise EstimateError(f"a prior names {strange[0]}, which is no coefficient of this design")

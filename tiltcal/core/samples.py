@@ -1,0 +1,383 @@
+"""The samples of a position: their mean and its uncertainty, from one position and from several.
+
+Sums of up to some thousand samples are rounded once (:func:`math.fsum`), and longer ones are made in an order that does
+not depend on the processor, so a replayed session gives the same digits everywhere.
+
+Ten block means leave nine degrees of freedom: weights made of such variances would cost a fifth of what weighting can
+give. Positions at one bench have much the same noise. Where their variances scatter no more than chance makes them, all
+are one. Where they do, they are taken for scaled chi-squares about values that themselves scatter, as an inverse
+chi-square with ``d0`` degrees of freedom, and each is drawn towards the common one in proportion.
+
+Block means that are correlated show noise with a memory longer than a block: their scatter then understates the
+uncertainty of the mean. Noise below half a step of the reading does not average the rounding out, and in a position
+that happens to read one value all the time it does not show; over all positions it does.
+
+Sources: G. K. Smyth, *Linear models and empirical Bayes methods*, Stat. Appl. Genet. Mol. Biol. 3 (2004) 3, section 6;
+B. Widrow, I. Kollár, *Quantization noise*, Cambridge (2008), chapter 9; J. R. Magnus, *The exact moments of a ratio of
+quadratic forms in normal variables*, Annales d'Économie et de Statistique 4 (1986) 95, theorem 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import chain, pairwise
+from math import exp, fsum, hypot, inf, pi, sqrt
+from operator import mul
+
+import numpy as np
+
+from tiltcal.core.model import Array
+
+BLOCKS = 10
+"""Number of blocks whose means show correlation that std/sqrt(n) does not see."""
+
+_FEW, _MANY = 4096, 1 << 14
+"""Samples up to which a sum is rounded once, and those that are summed up together, within the processor's cache."""
+
+_SAME_NOISE = 0.01
+"""Variances are one where chance scatters their logarithms as much with at least this probability."""
+
+_FLOOR = 1e-5
+"""A variance below this share of the median counts as that: a reading that never changed has no logarithm."""
+
+_CORRELATED, _POSSIBLE = 4.0, 1.5
+"""Standard deviations above the correlation of white noise's block means from which it is no chance; and from which it
+counts, without a remark: white noise shows as much in one session of fifteen."""
+
+_MARGIN, _SPREAD = 0.5, 0.27
+"""Count with a correlation that is this many standard deviations above the mean; that of ten block means."""
+
+_CORRELATED_DOF = 2.0
+"""Degrees of freedom of a position's ten block means that are strongly correlated."""
+
+_ENOUGH = 5.0
+"""Correlation times that a block should have."""
+
+_BY_TIME = np.array(
+    [
+        (0.02, -0.093, 1.010),
+        (0.1, -0.064, 1.055),
+        (0.2, -0.019, 1.120),
+        (0.3, 0.030, 1.193),
+        (0.4, 0.078, 1.269),
+        (0.5, 0.122, 1.345),
+        (0.7, 0.193, 1.494),
+        (1.0, 0.267, 1.707),
+        (1.4, 0.330, 1.971),
+        (2.0, 0.384, 2.329),
+        (3.0, 0.428, 2.854),
+        (5.0, 0.464, 3.722),
+        (10.0, 0.489, 5.346),
+        (30.0, 0.505, 9.400),
+    ]
+)
+"""Correlation time of noise with an exponential memory, in blocks; the correlation that ten block means show of it on
+average (Magnus, theorem 6); the true over the apparent uncertainty of their mean."""
+
+_COARSE = 0.5
+"""Noise below this share of the reading's step leaves a rounding error in a mean."""
+
+_FEW_POSITIONS = 0.25
+"""Count with a scatter of rounded readings that is lower by this many of its relative standard deviations."""
+
+
+@dataclass(frozen=True)
+class SampleSummary:
+    """The mean of a run of samples of one channel, and its uncertainty, in the unit of the samples."""
+
+    mean: float
+    std: float  # sample standard deviation
+    n: int
+    u: float  # standard uncertainty of the mean, by noise (type A) and rounding
+    quantisation: float = 0.0  # the part of u that rounding gives
+    dof: float = inf  # degrees of freedom of the rest, the noise; infinite where it is known
+    resolution: float = 0.0  # the step of the reading; 0 where it is continuous
+    correlation: float | None = None
+    """Of neighbouring block means, -1/10 on average without a memory; None without blocks, or where all are alike."""
+
+    @property
+    def noise(self) -> float:
+        """The part of ``u`` that noise gives (type A), same unit."""
+        return sqrt(max(self.u**2 - self.quantisation**2, 0.0))
+
+    @property
+    def noise_unknown(self) -> bool:
+        """Whether nothing but its rounding is known of the mean, as in a table that states no uncertainties."""
+        return self.dof == inf and 0.0 < self.u <= self.quantisation
+
+    def with_resolution(self, resolution: float) -> SampleSummary:
+        """Return the summary of the same samples where their step is known to be another one."""
+        rounding = rounding_uncertainty(self.std, resolution)
+        return replace(self, u=hypot(self.noise, rounding), quantisation=rounding, resolution=resolution)
+
+
+def summarise(samples: Sequence[float] | Array, resolution: float = 0.0) -> SampleSummary:
+    """Return mean, standard deviation and the mean's standard uncertainty of at least one sample, shape (n,).
+
+    The uncertainty is what the scatter of ten block means says, because samples of a real record are correlated and
+    std/sqrt(n) does not see it; fewer than twenty samples have no blocks, and std/sqrt(n) it is. Rounding is added:
+    noise of half a step or more averages it out, a reading that never changes is uncertain by step/sqrt(12).
+    """
+    return summary_of([moments_of(np.asarray(samples, dtype=float))], resolution)
+
+
+@dataclass(frozen=True)
+class Moments:
+    """The sums of some samples of a channel, from which the summary of many more follows."""
+
+    n: int
+    total: float  # sum of the samples
+    mean: float
+    squares: float  # sum of the squares about the mean
+    low: float  # the smallest sample
+    high: float  # and the largest
+    first: int  # number of the first block
+    blocks: Sequence[tuple[float, int]]  # sum and number of the samples of each block, as far as they are among these
+
+
+def moments_of(values: Array, first: int = 0, edges: Sequence[int] = ()) -> Moments:
+    """Sum up some samples, shape (n,), of which ``first`` is the number of the first block.
+
+    ``edges`` are where blocks begin among them, and the end of the last; ten equal ones without.
+    """
+    n, size = len(values), len(values) // BLOCKS
+    edges = edges or range(0, BLOCKS * size + 1, max(size, 1))
+    runs, low, high = list(pairwise((0, *edges, n))), float(values.min()), float(values.max())
+    summands = _summands(values, runs)
+    total = fsum(chain.from_iterable(summands))
+    # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
+    mean = low if low == high else total / n
+    blocks = [(fsum(run), end - start) for run, (start, end) in zip(summands, runs, strict=True)]
+    (squares,) = _summands(values, [(0, n)], mean)
+    return Moments(n, total, mean, fsum(squares), low, high, first, blocks[1:-1])
+
+
+def summary_of(parts: Sequence[Moments], resolution: float = 0.0) -> SampleSummary:
+    """Return what :func:`summarise` returns of the samples of all parts, in order."""
+    n = sum(part.n for part in parts)
+    alike = min(part.low for part in parts) == max(part.high for part in parts)
+    mean = parts[0].low if alike else fsum(part.total for part in parts) / n
+    squares = fsum(part.squares + part.n * (part.mean - mean) ** 2 for part in parts)
+    std = sqrt(squares / (n - 1)) if n > 1 else 0.0
+    noise, dof, correlation = _type_a(_block_means(parts) if n >= 2 * BLOCKS else [], n, std)
+    step = rounding_uncertainty(std, resolution)
+    return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
+
+
+def _block_means(parts: Sequence[Moments]) -> list[float]:
+    """Return the means of ten blocks, each of as many of the parts' blocks."""
+    count = max(part.first + len(part.blocks) for part in parts)
+    sums, counts = [0.0] * count, [0] * count
+    for part in parts:
+        for number, (total, size) in enumerate(part.blocks, start=part.first):
+            sums[number] += total
+            counts[number] += size
+    each = count // BLOCKS
+    groups = [slice(each * group, each * (group + 1)) for group in range(BLOCKS)]
+    return [fsum(sums[group]) / sum(counts[group]) for group in groups]
+
+
+def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:
+    """Return the change along the least-squares line, and its standard uncertainty, in the unit of the samples.
+
+    ``times`` are seconds, not decreasing, at least three. Where all are one instant nothing can have changed.
+    """
+    n = len(samples)
+    middle, mean = fsum(times) / n, fsum(samples) / n
+    later, off = [time - middle for time in times], [sample - mean for sample in samples]
+    spread = fsum(map(mul, later, later))
+    if spread == 0.0:
+        return 0.0, 0.0
+    slope = fsum(map(mul, later, off)) / spread
+    rest = fsum([(value - slope * time) ** 2 for time, value in zip(later, off, strict=True)])
+    span = times[-1] - times[0]
+    return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
+
+
+def _summands(values: Array, runs: Sequence[tuple[int, int]], mean: float | None = None) -> list[list[float]]:
+    """Return numbers that have the sum of each run: of few values these, of many the pairwise sums of some each.
+
+    With a mean, they are those of the squares of the distances from it.
+    """
+    parts: list[list[float]] = [[] for _ in runs]
+    for begin in range(0, len(values), _MANY):
+        some = values[begin : begin + _MANY]
+        some = some if mean is None else np.square(some - mean)
+        for part, (start, end) in zip(parts, runs, strict=True):
+            if start < begin + _MANY and begin < end:
+                run = some[max(start - begin, 0) : end - begin]
+                part.extend(run.tolist() if len(values) <= _FEW else [float(run.sum())])
+    return parts
+
+
+def _type_a(means: Sequence[float], n: int, std: float) -> tuple[float, float, float | None]:
+    """Return the mean's standard uncertainty from the scatter of block means, its dof, and the blocks' correlation."""
+    if not means:
+        return std / sqrt(n), float(max(n - 1, 1)), None
+    centre = fsum(means) / BLOCKS
+    off = [mean - centre for mean in means]
+    squares = fsum(value**2 for value in off)
+    neighbours = fsum(value * other for value, other in pairwise(off))
+    correlation = neighbours / squares if squares > 0.0 else None
+    return sqrt(squares / (BLOCKS - 1) / BLOCKS), BLOCKS - 1.0, correlation
+
+
+# Rounding
+
+
+def rounding_uncertainty(std: float, step: float) -> float:
+    """Return the standard uncertainty that rounding leaves in the mean of many samples (Widrow's first harmonic).
+
+    ``std`` is the standard deviation of the samples, rounding included; ``step`` is 0 where the reading is continuous.
+    """
+    if step == 0.0:
+        return 0.0
+    noise = sqrt(max(std**2 - step**2 / 12, 0.0))
+    return step / sqrt(12) * exp(-2 * (pi * noise / step) ** 2)
+
+
+def noise_under_rounding(scatter: float, step: float) -> float:
+    """Return the noise of readings before they were rounded, unit.
+
+    ``scatter`` is the mean variance of the rounded readings in positions that lie anyhow between two steps, unit².
+    """
+    noise, variance, _ = _rounded()
+    return max(step * float(np.interp(scatter / step**2, variance, noise)), sqrt(max(scatter - step**2 / 12, 0.0)))
+
+
+def rounding_of_means(scatter: float, step: float, positions: int) -> float:
+    """Return the standard uncertainty that rounding leaves in the mean of a position, unit.
+
+    ``scatter`` is that of :func:`noise_under_rounding`, which a few positions show poorly.
+    """
+    _, variance, error = _rounded()
+    return step * float(np.interp(scatter / step**2 * (1.0 - _FEW_POSITIONS / sqrt(positions)), variance, error))
+
+
+@cache
+def _rounded() -> tuple[Array, Array, Array]:
+    """Return noise, the variance of readings that are rounded to 1, and the error of their mean (root mean square).
+
+    The error of a mean is a series of harmonics in the place between two steps; all places are equally probable.
+    """
+    noise, harmonic = np.linspace(0.0, 1.5, 301), np.arange(1, 1001)[:, None]
+    squares = np.sum(np.exp(-((2.0 * pi * harmonic * noise) ** 2)) / (2.0 * (pi * harmonic) ** 2), axis=0)
+    squares *= (1.0 / 12.0) / squares[0]  # what the harmonics beyond leave out
+    return noise, noise**2 + 1.0 / 12.0 - squares, np.sqrt(squares)
+
+
+# The noise of several positions
+
+
+@dataclass(frozen=True)
+class CorrelatedNoise:
+    """Noise whose memory is longer than a block of samples."""
+
+    factor: float  # of the uncertainty of a mean from its block means
+    longer: float  # of the time of a position, for blocks that are not correlated
+    certain: bool = True  # False where it may be chance
+
+    @property
+    def note(self) -> str:
+        """Remark on the correlation, and what to do."""
+        return (
+            "the noise is correlated for longer than a tenth of a position: the uncertainty of each mean is multiplied "
+            f"by {self.factor:.2g}; sample each position at least {self.longer:.2g} times as long"
+        )
+
+
+def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | None:
+    """Estimate the correlation of block means over all positions and channels; None where none shows.
+
+    The factor is that of a correlation somewhat above the mean, because too short a memory costs more than too long a
+    one. A memory of a third of a block hardly shows in twelve positions and takes a fifth off the uncertainty: it
+    counts before it is certain.
+    """
+    shown = [summary.correlation for summary in summaries if summary.correlation is not None]
+    if not shown:
+        return None
+    mean, error = sum(shown) / len(shown), _SPREAD / sqrt(len(shown))
+    above = (mean + 1.0 / BLOCKS) / error
+    if above <= _POSSIBLE:
+        return None
+    time, factor = (
+        float(np.interp(mean + _MARGIN * error, _BY_TIME[:, 1], column)) for column in _BY_TIME[:, [0, 2]].T
+    )
+    return CorrelatedNoise(factor, max(_ENOUGH * time, 1.0), above > _CORRELATED)
+
+
+def noise_of_means(
+    summaries: Sequence[SampleSummary], correlated: CorrelatedNoise | None = None
+) -> tuple[Array, Array, Array]:
+    """Return the noise of the means of one channel's positions: variance, degrees of freedom, rounding uncertainty.
+
+    Each has the shape (positions,).
+    """
+    variance = np.array([summary.noise**2 for summary in summaries])
+    dof = np.array([summary.dof for summary in summaries])
+    rounding = np.array([summary.quantisation for summary in summaries])
+    drawn = np.isfinite(dof)
+    common = float(np.mean(variance[drawn])) if drawn.any() else 0.0
+    coarse = None if correlated is not None and correlated.certain else _coarse_rounding(summaries)
+    if coarse is not None:
+        return np.where(drawn, common, variance), np.where(drawn, float(np.sum(dof[drawn])), inf), coarse
+    if correlated is not None:
+        # Correlated block means scatter by chance in the ratio of ten: their logarithms are of no use.
+        few = _CORRELATED_DOF * float(np.sum(drawn))
+        variance = correlated.factor**2 * np.where(drawn, common, variance)
+        return variance, np.where(drawn, few, inf), rounding
+    return (*pooled(variance, dof), rounding)
+
+
+def _coarse_rounding(summaries: Sequence[SampleSummary]) -> Array | None:
+    """Return the rounding uncertainty of each mean where the noise is below half a step; None where it is not."""
+    weight = np.array([float(summary.n - 1) for summary in summaries])
+    step = max(summary.resolution for summary in summaries)
+    if step == 0.0 or weight.sum() == 0.0:
+        return None
+    scatter = float(weight @ np.array([summary.std**2 for summary in summaries]) / weight.sum())
+    if noise_under_rounding(scatter, step) >= _COARSE * step:
+        return None
+    # Positions that read the same within half a step share one rounding error: their mean is as uncertain as each.
+    means = np.array([summary.mean for summary in summaries])
+    alike = np.sum(np.abs(means[:, None] - means) < step / 2.0, axis=1)
+    return np.asarray(rounding_of_means(scatter, step, int(np.count_nonzero(weight))) * np.sqrt(alike))
+
+
+def pooled(variance: Array, dof: Array) -> tuple[Array, Array]:
+    """Improve variances of the means of several positions, and their degrees of freedom, by pooling; shape (n,) each.
+
+    Infinite degrees of freedom are known variances, and stay as they are.
+    """
+    drawn = np.isfinite(dof)
+    if np.sum(drawn) < 2 or not np.any(variance[drawn] > 0.0):
+        return variance, dof
+    own, degrees = variance[drawn], dof[drawn]
+    common, prior = _common(own, degrees)
+    better, freedom = variance.copy(), dof.copy()
+    if prior == inf:
+        better[drawn], freedom[drawn] = common, np.sum(degrees)
+    else:
+        better[drawn] = (prior * common + degrees * own) / (prior + degrees)
+        freedom[drawn] = prior + degrees
+    return better, freedom
+
+
+def _common(variance: Array, dof: Array) -> tuple[float, float]:
+    """Return the common variance, and the degrees of freedom that it counts for."""
+    from scipy.optimize import brentq
+    from scipy.special import chdtrc, digamma, polygamma
+
+    usual = float(np.median(variance)) or float(np.max(variance))
+    logs = np.log(np.maximum(variance, _FLOOR * usual)) - digamma(dof / 2.0) + np.log(dof / 2.0)
+    by_chance, count = float(np.mean(polygamma(1, dof / 2.0))), len(logs)
+    spread = float(np.var(logs, ddof=1))
+    if chdtrc(count - 1, (count - 1) * spread / by_chance) > _SAME_NOISE:
+        return float(np.sum(dof * variance) / np.sum(dof)), inf
+    more = (
+        spread - by_chance
+    )  # the trigamma function of half the degrees of freedom, which is above 1 over its argument
+    half = float(brentq(lambda y: float(polygamma(1, y)) - more, min(0.1, more**-0.5 / 2.0), 1.0 + 1.0 / more))
+    return float(np.exp(np.mean(logs) + digamma(half) - np.log(half))), 2.0 * half

@@ -1,0 +1,367 @@
+"""The programs that a calibration is exported to: what each holds of it, and the text that it reads."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tiltcal import __version__
+from tiltcal.core.compensation import Compensation
+from tiltcal.core.model import Array, Coefficients, Limits, polynomial, vector_of, with_vector
+from tiltcal.errors import UsageError
+from tiltcal.export.affine import Affine, affine_at
+from tiltcal.export.c_header import header, single_precision, single_precision_rounding
+from tiltcal.export.c_integers import Integers
+from tiltcal.export.loss import Formula, calibrated_range, largest_error
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.coefficients import coefficients_section
+from tiltcal.files.record import plain
+
+STANDARD_GRAVITY = 9.80665
+"""m/s²."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A calibration that is exported.
+
+    ``limits`` are those of the library, with the rails of the model; ``name`` is that of the functions in C.
+    """
+
+    record: CalibrationRecord
+    limits: Limits
+    name: str = "tilt"
+
+    @property
+    def coefficients(self) -> Coefficients:
+        """The coefficients of the calibration."""
+        return self.record.coefficients
+
+    @property
+    def gravity(self) -> float:
+        """Gravity where the calibration was made, or the standard one, m/s²."""
+        return self.record.derived.gravity_m_s2 or STANDARD_GRAVITY
+
+    @property
+    def origin(self) -> str:
+        """A line on where the numbers come from, in ASCII."""
+        sensor, ended = self.record.sensor, self.record.provenance.ended
+        dated = f" of {ended[:10]}" if ended else ""
+        text = f"Calibration{dated} of {sensor.model} {sensor.serial}, made by tiltcal {__version__}"
+        return text.encode("ascii", "replace").decode().replace("*/", "* /")
+
+    @cached_property
+    def affine(self) -> Affine:
+        """The affine map at the reference temperature."""
+        return affine_at(self.coefficients)
+
+    def require_three_axes(self, target: str) -> None:
+        """Refuse a sensor that does not measure x, y and z, with a UsageError."""
+        if len(self.affine.matrix) < 3:
+            raise UsageError(
+                f"{target} takes three axes, and {self.record.sensor.serial} has fewer: export to c or python"
+            )
+
+    def in_metres(self, target: str) -> Affine:
+        """Return the map from readings in m/s² to m/s², each axis for itself; a UsageError where there are none."""
+        self.require_three_axes(target)
+        unit, affine = self.record.sensor.unit, self.affine
+        if unit not in ("m/s2", "g"):
+            raise UsageError(
+                f"{target} corrects readings in m/s2, and this calibration is of readings in {unit}: record what the "
+                "autopilot's own driver gives, and fit that with --unit m/s2"
+            )
+        metres = self.gravity if unit == "m/s2" else 1.0
+        return Affine(
+            np.diag(np.diag(affine.matrix) * metres), affine.offset * (1.0 if unit == "m/s2" else self.gravity)
+        )
+
+
+@dataclass(frozen=True)
+class Export:
+    """A calibration as a program reads it.
+
+    Attributes
+    ----------
+    text : callable
+        Returns what is written, with the bound.
+    formula : callable
+        Gravity as the program computes it.
+    rounding : ndarray, shape (axes,)
+        How far each component may be off beside the formula, g.
+    step : float
+        That of readings which the program takes in whole numbers, unit; 0 where it takes any.
+    """
+
+    text: Callable[[float], str]
+    formula: Formula
+    rounding: Array
+    step: float = 0.0
+
+
+@dataclass(frozen=True)
+class Target:
+    """A program that a calibration is exported to: how, and which of a calibration's terms it holds."""
+
+    export: Callable[[Source], Export]
+    holds: frozenset[str]
+
+
+CROSS_AXIS, TEMPERATURE, NONLINEARITY = "cross-axis sensitivity and mounting", "drift with temperature", "non-linearity"
+THIRD, LAG = "the third component of gravity away from level", "thermal lag"
+
+
+def terms(coefficients: Coefficients) -> list[str]:
+    """Return the terms of a calibration beside offsets and own sensitivities."""
+    matrix, thermal, bent = affine_at(coefficients).matrix, coefficients.thermal, coefficients.nonlinearity
+    there = {
+        CROSS_AXIS: bool((matrix - np.diag(np.diag(matrix))).any()),
+        TEMPERATURE: thermal is not None and bool(thermal.drift.any() or thermal.gain.any()),
+        NONLINEARITY: bent is not None and bool(bent.any()),
+        THIRD: Compensation(coefficients).solves_z,
+        LAG: thermal is not None and thermal.lag != 0.0,
+    }
+    return [term for term, is_there in there.items() if is_there]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What is written, the terms that are left out, and the largest error of an angle that this costs, degrees."""
+
+    text: str
+    left_out: tuple[str, ...]
+    bound: float
+
+
+def exported(source: Source, target: str) -> Exported:
+    """Return a calibration as a target reads it; a UsageError where it cannot hold such a calibration at all."""
+    if Compensation(source.coefficients).on_edge:
+        raise UsageError(
+            "the mounting is on edge, where two channels leave the sign of the third open: only apply says which rows "
+            "have one; export the calibration without its mounting"
+        )
+    export, holds = TARGETS[target].export(source), TARGETS[target].holds
+    bound = largest_error(source.coefficients, source.limits, export.formula, export.rounding, export.step)
+    left_out = tuple(term for term in terms(source.coefficients) if term not in holds)
+    return Exported(export.text(bound), left_out, bound)
+
+
+def _stated(source: Source, bound: float) -> str:
+    limit = f"Angles differ from those of tiltcal apply by at most {bound:.2g} degrees in the calibrated range."
+    return f"{source.origin}.\n   {limit}"
+
+
+def _of_affine(text: Callable[[float], str], affine: Affine) -> Export:
+    """Return the export to a program that holds an affine map alone."""
+    return Export(text, lambda readings, _: affine(readings), np.zeros(len(affine.matrix)))
+
+
+def _c(source: Source) -> Export:
+    compensation = Compensation(source.coefficients)
+    up, temperature = calibrated_range(source.coefficients, source.limits)
+    rounding = single_precision_rounding(source.coefficients, up, source.coefficients.predict(up, temperature))
+
+    def text(bound: float) -> str:
+        return header(source.name, _stated(source, bound), single_precision(source.coefficients, source.name))
+
+    return Export(text, lambda u, celsius: np.array(compensation(u, celsius).gravity), rounding)
+
+
+def _c_fixed(source: Source) -> Export:
+    readings = source.coefficients.predict(*calibrated_range(source.coefficients, source.limits))
+    per_unit = 1 if source.record.sensor.unit == "count" else 1_000_000
+    integers = Integers.of(source.coefficients, per_unit, float(np.abs(readings).max()))
+
+    def text(bound: float) -> str:
+        return header(source.name, _stated(source, bound), integers.lines(source.name))
+
+    return Export(text, integers, np.full(len(source.affine.matrix), 2e-6), 1.0 / per_unit)
+
+
+def _fusion(source: Source) -> Export:
+    """``FusionCalibrationInertial`` of x-io Fusion: matrix * (sensitivity * (u - offset)), g."""
+    source.require_three_axes("fusion")
+    affine = source.affine
+    sensitivity = np.diag(affine.matrix)
+    vectors = {"Sensitivity": sensitivity, "Offset": affine.offset}
+    lines = [f"/* {source.origin}: readings in {source.record.sensor.unit}, result in g. */"]
+    rows = ", ".join(_floats(row) for row in affine.matrix / sensitivity)
+    lines.append(f"const FusionMatrix accelerometerMisalignment = {{{rows}}};")
+    lines += [f"const FusionVector accelerometer{name} = {{{_floats(row)}}};" for name, row in vectors.items()]
+    return _of_affine(lambda bound: "\n".join(lines) + "\n", affine)
+
+
+def _ros(source: Source) -> Export:
+    """``imu_calib``: SM a - bias, m/s², and the covariance of ``sensor_msgs/Imu``."""
+    source.require_three_axes("ros")
+    matrix = source.affine.matrix * source.gravity
+    numbers = {
+        "SM": matrix.ravel(),
+        "bias": matrix @ source.affine.offset,
+        "linear_acceleration_covariance": (_covariance(source) * source.gravity**2).ravel(),
+    }
+    lines = [f"# {source.origin}: readings in {source.record.sensor.unit}, result in m/s2."]
+    lines += [f"{name}: [{', '.join(_number(value) for value in values)}]" for name, values in numbers.items()]
+    return _of_affine(lambda bound: "\n".join(lines) + "\n", source.affine)
+
+
+def _px4(source: Source) -> Export:
+    """PX4: (a - OFF) SCALE, m/s², each axis for itself; a file of parameters as QGroundControl loads it."""
+    metres = source.in_metres("px4")
+    lines = [
+        f"# {source.origin}",
+        "# For the accelerometer whose CAL_ACC0_ID is set. Columns: vehicle, component, name, value, type",
+    ]
+    for axis, offset, scale in zip("XYZ", metres.offset, np.diag(metres.matrix), strict=True):
+        lines += [
+            f"1\t1\tCAL_ACC0_{axis}{name}\t{_number(value)}\t9" for name, value in (("OFF", offset), ("SCALE", scale))
+        ]
+    return _of_affine(lambda bound: "\n".join(lines) + "\n", _diagonal(source.affine))
+
+
+def _ardupilot(source: Source) -> Export:
+    """ArduPilot: (a - INS_ACCOFFS) INS_ACCSCAL, m/s², each axis for itself."""
+    metres = source.in_metres("ardupilot")
+    lines = [f"# {source.origin}"]
+    for name, values in (("ACCOFFS", metres.offset), ("ACCSCAL", np.diag(metres.matrix))):
+        lines += [f"INS_{name}_{axis},{_number(value)}" for axis, value in zip("XYZ", values, strict=True)]
+    return _of_affine(lambda bound: "\n".join(lines) + "\n", _diagonal(source.affine))
+
+
+def _iio(source: Source) -> Export:
+    """Linux IIO: ``calibbias`` in whole counts and ``calibscale``, each axis for itself."""
+    record = source.record
+    if record.sensor.unit != "count" or len(source.affine.matrix) != len(record.sensor.channels):
+        raise UsageError(f"iio corrects raw counts, and this calibration is of readings in {record.sensor.unit}")
+    affine = _diagonal(source.affine)
+    whole = Affine(affine.matrix, np.rint(affine.offset))
+    lines = [
+        "#!/bin/sh",
+        f"# {source.origin}.",
+        "# Sets calibbias (counts) and calibscale where the driver has them. Use: sh FILE [iio:device0]",
+        "device=/sys/bus/iio/devices/${1:-iio:device0}",
+        "set_value() {",
+        '    if [ -e "$device/$1" ]; then echo "$2" > "$device/$1"; else echo "the driver has no $1" >&2; fi',
+        "}",
+        'scale=$(cat "$device/in_accel_scale") || exit 1',
+    ]
+    for axis, per_count, bias in zip(record.sensor.channels, np.diag(whole.matrix), whole.offset, strict=True):
+        metres = _number(per_count * STANDARD_GRAVITY)
+        lines.append(f"set_value in_accel_{axis}_calibbias {-round(bias)}")
+        lines.append(f'set_value in_accel_{axis}_calibscale "$(awk "BEGIN {{ print {metres} / $scale }}")"')
+    return _of_affine(lambda bound: "\n".join(lines) + "\n", whole)
+
+
+def _python(source: Source) -> Export:
+    coefficients, affine, thermal = source.coefficients, source.affine, source.coefficients.thermal
+    sensor = source.record.sensor
+    lines = [
+        f'"""{source.origin}: readings in {sensor.unit}, gravity in g."""',
+        "import numpy as np",
+        f"A = np.array({_array(affine.matrix)})",
+        f"b = np.array({_array(affine.offset)})",
+    ]
+    if thermal is None:
+        lines += ["def gravity(u):", "    return (np.asarray(u) - b) @ A.T"]
+    else:
+        drift = ", ".join(
+            f"{name}={_array(table.T)}" for name, table in (("drift", thermal.drift), ("gain", thermal.gain))
+        )
+        lines += [
+            f"def gravity(u, celsius, {drift}):",
+            f"    dt = np.asarray(celsius)[..., None] - {thermal.reference!r}",
+            "    polynomial = lambda rows: sum(np.array(row) * dt ** (k + 1) for k, row in enumerate(rows))",
+            "    return ((np.asarray(u) - b - polynomial(drift)) / (1 + polynomial(gain))) @ A.T",
+        ]
+    return Export(lambda bound: "\n".join(lines) + "\n", _with_temperature(coefficients), np.zeros(len(affine.matrix)))
+
+
+def _json(source: Source) -> Export:
+    thermal = coefficients_section(source.coefficients).temperature
+
+    def text(bound: float) -> str:
+        data = {
+            "A": source.affine.matrix.tolist(),
+            "b": source.affine.offset.tolist(),
+            "unit": source.record.sensor.unit,
+            "drift": {}
+            if thermal is None
+            else {"offset": plain(thermal.offset), "sensitivity": plain(thermal.sensitivity)},
+            "reference": None if thermal is None else thermal.reference,
+            "bound": bound,
+        }
+        return json.dumps(data, indent=1) + "\n"
+
+    return Export(text, _with_temperature(source.coefficients), np.zeros(len(source.affine.matrix)))
+
+
+TARGETS = {
+    "c": Target(_c, frozenset({CROSS_AXIS, TEMPERATURE, NONLINEARITY, THIRD})),
+    "c-fixed": Target(_c_fixed, frozenset({CROSS_AXIS, TEMPERATURE})),
+    "fusion": Target(_fusion, frozenset({CROSS_AXIS})),
+    "ros": Target(_ros, frozenset({CROSS_AXIS})),
+    "px4": Target(_px4, frozenset()),
+    "ardupilot": Target(_ardupilot, frozenset()),
+    "iio": Target(_iio, frozenset()),
+    "python": Target(_python, frozenset({CROSS_AXIS, TEMPERATURE})),
+    "json": Target(_json, frozenset({CROSS_AXIS, TEMPERATURE})),
+}
+"""By name; ``c-fixed`` is ``c`` with ``--fixed``."""
+
+
+def _diagonal(affine: Affine) -> Affine:
+    return Affine(np.diag(np.diag(affine.matrix)), affine.offset)
+
+
+def _with_temperature(coefficients: Coefficients) -> Formula:
+    """Return the affine map with its temperature terms."""
+    affine, thermal = affine_at(coefficients), coefficients.thermal
+    if thermal is None:
+        return lambda readings, _: affine(readings)
+
+    def gravity(readings: Array, celsius: Array) -> Array:
+        dt = celsius - thermal.reference
+        drift, gain = polynomial(thermal.drift, dt).T, polynomial(thermal.gain, dt).T
+        return np.asarray(((readings - affine.offset - drift) / (1.0 + gain)) @ affine.matrix.T)
+
+    return gravity
+
+
+def _covariance(source: Source) -> Array:
+    """Return the covariance of gravity at level, of a single reading and of the coefficients, g², shape (3, 3)."""
+    uncertainty, coefficients = source.record.uncertainty, source.coefficients
+    noise = [uncertainty.single_reading.get(channel, 0.0) for channel in coefficients.channels]
+    total = np.diag(np.square(noise))
+    stated = uncertainty.covariance
+    if stated is not None:
+        stated = stated.without_turn()
+        level, vector = np.array([[0.0, 0.0, 1.0]]), vector_of(coefficients, stated.parameters)
+        steps = np.diag(1e-6 * np.maximum(1.0, np.abs(vector)))
+        ends = [
+            [
+                with_vector(coefficients, stated.parameters, vector + side * step).predict(level)[0]
+                for side in (-1.0, 1.0)
+            ]
+            for step in steps
+        ]
+        by_coefficient = np.array(
+            [(upper - lower) / (2.0 * step.sum()) for (lower, upper), step in zip(ends, steps, strict=True)]
+        )
+        total = total + by_coefficient.T @ stated.as_array() @ by_coefficient
+    return np.asarray(source.affine.matrix @ total @ source.affine.matrix.T)
+
+
+def _number(value: float) -> str:
+    return f"{value:.9g}"
+
+
+def _floats(row: Array) -> str:
+    return ", ".join(f"{value:.9g}" + ("" if set(f"{value:.9g}") & set(".e") else ".0") + "f" for value in row)
+
+
+def _array(table: Array) -> str:
+    return repr(table.tolist())

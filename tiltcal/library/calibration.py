@@ -1,0 +1,300 @@
+"""A calibration as a program holds it, and the functions that read, compare and combine such calibrations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Unpack, overload
+
+from tiltcal.calibration.comparison import Comparison, compare_records
+from tiltcal.calibration.record import compensation_of, limits_of, record_in
+from tiltcal.calibration.stated_mounting import stated_mounting, with_mounting
+from tiltcal.calibration.summary import summary
+from tiltcal.core.compensation import Compensation
+from tiltcal.core.model import Coefficients, Limits
+from tiltcal.errors import UsageError
+from tiltcal.files.atomic import write_whole
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
+from tiltcal.files.document import read_document
+from tiltcal.files.pair import PairRecord
+from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.library.pair_calibration import Frame, PairCalibration
+from tiltcal.logs.options import ApplyOptions
+from tiltcal.options import complete, takes
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The calibration of one tilt sensor.
+
+    Attributes
+    ----------
+    record : CalibrationRecord
+        The content of its file. What it records of the fit, the procedure, the positions and the provenance is at hand
+        here under the same names.
+
+    Examples
+    --------
+    >>> cal = tiltcal.read("S-0042.yaml")
+    >>> cal.offset["x"], cal.sensitivity["x", "y"], cal.uncertainty["offset.x"]
+    >>> tilted = cal.apply(frame, columns={"x": "VoutX"}, uncertainty=True)
+    """
+
+    record: CalibrationRecord
+
+    def __post_init__(self) -> None:
+        thermal, arrays = self.coefficients.thermal, [self.coefficients.offset, self.coefficients.sensitivity]
+        arrays += [] if thermal is None else [thermal.drift, thermal.gain]
+        arrays += [] if self.coefficients.nonlinearity is None else [self.coefficients.nonlinearity]
+        for array in arrays:  # one that a caller wrote into would change later results
+            array.setflags(write=False)
+
+    def __reduce__(self) -> tuple[type[Calibration], tuple[CalibrationRecord]]:
+        return Calibration, (self.record,)  # the arrays of a copy are read-only, too
+
+    @property
+    def sensor(self) -> SensorIdentity:
+        """Model, serial number, unit of the readings, and channels."""
+        return self.record.sensor
+
+    @property
+    def coefficients(self) -> Coefficients:
+        """The coefficients as arrays, which are read-only, for computation; angles in radians."""
+        return self.record.coefficients
+
+    @property
+    def offset(self) -> dict[str, float]:
+        """Reading at 0 g and the reference temperature by channel, in the sensor's unit."""
+        return dict(zip(self.coefficients.channels, self.coefficients.offset.tolist(), strict=True))
+
+    @property
+    def sensitivity(self) -> dict[tuple[str, str], float]:
+        """Sensitivity by channel and axis, unit/g."""
+        rows = zip(self.coefficients.channels, self.coefficients.sensitivity.tolist(), strict=True)
+        return {
+            (channel, axis): value
+            for channel, row in rows
+            for axis, value in zip(self.coefficients.axes, row, strict=True)
+        }
+
+    @property
+    def uncertainty(self) -> Uncertainty:
+        """Standard uncertainty (k = 1) of each coefficient by its dotted name, such as ``offset.x``, in its unit."""
+        return self.record.uncertainty
+
+    @cached_property
+    def limits(self) -> Limits:
+        """Where the calibration holds, angles in radians; the rails are the model's where the file names none."""
+        return limits_of(self.record)
+
+    @property
+    def derived(self) -> DerivedRecord:
+        """What follows from the coefficients: cross-axis sensitivity in %, misalignment and intrinsic parameters."""
+        return self.record.derived
+
+    @property
+    def fit(self) -> FitRecord:
+        """How well the positions agree: residuals, degrees of freedom, chi-square, where the uncertainty comes from."""
+        return self.record.fit
+
+    @property
+    def procedure(self) -> ProcedureRecord:
+        """The procedure as it was run, with the angles that were set."""
+        return self.record.procedure
+
+    @property
+    def positions(self) -> tuple[PositionRecord, ...]:
+        """Mean, standard deviation, number of samples and temperature of each position."""
+        return self.record.positions
+
+    @property
+    def provenance(self) -> Provenance:
+        """Who made the calibration, when, and from which data."""
+        return self.record.provenance
+
+    def compensation(self, *, first_order: bool = False) -> Compensation:
+        """Return the compensation of readings in arrays, with these coefficients and limits.
+
+        Parameters
+        ----------
+        first_order : bool
+            Use Cross-axis Compensation, eq. 6, in place of the whole matrix.
+
+        Raises
+        ------
+        EstimateError
+            The sensitivity matrix cannot be inverted.
+        """
+        return compensation_of(self.record, first_order=first_order)
+
+    @overload
+    def apply(self, frame: Mapping[str, Any], **options: Unpack[ApplyOptions]) -> dict[str, Any]: ...
+
+    @overload
+    def apply(self, frame: Frame, **options: Unpack[ApplyOptions]) -> Frame: ...
+
+    @takes(ApplyOptions)
+    def apply(self, frame: Any, **options: Any) -> Any:
+        """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
+
+        Parameters
+        ----------
+        frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
+            A column for each reading, and for the temperature in °C where there is one.
+        **options
+
+        Returns
+        -------
+        frame
+            The same kind, with ``g_x`` and ``tilt_x`` (degrees) of each axis, ``flag`` and ``reason`` behind its own
+            columns. Its own arrays are not copied where a dict or Dataset holds them: to change one, copy it first.
+
+        Raises
+        ------
+        UsageError
+            The frame is of no known kind, or has a column of a name that the result needs.
+        InputError
+            A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
+        """
+        from tiltcal.logs.apply import apply_frame
+
+        return apply_frame(self.record, frame, complete(ApplyOptions, options))
+
+    def with_mounting(self, angles: Mapping[str, float] | str) -> Calibration:
+        """Return this calibration for a sensor that sits in a known way; a mounting that it has is replaced.
+
+        Parameters
+        ----------
+        angles : mapping of str to float, or str
+            Roll, pitch and yaw, degrees, such as ``{"roll": 180}`` or ``"roll=180"``; they count as exact, and those
+            that are not named as 0.
+
+        Raises
+        ------
+        UsageError
+            An angle that there is not, or out of range.
+        """
+        return Calibration(with_mounting(self.record, stated_mounting(angles)))
+
+    def save(self, path: str | Path) -> None:
+        """Write the calibration file, whole or not at all.
+
+        Raises
+        ------
+        UsageError
+            The file cannot be written there.
+        """
+        write_whole(path, dump_calibration(self.record))
+
+    def report(self, path: str | Path) -> None:
+        """Write the HTML page that is filed with the sensor; it needs no other file, and prints on A4.
+
+        Raises
+        ------
+        UsageError
+            The extra ``report`` is not installed, or the page cannot be written there.
+        """
+        from tiltcal.report.page import write_page
+
+        write_page(path, self.record)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both give the same file."""
+        return isinstance(other, Calibration) and dump_calibration(self.record) == dump_calibration(other.record)
+
+    def __hash__(self) -> int:
+        return hash(dump_calibration(self.record))
+
+    def __repr__(self) -> str:
+        sensor = self.sensor
+        return f"<Calibration of {sensor.model} {sensor.serial}: {', '.join(sensor.channels)} in {sensor.unit}>"
+
+    def __str__(self) -> str:
+        return summary(self.record)
+
+
+def read(path: str | Path) -> Calibration | Any:
+    """Read and check a calibration file of either kind.
+
+    Returns
+    -------
+    Calibration or PairCalibration
+        By the ``kind`` of the file, which no type checker can infer: where it matters, check it with `isinstance`.
+
+    Raises
+    ------
+    InputError
+        Anything in it is wrong; the message names file, line and key.
+    """
+    record = record_in(read_document(path))
+    return PairCalibration(record) if isinstance(record, PairRecord) else Calibration(record)
+
+
+def compare(old: Calibration, new: Calibration) -> Comparison:
+    """Compare two calibrations of one sensor.
+
+    The verdict allows for the number of coefficients that are compared: of two calibrations of an unchanged sensor it
+    calls 5 % different.
+
+    Raises
+    ------
+    UsageError
+        They are not tilt calibrations of one sensor; the message names what differs.
+
+    Examples
+    --------
+    >>> print(tiltcal.compare(tiltcal.read("spring.yaml"), tiltcal.read("autumn.yaml")))
+    """
+    for calibration in (old, new):
+        if not isinstance(calibration, Calibration):
+            raise UsageError(
+                f"compare takes two tilt calibrations, as tiltcal.read returns them, not a {type(calibration).__name__}"
+            )
+    return compare_records(old.record, new.record)
+
+
+def combine(
+    calibrations: Sequence[Calibration | str | Path] | Calibration | str | Path,
+    *,
+    mounting: Mapping[str, float] | str = "",
+) -> Calibration:
+    """Combine calibrations of one sensor from several sessions.
+
+    The positions of all of them are fitted again, as those of one session; positions of one journal count once. A
+    calibration without positions that were set (free positions, a ramp, a renewed level) enters by its coefficients and
+    their covariance. What a session has assumed, such as a nominal sensitivity or that of its base, is no information.
+
+    Parameters
+    ----------
+    calibrations : sequence of Calibration, str or Path
+        Calibrations, or their files. One alone is enough with a mounting, and needs no sequence.
+    mounting : mapping of str to float, or str
+        How the sensor sits, degrees, such as ``{"roll": 180}`` or ``"roll=180"``, in place of the calibrations' own.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    UsageError
+        They are not of one sensor, or chi-square rises over that of the separate fits by as much as it does in one of a
+        thousand combinations of sessions that agree; the message names files and figures.
+    EstimateError
+        A calibration states no uncertainty, or together they determine no sensor.
+
+    Examples
+    --------
+    >>> both = tiltcal.combine(["S-0042.yaml"], mounting="roll=180")
+    """
+    from tiltcal.calibration.combine import combine_records
+
+    if isinstance(calibrations, str | Path | Calibration):
+        calibrations = [calibrations]
+    if not isinstance(calibrations, Iterable):
+        raise UsageError(f"combine takes tilt calibrations or their files, not {calibrations!r}")
+    records = [one.record if isinstance(one, Calibration) else one for one in calibrations]
+    return Calibration(combine_records(records, mounting))

@@ -1,0 +1,388 @@
+"""Measuring from Python: what ``tiltcal measure`` does, as a function."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tiltcal.bench.journal import SessionResult, changes_in_words
+from tiltcal.bench.operators import open_operator
+from tiltcal.bench.session import Session
+from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
+from tiltcal.calibration.free_positions import require_no_jig
+from tiltcal.calibration.level import NO_LEVEL, level_summary
+from tiltcal.calibration.prediction import predict
+from tiltcal.calibration.suitability import unchecked
+from tiltcal.calibration.summary import NOT_FOLLOWED, summary, verdict
+from tiltcal.drivers.model import link_in_words
+from tiltcal.errors import JournalError, UsageError
+from tiltcal.files.atomic import check_writable, write_whole
+from tiltcal.files.base_calibration import bases_of
+from tiltcal.files.bench import BenchFile
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.document import read_document
+from tiltcal.files.journal import read_journal
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure_file import find_procedure
+from tiltcal.library.calibration import Calibration
+from tiltcal.library.pair_calibration import PairCalibration
+from tiltcal.stated_arguments import (
+    of_python,
+    require_above_zero,
+    require_boolean,
+    require_from_zero,
+    require_name,
+    require_path,
+    require_whole,
+)
+
+
+def unheard(remark: str) -> None:
+    """Drop a remark."""
+
+
+def measure(
+    procedure: str | Path | None = None,
+    *,
+    operator: object = None,
+    sensor: str | None = None,
+    address: str | None = None,
+    serial: str | None = None,
+    output: str | Path | None = None,
+    bench: str | Path | BenchFile | None = None,
+    samples: int | None = None,
+    settle: float | None = None,
+    jig: float | None = None,
+    table_lean: float | None = None,
+    heading: float | None = None,
+    tilt: float | None = None,
+    turns: int | None = None,
+    alignment: float | None = None,
+    base: str | Path | None = None,
+    typical_temperature: bool = False,
+    closing: bool = False,
+    journal: str | Path | None = None,
+    resume: str | Path | None = None,
+    plain: bool = False,
+    remark: Callable[[str], None] = unheard,
+    result: Callable[[str], None] | None = None,
+) -> Calibration | Any:
+    """Take sensors through a procedure, and write their calibration files.
+
+    Everything is captured in a journal as it happens. After an interruption the same call with ``resume`` goes on from
+    the last byte.
+
+    Parameters
+    ----------
+    procedure : str or Path
+        A shipped procedure by its name, or your own by its path.
+    operator : object or str
+        Who brings the sensors into position. An object with the methods of :mod:`tiltcal.bench.operators`:
+        ``position(ask)`` returns an answer such as ``{"answer": "ready", "tilt": {"y": 30.02}}``; for a turning stage
+        ``rotation(ask)``. By name: ``"terminal"``, ``"json"``, ``"sim"``. None: as the journal says, or a terminal.
+    sensor, address, serial : str
+        Model, address and serial number of one sensor.
+    output : str or Path
+        The calibration file; with ``bench`` the folder.
+    bench : str, Path or BenchFile, optional
+        Several sensors at once, in place of the three above.
+    samples : int, optional
+        Samples per position, in place of the procedure's.
+    settle : float, optional
+        Seconds that a reading must hold still, in place of the procedure's.
+    jig : float, optional
+        Standard uncertainty of a set angle, degrees.
+    table_lean : float, optional
+        Standard uncertainty of the lean of the table that all positions share, degrees per axis.
+    heading : float, optional
+        Standard uncertainty of a heading, degrees.
+    tilt : float, optional
+        The angle that the procedure leaves free, degrees.
+    turns : int, optional
+        The most turns of a stage, in place of the procedure's.
+    alignment : float, optional
+        With ``level``: by how much at most the sensor may sit askew since its calibration, degrees about each axis.
+    base : str or Path, optional
+        The sensor's own calibration file, or a folder with SERIAL.yaml of each: a mounting or a new level completes it,
+        and its sensitivity stands in where the procedure determines none. A file names model and serial number as well.
+    typical_temperature : bool
+        Whether the data sheet's mean temperature curves stand in for a temperature run.
+    closing : bool
+        Whether the first position is visited once more at the end, which shows what has changed meanwhile.
+    journal : str or Path, optional
+        Where the session is captured; by default beside the output.
+    resume : str or Path, optional
+        The journal of an interrupted session, to go on with. All but the operator is as at its start, and what else is
+        stated is remarked and changes nothing; with ``output`` the calibration goes there, which it must where the
+        journal names a file outside its own folder.
+    plain : bool
+        Whether the terminal prints lines only.
+    remark : callable
+        Gets each remark on the session, one line of text.
+    result : callable, optional
+        Gets the coefficients of each calibration with their uncertainties, lines of text; not with the operator
+        ``json``, whose program reads the files.
+
+    Returns
+    -------
+    Calibration, PairCalibration or list of Calibration
+        Of the sensor, of the pairs of a stage, or of each of several sensors; a type checker cannot infer which.
+
+    Raises
+    ------
+    UsageError, InputError
+        What is asked for cannot be done; nothing was measured.
+    HardwareError
+        A device failed for good, or sensors of a bench were given up.
+    Stopped
+        The operator stopped; the message says how to go on.
+    """
+    for option, value in (("--typical-temperature", typical_temperature), ("--closing", closing), ("--plain", plain)):
+        require_boolean(option, value)
+    for option, file in (("--base", base), ("--journal", journal), ("--resume", resume), ("-o", output)):
+        if file is not None:
+            require_path(option, file)
+    require_from_zero("--heading-uncertainty", of_python(heading))
+    stated = {
+        "PROCEDURE": procedure, "--sensor": sensor, "--address": address, "--serial": serial, "--bench": bench,
+        "--samples": of_python(samples), "--settle": of_python(settle), "--jig": of_python(jig),
+        "--table-lean": of_python(table_lean), "--heading-uncertainty": of_python(heading), "--tilt": of_python(tilt),
+        "--turns": of_python(turns), "--alignment": of_python(alignment), "--base": base,
+        "--typical-temperature": of_python(typical_temperature), "--closing": of_python(closing), "--journal": journal,
+    }  # fmt: skip
+    named = None if output is None else Path(output)
+    if resume is not None and os.path.exists(resume):
+        session = resumed(Path(resume), named, stated, remark)
+    else:
+        missing = None if resume is None else Path(resume)
+        session = _begun(stated, named, operator, missing, remark)
+    session.files.require_writable(session.journal)
+    operator = operator or session.setup.operator
+    turns_stage, virtual = session.setup.steps.rotation is not None, session.setup.simulated
+    with session.resumable("measure", remark):
+        session.probe()
+        with open_operator(operator, turns=turns_stage, virtual=virtual, say=remark, plain=bool(plain)) as opened:
+            outcome = session.run(opened)
+            paths = {session.files.outputs[serial]: text for serial, text in outcome.texts().items()}
+            for path, text in paths.items():
+                write_whole(path, text)
+            files = [str(path) for path in paths]
+            opened.tell({"event": "done", "calibrations": files, "journal": str(session.files.journal)})
+            outcome.require_all()
+    return _results(session.setup, outcome, remark, None if operator == "json" else result)
+
+
+def resumed(
+    path: Path,
+    output: Path | None,
+    stated: Mapping[str, object],
+    remark: Callable[[str], None],
+    *,
+    verifies: bool = False,
+) -> Session:
+    """Return the session of a journal; options that are stated again are a remark, for it goes on as it began.
+
+    Parameters
+    ----------
+    output : Path or None
+        Where the calibrations go, in place of what the journal says.
+    stated : mapping of str to object
+        Values by option; None and False of those that are not stated.
+    verifies : bool
+        Whether the journal is to be that of a verification.
+
+    JournalError: it cannot be read or used.
+    UsageError: it is of the other kind.
+    """
+    journal = read_journal(path)
+    setup = Setup.of(journal)
+    if journal.torn:
+        remark(f"{path}: the last line was torn off and is dropped")
+    if setup.verifies != verifies:
+        kind = "verification" if setup.verifies else "measurement"
+        raise UsageError(f"{path} is of a {kind}; continue it with: {setup.resume_command(path)}")
+    repeated = [option for option, value in stated.items() if value is not None and value is not False]
+    if repeated:
+        remark(f"the session goes on as it began: {', '.join(repeated)} beside --resume changes nothing")
+    return Session(setup, SessionFiles(setup, path, output), journal)
+
+
+def _begun(
+    stated: Mapping[str, Any],
+    output: Path | None,
+    operator: object,
+    missing: Path | None,
+    remark: Callable[[str], None],
+) -> Session:
+    """Return a new session, and remark how well it will determine the coefficients.
+
+    ``stated`` are values by option; ``missing`` is the journal that was to be resumed, and is not there.
+    """
+    base, named = stated["--base"], stated["--bench"]
+    sensor, serial, address = stated["--sensor"], stated["--serial"], stated["--address"]
+    if base is not None and named is None and os.path.isfile(base):
+        identity = read_calibration(base).sensor
+        sensor, serial = sensor or identity.model, serial or identity.serial
+    one = {"--sensor": sensor, "--address": address, "--serial": serial}
+    _require_named(stated["PROCEDURE"], one, named, output, missing)
+    steps = find_procedure(str(stated["PROCEDURE"]), stated["--tilt"])
+    steps = steps.with_turns(stated["--turns"]).with_alignment(stated["--alignment"]).with_closing(stated["--closing"])
+    if named is None:
+        require_name(str(serial), "the serial number")
+    _require_settings(steps, stated)
+    bench = single(str(sensor), str(serial), str(address)) if named is None else _bench(named)
+    stated_of = {"jig": "--jig", "table": "--table-lean", "heading": "--heading-uncertainty"}
+    bench = bench.replaced(**{key: stated[name] for key, name in stated_of.items() if stated[name] is not None})
+    bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
+    outputs, beside = _outputs(steps, bench, named, output)
+    path = missing or (None if stated["--journal"] is None else Path(stated["--journal"]))
+    path = path or free_journal(beside, remark)
+    operator = operator or "terminal"
+    setup = Setup.begin(
+        steps,
+        bench,
+        outputs,
+        path,
+        operator=operator if isinstance(operator, str) else "json",
+        samples=stated["--samples"],
+        settle=stated["--settle"],
+        bases=bases,
+        typical=bool(stated["--typical-temperature"]),
+    )
+    _predict(setup, remark)
+    if steps.rotation is None:
+        _make_folder(beside.parent)
+    return Session(setup, SessionFiles(setup, path))
+
+
+def _require_named(
+    procedure: object, one: Mapping[str, object], bench: object, output: Path | None, missing_journal: Path | None
+) -> None:
+    """Refuse a session whose procedure or sensor is not named; ``one`` names a single sensor, by option."""
+    wanted = {"PROCEDURE": procedure}
+    if bench is None:
+        wanted |= {**one, "-o": output}
+    missing = [name for name, value in wanted.items() if value is None]
+    if missing_journal is not None and missing:
+        raise JournalError("no such journal", file=str(missing_journal))
+    if missing:
+        raise UsageError(f"measure needs {', '.join(missing)} (or --resume JOURNAL); see tiltcal measure --help")
+    if bench is not None and any(one.values()):
+        raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
+
+
+def _bench(bench: str | Path | BenchFile) -> BenchFile:
+    return bench if isinstance(bench, BenchFile) else known_bench(read_document(bench))
+
+
+def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
+    """Remark how well the positions will determine the coefficients; refuse those that cannot."""
+    if setup.steps.determines.completes:
+        return
+    if setup.steps.rotation is not None:
+        for why in setup.channel_map().left_out:
+            remark(why)
+        if len(setup.sensors) > 1:
+            remark("several devices are read one after the other: the delay of one, times 2 pi f, goes into q")
+        return
+    for device in setup.sensors:
+        if why := unchecked(device.wired):
+            remark(f"{device.serial}: {why}")
+    for device in {(sensor.model, sensor.orientation): sensor for sensor in setup.sensors}.values():
+        base = setup.known.get(device.serial)
+        expected = predict(
+            setup.steps,
+            device.wired,
+            jig=setup.settings.jig,
+            thermometer=setup.settings.thermometer,
+            table_lean=setup.settings.table,
+            samples=setup.settings.samples,
+            orientation=device.orientation,
+            sensors=len(setup.sensors),
+            base=None if base is None else base.calibration,
+        )
+        remark(f"{device.model}, {expected}")
+
+
+def _require_settings(procedure: Procedure, stated: Mapping[str, Any]) -> None:
+    """Refuse settings that the procedure does not have, or with which no session can measure."""
+    require_no_jig(procedure, stated["--jig"])
+    require_whole("--samples", stated["--samples"], 2, "samples")
+    require_above_zero("--settle", stated["--settle"])
+    if procedure.rotation is None:
+        return
+    for option in ("--samples", "--settle", "--jig"):
+        if stated[option] is not None:
+            raise UsageError(f"a rotation has no positions: leave {option} out; --turns limits its length")
+
+
+def _outputs(
+    procedure: Procedure, sensors: BenchFile, bench: str | Path | BenchFile | None, output: Path | None
+) -> tuple[list[Path | None], Path]:
+    """Return the calibration files, and the file beside which the journal lies.
+
+    A bench's sensors each have a file of their own, named for their serial number, in the folder that -o names; those
+    of a stage that turns have one together, which -o names.
+    """
+    if procedure.rotation is not None:
+        if output is None or os.path.isdir(output):
+            raise UsageError("the pairs of a stage have one file together: name it with -o PAIR.yaml")
+        return [output, *(None for _ in sensors.sensors[1:])], output
+    if bench is None and output is not None:
+        check_writable(output)
+        return [output], output
+    folder = output or Path()
+    name = "bench" if isinstance(bench, BenchFile) else Path(str(bench)).name
+    return [folder / f"{sensor.serial}.yaml" for sensor in sensors.sensors], folder / name
+
+
+def _make_folder(folder: Path) -> None:
+    """Make the folder of a bench's calibration files, unless it is there."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        why = f"{folder} cannot be made: {error.strerror}"
+        raise UsageError(f"with --bench, -o names the folder for the calibration files; {why}") from None
+
+
+def _remark_notes(
+    calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool, judged: bool
+) -> None:
+    """Remark each verdict and note once, with its sensors; after ``level``, not again those of the base.
+
+    A verdict that was ``judged`` before is not repeated.
+    """
+    having: dict[str, list[str]] = {}
+    for calibration in calibrations:
+        said = () if judged else verdict(calibration.record)
+        for note in (*said, *calibration.fit.notes):
+            if not renewed or note == NO_LEVEL or NOT_FOLLOWED in note:
+                having.setdefault(note, []).append(calibration.sensor.serial)
+    for note, serials in having.items():
+        every = len(serials) == len(calibrations) > 1
+        remark(f"{'all sensors' if every else ', '.join(serials)}: {note}")
+
+
+def _results(
+    setup: Setup, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
+) -> Calibration | PairCalibration | list[Calibration]:
+    """Return what a session gives, and remark what limits it."""
+    for name, statistics in outcome.link_statistics.items():
+        remark(f"{name}: {link_in_words(statistics)}")
+    records, determines = list(outcome.calibrations.values()), setup.steps.determines
+    if setup.steps.rotation is not None:
+        pair = PairCalibration(records[0])  # type: ignore[arg-type]
+        (result or unheard)(str(pair))
+        return pair
+    calibrations = [Calibration(record) for record in records if isinstance(record, CalibrationRecord)]
+    _remark_notes(calibrations, remark, renewed=determines.level, judged=result is not None)
+    for calibration in calibrations:
+        if determines.level:
+            (result or remark)(level_summary(calibration.record))
+        else:
+            (result or unheard)(summary(calibration.record, notes=False))
+        if setup.steps.closes:
+            remark(changes_in_words(calibration.record))
+    return calibrations[0] if len(setup.sensors) == 1 else calibrations

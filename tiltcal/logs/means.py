@@ -1,0 +1,249 @@
+"""Rows of a log, put into means before they are compensated: so many rows each, or so much time each.
+
+A mean is over the rows in which a sensor's readings are all there; they are counted, for each sensor of a log of
+several. What these share has its mean over the rows that count for at least one. Columns of numbers and of moments get
+their mean, a heading that of its direction, every other column the value of the first row. Headings that point apart
+have no mean worth the name: the row is flagged. Groups of a time begin at whole multiples of it on the clock of the
+log; a row without a time belongs to the group of the row before it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.flags import FAIL, GRAVITY_LENGTH, NO_DIRECTION, RAIL, SUSPECT, Bytes, Reasons, mark_columns
+from tiltcal.core.heading import FIELD_TOLERANCE, full_circle
+from tiltcal.core.model import Array
+from tiltcal.errors import InputError, UsageError
+from tiltcal.logs.cf_attributes import COUNT
+from tiltcal.logs.columns import SensorColumns
+from tiltcal.logs.log import LogBlock, Table
+from tiltcal.logs.text_to_numbers import no_time_yet, texts_of_times
+from tiltcal.stated_arguments import is_number
+
+if TYPE_CHECKING:
+    import polars as pl
+
+_DURATION = re.compile(r"([0-9.]+) *(ms|s|min|h|d)?")
+_FROM_TILT = ("tilt_", "pitch", "roll", "inclination", "heading", "v_", "u_", "U95_")  # columns begin so
+_SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+
+
+@dataclass(frozen=True)
+class GroupSize:
+    """The size of a group of rows that becomes one mean: so many rows of the log, or so many seconds."""
+
+    rows: int | None = None
+    seconds: float | None = None
+
+    @classmethod
+    def of(cls, rows: int | None, every: str | float | timedelta | None) -> GroupSize | None:
+        """Return what ``--average`` and ``--every`` state; None where neither is given."""
+        if rows is not None and every is not None:
+            raise UsageError("--average and --every each say what belongs into a mean: give one of them")
+        if every is None:
+            return None if rows is None else cls(rows=rows)
+        text = str(every.total_seconds() if isinstance(every, timedelta) else every).strip()
+        match = _DURATION.fullmatch(text)
+        try:
+            seconds = float(match[1]) * _SECONDS[match[2] or "s"] if match else 0.0
+        except ValueError:
+            seconds = 0.0
+        if not (seconds > 0.0 and is_number(seconds)):
+            raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every}")
+        return cls(seconds=seconds)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockOfMeans(LogBlock):
+    """Some means of rows of a log, in order.
+
+    Attributes
+    ----------
+    counts : ndarray of int, shape (n, sensors)
+        Of how many rows the readings of each sensor are the mean.
+    rows : ndarray of int, shape (n,)
+        In how many rows at least one sensor has all its readings.
+    flags : ndarray of uint8, shape (n, sensors)
+        The worst flag of a reading of each sensor, at the rail or of a length of gravity that is not 1 g; else 0.
+    reasons : ndarray of uint16, shape (n, sensors)
+        Which of the two.
+    apart : ndarray of bool, shape (n,)
+        Whether their headings differ so much that the mean of their directions is 5 % shorter than they are.
+    """
+
+    counts: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    flags: Bytes
+    reasons: Reasons
+    apart: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Means:
+    """Puts the rows of a log into means.
+
+    Attributes
+    ----------
+    sensors : sequence of SensorColumns
+        Where the readings stand.
+    judged : callable
+        Compensates readings one by one.
+    time, heading : int or None
+        Where the time and a heading stand.
+    log : str or None
+        What messages call the log.
+    """
+
+    size: GroupSize
+    names: Sequence[str]
+    sensors: Sequence[SensorColumns]
+    judged: Callable[[LogBlock], Table]
+    time: int | None = None
+    heading: int | None = None
+    log: str | None = None
+
+    def blocks(self, blocks: Iterable[LogBlock]) -> Iterator[BlockOfMeans]:
+        """Yield the means of the rows of blocks with all their columns; the last mean may be of fewer rows."""
+        pending: LogBlock | None = None
+        bad = done = 0
+        for block in blocks:
+            bad += len(block.faults)
+            whole = block if pending is None else _joined(pending, block)
+            groups = self._groups(whole, done)
+            cut = int(np.searchsorted(groups, groups[-1]))  # the last group may go on
+            if cut:
+                yield self._means(_part(whole, 0, cut), groups[:cut], bad)
+                bad = 0
+            done += cut
+            pending = _part(whole, cut, len(whole))
+        if pending is not None:
+            yield self._means(pending, self._groups(pending, done), bad)
+
+    def added(self, block: LogBlock, table: Table) -> Table:
+        """Return the columns of a block of means: the count, and its flags, of readings and of headings apart too."""
+        if not isinstance(block, BlockOfMeans):
+            raise TypeError("a block of means is needed")
+        marked = dict(table)
+        for sensor, flags, reasons in zip(self.sensors, block.flags.T, block.reasons.T, strict=True):
+            judged = {name: table[name] for name in (f"{sensor.lead}flag", f"{sensor.lead}reason")}
+            marked |= mark_columns(judged, reasons > 0, flags, reasons)
+            lost = (flags == FAIL) & (reasons & GRAVITY_LENGTH > 0)
+            for name in table if lost.any() else ():
+                if name.startswith(tuple(sensor.lead + kind for kind in _FROM_TILT)):
+                    marked[name] = np.where(lost, np.nan, table[name])
+        return {COUNT: block.rows, **mark_columns(marked, block.apart, SUSPECT, NO_DIRECTION)}
+
+    def _groups(self, block: LogBlock, done: int) -> NDArray[np.int64]:
+        """Return the number of each row's group, ascending; ``done`` rows are before these."""
+        if self.size.rows is not None:
+            return (done + np.arange(len(block))) // self.size.rows
+        time = block.values[self.time or 0]
+        timed = np.isfinite(time)
+        if not timed.any() and any(np.isfinite(block.readings(sensor.readings)).any() for sensor in self.sensors):
+            raise InputError(no_time_yet(len(time), "to which mean of --every they belong"), file=self.log)
+        place = np.maximum.accumulate(np.where(timed, np.arange(len(time)), 0))
+        # Whole microseconds are exact where seconds are not; a border within half of one is where the row is.
+        micros = np.rint(np.where(timed, time, time[place]) * 1e6) + 0.5
+        step = np.floor(micros / (float(self.size.seconds or 1.0) * 1e6))
+        changed = np.flatnonzero(step[1:] != step[:-1]) + 1
+        # NaN differs from NaN: rows before the first time are one group.
+        changed = changed[np.isfinite(step[changed - 1]) | np.isfinite(step[changed])]
+        groups = np.zeros(len(time), np.int64)
+        groups[changed] = 1
+        return np.cumsum(groups)
+
+    def _means(self, block: LogBlock, groups: NDArray[np.int64], bad: int) -> BlockOfMeans:
+        starts = np.flatnonzero(np.diff(groups, prepend=groups[0] - 1))
+        complete = np.array([np.isfinite(block.readings(sensor.readings)).all(axis=1) for sensor in self.sensors])
+        shared, rows = _counted(np.logical_or.reduce(complete), starts)
+        counts = np.empty((len(starts), len(self.sensors)), np.int64)
+        flags, reasons = np.empty(counts.shape, np.uint8), np.empty(counts.shape, np.uint16)
+        judged = self.judged(block)
+        used_for: dict[int, NDArray[np.bool_]] = {}
+        strict: set[int] = set()
+        for number, sensor in enumerate(self.sensors):
+            used, counts[:, number] = _counted(complete[number], starts)
+            reason = np.where(used, judged[f"{sensor.lead}reason"], 0).astype(np.uint16) & (RAIL | GRAVITY_LENGTH)
+            reasons[:, number] = np.bitwise_or.reduceat(reason, starts)
+            flags[:, number] = np.maximum.reduceat(np.where(reason, judged[f"{sensor.lead}flag"], 0), starts)
+            used_for |= dict.fromkeys(sensor.columns, used)
+            strict |= {*sensor.readings}
+        values = {}
+        apart = np.zeros(len(starts), bool)
+        for index, column in block.values.items():
+            if index == self.heading:
+                east, north = (_mean(part(np.radians(column)), shared, starts) for part in (np.sin, np.cos))
+                values[index] = full_circle(np.degrees(np.arctan2(east, north)), 360.0)
+                apart = np.hypot(east, north) < 1.0 - FIELD_TOLERANCE
+            else:
+                values[index] = _mean(column, used_for.get(index, shared), starts, strict=index in strict)
+        frame = None if block.frame is None else self._frame(block.frame, groups, shared, values)
+        return BlockOfMeans(
+            values, frame=frame, counts=counts, rows=rows, flags=flags, reasons=reasons, apart=apart, bad_rows=bad
+        )
+
+    def _frame(
+        self, frame: pl.DataFrame, groups: NDArray[np.int64], used: NDArray[np.bool_], values: dict[int, Array]
+    ) -> pl.DataFrame:
+        """Return the columns of the means, with their types; whole numbers become decimal."""
+        import polars as pl
+
+        group = "\0group"
+        kinds = frame.schema
+        expressions = [
+            (pl.col(name).fill_nan(None) if kind.is_float() else pl.col(name)).mean()
+            if kind.is_numeric() or isinstance(kind, pl.Datetime | pl.Duration)
+            else pl.col(name).first()
+            for name, kind in kinds.items()
+        ]
+        taken = frame.with_columns(pl.Series(group, groups)).filter(pl.Series(used))
+        means = taken.group_by(group, maintain_order=True).agg(expressions).drop(group)
+        exact = {
+            self.names[index]: pl.Series(column).fill_nan(None)
+            for index, column in values.items()
+            if index != self.time  # it has a unit and a moment of its own
+        }
+        name = None if self.time is None else self.names[self.time]
+        if name is not None and self.time is not None and kinds.get(name) == pl.String:
+            exact[name] = texts_of_times(values[self.time], frame[name]).zip_with(
+                pl.Series(np.isfinite(values[self.time])), means[name]
+            )
+        return means.with_columns(**exact)
+
+
+def _counted(complete: NDArray[np.bool_], starts: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Return which rows belong into the mean of each group, and how many of them count.
+
+    Of a group without a row that counts, all rows are taken: its readings are missing, and its time is there.
+    """
+    counts = np.add.reduceat(complete.astype(np.int64), starts)
+    return complete | np.repeat(counts == 0, np.diff(starts, append=len(complete))), counts
+
+
+def _mean(column: Array, used: NDArray[np.bool_], starts: NDArray[np.intp], *, strict: bool = False) -> Array:
+    """Return the mean of each group; NaN counts where ``strict``, and is left out elsewhere."""
+    taken = used if strict else used & np.isfinite(column)
+    total = np.add.reduceat(np.where(taken, column, 0.0), starts)
+    number = np.add.reduceat(taken.astype(np.int64), starts)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(total / number)
+
+
+def _joined(first: LogBlock, second: LogBlock) -> LogBlock:
+    values = {index: np.concatenate([column, second.values[index]]) for index, column in first.values.items()}
+    if first.frame is None or second.frame is None:
+        return LogBlock(values)
+    return LogBlock(values, frame=first.frame.vstack(second.frame))
+
+
+def _part(block: LogBlock, start: int, end: int) -> LogBlock:
+    values = {index: column[start:end] for index, column in block.values.items()}
+    return LogBlock(values, frame=None if block.frame is None else block.frame[start:end])

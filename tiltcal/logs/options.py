@@ -1,0 +1,318 @@
+"""The options of ``apply`` and of ``fit``: of the command, the library and the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import date, timedelta
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, TypedDict
+
+from tiltcal.errors import UsageError
+from tiltcal.options import Option
+from tiltcal.stated_arguments import (
+    is_number,
+    require_boolean,
+    require_from_zero,
+    require_text_or_none,
+    require_whole,
+    shown,
+)
+
+LOCAL_GRAVITY = (9.7, 9.9)
+"""Gravity on the ground is between these, m/s²."""
+
+SHORTEST_WINDOW = 4
+"""Rows of a window over which a sensor can be still."""
+
+_MEANS, _SEASON = "Means", "Calibrations over time"
+_EARTH, _FURTHER = "Heading and velocity", "Further options"
+_UNCERTAINTIES = "Uncertainties of the bench"
+
+
+def silent(line: str) -> None:
+    """Say nothing."""
+
+
+class ApplyOptions(TypedDict, total=False):
+    """How a calibration is applied."""
+
+    columns: Annotated[
+        Mapping[str, str] | str,
+        Option(
+            "The column of each reading, such as x=VoutX,temperature=T; without a header a number.",
+            "ROLE=NAME,…",
+            default="",
+        ),
+    ]
+    uncertainty: Annotated[
+        bool,
+        Option(
+            "Add of each angle u_tilt_x (standard uncertainty) and U95_tilt_x (95 % interval).",
+            "",
+            default=False,
+            check=require_boolean,
+        ),
+    ]
+    skip_bad_rows: Annotated[
+        bool,
+        Option(
+            "Keep rows that cannot be parsed, with flag 9, instead of an error.",
+            "",
+            default=False,
+            check=require_boolean,
+        ),
+    ]
+    average: Annotated[
+        int | None,
+        Option(
+            "Average the readings of each N rows before they are converted; adds count.",
+            "N",
+            _MEANS,
+            check=partial(require_whole, least=1, what="rows"),
+        ),
+    ]
+    every: Annotated[
+        str | float | timedelta | None,
+        Option(
+            "Average the readings of each TIME, such as 10s, 5min or 1h; adds count.",
+            "TIME",
+            _MEANS,
+        ),
+    ]
+    serial: Annotated[
+        str | None,
+        Option(
+            "The sensor, where neither the log nor its columns (S_x) name it.",
+            "S",
+            _SEASON,
+            check=require_text_or_none,
+        ),
+    ]
+    start: Annotated[
+        str | date | None,
+        Option("When the time of the log is 0, such as 2026-05-01T12:00:00Z.", "TIME", _SEASON),
+    ]
+    stability: Annotated[
+        float | None,
+        Option(
+            "How far the offset wanders in one day, as a standard deviation in mg (over n days √n times as far) "
+            "[half of its change between two calibrations].",
+            "MG",
+            _SEASON,
+            check=require_from_zero,
+        ),
+    ]
+    magnetometer: Annotated[
+        Sequence[str] | str,
+        Option(
+            "The columns of the magnetic field along x, y, z: adds heading, degrees clockwise from north.",
+            "MX,MY,MZ",
+            _EARTH,
+            default=(),
+        ),
+    ]
+    velocity: Annotated[
+        Sequence[str] | str,
+        Option(
+            "The columns of a velocity along x, y, z: adds v_east, v_north, v_up. Its heading is that of the "
+            "magnetometer, or of a column (heading=NAME among the columns).",
+            "U,V,W",
+            _EARTH,
+            default=(),
+        ),
+    ]
+    declination: Annotated[
+        float | None,
+        Option(
+            "How far magnetic north is east of true north; added to every heading.",
+            "DEG",
+            _EARTH,
+        ),
+    ]
+    magnetometer_noise: Annotated[
+        float | None,
+        Option(
+            "Standard uncertainty of a component of the field, in its unit [0].",
+            "UNIT",
+            _EARTH,
+            check=require_from_zero,
+        ),
+    ]
+    mounting: Annotated[
+        Mapping[str, float] | str,
+        Option(
+            "How the sensor sits, such as roll=180 (then pitch=, then yaw=), in place of the calibration's mounting; "
+            "it counts as exact.",
+            "roll=DEG,…",
+            _FURTHER,
+            default="",
+        ),
+    ]
+    reading_noise: Annotated[
+        float | None,
+        Option(
+            "Standard uncertainty of a reading, in its unit [that of a sample at the bench].",
+            "UNIT",
+            _FURTHER,
+            check=require_from_zero,
+        ),
+    ]
+    first_order: Annotated[
+        bool,
+        Option(
+            "Use Cross-axis Compensation, eq. 6, in place of the whole matrix.",
+            "",
+            _FURTHER,
+            default=False,
+            check=require_boolean,
+        ),
+    ]
+    unit: Annotated[
+        str | None,
+        Option(
+            "Of the readings of a frame; an xarray Dataset states it itself. Another one than the calibration's is "
+            "refused.",
+            check=require_text_or_none,
+        ),
+    ]
+    say: Annotated[
+        Callable[[str], None], Option("Called with each remark about what had to be assumed.", default=silent)
+    ]
+
+
+def require_consistent(options: ApplyOptions) -> None:
+    """Raise UsageError for options that contradict each other or need another."""
+    for name in ("stability", "reading_noise"):
+        if options[name] is not None and not options["uncertainty"]:
+            raise UsageError(f"--{name.replace('_', '-')} needs --uncertainty")
+    declination = options["declination"]
+    if declination is not None and not (options["magnetometer"] or options["velocity"]):
+        raise UsageError("--declination needs --magnetometer or --velocity")
+    if declination is not None and not (is_number(declination) and abs(declination) <= 180.0):
+        raise UsageError(f"--declination is between -180 and 180 degrees, not {shown(declination)}")
+    if options["magnetometer_noise"] is not None and not (options["uncertainty"] and options["magnetometer"]):
+        raise UsageError("--magnetometer-noise needs --magnetometer and --uncertainty")
+
+
+def vectors(options: ApplyOptions) -> dict[str, tuple[str, ...]]:
+    """Return the three columns of each vector that is asked for, by role."""
+    given = {"magnetometer": (options["magnetometer"], "mx,my,mz"), "velocity": (options["velocity"], "u,v,w")}
+    return {role: _three_columns(role, *names) for role, names in given.items() if names[0]}
+
+
+def _three_columns(role: str, names: Sequence[str] | str, example: str) -> tuple[str, ...]:
+    listed = names.split(",") if isinstance(names, str) else names
+    columns = tuple(str(name).strip() for name in listed) if isinstance(listed, Iterable) else ()
+    if len(set(columns)) != 3 or not all(columns):
+        raise UsageError(f"--{role} names three columns, along x, y and z, such as {example}; not {names!r}")
+    return columns
+
+
+def _require_local_gravity(name: str, gravity: Any) -> None:
+    low, high = LOCAL_GRAVITY
+    if gravity is not None and not (is_number(gravity, low) and gravity <= high):
+        raise UsageError(f"{name} {shown(gravity)}: local gravity is between {low:g} and {high:g} m/s²")
+
+
+def _require_boolean_or_none(name: str, value: Any) -> None:
+    if value is not None:
+        require_boolean(name, value)
+
+
+class FitOptions(TypedDict, total=False):
+    """What is stated of recorded data from which a sensor is calibrated."""
+
+    segments: Annotated[
+        Any,
+        Option(
+            "The rows of each position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz if the "
+            "position is not one of the procedure. Without it, procedure free finds the static intervals.",
+            "PATH",
+        ),
+    ]
+    table: Annotated[
+        bool | None,
+        Option(
+            "The data are a table of means: position, x, y, z, and optionally gx, gy, gz, ux, uy, uz (the standard "
+            "uncertainties of the means), n, temperature. A frame with a column position is one where there are no "
+            "segments.",
+            "",
+            check=_require_boolean_or_none,
+        ),
+    ]
+    columns: Annotated[
+        Mapping[str, str] | str,
+        Option(
+            "The column of each reading [x, y, z, temperature]; in a log without a header a number from 1.",
+            "x=NAME,…",
+            default="",
+        ),
+    ]
+    unit: Annotated[str | None, Option("The unit of the readings, such as m/s2, V or count [the model's].", "UNIT")]
+    serial: Annotated[str | None, Option("The sensor's serial number [that of the base].", "S")]
+    sensor: Annotated[str | None, Option("The model of the sensor, if it is one of `tiltcal devices`.", "MODEL")]
+    tilt: Annotated[float | None, Option("The angle of a procedure with a free angle, degrees.", "DEGREES")]
+    base: Annotated[
+        str | Path | None,
+        Option(
+            "The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, "
+            "and procedures that determine no sensitivity use its own.",
+            "CAL",
+        ),
+    ]
+    gravity: Annotated[
+        float | None,
+        Option(
+            "Local gravity, between 9.7 and 9.9 m/s²: adds the sensitivity per m/s², and for readings in m/s2 the "
+            "scale error.",
+            "M/S2",
+            check=_require_local_gravity,
+        ),
+    ]
+    window: Annotated[
+        int | None,
+        Option(
+            "Shortest static interval that is found, 4 rows or more; several are tried without it.",
+            "ROWS",
+            check=partial(require_whole, least=SHORTEST_WINDOW, what="rows"),
+        ),
+    ]
+    jig: Annotated[
+        float | None,
+        Option(
+            "Standard uncertainty of a set angle, degrees; without it, it is estimated from the residuals.",
+            "DEGREES",
+            _UNCERTAINTIES,
+        ),
+    ]
+    thermometer: Annotated[
+        float | None,
+        Option(
+            "Standard uncertainty of a temperature, °C; without it, that of the step of the model's own thermometer.",
+            "CELSIUS",
+            _UNCERTAINTIES,
+        ),
+    ]
+    table_lean: Annotated[
+        float | None,
+        Option(
+            "Standard uncertainty of the lean of the table, degrees; all positions share it.",
+            "DEGREES",
+            _UNCERTAINTIES,
+        ),
+    ]
+    heading: Annotated[
+        float | None,
+        Option("Standard uncertainty of a heading, degrees.", "DEGREES", _UNCERTAINTIES, name="heading-uncertainty"),
+    ]
+    alignment: Annotated[
+        float | None,
+        Option(
+            "With level: by how much at most the sensor may sit askew since its calibration, about each axis, degrees "
+            "[2]; 0 if it was not unplugged.",
+            "DEGREES",
+            _UNCERTAINTIES,
+        ),
+    ]
+    say: Annotated[Callable[[str], None], Option("Called with each line of what is found on the way.", default=silent)]

@@ -1,0 +1,344 @@
+"""What a page says of a calibration in words: its provenance, the verdict on its fit, and where it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from math import degrees
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tiltcal.calibration.fleet import FleetHistory
+from tiltcal.calibration.summary import fit_lines, objections
+from tiltcal.calibration.tilt_uncertainty import TiltUncertainty
+from tiltcal.core.rounding import plus_minus
+from tiltcal.files import record
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.pair import PairRecord
+from tiltcal.files.results import FileRecord, FitRecord, LevelFit, MountingFit, PairProvenance, PositionSet, Provenance
+from tiltcal.report.numbers import at_place, half_width, plain, signed
+
+_VIRTUAL = "virtual"
+"""The mark of a file that was made without a real sensor."""
+
+_WORDS = {
+    "made_by": "Made by",
+    "operator": "Operator",
+    "bench.address": "Address",
+    "bench.axes": "Axes on the bench",
+    "bench.thermometer": "Thermometer",
+    "software": "Software",
+    "base.name": "Calibration it builds on",
+    "base.sha256": "SHA-256 of that calibration",
+    "sources": "Combined of",
+    "journal.name": "Journal",
+    "journal.sha256": "SHA-256 of the journal",
+    "log.name": "Log",
+    "log.rows": "Rows of the log",
+    "log.missing": "Rows left out",
+    "log.sha256": "SHA-256 of the log",
+    "segments.name": "Segments",
+    "segments.sha256": "SHA-256 of the segments",
+    "table.name": "Table of positions",
+    "table.sha256": "SHA-256 of the table",
+    "stage_angle": "Stage angle",
+}
+
+
+ALIKE = 2.0
+"""Temperatures that are no further apart count as one, °C."""
+
+
+class Fact(NamedTuple):
+    """One line of the head; ``code`` for text in a fixed-width font."""
+
+    label: str
+    value: str
+    code: bool = False
+
+
+def facts(calibration: CalibrationRecord, source: FileRecord) -> list[Fact]:
+    """Return what was calibrated, when and by whom, and the rest of the provenance."""
+    sensor = calibration.sensor
+    return [
+        Fact("Sensor", sensor.model),
+        Fact("Serial number", sensor.serial),
+        Fact("Readings", f"{', '.join(sensor.channels)}, in {sensor.unit}"),
+        *provenance_facts(calibration.provenance, source),
+    ]
+
+
+def result(calibration: CalibrationRecord, tilt: Mapping[str, TiltUncertainty]) -> list[Fact]:
+    """Return what a reader asks first: the verdict, and how uncertain the tilt is."""
+    against = objections(calibration)
+    return [
+        Fact("Verdict", "; ".join(against) or "good: nothing in its data speaks against it"),
+        *(Fact(f"Tilt of {axis} within", _within(uncertainty)) for axis, uncertainty in tilt.items()),
+    ]
+
+
+def _within(uncertainty: TiltUncertainty) -> str:
+    alone, reading = (half_width(float(np.nanmax(half))) for half in (uncertainty.alone, uncertainty.reading))
+    low, high = (signed(f"{end:.3g}") for end in (uncertainty.tilt[0], uncertainty.tilt[-1]))
+    one_reading = f"; one single reading within ±{reading}°" if reading != alone else ", also of one single reading"
+    return f"±{alone}° (95 %) from {low} to {high}°{one_reading}"
+
+
+def pair_facts(calibration: PairRecord, source: FileRecord) -> list[Fact]:
+    """Return how the stage turned, and the rest of the provenance."""
+    spin = calibration.spin
+    said = [
+        Fact("Turns of the stage", plain(spin.turns, 6)),
+        Fact("Frequency of the spin", f"{plain(spin.frequency, 6)} Hz" if spin.frequency else ""),
+        Fact("Column of the stage angle", spin.phase or ""),
+        Fact("Estimated", "turn by turn" if calibration.online else "from the whole record"),
+    ]
+    return [*(fact for fact in said if fact.value), *provenance_facts(calibration.provenance, source)]
+
+
+def fleet_facts(history: FleetHistory) -> list[Fact]:
+    """Return what is in a folder, and how many sensors are due."""
+    sensors = history.histories
+    return [
+        Fact("Folder", history.folder),
+        Fact("Sensors", str(len(sensors))),
+        Fact("Calibrations", str(sum(len(sensor.calibrations) for sensor in sensors))),
+        Fact("Interval", f"{history.interval.days} days"),
+        Fact("Due", f"{sum(map(history.is_due, sensors))} on {history.now:%Y-%m-%d}"),
+    ]
+
+
+def fleet_remarks(history: FleetHistory) -> Iterator[str]:
+    """Yield the remarks on sensors, and the gaps between their calibrations."""
+    for sensor in history.histories:
+        yield from (f"{sensor.sensor.serial}: {remark}" for remark in sensor.remarks)
+    for sensor in history.histories:
+        for a, b in sensor.gaps(history.interval):
+            yield f"{sensor.sensor.serial}: no calibration for {(b.date - a.date).days} days, from {a.date:%Y-%m-%d}"
+
+
+def provenance_facts(provenance: Provenance | PairProvenance, source: FileRecord) -> list[Fact]:
+    """Return the content of a provenance, times first, and the calibration file that states it."""
+    file = Fact("Calibration file", source.name), Fact("SHA-256 of the file", source.sha256 or "", code=True)
+    return [fact for fact in (*_facts(provenance), *file) if fact.value]
+
+
+def _facts(provenance: Provenance | PairProvenance) -> Iterator[Fact]:
+    yield Fact("Calibrated", period(provenance))
+    for name, value in _leaves(record.plain(provenance)):
+        if name not in ("started", "ended") and not (name == "made_by" and notice(provenance)):
+            label = _WORDS.get(name, name[:1].upper() + name[1:].replace("_", " ").replace(".", ": "))
+            yield Fact(label, value, code=name.endswith(("sha256", "address")))
+
+
+def period(provenance: Provenance | PairProvenance) -> str:
+    """Return the start and end of the session in UTC, to the second."""
+    started, ended = provenance.started, provenance.ended
+    if not started or not ended:
+        return _moment(started or ended or "")
+    first, last = _moment(started), _moment(ended)
+    day, _, _ = first.partition(" ")
+    return f"{first} to {last.removeprefix(day + ' ')}" if last != first else first
+
+
+def dated(name: str, provenance: Provenance) -> str:
+    """Return the name of a file, and when it was measured."""
+    return ", ".join(filter(None, [name, period(provenance)]))
+
+
+def notice(provenance: Provenance | PairProvenance) -> str:
+    """Return the notice that no real sensor was measured; empty for a real one."""
+    made_by = provenance.made_by or ""
+    return f"Made by {made_by}." if _VIRTUAL in made_by else ""
+
+
+def procedure_facts(calibration: CalibrationRecord) -> list[Fact]:
+    """Return the procedure and its settings."""
+    run = calibration.procedure
+    said = [
+        ("Procedure", " – ".join(filter(None, (run.name, run.title)))),
+        ("Source", run.source),
+        ("Samples per position", run.samples and str(run.samples)),
+        ("Still before sampling", run.settle_seconds is not None and f"{run.settle_seconds:g} s"),
+    ]
+    for label, completing in (("Mounting", run.mounting), ("Level", run.level)):
+        if completing is not None:
+            kept = _leaves(record.plain(completing))
+            said.append((label, "; ".join(f"{name.replace('_', ' ')} {value}" for name, value in kept)))
+    return [Fact(label, value) for label, value in said if value]
+
+
+def _leaves(content: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, str]]:
+    """Return the content of a record, by dotted names."""
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{lead}{key}.")
+        else:
+            yield f"{lead}{key}", _in_words(value)
+
+
+def _in_words(value: Any) -> str:
+    """Return a value as text."""
+    if isinstance(value, float):
+        return f"{value:g}" if abs(value) < 1e6 else str(value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_in_words(member)}" for key, member in value.items())
+    if isinstance(value, list):
+        return ", ".join(_in_words(member) for member in value)
+    return str(value)
+
+
+def _moment(stamp: str) -> str:
+    """Return a time of the file without its fractions: ``2026-05-01 12:00:00 UTC``."""
+    day, _, clock = stamp.partition("T")
+    if not clock:
+        return stamp
+    seconds, _, _ = clock.removesuffix("Z").partition(".")
+    return f"{day} {seconds}{' UTC' if clock.endswith('Z') else ''}"
+
+
+def as_set(position: PositionSet) -> str:
+    """Return the attitude of a position as text: the set angles, or the direction that points up."""
+    said = [f"{axis} {signed(f'{angle:g}')}°" for axis, angle in (position.tilt or {}).items()]
+    if position.gravity is not None:
+        said.append(f"up ({', '.join(_short(component) for component in position.gravity)})")
+    for label, angle in (("heading", position.heading), ("stage", position.stage)):
+        if angle is not None:
+            said.append(f"{label} {signed(f'{angle:g}')}°")
+    if position.temperature is not None:
+        said.append(f"{signed(f'{position.temperature:g}')} °C")
+    return ", ".join(said)
+
+
+def remarks(calibration: CalibrationRecord) -> list[str]:
+    """Return the notes and warnings of the file, word for word."""
+    fit = calibration.fit
+    warned = [fit.warning] if fit.warning else []
+    return [*fit.notes, *warned, *(f"assumed: {name}" for name in calibration.derived.assumed)]
+
+
+def verdict(calibration: CalibrationRecord) -> Iterator[str]:
+    """Yield the verdict on the fit, in sentences."""
+    fit, unit = calibration.fit, calibration.sensor.unit
+    yield from (f"{line[:1].upper()}{line[1:]}." for line in fit_lines(calibration))
+    if fit.jig_degrees is not None:
+        yield f"Stated standard uncertainty of a set angle: {fit.jig_degrees:g}°."
+    if fit.thermometer_celsius is not None:
+        yield f"Standard uncertainty of a temperature: {plain(fit.thermometer_celsius, 2)} °C."
+    if fit.misfit_rms_mg is not None:
+        where = "" if fit.distinct_attitudes is None else f" in {fit.distinct_attitudes} attitudes"
+        yield f"The misfit of the length of gravity is {plain(fit.misfit_rms_mg, 3)} mg rms{where}."
+    yield from _swept(fit, unit)
+    yield from _mounted(fit.mounting)
+    yield from _levelled(fit.level, unit)
+
+
+def _swept(fit: FitRecord, unit: str) -> Iterator[str]:
+    chosen = fit.cross_validation
+    if chosen is not None:
+        listed = ", ".join(f"{plain(error, 3)} for order {order}" for order, error in chosen.error_by_order.items())
+        yield (
+            f"Cross-validation chose a drift of order {chosen.order}; the mean square error of predicting a left-out "
+            f"position, over its variance, is {listed}."
+        )
+    for channel, loop in fit.hysteresis.items():
+        yield f"Hysteresis of {channel}: {plain(loop.difference, 2)} {unit} between {' and '.join(loop.between)}."
+
+
+def _mounted(fit: MountingFit | None) -> Iterator[str]:
+    if fit is None or not fit.residuals_degrees:
+        return
+    worst = max(fit.residuals_degrees, key=lambda name: abs(fit.residuals_degrees[name]))
+    yield (
+        f"Mounting: {fit.degrees_of_freedom} degrees of freedom, uncertainty from {fit.uncertainty_from}, largest "
+        f"residual {plain(fit.residuals_degrees[worst], 3)}° in {worst}"
+        + ("." if fit.chi_square is None else f", χ² {plain(fit.chi_square, 4)}.")
+    )
+
+
+def _levelled(fit: LevelFit | None, unit: str) -> Iterator[str]:
+    if fit is None:
+        return
+    changes = [
+        f"{channel} by {signed(plus_minus(change, fit.change_uncertainty.get(channel, 0.0)))} {unit}"
+        for channel, change in fit.change.items()
+    ]
+    yield f"A level position has renewed the offset: it changed in {' and in '.join(changes)}; {fit.verdict}."
+
+
+def _short(component: float) -> str:
+    return at_place(component, 3).rstrip("0").rstrip(".")
+
+
+def covered(calibration: CalibrationRecord) -> list[Fact]:
+    """Return the ranges that the positions covered."""
+    limits, unit = calibration.limits, calibration.sensor.unit
+    thermal = calibration.coefficients.thermal
+    found = [
+        Fact(f"Tilt of {axis}", _span(round(degrees(low), 2), round(degrees(high), 2), "°"))
+        for axis, (low, high) in limits.tilt.items()
+    ]
+    temperature = limits.temperature or (thermal.range if thermal else None)
+    if temperature:
+        found.append(Fact("Temperature", _span(*temperature, " °C")))
+    if thermal:
+        found.append(Fact("Reference temperature", f"{signed(f'{thermal.reference:g}')} °C"))
+    rails = [f"{channel} {_span(low, high, ' ' + unit)}" for channel, (low, high) in limits.reading.items()]
+    if rails:
+        found.append(Fact("Readings between their rails", ", ".join(rails)))
+    return found
+
+
+def not_covered(calibration: CalibrationRecord) -> Iterator[str]:
+    """Yield what the calibration does not cover, in sentences."""
+    coefficients, limits = calibration.coefficients, calibration.limits
+    if notice(calibration.provenance):
+        yield "Any real sensor: the readings are those of a virtual one."
+    if limits.tilt:
+        yield "Tilts beyond the ranges above; apply flags them."
+    else:
+        yield "The tilt: no range of tilts was covered."
+    if coefficients.thermal is None:
+        yield f"Temperature: its effect was not measured{_temperatures(calibration)}."
+    elif not coefficients.thermal.gain.any():
+        yield "Drift of the sensitivity with temperature."
+    if coefficients.nonlinearity is None:
+        yield "Nonlinearity: each channel is assumed linear."
+    if len(coefficients.axes) < 3:
+        missing = " and ".join(axis for axis in ("x", "y", "z") if axis not in coefficients.axes)
+        yield f"Sensitivity to {missing}: it was not measured and counts as zero."
+    if coefficients.mounting is None:
+        yield "The mounting in an application: tilt is that of the sensor’s own frame."
+    if calibration.derived.assumed:
+        yield "Assumed values, as noted above."
+    if calibration.fit.jig_degrees is None and calibration.fit.uncertainty_from != "residuals":
+        yield "The angles of the jig: none was stated, and they are not in the uncertainty."
+    if not calibration.uncertainty.coverage_factor:
+        yield "Intervals of 95 %: the file has no coverage factors."
+    if not _closed(calibration):
+        yield "A change of the sensor during the session: the first position was not visited again at its end."
+    yield "Motion, vibration and ageing: all positions were measured at rest, on the dates above."
+
+
+def _closed(calibration: CalibrationRecord) -> bool:
+    """Return whether the last position was the first one again, at its temperature."""
+    positions, attitudes = calibration.positions, calibration.procedure.set
+    if len(positions) < 2 or not {positions[0].position, positions[-1].position} <= set(attitudes):
+        return False
+    first, last = positions[0], positions[-1]
+    warmer = (last.temperature or 0.0) - (first.temperature or 0.0)
+    return attitudes[first.position] == attitudes[last.position] and abs(warmer) <= ALIKE
+
+
+def _temperatures(calibration: CalibrationRecord) -> str:
+    """Return the temperatures of the positions as text."""
+    met = [position.temperature for position in calibration.positions if position.temperature is not None]
+    if not met:
+        return ""
+    low, high = min(met), max(met)
+    where = f"from {_span(low, high, ' °C')}" if high > low else f"at {plain(low, 4)} °C"
+    return f", and all positions were {where}"
+
+
+def _span(low: float, high: float, unit: str) -> str:
+    return f"{signed(f'{low:.6g}')} to {signed(f'{high:.6g}')}{unit}"
