@@ -12,6 +12,7 @@ from support.json_program import Event, ProgramSession, lead
 from tiltcal.bench import sensors
 from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.operators import LOOK, Message, VirtualJig
+from tiltcal.bench.run import run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.files.calibration import read_calibration
@@ -111,7 +112,7 @@ def ramp_session(twin: str) -> Session:
 
 def test_live_readings_are_no_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    measured = ramp_session(TWIN).run(operator := Watching())
+    measured = run_session(ramp_session(TWIN), operator := Watching())
     assert operator.looks > 12
     assert calibrations_of(read_journal("S-1.journal.jsonl")).texts() == measured.texts()
 
@@ -161,7 +162,7 @@ def test_faults_that_pass_cost_their_samples_alone(tmp_path: Path, monkeypatch: 
     breaks = [f"{{kind: unplugged, start: {600.0 * k}, end: {600.0 * k + 3.0}}}" for k in range(1, 7)]
     session = ramp_session(TWIN + f"  faults: [{', '.join(breaks)}]\n")
     said: list[str] = []
-    (text,) = session.run(VirtualJig(said.append)).texts().values()
+    (text,) = run_session(session, VirtualJig(said.append)).texts().values()
     Path("S-1.yaml").write_text(text)
     assert not [line for line in said if "refused" in line]
     thermal = read_calibration("S-1.yaml").coefficients.thermal

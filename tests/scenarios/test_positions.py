@@ -9,6 +9,7 @@ from support.command import measure, tiltcal
 
 from tiltcal.bench.journal import SessionResult, calibrations_of
 from tiltcal.bench.operators import Message, VirtualJig
+from tiltcal.bench.run import run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.drivers.virtual import Fixture, VirtualPart
@@ -55,7 +56,7 @@ def run(procedure: str = "plane", operator: VirtualJig | None = None) -> tuple[C
     said: list[str] = []
     live = session(procedure)
     live.probe()
-    return written(live.run(operator or VirtualJig(said.append))), said
+    return written(run_session(live, operator or VirtualJig(said.append))), said
 
 
 def twin_with(line: str) -> None:
@@ -120,7 +121,7 @@ def test_a_fault_that_stays_ends_the_session(bench: Path) -> None:
     live = session()
     live.probe()
     with pytest.raises(HardwareError, match="unplugged"):
-        live.run(VirtualJig())
+        run_session(live, VirtualJig())
     assert not Path("S-1.yaml").exists()
     assert Path("S-1.journal.jsonl").exists()
 
@@ -130,7 +131,7 @@ def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone(bench: Path
     live = session()
     live.probe()
     with pytest.raises(HardwareError, match="unplugged"):
-        live.run(VirtualJig())
+        run_session(live, VirtualJig())
     measure_here(resume="S-1.journal.jsonl", operator="sim")
     journal = read_journal("S-1.journal.jsonl")
     assert journal.end is not None
@@ -187,7 +188,7 @@ def test_a_thermometer_that_is_five_minutes_late_is_waited_for(
                 live.clock.sleep(60.0 * (18.5 + minutes))
             return super().ask(question)
 
-    found = written(live.run(Late()))
+    found = written(run_session(live, Late()))
     assert found.positions[1].temperature == pytest.approx(5.5, abs=0.15)
     assert found.coefficients.thermal is not None
     for drift, channel, truth in zip(found.coefficients.thermal.drift[:, 0], "xy", (6.0, -6.0), strict=False):

@@ -14,6 +14,7 @@ from support import accelerometer_disk as disk
 from tiltcal.bench import sensors
 from tiltcal.bench.journal import SessionResult, calibrations_of
 from tiltcal.bench.operators import Message
+from tiltcal.bench.run import run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.core.pair.matching import Matching
@@ -160,7 +161,7 @@ def turned(
         opening, device = sensors.open_device, Device(printed, clock, interval)
         sensors.open_device = lambda *_: device
         try:
-            result = session.run(attendant)
+            result = run_session(session, attendant)
         finally:
             sensors.open_device = opening
         assert calibrations_of(read_journal(path)).texts() == result.texts()

@@ -44,7 +44,15 @@ from tiltcal.files.journal import (
 )
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position
-from tiltcal.files.results import VIRTUAL, BenchRecord, FileRecord, Provenance
+from tiltcal.files.results import (
+    VIRTUAL,
+    BenchRecord,
+    BenchSensorRecord,
+    FileRecord,
+    PairProvenance,
+    Provenance,
+    SamplesRecord,
+)
 
 if TYPE_CHECKING:
     from tiltcal.core.ramp.record import RampRecord
@@ -595,10 +603,8 @@ def calibrations_of(journal: Journal) -> SessionResult:
     if session.setup.verifies:
         return SessionResult({}, session.lost, statistics)
     if session.setup.steps.rotation is not None:
-        from tiltcal.bench.rotation import pair_calibration
-
         records: dict[str, CalibrationRecord | PairRecord] = {
-            session.setup.sensors[0].serial: pair_calibration(session, statistics)
+            session.setup.sensors[0].serial: _pair_calibration(session, statistics)
         }
     else:
         records = {**_tilt_calibrations(session, statistics)}
@@ -653,7 +659,7 @@ def _tilt_calibrations(
 def _provenance(setup: Setup, device: Device, statistics: Mapping[str, int] | None) -> Provenance:
     """Return what a sensor's calibration file states of the session, without its end."""
     return Provenance(
-        **session_provenance(setup),
+        **_session_provenance(setup),
         bench=BenchRecord(
             address=device.address,
             axes=() if device.orientation.straight else tuple(device.orientation.names),
@@ -664,7 +670,7 @@ def _provenance(setup: Setup, device: Device, statistics: Mapping[str, int] | No
     )
 
 
-def session_provenance(setup: Setup) -> dict[str, Any]:
+def _session_provenance(setup: Setup) -> dict[str, Any]:
     """Return what every calibration file states of its session, without its end."""
     return {
         "made_by": VIRTUAL if setup.simulated else "measurement",
@@ -672,6 +678,48 @@ def session_provenance(setup: Setup) -> dict[str, Any]:
         "software": setup.software,
         "started": stamp(setup.began),
     }
+
+
+def _pair_calibration(session: RecordedSession, statistics: Mapping[str, Mapping[str, int]]) -> PairRecord:
+    """Return the pairs that a journal gives, with their provenance but for the end of the session."""
+    from tiltcal.bench.stage import unused, whole_rotation
+    from tiltcal.files.pair import PairRecord, SpinRecord
+
+    setup = session.setup
+    channels = setup.channel_map()
+    whole = whole_rotation([channel.column for channel in channels.readings], session.rotation_rows())
+    matchings, unmatched = whole.matched(channels.pairs)
+    sensors = tuple(
+        BenchSensorRecord(serial=sensor.serial, model=sensor.model, address=sensor.address) for sensor in setup.sensors
+    )
+    provenance = PairProvenance(
+        **_session_provenance(setup),
+        bench=BenchRecord(sensors=sensors),
+        link_statistics={serial: dict(counts) for serial, counts in statistics.items()},
+        procedure=setup.steps.name,
+        samples=SamplesRecord(used=whole.samples, left_out=whole.left_out + sum(map(unused, statistics.values()))),
+        stopped=_ended(session, whole.turns),
+        not_matched=(*channels.left_out, *unmatched),
+    )
+    frequency = whole.turns / whole.seconds if whole.seconds > 0.0 else None
+    spin = SpinRecord(turns=whole.turns, frequency=frequency, phase=channels.phase.column)
+    return PairRecord(spin=spin, matchings=matchings, provenance=provenance)
+
+
+def _ended(session: RecordedSession, turns: float) -> str:
+    """Return why a rotation ended; a journal of format 1 does not say it."""
+    from tiltcal.bench.stage import ALL_TURNS, CONVERGED, STOPPED
+    from tiltcal.core.pair.model import FEWEST_TURNS
+    from tiltcal.core.pair.stage import follow
+
+    if session.turned is not None:
+        return session.turned.ended
+    theta = session.rotation_rows()[: session.stopped_at, 1]
+    angle = follow(theta[np.isfinite(theta)])
+    if len(angle) and np.ptp(angle) >= FEWEST_TURNS:  # a stop that came too early was refused
+        return STOPPED
+    rotation = session.setup.steps.rotation
+    return CONVERGED if rotation is not None and turns < rotation.turns - 1 else ALL_TURNS
 
 
 def changes_in_words(calibration: CalibrationRecord) -> str:

@@ -32,7 +32,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from math import dist
 from typing import Any, Protocol, TextIO
@@ -403,45 +402,3 @@ def matched_in_words(event: Message) -> list[str]:
 def _pairs_in_words(event: Message) -> list[str]:
     p, q, u_p, u_q = (event[key] for key in ("p", "q", "u_p", "u_q"))
     return [f"{name}: p {plus_minus(p[name], u_p[name])}, q {plus_minus(q[name], u_q[name])}" for name in p]
-
-
-@contextmanager
-def open_operator(
-    chosen: object, *, turns: bool, virtual: bool, say: Callable[[str], None], plain: bool = False
-) -> Iterator[Operator]:
-    """Make an operator, and give the terminal back at the end of the block.
-
-    Parameters
-    ----------
-    chosen : str or object
-        One of :data:`NAMED`, or an object with the methods of the protocol.
-    turns : bool
-        Whether the procedure lets a stage turn.
-    virtual : bool
-        Whether all sensors are virtual.
-    say : callable
-        Takes a line of the virtual jig's talk.
-    plain : bool
-        Whether a terminal gets lines only.
-
-    UsageError: no such operator, or one that the bench cannot have.
-    """
-    needed = {"terminal": {"input": sys.stdin, "error": sys.stderr}, "json": {"input": sys.stdin, "output": sys.stdout}}
-    for name, stream in needed.get(str(chosen), {}).items():
-        if stream is None:
-            raise UsageError(f"standard {name} is closed, and --operator {chosen} needs it")
-    if chosen == "terminal":
-        from tiltcal.bench.terminal import open_terminal
-
-        with ExitStack() as stack:
-            yield open_terminal(stack, plain=plain)
-    elif chosen == "sim":
-        if not virtual:
-            raise UsageError("--operator sim moves virtual sensors only; give --address sim:")
-        yield VirtualJig(say)
-    elif chosen == "json":
-        yield Program(sys.stdin, sys.stdout)
-    elif isinstance(chosen, str):
-        raise UsageError(f"there is no operator {chosen!r}: it is {', '.join(NAMED)}, or an object that drives a rig")
-    else:
-        yield PythonObject(chosen, "rotation" if turns else "position")

@@ -8,18 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tiltcal.bench.checks import PositionResult, at_rail, measurement_of, require_few
 from tiltcal.bench.sensors import RECOVERY, Sample
+from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
 from tiltcal.errors import SensorError, UsageError
 from tiltcal.files.procedure import Position, Ramp
-
-if TYPE_CHECKING:
-    from tiltcal.bench.session import Session
 
 CHANGE = 0.5
 """°C; a temperature that changes by less within the patience of the procedure has stopped."""

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from tiltcal.bench.sensors import Recorder, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.bench.setup import devices_of
+from tiltcal.bench.stage import column_name
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
 from tiltcal.drivers.model import Model, Reading, link_in_words
 from tiltcal.errors import UsageError
@@ -136,11 +137,6 @@ class CsvRecorder:
             f"cannot write {self._path}: {error.strerror}; the rows before are kept, go on with another file on a disk "
             "that has room"
         )
-
-
-def column_name(serial: str, channel: str, *, alone: bool) -> str:
-    """Return the column of a channel: its name alone, or of several devices behind the serial number."""
-    return channel if alone else f"{serial}_{channel}"
 
 
 def _header(models: Mapping[str, Model], thermometer: bool) -> list[str]:

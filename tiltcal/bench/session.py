@@ -23,10 +23,9 @@ from tiltcal.bench.checks import (
     require_few,
     require_off_rails,
 )
-from tiltcal.bench.journal import RecordedSample, RecordedSession, SessionResult, calibrations_of, positions_of
+from tiltcal.bench.journal import RecordedSample, RecordedSession
 from tiltcal.bench.operators import LOOK, WORDS, Answer, Operator, understood
 from tiltcal.bench.sensors import (
-    RECOVERY,
     RecordedClock,
     Recorder,
     Sample,
@@ -41,8 +40,8 @@ from tiltcal.core.attitude import normalised
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.model import Reading
-from tiltcal.errors import HardwareError, InputError, JournalError, SensorError, Stopped, TiltcalError
-from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter, read_journal
+from tiltcal.errors import HardwareError, InputError, Stopped, TiltcalError
+from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position
 
@@ -61,8 +60,6 @@ TIPPED = (0.2, 0.2, -0.2)
 WAITING_NS = 60_000_000_000
 """Time between two events while a chamber soaks or a reading settles, ns."""
 
-FIRST = "this is the first position: there is none before it to go back to"
-
 
 class Session:
     """A setup being carried out.
@@ -80,6 +77,8 @@ class Session:
         The positions so far.
     leg : list of RecordedSample
         The samples of a ramp's leg from before an interruption.
+    captured, finished : bool
+        Whether the journal has a begin, and its end.
     """
 
     sensors: SensorSet
@@ -93,8 +92,8 @@ class Session:
         self.accepted: list[PositionResult] = []
         self.leg: list[RecordedSample] = []
         self._operator: Operator | None = None
-        self._captured = journal is not None
-        self._finished = False
+        self.captured = journal is not None
+        self.finished = False
         self._virtual = VirtualBench(self.clock, setup.devices)
         self._steps = {device.serial: ReadingStep() for device in setup.sensors}
         """What the readings have shown of the steps that no model states."""
@@ -120,7 +119,7 @@ class Session:
         try:
             yield
         except (KeyboardInterrupt, TiltcalError) as error:
-            if not self._captured:
+            if not self.captured:
                 raise
             if isinstance(error, KeyboardInterrupt):
                 raise Stopped(f"interrupted; {go_on}") from None
@@ -128,7 +127,7 @@ class Session:
                 raise Stopped(f"{error}; {go_on}") from None
             if not isinstance(error, HardwareError):
                 remark(go_on)
-            elif not self._finished:
+            elif not self.finished:
                 raise HardwareError(f"{error}; {go_on}") from None
             raise
 
@@ -144,31 +143,16 @@ class Session:
         probed = probe_devices(devices, VirtualBench(clock, devices), clock, read=True)
         self._probed = {device.serial: reading for device, reading in zip(self.setup.sensors, probed, strict=False)}
 
-    def run(self, operator: Operator) -> SessionResult:
-        """Carry the session out, or go on with it, to the end of its journal, and return what the journal gives.
-
-        TiltcalError: what stopped it; everything that was measured is in the journal.
-        """
-        if self.journal is not None and self.journal.end is not None:
-            self._finished = True
-            return calibrations_of(self.journal)
+    def open(self, stack: ExitStack, operator: Operator, recorded: RecordedSession | None) -> JournalWriter:
+        """Open the journal and the devices until the end of the stack, and tell the operator what begins."""
         self._operator = operator
-        recorded = None if self.journal is None else positions_of(self.journal)
-        with ExitStack() as stack:
-            writer = self._writer()
-            stack.callback(writer.close)
-            self._begin(stack, writer, recorded)
-            if self.setup.steps.rotation is None:
-                self._take_positions()
-            elif recorded is None or recorded.turned is None:
-                self._turn(recorded)
-            return self._end(writer)
-
-    def _writer(self) -> JournalWriter:
         if self.journal is not None:
-            return JournalWriter.resume(self.journal)
-        writer = JournalWriter.create(self.files.journal, self.setup.header())
-        self._captured = True
+            writer = JournalWriter.resume(self.journal)
+        else:
+            writer = JournalWriter.create(self.files.journal, self.setup.header())
+        self.captured = True
+        stack.callback(writer.close)
+        self._begin(stack, writer, recorded)
         return writer
 
     def _begin(self, stack: ExitStack, writer: JournalWriter, recorded: RecordedSession | None) -> None:
@@ -220,52 +204,7 @@ class Session:
         self.clock.seek(recorded.playback.now_ns)
         self.recorder.record(RESUMED)
 
-    def _end(self, writer: JournalWriter) -> SessionResult:
-        """Make the calibrations, have them written, and end the journal; there is nothing to resume then."""
-        result = calibrations_of(read_journal(self.files.journal))
-        if not self.setup.verifies:
-            files = [str(self.files.outputs[serial]) for serial in result.calibrations]
-            self.ask({"ask": "write", "files": files})
-        ended = moment_after(self.setup.began, self.recorder.now_ns)
-        sha256 = writer.finish(0)
-        self._finished = True
-        return result.ended(self.setup.journal, ended, sha256)
-
-    def _turn(self, recorded: RecordedSession | None) -> None:
-        """Let the stage turn, and match its pairs."""
-        from tiltcal.bench.rotation import TurningStage
-
-        if self.setup.steps.rotation is not None:
-            TurningStage(self, self.setup.steps.rotation, self.setup.channel_map(), recorded).turn()
-
-    def _take_positions(self) -> None:
-        """Take every position of the procedure, in its order."""
-        positions, ramp = self.setup.steps.positions, self.setup.steps.ramp
-        if ramp is not None:
-            from tiltcal.bench.ramp import take_leg
-
-            attempt: Callable[[Position], str] = partial(take_leg, self, ramp)
-        else:
-            attempt = self._attempt
-        while len(self.accepted) < len(positions):
-            position = positions[len(self.accepted)]
-            try:
-                if attempt(position) == "back":
-                    if not self.accepted:
-                        raise InputError(FIRST)
-                    self.accepted.pop()
-            except JournalError:
-                raise
-            except (Unsettled, InputError, HardwareError) as error:
-                if isinstance(error, SensorError):
-                    self.sensors.failed(error)
-                self.refuse(position.name, str(error))
-                if isinstance(error, SensorError) and error.serial in self.sensors.lost:
-                    self.tell("lost", sensor=error.serial, why=self.sensors.lost[error.serial])
-                if isinstance(error, HardwareError):
-                    self.clock.sleep(RECOVERY)
-
-    def _attempt(self, position: Position) -> str:
+    def attempt(self, position: Position) -> str:
         """Ask for a position, measure it, have it judged; return the last answer."""
         answer = self.ask_for(position)
         if answer.word != "ready":

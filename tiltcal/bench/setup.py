@@ -36,7 +36,7 @@ from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, T
 from tiltcal.stated_arguments import require_printable
 
 if TYPE_CHECKING:
-    from tiltcal.bench.rotation import ChannelMap
+    from tiltcal.bench.stage import ChannelMap
 
 
 class Device(Record, kw_only=True):
@@ -231,7 +231,7 @@ class Setup(Record, kw_only=True, dict=True):
 
         UsageError: there is no stage angle, or not one pair has its channels.
         """
-        from tiltcal.bench.rotation import map_channels
+        from tiltcal.bench.stage import map_channels
 
         if self.steps.rotation is None:
             raise UsageError(f"{self.steps.name} lets no stage turn")

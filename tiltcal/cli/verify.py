@@ -61,7 +61,7 @@ def command(
     not decided. Exit code 1 unless passed.
     """
     from tiltcal.bench.journal import positions_of
-    from tiltcal.bench.operators import open_operator
+    from tiltcal.bench.run import open_operator, run_session
     from tiltcal.bench.session import Session
     from tiltcal.bench.setup import SessionFiles, Setup, free_journal, single
     from tiltcal.calibration.verification import PASSED, Verification, verify_positions
@@ -93,7 +93,7 @@ def command(
     with session.resumable(again, remark):
         session.probe()
         with open_operator(operator, turns=False, virtual=session.setup.simulated, say=remark, plain=plain) as opened:
-            session.run(opened)
+            run_session(session, opened)
             recorded = positions_of(read_journal(session.files.journal))
             measurements = [result.measurements[judged.sensor.serial] for result in recorded.results()]
             stated_jig = session.setup.settings.jig

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tiltcal.bench.journal import SessionResult, changes_in_words
-from tiltcal.bench.operators import open_operator
+from tiltcal.bench.run import open_operator, run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
 from tiltcal.calibration.free_positions import require_no_jig
@@ -164,7 +164,7 @@ def measure(
     with session.resumable("measure", remark):
         session.probe()
         with open_operator(operator, turns=turns_stage, virtual=virtual, say=remark, plain=bool(plain)) as opened:
-            outcome = session.run(opened)
+            outcome = run_session(session, opened)
             paths = {session.files.outputs[serial]: text for serial, text in outcome.texts().items()}
             for path, text in paths.items():
                 write_whole(path, text)

@@ -13,7 +13,7 @@ from support import accelerometer_disk as disk
 from support.stage_bench import A1_A2, A3_A4, Attendant, Line, line, lines, regressed, turned
 
 from tiltcal.bench.operators import Message
-from tiltcal.bench.rotation import ALL_TURNS, CONVERGED, STOPPED
+from tiltcal.bench.stage import ALL_TURNS, CONVERGED, STOPPED
 from tiltcal.core.pair.matching import Matching
 from tiltcal.errors import BusError, HardwareError, Stopped
 
