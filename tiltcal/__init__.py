@@ -34,72 +34,43 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOME = {
-    "BusError": "tiltcal.errors",
-    "Calibration": "tiltcal.library.calibration",
-    "CalibrationLibrary": "tiltcal.library.calibration_library",
-    "DeviceFault": "tiltcal.errors",
-    "EstimateError": "tiltcal.errors",
-    "HardwareError": "tiltcal.errors",
-    "InputError": "tiltcal.errors",
-    "JournalError": "tiltcal.errors",
-    "PairCalibration": "tiltcal.library.pair_calibration",
-    "SensorError": "tiltcal.errors",
-    "Stopped": "tiltcal.errors",
-    "TiltcalError": "tiltcal.errors",
-    "UsageError": "tiltcal.errors",
-    "apply_log": "tiltcal.library.apply",
-    "combine": "tiltcal.library.calibration",
-    "compare": "tiltcal.library.calibration",
-    "fit": "tiltcal.library.fit",
-    "match": "tiltcal.library.match",
-    "measure": "tiltcal.library.measure",
-    "noise": "tiltcal.library.noise",
-    "open_calibrations": "tiltcal.library.calibration_library",
-    "open_sensor": "tiltcal.bench.sensors",
-    "plan": "tiltcal.bench.plan",
-    "read": "tiltcal.library.calibration",
-}
-"""Where each name of the library is defined."""
-
+# fmt: off
 __all__ = [
-    "BusError",
-    "Calibration",
-    "CalibrationLibrary",
-    "DeviceFault",
-    "EstimateError",
-    "HardwareError",
-    "InputError",
-    "JournalError",
-    "PairCalibration",
-    "SensorError",
-    "Stopped",
-    "TiltcalError",
-    "UsageError",
-    "__version__",
-    "apply_log",
-    "combine",
-    "compare",
-    "fit",
-    "match",
-    "measure",
-    "noise",
-    "open_calibrations",
-    "open_sensor",
-    "plan",
+    "BusError", "Calibration", "CalibrationLibrary", "DeviceFault", "EstimateError", "HardwareError", "InputError",
+    "JournalError", "PairCalibration", "SensorError", "Stopped", "TiltcalError", "UsageError", "__version__",
+    "apply_log", "combine", "compare", "fit", "match", "measure", "noise", "open_calibrations", "open_sensor", "plan",
     "read",
 ]
+# fmt: on
+
+_HOME = {
+    "Calibration": "library.calibration",
+    "CalibrationLibrary": "library.calibration_library",
+    "PairCalibration": "library.pair_calibration",
+    "apply_log": "library.apply",
+    "combine": "library.calibration",
+    "compare": "library.calibration",
+    "fit": "library.fit",
+    "match": "library.match",
+    "measure": "library.measure",
+    "noise": "library.noise",
+    "open_calibrations": "library.calibration_library",
+    "open_sensor": "bench.sensors",
+    "plan": "bench.plan",
+    "read": "library.calibration",
+}
+"""Where each name is defined; all others are errors."""
 
 
 def __getattr__(name: str) -> object:
     """Import a name of the library on its first use (PEP 562)."""
     from importlib import import_module
 
-    if name not in _HOME:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found: object = getattr(import_module(_HOME[name]), name)
-    globals()[name] = found
-    return found
+    value: object = getattr(import_module(f"tiltcal.{_HOME.get(name, 'errors')}"), name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -227,7 +227,7 @@ class TestRefusals:
 
     @pytest.mark.parametrize(
         ("log", "said"),
-        [(b"time;x;y\n1;2;3\n", "separate the columns with commas"), (b"0.0,3.5,2.5\n", "must name the columns")],
+        [(b"time;x;y\n1,2,3\n", "separate the columns with commas"), (b"0.0,3.5,2.5\n", "must name the columns")],
     )
     def test_a_header_that_is_none_is_explained(self, log: bytes, said: str) -> None:
         assert said in refused(apply("cal.yaml", "-", stdin=log), InputError)

@@ -12,7 +12,7 @@ import pytest
 from tests.support.command import tiltcal
 from tiltcal import read
 from tiltcal.core.angle_uncertainty import length_half_width
-from tiltcal.files.uncertainty import uncertainty_inputs
+from tiltcal.files.uncertainty import stated_uncertainty, uncertain_coefficients
 
 NOTE = "|g| is"
 FREE = Path(__file__).parents[2] / "fixtures" / "free.yaml"
@@ -113,8 +113,10 @@ def test_the_library_says_the_same_of_a_parquet_log_and_of_a_frame() -> None:
 def test_the_uncertainty_of_the_length_is_that_of_a_simulation() -> None:
     """Calibrations and readings drawn from the file's own covariance: at the worst attitude 95 % are within."""
     known = read(FREE)
-    inputs = uncertainty_inputs(known.uncertainty, known.coefficients)
-    half = length_half_width(known.coefficients, known.limits, inputs)
+    stated, _ = stated_uncertainty(known.uncertainty, known.coefficients)
+    half = length_half_width(known.coefficients, known.limits, stated)
+    inputs = uncertain_coefficients(known.uncertainty, known.coefficients)
+    noise = [known.uncertainty.single_reading[channel] for channel in known.coefficients.channels]
     draw = np.random.default_rng(5)
     up = draw.normal(size=(60, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
@@ -130,7 +132,7 @@ def test_the_uncertainty_of_the_length_is_that_of_a_simulation() -> None:
     inverse = np.linalg.inv(known.coefficients.sensitivity)
     widths = []
     for g in up:
-        readings = offset + np.einsum("abn,b->na", wrong, g) + draw.normal(size=(size, 3)) * inputs.readings
+        readings = offset + np.einsum("abn,b->na", wrong, g) + draw.normal(size=(size, 3)) * noise
         lengths = np.linalg.norm(g + readings @ inverse.T, axis=1)
         widths.append(np.quantile(np.abs(lengths - 1.0), 0.95))
     assert half == pytest.approx(max(widths), rel=0.12)

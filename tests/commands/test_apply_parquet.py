@@ -234,7 +234,7 @@ class TestFromCsvToParquet:
         text = f"note,x,y,n\n{quote}a{quote},3.5,2.5,1\nb,oops,2.5,2\nc\n\nd,1,2,3,4\ne,3.5,2.5,5\n"
         found = self.typed(text, "--skip-bad-rows")
         assert found["flag"].to_list() == [3, 9, 9, 9, 9, 3]
-        assert [(note or "").strip('"') for note in found["note"].to_list()[:3]] == ["a", "b", "c"]
+        assert [(note or "").strip('"') for note in found["note"].to_list()[:3]] == ["a", "b,oops,2.5,2", "c"]
         assert found["n"].to_list()[0] == 1.0
         assert found["n"].to_list()[-1] == 5.0
         assert len(found) == 6

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from math import cos, degrees, hypot, isnan, nan, radians
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from click.testing import CliRunner, Result
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
 import tiltcal
-from tiltcal.calibration.estimate_record import rounded, uncertainty_of
+from tiltcal.calibration.estimate_record import rounded, stated_section
 from tiltcal.cli.apply import command
 from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
@@ -206,7 +207,11 @@ def calibrated(rng: np.random.Generator, *, stated: bool) -> tuple[CalibrationRe
     )
     reading = dict.fromkeys(XYZ, 1e-3)
     identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
-    return CalibrationRecord(identity, rounded(found), uncertainty_of(found, reading)), found, truth
+    return (
+        CalibrationRecord(identity, rounded(found), replace(stated_section(found.uncertain), single_reading=reading)),
+        found,
+        truth,
+    )
 
 
 @pytest.mark.parametrize("stated", [True, False])

@@ -357,3 +357,16 @@ def test_json_and_python_say_the_same(tmp_path: Path) -> None:
     exec(export(tmp_path, record, "python"), namespace)
     warm = record.coefficients.predict(directions(), np.full(50, 26.0))
     assert namespace["gravity"](warm, np.full(50, 26.0)) == pytest.approx(directions(), abs=1e-9)  # type: ignore[operator]
+
+
+def test_show_prints_coefficients_tilts_and_the_map(tmp_path: Path) -> None:
+    """Of a file without uncertainty the map alone; A and b turn the readings of the model back into gravity."""
+    record = three_axes("count")
+    (tmp_path / "cal.yaml").write_text(dump_calibration(record))
+    lines = tiltcal("show", "cal.yaml", "--matrix", cwd=tmp_path).stdout.splitlines()
+    rows = np.array([line.split()[-3:] for line in lines[-4:]], dtype=float)
+    assert (record.coefficients.predict(directions()) - rows[3]) @ rows[:3].T == pytest.approx(directions(), abs=1e-6)
+    shown = tiltcal("show", ROOT / "fixtures/cross-axis.yaml").stdout
+    assert re.search(r"offset x +1026\.\d+ ± 0\.\d+ count", shown)
+    assert re.search(r"tilt x within  ± 0\.0\d+° near level, 0\.0\d+° at -30°, 0\.0\d+° at 30°", shown)
+    assert "p = " in tiltcal("show", ROOT / "fixtures/rotation.yaml").stdout

@@ -16,6 +16,7 @@ from support import FIXTURES
 from support.command import TILTCAL
 
 CAL, LEVEL = (str(FIXTURES / name) for name in ("mavs.yaml", "level.yaml"))
+LONG = "x,y,note\n" + "1024,1024,longer than a log that is read without the engine\n" * 5000
 
 
 def started(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
@@ -52,7 +53,7 @@ class Interrupt:
 sys.meta_path.insert(0, Interrupt())
 main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])
 """
-    (tmp_path / "log.csv").write_text('x,y,note\n1024,1024,"quotes take the engine"\n')
+    (tmp_path / "log.csv").write_text(LONG)
     done = started([sys.executable, "-c", script], tmp_path)
     assert (done.returncode, done.stderr.strip()) == (130, "tiltcal: interrupted")
     assert not (tmp_path / "out.csv").exists()
@@ -76,7 +77,7 @@ def interrupted(*_words, **_options):
 polars.read_csv = polars.scan_csv = interrupted
 main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])
 """
-    (tmp_path / "log.csv").write_text('x,y,note\n1024,1024,"quotes take the engine"\n')
+    (tmp_path / "log.csv").write_text(LONG)
     done = started([sys.executable, "-c", script], tmp_path)
     assert (done.returncode, done.stderr.strip()) == (130, "tiltcal: interrupted")
 
@@ -100,7 +101,7 @@ class Drop:
 sys.meta_path.insert(0, Drop())
 main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])
 """
-    (tmp_path / "log.csv").write_text('x,y,note\n1024,1024,"quotes take the engine"\n')
+    (tmp_path / "log.csv").write_text(LONG)
     done = started([sys.executable, "-c", script], tmp_path)
     assert (done.returncode, done.stderr.strip()) == (130, "tiltcal: interrupted")
 

@@ -134,4 +134,4 @@ def test_a_terminal_without_some_characters_shows_others(monkeypatch: pytest.Mon
     monkeypatch.setenv("PYTHONIOENCODING", "latin-1")
     done = subprocess.run([*TILTCAL, "apply", "--help"], capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
-    assert b"which falls with ?count" in b" ".join(done.stdout.split())
+    assert b"(over n days ?n times as far)" in b" ".join(done.stdout.split())

@@ -54,7 +54,7 @@ def test_the_file_says_so_and_how_far_a_part_may_differ(calibration) -> None:
 def test_the_spread_of_the_parts_is_in_the_angles(calibration) -> None:
     """±0.008 °/°C over the parts is ±0.32° at level, 40 °C away from the reference; noise and fit add 1 % to it."""
     known = calibration.coefficients
-    inputs = stated_uncertainty(calibration.uncertainty, known).inputs
+    inputs, _ = stated_uncertainty(calibration.uncertainty, known)
     temperatures = known.thermal.reference + np.array([40.0, 0.0])
     readings = known.predict(np.array([[0.0, 0.0, 1.0]] * 2), temperatures)
     found = CompensationWithUncertainty(Compensation(known), known, inputs)(readings, temperatures)

@@ -120,7 +120,7 @@ def test_every_option_has_help(command: str) -> None:
 
 def test_every_command_module_is_a_command() -> None:
     modules = (ROOT / "tiltcal" / "cli").glob("*.py")
-    commands = {path.stem for path in modules if "@click.command(" in path.read_text(encoding="utf-8")}
+    commands = {path.stem for path in modules if "@options.command(" in path.read_text(encoding="utf-8")}
     assert commands == set(COMMANDS)
 
 

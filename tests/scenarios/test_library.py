@@ -102,7 +102,7 @@ def test_an_option_that_there_is_not_is_named(tmp_path: Path) -> None:
     shutil.copy(FIXTURES / "mavs.yaml", tmp_path)
     pair = tiltcal.read(FIXTURES / "rotation.yaml")
     for calibration in (pair, tiltcal.open_calibrations(tmp_path)):
-        with pytest.raises(TypeError, match=r"apply\(\) has no option 'uncertanty'"):
+        with pytest.raises(TypeError, match="there is no option 'uncertanty'; the options are columns,"):
             calibration.apply({}, uncertanty=True)
 
 

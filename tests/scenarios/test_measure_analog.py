@@ -184,7 +184,7 @@ def test_probe_of_a_thermistor(tmp_path: Path) -> None:
 
 
 def test_devices_lists_a_thermometer_without_channels(tmp_path: Path) -> None:
-    listed = tiltcal("devices", cwd=tmp_path).stdout
+    listed = tiltcal("devices", "thermistor", cwd=tmp_path).stdout
     about = listed[listed.index("thermistor  ") :].split("\n\n")[0]
     assert "reads      the temperature in °C" in about
     assert "nominal" not in about

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from support.command import tiltcal
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
-from tiltcal.calibration.estimate_record import rounded, uncertainty_of
+from tiltcal.calibration.estimate_record import rounded, stated_section
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.mounting import mount
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
@@ -71,10 +71,10 @@ def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
         truth, turned = part(rng), mounting_matrix(Mounting(*rng.uniform(-1.2, 1.2, 3)))
         (found,) = estimate_jointly(fixture(measured(rng, plan, [truth]), design(plan, jig=0.2)))
         identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
-        base = CalibrationRecord(identity, rounded(found), uncertainty_of(found, {}))
+        base = CalibrationRecord(identity, rounded(found), stated_section(found.uncertain))
         read = truth.reading(noisy(rng, turned, sigma), np.zeros(len(KNOWN)))
         mounted = mount(base, [_measured(known, row) for known, row in zip(KNOWN, read, strict=True)], jig=0.2)
-        doubt = stated_uncertainty(mounted.uncertainty, mounted.coefficients, reading_noise=0.0).inputs
+        doubt, _ = stated_uncertainty(mounted.uncertainty, mounted.coefficients, reading_noise=0.0)
         kernel = CompensationWithUncertainty(Compensation(mounted.coefficients), mounted.coefficients, doubt)
         gravity = Rotation.from_euler("xy", rng.uniform(-40.0, 40.0, (20, 2)), degrees=True).apply([0.0, 0.0, 1.0])
         result = kernel(truth.reading(gravity @ turned, np.zeros(20)), np.zeros(20))

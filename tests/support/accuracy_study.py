@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from support.simulated_bench import BLOCK_DOF, FACES, POSITIONS, Part, Plan, design, fixture, measured, part, plan_of
+from support.uncertain_readings import uncertain_readings
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.compensation import Compensation
@@ -30,7 +31,6 @@ from tiltcal.core.estimation.hysteresis import with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.core.estimation.solve import solved_at
 from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means, pooled, summarise
-from tiltcal.core.uncertainty_inputs import UncertaintyInputs
 
 Array = NDArray[np.float64]
 Sums = dict[str, list[float]]
@@ -297,8 +297,8 @@ def _calibrated(rng: Generator, session: SimulatedSession, bound: Array | None, 
     found = [with_hysteresis(*one) for one in zip(estimate_jointly(sensors), sensors, strict=True)]
     values = np.array([_vector(one) for one in found])
     off = values - [one.truth for one in session.parts]
-    inside = np.abs(off) <= [one.budget.factors * one.budget.u for one in found]
-    kinds = np.array([_class(name) for name in found[0].names])
+    inside = np.abs(off) <= [one.uncertain.factors * one.uncertain.u for one in found]
+    kinds = np.array([_class(name) for name in found[0].uncertain.names])
     sums = {}
     for name in dict.fromkeys(kinds.tolist()):
         rows = kinds == name
@@ -331,7 +331,8 @@ def _tilt_inside(rng: Generator, plan: Plan, found: Estimate, truth: Part) -> ND
     dt = np.array([rng.uniform(plan.temperature.min(), plan.temperature.max())])
     channels = len(truth.offset)
     readings = truth.reading(gravity, dt) + plan.noise * rng.standard_normal((1, channels))
-    inputs = UncertaintyInputs(found.names, found.covariance, found.budget.factors, np.full(channels, plan.noise))
+    known = found.uncertain
+    inputs = uncertain_readings(known.names, known.covariance, known.factors, np.full(channels, plan.noise))
     result = CompensationWithUncertainty(Compensation(found.coefficients), found.coefficients, inputs)(readings, dt)
     return np.asarray(np.abs(result.compensated.tilt[0, :2] - [x, y]) <= result.expanded[0, :2])
 

@@ -14,17 +14,13 @@ from tiltcal.calibration.sensor_history import (
     DAY,
     DatedCalibration,
     SensorHistory,
-    estimated_stability,
     stated_stability,
 )
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
 from tiltcal.files.moments import moment
 from tiltcal.stated_arguments import require_from_zero, require_path, require_text
-
-FLEET = 50
-"""Most other sensors that are read to estimate how far one wanders."""
 
 
 class CalibrationFolder:
@@ -63,12 +59,10 @@ class CalibrationFolder:
         return self._histories[serial]
 
     def stability(self, serial: str, stated: float | None = None) -> Stability:
-        """Return how far a sensor wanders: as estimated, or as stated, the offset in one day, mg."""
+        """Return how far a sensor wanders: as stated, the offset in one day, mg, else half of each change."""
         require_from_zero("--stability", stated)
         history = self.history(serial)
-        if stated is not None:
-            return stated_stability(history, stated)
-        return estimated_stability(history, [history, *self._fleet(history)])
+        return Stability() if stated is None else stated_stability(history, stated)
 
     def at(self, serial: str, time: str | date, stability: float | None = None) -> CalibrationRecord:
         """Return the calibration of a sensor at a time: between two of them, or the nearest one."""
@@ -78,22 +72,6 @@ class CalibrationFolder:
         record = read_calibration(file.path)
         started, date = date_of(record, file.path)
         return DatedCalibration(record, date, started, file.path, Path(file.path).relative_to(self.folder).as_posix())
-
-    def _fleet(self, history: SensorHistory) -> list[SensorHistory]:
-        """Return the histories of other sensors of the same model and unit that have several calibrations."""
-        sensor = history.sensor
-        found: list[SensorHistory] = []
-        others = sorted(self._files.items(), key=lambda item: -len(item[1]))
-        for serial, files in others:
-            if serial == sensor.serial or files[0].model != sensor.model or len(files) < 2 or len(found) == FLEET:
-                continue
-            try:
-                other = self.history(serial)
-            except InputError:  # it is named where that sensor is asked for
-                continue
-            if (other.sensor.unit, other.sensor.channels) == (sensor.unit, sensor.channels):
-                found.append(other)
-        return found
 
     def _unknown(self, serial: str) -> str:
         near = get_close_matches(serial, self._files, n=1)
@@ -107,9 +85,12 @@ def calibration_at(history: SensorHistory, time: float, stability: Stability | N
     """Return the calibration of a sensor at a time, seconds since 1970."""
     dated = history.calibrations
     times = [calibration.date.timestamp() for calibration in dated]
+    asks_for_change = len(times) > 1 and stability is not None and not stability.rate
     if time <= times[0]:
-        return extrapolate(dated[0].record, (times[0] - time) / DAY, stability)
+        nearest = history.interval(0) if asks_for_change else None
+        return extrapolate(dated[0].record, (times[0] - time) / DAY, stability, nearest)
     if time >= times[-1]:
-        return extrapolate(dated[-1].record, (time - times[-1]) / DAY, stability)
+        nearest = history.interval(len(times) - 2) if asks_for_change else None
+        return extrapolate(dated[-1].record, (time - times[-1]) / DAY, stability, nearest)
     k = max(i for i, date in enumerate(times) if date <= time)
     return history.interval(k).at((time - times[k]) / (times[k + 1] - times[k]), stability)

@@ -14,7 +14,6 @@ import numpy as np
 from tiltcal.calibration.combined_record import combined_provenance, combined_record
 from tiltcal.calibration.combined_session import CombinedSession
 from tiltcal.calibration.stated_mounting import mounting_in_words, stated_mounting, with_mounting
-from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.estimation.estimate import Estimate, estimate
 from tiltcal.core.estimation.hysteresis import with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
@@ -22,6 +21,7 @@ from tiltcal.core.model import AXES, Thermal, polynomial
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.rounding import plus_minus
 from tiltcal.core.samples import pooled
+from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, require_same_sensor
 from tiltcal.files.results import NOISE_ALONE

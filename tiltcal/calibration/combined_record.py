@@ -15,16 +15,16 @@ from tiltcal.calibration.estimate_record import (
     fit_record,
     rounded,
     rounded_covariance,
-    uncertainty_of,
+    stated_section,
 )
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
 from tiltcal.core.estimation.positions import Design
 from tiltcal.core.model import Limits
-from tiltcal.core.uncertainty_inputs import is_turn
+from tiltcal.core.uncertain import TURN, selection
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord
 from tiltcal.files.results import FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
+from tiltcal.files.uncertainty import Uncertainty, uncertain_coefficients
 
 
 def combined_record(
@@ -124,22 +124,21 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncert
     for session in sessions:
         for name, u in session.record.uncertainty.single_reading.items():
             single[name] = max(u, single.get(name, 0.0))
-    both = uncertainty_of(found, single)
-    both = replace(both, alignment=max(session.record.uncertainty.alignment for session in sessions))
+    alignment = max(session.record.uncertainty.alignment for session in sessions)
+    both = replace(stated_section(found.uncertain), single_reading=single, alignment=alignment)
     mounted = next((session.record for session in sessions if session.coefficients.mounting), sessions[0].record)
-    inputs = uncertainty_inputs(mounted.uncertainty, mounted.coefficients)
-    turns = np.flatnonzero(is_turn(inputs.names)).tolist()
+    before = uncertain_coefficients(mounted.uncertainty, mounted.coefficients)
+    turns = [name for name in before.names if name.startswith(TURN)]
     if not turns:
         return both
     # What follows the coefficients of its own session follows those of the combination by as much.
-    own = [k for k, name in enumerate(inputs.names) if name in found.names and inputs.covariance[k, k] > 0.0]
-    size = np.sqrt(np.diag(inputs.covariance)[own])
-    correlations = inputs.covariance[np.ix_(own, own)] / np.outer(size, size)
-    follows = np.linalg.pinv(correlations, rcond=1e-9, hermitian=True) / np.outer(size, size)
-    places = [found.names.index(inputs.names[k]) for k in own]
-    across = found.covariance[:, places] @ follows @ inputs.covariance[np.ix_(own, turns)]
-    turned = inputs.chosen(turns)
-    joint = np.block([[found.covariance, across], [across.T, turned.covariance]])
+    every = found.uncertain
+    shared = [name for name, u in before.by_name(before.u).items() if name in every.names and u > 0.0]
+    follows = selection(turns, before.names) @ before.following(shared)
+    across = every.covariance @ selection(shared, every.names).T @ follows.T
+    turned = before.named(turns)
+    matrix = np.block([[every.covariance, across], [across.T, turned.covariance]])
+    joint = replace(every.beside(turned), covariance=matrix)
     angles, factors = (
         {name: value for name, value in named.items() if name.startswith("mounting.")}
         for named in (mounted.uncertainty, mounted.uncertainty.coverage_factor)
@@ -148,7 +147,7 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncert
         both,
         standard={**both.standard, **angles},
         coverage_factor={**both.coverage_factor, **factors},
-        covariance=rounded_covariance((*found.names, *turned.names), joint),
+        covariance=rounded_covariance(joint),
     )
 
 

@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from tiltcal.core.attitude import gravity_from_tilt
-from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.estimation.positions import Design, Observation, StatedCoefficients
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.samples import BLOCKS
+from tiltcal.core.uncertain import ALIGNMENT, READING, TURN
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.document import parse_document, read_text
 from tiltcal.files.results import PositionRecord, PositionSet
-from tiltcal.files.uncertainty import stated_uncertainty, uncertainty_inputs
+from tiltcal.files.uncertainty import stated_uncertainty, uncertain_coefficients
 
 KINDS = {"sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
 """The coefficients that ``derived.assumed`` names by their first word."""
@@ -90,9 +90,8 @@ class CombinedSession:
     @property
     def exact(self) -> frozenset[str]:
         """The coefficients that were measured and whose uncertainty is not stated."""
-        stated = uncertainty_inputs(self.record.uncertainty, self.coefficients)
-        uncertain = {name for name, variance in zip(stated.names, np.diag(stated.covariance), strict=True) if variance}
-        return self.measured - uncertain
+        stated = uncertain_coefficients(self.record.uncertainty, self.coefficients)
+        return self.measured - {name for name, u in stated.by_name(stated.u).items() if u}
 
     @cached_property
     def positions(self) -> tuple[PositionRecord, ...]:
@@ -171,7 +170,7 @@ class CombinedSession:
         EstimateError: it states no uncertainty. UsageError: its drift has another order, or its sensitivity other axes.
         """
         try:
-            stated = stated_uncertainty(self.record.uncertainty, self.coefficients).inputs.without_turn
+            stated = stated_uncertainty(self.record.uncertainty, self.coefficients)[0].without(TURN, READING, ALIGNMENT)
         except EstimateError as failure:
             raise EstimateError(f"{self.label}: {failure}") from failure
         at, thermal = self.temperature, self.coefficients.thermal
@@ -200,8 +199,7 @@ class CombinedSession:
         rows = np.array([[float(name == other) for other in design.names] for name in stated.names]).reshape(
             -1, len(design.names)
         )
-        wider = np.maximum(stated.factors / NORMAL_FACTOR, 1.0)
-        covariance = stated.covariance * np.outer(wider, wider)
+        covariance = stated.widened
         warmer = at[0] - design.reference if at is not None else 0.0
         for k, name in enumerate(stated.names):
             if not name.startswith("offset."):

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import nan
+from math import degrees, hypot, inf, isclose, nan
 from typing import Any
 
 import numpy as np
 
 from tiltcal.calibration.labels import unit_of
-from tiltcal.calibration.verdict import Verdict, judge
 from tiltcal.core.attitude import LEVEL, gravity_from_tilt, normalised, orientation
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.named_coefficients import CoefficientChange, values
+from tiltcal.core.mounting_angles import mounting_matrix
+from tiltcal.core.mounting_rotation import rotation_vector
+from tiltcal.core.named_coefficients import referred, uncertain_at, values
 from tiltcal.core.rounding import plus_minus
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, changes_between, require_same_sensor
+from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, weighted_sum
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor
 from tiltcal.files.results import NOISE_ALONE, PositionSet
+from tiltcal.files.uncertainty import uncertain_coefficients
+
+ROUNDED = 1e-3
+"""The share of an uncertainty that remains of a difference although both errors are one: files round their numbers."""
+
+UNDETERMINED = 1e-3
+"""The positions do not determine a coefficient whose uncertainty is its prior's within this share."""
 
 _ALIKE = 0.02
 """Coefficients of two files mean the same if the shares of other terms that they hold differ by less than this."""
@@ -24,6 +34,192 @@ _INCOMPLETE = (
     "the uncertainty of the {which} file rests on noise alone and leaves out how well the positions were set: measure "
     "with --jig, or in more positions"
 )
+
+
+@dataclass(frozen=True)
+class CoefficientChange:
+    """The change of one coefficient between two calibrations.
+
+    Attributes
+    ----------
+    name : str
+        Dotted, such as ``sensitivity.x.y``.
+    u : float or None
+        Standard uncertainty of the difference; None where one of the files states none.
+    dof : float
+        Its effective degrees of freedom.
+    """
+
+    name: str
+    before: float
+    after: float
+    u: float | None
+    dof: float = inf
+
+    @property
+    def difference(self) -> float:
+        """After minus before."""
+        return self.after - self.before
+
+    @property
+    def ratio(self) -> float | None:
+        """The difference over its standard uncertainty; None where that is not known, or zero."""
+        return abs(self.difference) / self.u if self.u else None
+
+    @property
+    def is_unjudged(self) -> bool:
+        """Whether it differs, by more than arithmetic makes, and has no uncertainty."""
+        return not self.u and abs(self.difference) > 1e-9 * max(abs(self.before), abs(self.after))
+
+    def threshold(self, confidence: float) -> float:
+        """Return the number of standard uncertainties that the difference of an unchanged coefficient stays within."""
+        upper = (1.0 + confidence) / 2.0
+        if self.dof == inf:
+            from statistics import NormalDist
+
+            return NormalDist().inv_cdf(upper)
+        from scipy.special import stdtrit
+
+        return float(stdtrit(self.dof, upper))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict on the changes of a sensor.
+
+    Attributes
+    ----------
+    thresholds : mapping of str to float
+        The number of standard uncertainties that each change stays within if the sensor is unchanged; empty where no
+        change has an uncertainty.
+    changed : tuple of str
+        The coefficients that changed by more.
+    unjudged : tuple of str
+        Those that differ and have no uncertainty to judge this by.
+    incomplete : str
+        Why the uncertainties are too small to call anything changed; empty where they are whole.
+    """
+
+    thresholds: Mapping[str, float]
+    changed: tuple[str, ...]
+    unjudged: tuple[str, ...] = ()
+    incomplete: str = ""
+
+    @property
+    def threshold(self) -> float | None:
+        """The lowest of the thresholds; those of coefficients that rest on few residuals are higher."""
+        return min(self.thresholds.values(), default=None)
+
+    @property
+    def word(self) -> str:
+        """``changed``, ``unchanged`` or ``unknown``."""
+        if not self.thresholds or (self.changed and self.incomplete) or (self.unjudged and not self.changed):
+            return "unknown"
+        return "changed" if self.changed else "unchanged"
+
+    def __str__(self) -> str:
+        if not self.thresholds:
+            return f"no verdict: {self.incomplete or 'the files state no uncertainties to compare with'}"
+        if not self.changed and self.unjudged:
+            return f"no verdict: no uncertainty is stated of {', '.join(self.unjudged)}, which differs"
+        if not self.changed:
+            return "unchanged: no change is more than its threshold of standard uncertainties"
+        more = f"{', '.join(self.changed)} by more than the threshold of standard uncertainties"
+        return f"no verdict: {more}, but {self.incomplete}" if self.incomplete else f"changed: {more}"
+
+
+def judge(
+    found: Sequence[CoefficientChange], incomplete: str = "", *, among: int = 0, confidence: float = COVERAGE
+) -> Verdict:
+    """Judge whether one of several changes is too large for chance, given their number (Šidák).
+
+    Parameters
+    ----------
+    incomplete : str
+        Why the uncertainties are too small; empty where they are whole.
+    among : int
+        The number of changes of which these are the largest, where it is more than their own.
+    confidence : float
+        The probability that an unchanged sensor is called unchanged.
+    """
+    judged = [change for change in found if change.ratio is not None]
+    each = confidence ** (1.0 / max(len(judged), among, 1))
+    thresholds = {change.name: change.threshold(each) for change in judged}
+    changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
+    return Verdict(thresholds, changed, tuple(change.name for change in found if change.is_unjudged), incomplete)
+
+
+def changes(difference: Uncertain, before: Sequence[float] | Array) -> list[CoefficientChange]:
+    """Return an uncertain difference as the change of each coefficient; of one without an error u is None."""
+    rows = zip(difference.names, before, difference.value, difference.u, difference.dof, strict=True)
+    return [
+        CoefficientChange(name, float(start), float(start + step), float(u) or None, float(dof))
+        for name, start, step, u, dof in rows
+    ]
+
+
+def changes_between(
+    before: CalibrationRecord, after: CalibrationRecord, reference: float | None
+) -> list[CoefficientChange]:
+    """Return the change of every coefficient between two calibrations at a temperature, °C, where they have drifts."""
+    records = (before, after)
+    old, new = (values(referred(record.coefficients, reference)) for record in records)
+    errors = [uncertain_of(record, reference) for record in records]
+    stated = [
+        {*one.names, *(name for name, u in r.uncertainty.items() if not u)}
+        for one, r in zip(errors, records, strict=True)
+    ]
+    step = weighted_sum(errors[0], errors[1], (-1.0, 1.0), shared_errors(before, after))
+    u, dof = step.by_name(step.u), step.by_name(step.dof)
+    least = [one.by_name(ROUNDED * one.u) for one in errors]
+
+    def change(name: str, start: float, end: float, scale: float = 1.0) -> CoefficientChange:
+        known = all(name in names for names in stated)
+        smallest = hypot(*(floor.get(name, 0.0) for floor in least))
+        own = scale * max(u.get(name, 0.0), smallest) if known else None
+        return CoefficientChange(name, start, end, own, dof.get(name, inf))
+
+    found = [change(name, old[name], new[name]) for name in new if name in old]
+    thermals = [record.coefficients.thermal for record in records]
+    lags = [0.0 if thermal is None else thermal.lag for thermal in thermals]
+    if all(lags):
+        both = [record.uncertainty.get("temperature.lag", 0.0) for record in records]
+        found.append(CoefficientChange("temperature.lag", lags[0], lags[1], hypot(*both) if all(both) else None))
+    mounted = [record.coefficients.mounting for record in records]
+    if None not in mounted and mounted[0] != mounted[1]:
+        first, last = (mounting_matrix(mounting) for mounting in mounted if mounting is not None)
+        turn = np.degrees(rotation_vector(last @ first.T)).tolist()
+        found += [change(f"{TURN}{axis}", 0.0, angle, degrees(1.0)) for axis, angle in zip(AXES, turn, strict=True)]
+    return found
+
+
+def uncertain_of(record: CalibrationRecord, reference: float | None) -> Uncertain:
+    """Return the errors of a calibration's coefficients at a reference temperature, °C, and of its mounting's turn."""
+    stated = uncertain_coefficients(record.uncertainty, record.coefficients)
+    return uncertain_at(record.coefficients, stated, reference)
+
+
+def shared_errors(before: CalibrationRecord, after: CalibrationRecord) -> frozenset[str]:
+    """Return the coefficients whose errors are one error in both calibrations of a sensor.
+
+    Where one completes the other, or both complete one base or lean on one assumption, these are all that are equal in
+    value and uncertainty, among them all but the offset. Else they are what the data sheet states of both and the
+    positions of neither determine.
+    """
+    one, other = before.uncertainty, after.uncertainty
+    old, new = values(before.coefficients), values(after.coefficients)
+    equal = {name for name in old if name in one and old[name] == new.get(name) and one[name] == other.get(name)}
+    leans = any(record.fit.level or record.fit.mounting or record.derived.assumed for record in (before, after))
+    if leans and equal >= {name for name in (*old, *new) if not name.startswith("offset.")}:
+        same = before.coefficients.mounting == after.coefficients.mounting
+        return frozenset(equal | ({f"{TURN}{axis}" for axis in AXES} if same else set()))
+    if before.fit.priors != after.fit.priors:
+        return frozenset()
+    return frozenset(
+        name
+        for name, u in before.fit.priors.items()
+        if all(isclose(stated.get(name, 0.0), u, rel_tol=UNDETERMINED) for stated in (one, other))
+    )
 
 
 @dataclass(frozen=True)

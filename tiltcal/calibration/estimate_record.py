@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from math import degrees
 
 import numpy as np
 
-from tiltcal.core.derived_quantities import DerivedQuantity, cross_axis, derived, misalignment
+from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.estimation.positions import Design
-from tiltcal.core.intrinsic_parameters import intrinsic
 from tiltcal.core.model import AXES, Array, Coefficients, with_vector
-from tiltcal.core.named_coefficients import DeterminedCoefficients, values
+from tiltcal.core.mounting_angles import UNKNOWN_FACTOR
+from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.uncertainty_budget import Budget
-from tiltcal.core.uncertainty_inputs import UncertaintyInputs, with_turns_scaled
+from tiltcal.core.uncertain import NORMAL_FACTOR, TURN, Uncertain
+from tiltcal.errors import EstimateError
 from tiltcal.files.results import (
     NOISE_ALONE,
     DerivedCoverage,
@@ -43,7 +43,7 @@ PRIOR_DIGITS = 9
 """Of an uncertainty that is taken out of a difference again."""
 
 
-def rounded(found: DeterminedCoefficients) -> Coefficients:
+def rounded(found: Estimate) -> Coefficients:
     """Return the coefficients with the digits that their uncertainties warrant."""
     coefficients, u = found.coefficients, found.uncertainty()
     digits = {name: round_to(value, u.get(name, 0.0)) for name, value in values(coefficients).items()}
@@ -55,47 +55,60 @@ def rounded(found: DeterminedCoefficients) -> Coefficients:
     return replace(coefficients, thermal=replace(thermal, range=(round(low, 3), round(high, 3))))
 
 
-def uncertainty_of(found: DeterminedCoefficients, reading: Mapping[str, float]) -> Uncertainty:
-    """Return the standard uncertainties of an estimate with their covariance and coverage factors.
-
-    ``reading`` has those of a single reading by channel, unit, and of its temperature, °C, where they are known.
-    """
-    u = found.uncertainty()
-    return Uncertainty(
-        {name: significant(value, DIGITS) for name, value in u.items()},
-        {name: significant(value, DIGITS) for name, value in reading.items()},
-        {name: round(factor, 3) for name, factor in found.coverage_factors().items() if u[name] > 0.0},
-        rounded_covariance(found.names, found.covariance),
+def stated_section(uncertain: Uncertain, before: Uncertainty | None = None) -> Uncertainty:
+    """Return uncertain coefficients as a file states them, in place of what it stated ``before`` of the same."""
+    before, u = before or Uncertainty(), uncertain.by_name(uncertain.u)
+    shown = {name: significant(value, DIGITS) for name, value in u.items() if not name.startswith(TURN)}
+    factors = {name: round(k, 3) for name, k in uncertain.by_name(uncertain.factors).items() if u[name] > 0.0}
+    return replace(
+        before,
+        standard={**shown, **{name: value for name, value in before.items() if name not in shown}},
+        coverage_factor={**factors, **{n: k for n, k in before.coverage_factor.items() if n not in factors}},
+        covariance=rounded_covariance(uncertain),
     )
 
 
-def rounded_covariance(names: Sequence[str], covariance: Array) -> Covariance:
-    """Return the covariance of the uncertain coefficients, without the rounding errors that stand for zero.
+def unrounded_section(uncertain: Uncertain) -> Uncertainty:
+    """Return uncertain coefficients as a calibration that is not written states them, without rounding."""
+    known = uncertain.chosen(np.flatnonzero(uncertain.u > 0.0))
+    matrix = _in_file_units(known)
+    u = known.by_name(np.sqrt(np.diag(matrix)))
+    return Uncertainty(
+        {name: value for name, value in u.items() if not name.startswith(TURN)},
+        coverage_factor={name: k for name, k in known.by_name(known.factors).items() if k > NORMAL_FACTOR},
+        covariance=Covariance(parameters=known.names, matrix=tuple(map(tuple, matrix.tolist()))),
+    )
 
-    Turns of the mounting are in radians here, and in degrees in the record.
-    """
-    covariance = with_turns_scaled(names, covariance, degrees(1.0))
+
+def rounded_covariance(uncertain: Uncertain) -> Covariance:
+    """Return the covariance of what is uncertain, without the rounding errors that stand for zero."""
+    covariance = _in_file_units(uncertain)
     u = np.sqrt(np.diag(covariance))
     some = np.flatnonzero(u > 0.0).tolist()
     return Covariance(
-        parameters=tuple(names[i] for i in some),
+        parameters=tuple(uncertain.names[i] for i in some),
         matrix=tuple(
             tuple(round_to(float(covariance[i, j]), float(u[i] * u[j]) / MATRIX_DIGITS) for j in some) for i in some
         ),
     )
 
 
-def derived_record(found: DeterminedCoefficients, assumed: str, *, mounted: bool) -> DerivedRecord:
+def _in_file_units(uncertain: Uncertain) -> Array:
+    """Return the covariance with turns of the mounting in degrees, as files have them, and not in radians."""
+    scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in uncertain.names])
+    return np.asarray(uncertain.covariance * np.outer(scale, scale))
+
+
+def derived_record(found: Estimate, assumed: str, *, mounted: bool) -> DerivedRecord:
     """Return the cross-axis sensitivities, the misalignments, and what does not change with the mounting.
 
     Where the sensitivity was ``assumed`` (from what, in words), the record holds nothing but that.
     """
     if assumed:
         return DerivedRecord(assumed=(f"sensitivity: {assumed}",))
-    coefficients = found.coefficients
-    uncertain = UncertaintyInputs(found.names, found.covariance, found.budget.factors)
-    crossed, u_crossed, k_crossed = _printed(derived(cross_axis, coefficients, uncertain))
-    turned, u_turned, k_turned = _printed(derived(misalignment, coefficients, uncertain))
+    coefficients, uncertain = found.coefficients, found.uncertain
+    crossed, u_crossed, k_crossed = _printed(cross_axis(coefficients, uncertain))
+    turned, u_turned, k_turned = _printed(misalignment(coefficients, uncertain))
     whole = len(coefficients.channels) == 3 and set(coefficients.axes) == set(AXES)
     return DerivedRecord(
         cross_axis_percent=crossed,
@@ -133,7 +146,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         if found.estimated_thermometer is None
         else significant(found.estimated_thermometer, SHARE_DIGITS),
         noise_estimated=None if found.estimated_noise is None else significant(found.estimated_noise, SHARE_DIGITS),
-        budget=budget_record(found.budget, found.names),
+        budget=budget_record(found.uncertain),
         notes=tuple(found.notes),
         priors={}
         if design.assumes_sensitivity
@@ -155,46 +168,59 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
     )
 
 
-def intrinsic_record(coefficients: Coefficients, uncertain: UncertaintyInputs, *, mounted: bool) -> IntrinsicRecord:
+def intrinsic_record(coefficients: Coefficients, uncertain: Uncertain, *, mounted: bool) -> IntrinsicRecord:
     """Return the nine intrinsic parameters and, where positions were set (``mounted``), the rotation that is left."""
-    own = intrinsic(coefficients, uncertain, mounted=mounted)
-    parts = {"offset": own.offset, "sensitivity": own.sensitivity, "angle_degrees": own.angle}
-    if own.mounting:
-        parts["rotation_degrees"] = own.mounting
-    printed = {name: _printed(quantities) for name, quantities in parts.items()}
+    tables, gimbal_lock, left_handed = list(_printed(intrinsic(coefficients, uncertain))), False, None
+    if mounted:
+        try:
+            turned, gimbal_lock = rotation(coefficients, uncertain)
+        except EstimateError as failure:
+            left_handed = str(failure)
+        else:
+            tables = [{**table, **more} for table, more in zip(tables, _printed(turned), strict=True)]
+    if gimbal_lock:
+        tables[2] |= {f"rotation_degrees.{angle}": round(UNKNOWN_FACTOR, 3) for angle in ("roll", "yaw")}
+    shown, u, factors = (_by_kind(table) for table in tables)
     return IntrinsicRecord(
-        **{name: values for name, (values, _, _) in printed.items()},
-        uncertainty=IntrinsicUncertainty(
-            **{name: u for name, (_, u, _) in printed.items()},
-            coverage_factor=IntrinsicCoverage(**{name: factors for name, (_, _, factors) in printed.items()}),
-        ),
-        gimbal_lock=own.gimbal_lock,
-        left_handed=own.left_handed or None,
+        **shown,
+        uncertainty=IntrinsicUncertainty(**u, coverage_factor=IntrinsicCoverage(**factors)),
+        gimbal_lock=gimbal_lock,
+        left_handed=left_handed,
     )
 
 
-def _printed(quantities: Mapping[str, DerivedQuantity]) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+def _by_kind(named: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Return numbers by the first part of their dotted names, and then by the rest."""
+    tables: dict[str, dict[str, float]] = {}
+    for name, number in named.items():
+        kind, _, rest = name.partition(".")
+        tables.setdefault(kind, {})[rest] = number
+    return tables
+
+
+def _printed(found: Uncertain) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
     """Return values, standard uncertainties and coverage factors, rounded; what is exact has no factor."""
+    value, u = found.by_name(found.value), found.by_name(found.u)
     return (
-        {name: round_to(quantity.value, quantity.u) for name, quantity in quantities.items()},
-        {name: significant(quantity.u, DIGITS) for name, quantity in quantities.items()},
-        {name: round(quantity.factor, 3) for name, quantity in quantities.items() if quantity.u > 0.0},
+        {name: round_to(number, u[name]) for name, number in value.items()},
+        {name: significant(number, DIGITS) for name, number in u.items()},
+        {name: round(factor, 3) for name, factor in found.by_name(found.factors).items() if u[name] > 0.0},
     )
 
 
-def budget_record(budget: Budget, names: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Return which share of the variance of each of the first quantities of a budget comes from what.
+def budget_record(uncertain: Uncertain) -> dict[str, dict[str, float]]:
+    """Return which share of the variance of each quantity comes from what.
 
     Shares that round to nothing are left out, and so is what is certain.
     """
     return {
         name: {
             source: share
-            for source, column in budget.shares.items()
+            for source, column in uncertain.shares.items()
             if (share := round(float(column[k]), SHARE_DIGITS) + 0.0)
         }
-        for k, name in enumerate(names)
-        if budget.u[k] > 0.0
+        for k, name in enumerate(uncertain.names)
+        if uncertain.u[k] > 0.0
     }
 
 

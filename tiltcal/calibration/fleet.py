@@ -13,9 +13,9 @@ import numpy as np
 
 from tiltcal.calibration.calibration_folder import CalibrationFolder
 from tiltcal.calibration.sensor_history import SensorHistory
-from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.outlier_test import extreme_values
+from tiltcal.core.uncertain import COVERAGE
 from tiltcal.errors import InputError
 from tiltcal.files.moments import to_the_second
 

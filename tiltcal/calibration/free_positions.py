@@ -12,13 +12,13 @@ import numpy as np
 from tiltcal.calibration.channel_checks import judge_channels
 from tiltcal.calibration.joint_fit import design_of, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
-from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
 from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
 from tiltcal.core.estimation.positions import Design
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary, noise_of_means
+from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
@@ -116,8 +116,7 @@ def _estimate(seen: FreeFit, design: Design, names: Sequence[str], noise_dof: fl
     notes = (GAUGE, *((BELOW_NOISE,) if seen.below_noise else ()), *(() if seen.dof else (NO_FREEDOM,)))
     return Estimate(
         coefficients=Coefficients(AXES, AXES, seen.offset, seen.sensitivity),
-        names=design.names,
-        budget=seen.budget(noise_dof),
+        uncertain=seen.uncertain(noise_dof),
         positions=tuple(names),
         residuals=(seen.misfit[:, None] * seen.attitudes)[seen.kept] @ seen.sensitivity.T,
         dof=seen.dof,

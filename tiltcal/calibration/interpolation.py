@@ -4,30 +4,32 @@ Between two, each coefficient lies on the line that joins them::
 
     c(t) = (1 - s) c_before + s c_after        s = (t - t_before) / (t_after - t_before)
 
-and its covariance is ``(1 - s)² C_before + s² C_after`` with the bridge of its random walk added to the diagonal: the
-errors of two calibrations are independent, but for how the sensor sits (``alignment``), which both share. Beyond, it is
-the nearest calibration, and the walk adds to its variance.
+Their errors have these weights too. An error that both share, such as that of a sensitivity that a renewed level took
+over, stays what it is; the others are independent. What a coefficient may have wandered from the line adds to it: as
+far as is stated, with the variance of a Brownian bridge, or by half of its change, with a rectangular distribution.
+Beyond, it is the nearest calibration, and the wandering adds to its variance.
+
+Source: B. Øksendal, *Stochastic Differential Equations*, exercise 5.11 (bridge).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import cos, degrees, radians
+from math import cos, radians
 
 import numpy as np
 
-from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor, welch_satterthwaite
-from tiltcal.core.instrumental_drift import RandomWalk
-from tiltcal.core.model import Array, Coefficients, Limits, Mounting, overlap, vector_of, with_vector
+from tiltcal.calibration.comparison import shared_errors, uncertain_of
+from tiltcal.calibration.estimate_record import unrounded_section
+from tiltcal.core.model import Array, Coefficients, Limits, Mounting, overlap
 from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
 from tiltcal.core.named_coefficients import referred, values
-from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
-from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
+from tiltcal.core.uncertain import Uncertain, weighted_sum
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import CalibrationRecord, require_same_sensor, responses_to_priors
+from tiltcal.files.calibration import CalibrationRecord, require_same_sensor
 from tiltcal.files.results import FitRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import Covariance, Uncertainty, uncertainty_inputs
+from tiltcal.files.uncertainty import Uncertainty
 
 FARTHEST_TURN = 5.0
 """Degrees by which two mountings may differ to have others between them."""
@@ -35,24 +37,22 @@ FARTHEST_TURN = 5.0
 LARGEST_CHANGE = 0.5
 """Share by which the sensitivity of a channel may differ between two calibrations."""
 
+WANDERING = ("offset.", "sensitivity.")
+"""What may wander; temperature coefficients follow their line."""
+
 
 @dataclass(frozen=True)
 class Stability:
-    """The stability of a sensor: how far its coefficients wander.
+    """How far a sensor wanders.
 
     Attributes
     ----------
-    between : mapping of str to RandomWalk
-        By the dotted name of a coefficient: between two calibrations.
-    beyond : mapping of str to RandomWalk
-        Before the first and after the last one, where no other calibration shows a steady change.
-    source : str
-        What it is estimated from.
+    rate : mapping of str to float
+        By the dotted name of a coefficient, the variance that a day adds, unit²/d. Empty where it is not stated: half
+        of the change between two calibrations counts, as a rectangular distribution.
     """
 
-    between: Mapping[str, RandomWalk] = field(default_factory=dict)
-    beyond: Mapping[str, RandomWalk] = field(default_factory=dict)
-    source: str = ""
+    rate: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,10 @@ class Interval:
     ----------
     days : float
         The time between them, d.
-    ends : tuple of _End
-        Their coefficients and covariances at the reference temperature of the second.
+    ends : tuple of Coefficients
+        At the reference temperature of the second.
+    errors : tuple of Uncertain
+        Of these.
     named : str
         What messages call the two.
     """
@@ -72,7 +74,8 @@ class Interval:
     before: CalibrationRecord
     after: CalibrationRecord
     days: float
-    ends: tuple[_End, _End]
+    ends: tuple[Coefficients, Coefficients]
+    errors: tuple[Uncertain, Uncertain]
     named: str
 
     @classmethod
@@ -96,11 +99,12 @@ class Interval:
                 )
         _require_one_sensitivity(one, other, named)
         reference = None if other.thermal is None else other.thermal.reference
-        return cls(before, after, days, (_End.of(before, reference), _End.of(after, reference)), named)
+        errors = uncertain_of(before, reference), uncertain_of(after, reference)
+        return cls(before, after, days, (referred(one, reference), other), errors, named)
 
     def coefficients(self, share: float) -> Coefficients:
         """Return the coefficients at a time in the interval; the arguments and errors are those of :meth:`at`."""
-        return _blended([end.coefficients for end in self.ends], share, self.named)
+        return _blended(*self.ends, share, self.named)
 
     def at(self, share: float, stability: Stability | None = None) -> CalibrationRecord:
         """Return the calibration at a time in the interval.
@@ -114,24 +118,35 @@ class Interval:
 
         UsageError: their mountings are too far apart for a change with time.
         """
-        before, after = self.before, self.after
-        coefficients = self.coefficients(share)
-        bridge = {
-            name: (walk.rate * self.days * share * (1.0 - share), walk.dof)
-            for name, walk in (stability or Stability()).between.items()
-        }
-        first, last = before.uncertainty.single_reading, after.uncertainty.single_reading
+        before, after, weights = self.before.uncertainty, self.after.uncertainty, (1.0 - share, share)
+        first, last = before.single_reading, after.single_reading
         single = {
-            name: (1.0 - share) * first.get(name, u) + share * last.get(name, u)
+            name: weights[0] * first.get(name, u) + weights[1] * last.get(name, u)
             for name, u in {**first, **last}.items()
         }
-        weighted = [end.times(weight) for end, weight in zip(self.ends, (1.0 - share, share), strict=True)]
-        alignment = (1.0 - share) * before.uncertainty.alignment + share * after.uncertainty.alignment
-        uncertainty = _joined(weighted, bridge, single, alignment)
-        return _at(after, coefficients, _limits(before.limits, after.limits), uncertainty)
+        errors = weighted_sum(*self.errors, weights, shared_errors(self.before, self.after))
+        if stability is not None:
+            walked = {name: rate * self.days for name, rate in stability.rate.items()} or {
+                name: 4.0 * variance for name, variance in self.half_change.items()
+            }
+            errors = _with_walk(errors, {name: share * (1.0 - share) * v for name, v in walked.items()})
+        alignment = weights[0] * before.alignment + weights[1] * after.alignment
+        limits = _limits(self.before.limits, self.after.limits)
+        return _at(self.after, self.coefficients(share), limits, _section(errors, single, alignment))
+
+    @property
+    def half_change(self) -> dict[str, float]:
+        """The variance of a rectangular distribution of half of each change that may be a wandering, unit²."""
+        first, last = map(values, self.ends)
+        return {n: (last[n] - first[n]) ** 2 / 12.0 for n in last if n in first and n.startswith(WANDERING)}
 
 
-def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | None = None) -> CalibrationRecord:
+def extrapolate(
+    nearest: CalibrationRecord,
+    days: float,
+    stability: Stability | None = None,
+    interval: Interval | None = None,
+) -> CalibrationRecord:
     """Return the nearest calibration with what its coefficients may have wandered since, or before.
 
     Parameters
@@ -140,100 +155,35 @@ def extrapolate(nearest: CalibrationRecord, days: float, stability: Stability | 
         How far away it is, d.
     stability : Stability, optional
         Without it, the calibration alone is uncertain.
+    interval : Interval, optional
+        The nearest one: half of its change counts where no stability is stated.
     """
-    grown = {name: (walk.rate * days, walk.dof) for name, walk in (stability or Stability()).beyond.items()}
-    uncertainty = nearest.uncertainty
-    if grown:
-        uncertainty = _joined([_End.of(nearest, None)], grown, uncertainty.single_reading, uncertainty.alignment)
+    uncertainty, walked = nearest.uncertainty, {}
+    if stability is not None and stability.rate:
+        walked = {name: rate * days for name, rate in stability.rate.items()}
+    elif stability is not None and interval is not None:
+        walked = interval.half_change
+    if walked:
+        errors = _with_walk(uncertain_of(nearest, None), walked)
+        uncertainty = _section(errors, uncertainty.single_reading, uncertainty.alignment)
     return _at(nearest, nearest.coefficients, nearest.limits, uncertainty)
 
 
-@dataclass(frozen=True)
-class _End:
-    """A calibration at an end of an interval: its coefficients at the common reference, and their covariance."""
-
-    coefficients: Coefficients
-    names: tuple[str, ...]
-    covariance: Array
-    dof: Array
-    by_prior: Array
-
-    @classmethod
-    def of(cls, record: CalibrationRecord, reference: float | None) -> _End:
-        coefficients = record.coefficients
-        moved = coefficients if reference is None else referred(coefficients, reference)
-        stated = uncertainty_inputs(record.uncertainty, coefficients)
-        names, by = stated.names, np.eye(len(stated.names))
-        if reference is not None and moved is not coefficients:
-            names, by = _referring(coefficients, stated, reference)
-        known = Budget.of([Part("", by, stated.covariance, stated.factors)])
-        common = responses_to_priors(record)
-        none = np.zeros(len(record.fit.priors))
-        return cls(moved, names, known.covariance, known.dof, by @ [common.get(name, none) for name in stated.names])
-
-    def times(self, weight: float) -> _End:
-        """Return this end with the covariance that its coefficients have when they are multiplied by a weight."""
-        return replace(self, covariance=self.covariance * weight**2, by_prior=self.by_prior * weight)
+def _with_walk(errors: Uncertain, walked: Mapping[str, float]) -> Uncertain:
+    """Add the variance of what each coefficient may have wandered, unit²; none where nothing is uncertain."""
+    if not errors.names:
+        return errors
+    walk = Uncertain.errors(tuple(walked), np.diag(list(walked.values())))
+    return weighted_sum(errors, walk, (1.0, 1.0), ())
 
 
-def _referring(
-    coefficients: Coefficients, stated: UncertaintyInputs, reference: float
-) -> tuple[tuple[str, ...], Array]:
-    """Return the names and the derivatives of coefficients at another reference temperature by the stated ones."""
-    turned = is_turn(stated.names)
-    own, turns = stated.without_turn.names, stated.chosen(np.flatnonzero(turned)).names
-    names = list(values(coefficients))
-    vector = vector_of(coefficients, own)
-    steps = 1e-4 * np.sqrt(np.diag(stated.covariance))[~turned]
-
-    def at(moved: Array) -> Array:
-        return vector_of(referred(with_vector(coefficients, own, moved), reference), names)
-
-    jacobian = np.zeros((len(names) + len(turns), len(stated.names)))
-    jacobian[: len(names), ~turned] = central_differences(at, vector, steps)
-    jacobian[len(names) :, turned] = np.eye(len(turns))
-    kept = np.flatnonzero(jacobian.any(axis=1))
-    return tuple(np.array([*names, *turns], dtype=object)[kept]), jacobian[kept]
-
-
-def _joined(
-    ends: Sequence[_End], walked: Mapping[str, tuple[float, float]], single: Mapping[str, float], alignment: float
-) -> Uncertainty:
-    """Return the sum of weighted covariances and of what each coefficient may have wandered (variance, dof)."""
-    names = tuple(dict.fromkeys([name for end in ends for name in end.names] + [*walked]))
-    if not any(end.names for end in ends):
+def _section(errors: Uncertain, single: Mapping[str, float], alignment: float) -> Uncertainty:
+    if not errors.names:
         return Uncertainty({}, single, alignment=alignment)
-    covariance, alone = np.zeros((len(names), len(names))), np.eye(len(names))
-    sources: list[tuple[Array, float]] = []
-    for end in ends:
-        rows = [names.index(name) for name in end.names]
-        covariance[np.ix_(rows, rows)] += end.covariance
-        variances = np.diag(end.covariance)
-        sources += [(v * alone[k], float(dof)) for k, v, dof in zip(rows, variances, end.dof, strict=True)]
-    if len(ends) == 2 and ends[0].by_prior.shape[1] == ends[1].by_prior.shape[1]:
-        # What the data sheet states errs alike in both.
-        across = np.zeros_like(covariance)
-        across[np.ix_(*([names.index(name) for name in end.names] for end in ends))] = (
-            ends[0].by_prior @ ends[1].by_prior.T
-        )
-        covariance += across + across.T
-    for name, (variance, dof) in walked.items():
-        row = names.index(name)
-        covariance[row, row] += variance
-        sources.append((variance * alone[row], dof))
-    factors = coverage_factor(welch_satterthwaite(np.diag(covariance).copy(), sources))
-    matrix = with_turns_scaled(names, covariance, degrees(1.0))
-    u = np.sqrt(np.diag(matrix))
-    return Uncertainty(
-        {name: float(u_value) for name, u_value in zip(names, u, strict=True) if not name.startswith(TURN)},
-        single,
-        {name: float(k) for name, k in zip(names, factors, strict=True) if k > NORMAL_FACTOR * 1.001},
-        Covariance(parameters=names, matrix=tuple(tuple(row) for row in matrix.tolist())),
-        alignment,
-    )
+    return replace(unrounded_section(errors), single_reading=single, alignment=alignment)
 
 
-def _blended(both: Sequence[Coefficients], share: float, named: str) -> Coefficients:
+def _blended(before: Coefficients, after: Coefficients, share: float, named: str) -> Coefficients:
     """Return the coefficients between two at one reference temperature."""
 
     def line(before: Array, after: Array) -> Array:
@@ -242,7 +192,6 @@ def _blended(both: Sequence[Coefficients], share: float, named: str) -> Coeffici
             row[..., : terms.shape[-1]] = terms
         return np.asarray((1.0 - share) * wide[0] + share * wide[1])
 
-    before, after = both
     thermal, shares = after.thermal, after.nonlinearity
     if thermal is not None and before.thermal is not None:
         known = overlap(before.thermal.range, thermal.range)
@@ -256,7 +205,10 @@ def _blended(both: Sequence[Coefficients], share: float, named: str) -> Coeffici
     if shares is not None or before.nonlinearity is not None:
         none = np.zeros((len(after.channels), 1))
         shares = line(
-            *(none if coefficients.nonlinearity is None else coefficients.nonlinearity for coefficients in both)
+            *(
+                none if coefficients.nonlinearity is None else coefficients.nonlinearity
+                for coefficients in (before, after)
+            )
         )
     return replace(
         after,

@@ -9,7 +9,7 @@ from math import asin, degrees, fsum, inf, radians, sqrt
 import numpy as np
 
 from tiltcal.calibration.channel_checks import judge_channels
-from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, uncertainty_of
+from tiltcal.calibration.estimate_record import DIGITS, derived_record, fit_record, rounded, stated_section
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.hysteresis import with_hysteresis
@@ -69,7 +69,10 @@ def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure
     return CalibrationRecord(
         sensor=sensor.sensor.replaced(channels=design.channels),
         coefficients=rounded(found),
-        uncertainty=uncertainty_of(found, _reading(sensor.measurements, design, found.estimated_thermometer)),
+        uncertainty=replace(
+            stated_section(found.uncertain),
+            single_reading=_reading(sensor.measurements, design, found.estimated_thermometer),
+        ),
         limits=_limits(design, sensor, found.coefficients.thermal is not None),
         derived=derived_record(found, _assumed(design, sensor), mounted=not design.free),
         fit=fit_record(found, design, max(summary.u for summary in _summaries(sensor.measurements, design.channels))),
@@ -289,10 +292,11 @@ def _reading(measurements: Sequence[Measurement], design: Design, shown: float |
         dof = sum(summary.n - 1 for summary in summaries)
         if dof:
             scatter = fsum((summary.n - 1) * summary.std**2 for summary in summaries) / dof
-            known[channel] = sqrt(scatter + max(summary.quantisation for summary in summaries) ** 2)
+            u = sqrt(scatter + max(summary.quantisation for summary in summaries) ** 2)
+            known[channel] = significant(u, DIGITS)
     thermometer = design.thermometer or shown
     if known and thermometer and design.thermal:
-        known["temperature"] = thermometer
+        known["temperature"] = significant(thermometer, DIGITS)
     return known
 
 

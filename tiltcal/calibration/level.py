@@ -19,34 +19,34 @@ from math import asin, cos, degrees, hypot, radians, sin, sqrt
 
 import numpy as np
 
-from tiltcal.calibration.estimate_record import DIGITS, budget_record, intrinsic_record, rounded_covariance
+from tiltcal.calibration.comparison import changes, judge
+from tiltcal.calibration.estimate_record import (
+    DIGITS,
+    budget_record,
+    intrinsic_record,
+    rounded_covariance,
+    stated_section,
+)
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
-from tiltcal.calibration.verdict import judge
 from tiltcal.core.attitude import heading_rotations
-from tiltcal.core.coverage_factor import COVERAGE, coverage_factor
 from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
+from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.named_coefficients import CoefficientChange
 from tiltcal.core.rounding import plus_minus, round_to, significant
-from tiltcal.core.uncertainty_budget import Budget, Part, central_differences
-from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn
+from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, selection
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import NOISE_ALONE, CompletingRun, LevelFit
-from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
+from tiltcal.files.uncertainty import uncertain_coefficients
 
 BASE = "base"
 """The share of an offset's variance that comes from the calibration that it completes."""
 
 NEARLY_LEVEL = 5.0
 """The most that a position may be off level as it was set, degrees."""
-
-SMALL_TURN = 1e-5
-"""Turn by which derivatives are taken, radians."""
 
 NO_LEVEL = (
     "how level the sensor lay is not stated (--jig, --table-lean), and the uncertainty of its offset leaves it out"
@@ -85,37 +85,41 @@ def level(
         raise EstimateError(why)
     measurements = [_with_noise(measurement, base.uncertainty.single_reading) for measurement in measurements]
     silent = any(summary.noise_unknown for measurement in measurements for summary in measurement.summaries.values())
-    found = _Renewal.of(base, measurements, bench)
     stated = bench.jig is not None or bench.table is not None
-    u = found.budget.u[: len(found.offset)]
-    coefficients = replace(
-        base.coefficients,
-        offset=np.array([round_to(value, u_value) for value, u_value in zip(found.offset, u, strict=True)]),
-    )
+    coefficients, channels = base.coefficients, base.coefficients.channels
+    change, renewed = _renewed(base, observations_of(measurements, channels), bench)
+    offsets = coefficients.offset + change.value
+    new = renewed.named(change.names)
+    coefficients = replace(coefficients, offset=np.array(list(map(round_to, offsets.tolist(), new.u.tolist()))))
     notes = [note for note in base.fit.notes if note not in (NO_LEVEL, NO_NOISE)]
     notes += ([] if stated else [NO_LEVEL]) + ([NO_NOISE] if silent else [])
-    record = replace(
+    askew = significant(procedure.alignment / sqrt(3.0), DIGITS)
+    uncertainty = replace(
+        stated_section(new, base.uncertainty),
+        covariance=rounded_covariance(renewed),
+        alignment=max(askew, base.uncertainty.alignment),
+    )
+    before = base.derived.intrinsic
+    return replace(
         base,
         coefficients=coefficients,
-        uncertainty=found.uncertainty(procedure.alignment),
+        uncertainty=uncertainty,
+        derived=base.derived
+        if before is None
+        else base.derived.replaced(
+            intrinsic=intrinsic_record(coefficients, renewed.without(TURN), mounted=bool(before.rotation_degrees))
+        ),
         fit=base.fit.replaced(
             uncertainty_from=base.fit.uncertainty_from if stated else NOISE_ALONE,
-            budget={**base.fit.budget, **budget_record(found.budget, found.names[: len(found.offset)])},
+            budget={**base.fit.budget, **budget_record(new)},
             notes=tuple(notes),
-            level=found.record(bench),
+            level=_level_fit(change, offsets, measurements[0].temperature, bench),
         ),
         procedure=base.procedure.replaced(
             level=CompletingRun(positions=tuple(measurement.position for measurement in measurements)),
         ),
-        positions=base.positions_with(
-            level=[measurement.record(base.coefficients.channels) for measurement in measurements]
-        ),
+        positions=base.positions_with(level=[measurement.record(channels) for measurement in measurements]),
     )
-    before = base.derived.intrinsic
-    if before is None:
-        return record
-    renewed = intrinsic_record(coefficients, found.inputs.without_turn, mounted=bool(before.rotation_degrees))
-    return replace(record, derived=base.derived.replaced(intrinsic=renewed))
 
 
 def _with_noise(measurement: Measurement, single: Mapping[str, float]) -> Measurement:
@@ -160,179 +164,111 @@ def _lines(calibration: CalibrationRecord) -> Iterator[str]:
         )
 
 
-@dataclass(frozen=True)
-class _Renewal:
-    """The new offsets, by how much they have changed, and their covariance with all else that is uncertain.
+def _renewed(
+    base: CalibrationRecord, seen: Sequence[Observation], bench: BenchUncertainty
+) -> tuple[Uncertain, Uncertain]:
+    """Return the change of the offsets, and the errors of the offsets with all else that is uncertain."""
+    coefficients, known = base.coefficients, uncertain_coefficients(base.uncertainty, base.coefficients)
+    expected = _ExpectedLevel.of(coefficients, seen)
+    offsets = tuple(f"offset.{channel}" for channel in coefficients.channels)
+    names = (*(name for name in offsets if name not in known.names), *known.names)
+    slopes = np.array([expected.by_name[name] for name in known.names]).reshape(len(known.names), len(offsets)).T
+    places = [names.index(name) for name in offsets]
+    # An old offset is read anew: only what the other coefficients share with it is left.
+    follows = selection(names, known.names)
+    follows[places] -= slopes
+    changed, renewed = known.through(slopes, offsets, source=BASE), known.through(follows, names, source=BASE)
+    for error in _errors_of_bench(expected, seen, bench):
+        changed, renewed = changed + error, renewed + error.through(selection(names, offsets), names)
+    change = np.mean([observation.mean for observation in seen], axis=0) - expected.reading
+    return replace(changed, value=change), renewed
 
-    ``names`` are those of the offsets and then of the rest; turns of the mounting are in radians. ``factors`` are the
-    base's of the rest.
+
+def _level_fit(change: Uncertain, offsets: Array, temperature: float | None, bench: BenchUncertainty) -> LevelFit:
+    """Return by how much the offsets have changed, for the file."""
+    steps = changes(change, offsets - change.value)
+    by_channel = {step.name.removeprefix("offset."): step for step in steps}
+    known = {channel: step for channel, step in by_channel.items() if step.u}
+    lean = [angle for angle in (bench.jig, bench.table) if angle is not None]
+    return LevelFit(
+        change={channel: round_to(step.difference, step.u or 0.0) for channel, step in by_channel.items()},
+        change_uncertainty={channel: significant(step.u or 0.0, DIGITS) for channel, step in known.items()},
+        change_coverage_factor={channel: round(step.threshold(COVERAGE), 3) for channel, step in known.items()},
+        verdict=str(judge(steps, "" if lean else NO_LEVEL)),
+        temperature=None if temperature is None else round(temperature, 3),
+        jig_degrees=significant(hypot(*lean), DIGITS) if lean else None,
+    )
+
+
+@dataclass(frozen=True)
+class _ExpectedLevel:
+    """The reading that a calibration expects at level, on average over the positions, and its derivatives.
+
+    Attributes
+    ----------
+    reading : ndarray, shape (channels,)
+    by_name : dict of str to ndarray, shape (channels,)
+        By each coefficient, and by each turn of the mounting, 1/rad.
+    by_up : ndarray, shape (channels, positions, 3)
+        By up in the application's frame, of a single position.
+    by_temperature : ndarray, shape (channels,)
     """
 
-    base: CalibrationRecord
-    offset: Array
-    names: tuple[str, ...]
-    budget: Budget
-    changes: tuple[CoefficientChange, ...]
-    temperature: float | None
+    reading: Array
+    by_name: dict[str, Array]
+    by_up: Array
+    by_temperature: Array
 
     @classmethod
-    def of(cls, base: CalibrationRecord, measurements: Sequence[Measurement], bench: BenchUncertainty) -> _Renewal:
-        """Compute the offsets from the mean reading of the positions."""
-        coefficients, channels = base.coefficients, base.coefficients.channels
-        seen = observations_of(measurements, channels)
-        stated = uncertainty_inputs(base.uncertainty, coefficients)
-        known, covariance, factors = stated.names, stated.covariance, stated.factors
-        at_level = _LevelReading(coefficients, seen)
-        slopes = at_level.slopes(known)
-        change = np.mean([measurement.mean for measurement in seen], axis=0) - at_level(known, at_level.start(known))
-        own = np.array([[float(name == f"offset.{channel}") for name in known] for channel in channels])
-        rest = [k for k, name in enumerate(known) if not name.startswith("offset.")]
-        # An old offset is read anew: only what the other coefficients share with it is left.
-        followed = np.vstack([own - slopes, np.eye(len(known))[rest]])
-        errors = list(_errors_of_bench(at_level, seen, bench))
-        alone = [replace(error, by=np.vstack([error.by, np.zeros((len(rest), error.by.shape[1]))])) for error in errors]
-        budget = Budget.of([Part(BASE, followed, covariance, factors), *alone])
-        changed = Budget.of([Part(BASE, slopes, covariance, factors), *errors])
-        offsets = coefficients.offset + change
-        return cls(
-            base,
-            offsets,
-            (*(f"offset.{channel}" for channel in channels), *(known[k] for k in rest)),
-            budget,
-            tuple(
-                CoefficientChange(f"offset.{channel}", float(new - step), float(new), float(u) or None, float(dof))
-                for channel, new, step, u, dof in zip(channels, offsets, change, changed.u, changed.dof, strict=True)
-            ),
-            measurements[0].temperature,
-        )
-
-    @property
-    def inputs(self) -> UncertaintyInputs:
-        """The new offsets and all else that is uncertain."""
-        return UncertaintyInputs(self.names, self.budget.covariance, self.budget.factors)
-
-    def uncertainty(self, alignment: float) -> Uncertainty:
-        """Return the base's uncertainty with that of the offsets, and of a sensor that may sit askew, degrees."""
-        before, count = self.base.uncertainty, len(self.offset)
-        offsets = self.names[:count]
-        factors = dict(zip(offsets, self.budget.factors[:count].tolist(), strict=True))
-        known = uncertainty_inputs(before, self.base.coefficients).names
-        order = (*(name for name in offsets if name not in known), *known)
-        joint = self.inputs.chosen([self.names.index(name) for name in order])
-        u = dict(zip(offsets, self.budget.u[:count].tolist(), strict=True))
-        return replace(
-            before,
-            standard={
-                **{n: significant(value, DIGITS) for n, value in u.items()},
-                **{n: v for n, v in before.items() if n not in u},
-            },
-            coverage_factor={
-                **{name: round(k, 3) for name, k in factors.items() if u[name] > 0.0},
-                **{name: k for name, k in before.coverage_factor.items() if name not in factors},
-            },
-            covariance=rounded_covariance(order, joint.covariance),
-            alignment=max(significant(alignment / sqrt(3.0), DIGITS), before.alignment),
-        )
-
-    def record(self, bench: BenchUncertainty) -> LevelFit:
-        """Return by how much the offsets have changed, for the file."""
-        changes = dict(zip(self.base.coefficients.channels, self.changes, strict=True))
-        incomplete = NO_LEVEL if bench.jig is None and bench.table is None else ""
-        lean = [angle for angle in (bench.jig, bench.table) if angle is not None]
-        return LevelFit(
-            change={c: round_to(change.difference, change.u or 0.0) for c, change in changes.items()},
-            change_uncertainty={c: significant(change.u, DIGITS) for c, change in changes.items() if change.u},
-            change_coverage_factor={
-                c: round(change.threshold(COVERAGE), 3) for c, change in changes.items() if change.u
-            },
-            verdict=str(judge(self.changes, incomplete)),
-            temperature=None if self.temperature is None else round(self.temperature, 3),
-            jig_degrees=significant(sqrt(sum(angle**2 for angle in lean)), DIGITS) if lean else None,
-        )
-
-
-@dataclass(frozen=True)
-class _LevelReading:
-    """The reading that a calibration expects, on average over the positions."""
-
-    coefficients: Coefficients
-    seen: Sequence[Observation]
-
-    def __call__(self, names: Sequence[str], vector: Array, up: Array | None = None, warmer: float = 0.0) -> Array:
-        """Return the mean reading, shape (channels,).
-
-        Parameters
-        ----------
-        names : sequence of str
-            Of coefficients and turns of the mounting, radians.
-        vector : ndarray, shape (k,)
-            Their values.
-        up : ndarray, shape (positions, 3), optional
-            Up in the application's frame; as it was set where it is left out.
-        warmer : float
-            Added to every temperature, °C.
-        """
-        turned = is_turn(names)
-        own = np.array(names)[~turned].tolist()
-        coefficients = with_vector(self.coefficients, own, vector[~turned])
-        up = self.up if up is None else up
-        for name, angle in zip(np.array(names)[turned].tolist(), vector[turned].tolist(), strict=True):
-            up = up - np.cross(angle * np.eye(3)[AXES.index(name[len(TURN) :])], up)
-        mounting = self.coefficients.mounting
-        gravity = up if mounting is None else up @ mounting_matrix(mounting)
-        thermal = coefficients.thermal is not None
-        temperatures = (
-            np.array([measurement.temperature for measurement in self.seen], dtype=float) + warmer if thermal else None
-        )
-        return np.asarray(coefficients.predict(gravity, temperatures).mean(axis=0))
-
-    @property
-    def up(self) -> Array:
-        """Up in the application's frame as it was set, shape (positions, 3)."""
-        return np.array([measurement.gravity for measurement in self.seen])
-
-    def start(self, names: Sequence[str]) -> Array:
-        """Return the values of the coefficients, and 0 for the turns of the mounting."""
-        return np.array([0.0 if name.startswith(TURN) else vector_of(self.coefficients, [name])[0] for name in names])
-
-    def slopes(self, names: Sequence[str]) -> Array:
-        """Return the derivatives of the mean reading by the parameters, shape (channels, k)."""
-        start = self.start(names)
-        steps = SMALL_TURN * np.maximum(1.0, np.abs(start))
-        return central_differences(lambda vector: self(names, vector), start, steps)
+    def of(cls, coefficients: Coefficients, seen: Sequence[Observation]) -> _ExpectedLevel:
+        up, thermal = np.array([observation.gravity for observation in seen]), coefficients.thermal
+        rotation = np.eye(3) if coefficients.mounting is None else mounting_matrix(coefficients.mounting)
+        met = np.array([observation.temperature for observation in seen], dtype=float)
+        dt = np.zeros(len(seen)) if thermal is None else np.nan_to_num(met - thermal.reference)
+        read = [
+            model.read(theta, up @ rotation, dt)
+            for model, theta in zip(coefficients.models, coefficients.vectors, strict=True)
+        ]
+        alone = np.eye(len(read))
+        by_name = {
+            name: slope * alone[channel]
+            for channel, (model, own) in enumerate(zip(coefficients.models, read, strict=True))
+            for name, slope in zip(model.coefficients, own.by_coefficient.mean(axis=0).tolist(), strict=True)
+        }
+        by_up = np.array([own.by_gravity @ rotation.T for own in read])
+        turned = np.cross(by_up, up).mean(axis=1)
+        by_name |= {f"{TURN}{axis}": turned[:, k] for k, axis in enumerate(AXES)}
+        by_temperature = np.array([own.by_temperature.mean() for own in read])
+        return cls(np.array([own.value.mean() for own in read]), by_name, by_up, by_temperature)
 
     def by_lean(self, headings: Sequence[float]) -> Array:
-        """Return the derivatives by a lean that is turned with the headings, shape (channels, 2)."""
+        """Return the derivatives by a lean that is turned with the headings, shape (channels, 2), 1/rad."""
         turned = heading_rotations(np.radians(headings))
-
-        def leaning(lean: Array) -> Array:
-            return self((), np.zeros(0), self.up + np.pad(turned @ lean, ((0, 0), (0, 1))))
-
-        return central_differences(leaning, np.zeros(2), np.full(2, SMALL_TURN))
+        return np.asarray(np.einsum("cni,nij->cj", self.by_up[..., :2], turned) / len(turned))
 
 
-def _errors_of_bench(at_level: _LevelReading, seen: Sequence[Observation], bench: BenchUncertainty) -> Iterator[Part]:
-    """Yield what noise, jig, table and thermometer add to the mean reading."""
-    count, channels = len(seen), len(at_level.coefficients.channels)
-    adc = np.array([np.broadcast_to(measurement.adc, channels) for measurement in seen])
-    noise = np.array([measurement.u for measurement in seen]) ** 2 - adc**2
-    for measurement, variance in zip(seen, noise, strict=True):
-        dof = np.broadcast_to(measurement.dof, channels)
-        yield Part(NOISE, np.eye(channels) / count, np.diag(variance), coverage_factor(dof))
+def _errors_of_bench(
+    expected: _ExpectedLevel, seen: Sequence[Observation], bench: BenchUncertainty
+) -> Iterator[Uncertain]:
+    """Yield what noise, jig, table and thermometer add to the mean reading of each channel."""
+    count, channels = len(seen), len(expected.reading)
+    names, lean = [str(channel) for channel in range(channels)], ("x", "y")
+    adc = np.array([np.broadcast_to(observation.adc, channels) for observation in seen])
+    noise = np.array([observation.u for observation in seen]) ** 2 - adc**2
+    for observation, variance in zip(seen, noise, strict=True):
+        yield Uncertain.errors(names, np.diag(variance) / count**2, observation.dof, source=NOISE)
     # Rounding is alike in every position: it does not average out.
-    yield Part.known(ADC, np.eye(channels), np.diag(np.max(adc, axis=0) ** 2))
-    headings = [measurement.heading or 0.0 for measurement in seen]
+    yield Uncertain.errors(names, np.diag(np.max(adc, axis=0) ** 2), source=ADC)
+    headings = [observation.heading or 0.0 for observation in seen]
     for source, angle, by, number in (
-        (JIG, bench.jig, at_level.by_lean([0.0] * count), count),
-        (TABLE, bench.table, at_level.by_lean(headings), 1),
+        (JIG, bench.jig, expected.by_lean([0.0] * count), count),
+        (TABLE, bench.table, expected.by_lean(headings), 1),
     ):
         if angle:
-            yield Part.known(source, by, np.eye(2) * radians(angle) ** 2 / number)
-    if bench.thermometer and at_level.coefficients.thermal is not None:
-        by = central_differences(
-            lambda warmer: at_level((), np.zeros(0), warmer=float(warmer[0])), np.zeros(1), np.full(1, 1e-3)
-        )
-        yield Part.known(THERMOMETER, by, np.eye(1) * bench.thermometer**2)
+            yield Uncertain.errors(lean, np.eye(2) * radians(angle) ** 2 / number, source=source).through(by, names)
+    if bench.thermometer:
+        by = expected.by_temperature
+        yield Uncertain.errors(names, np.outer(by, by) * bench.thermometer**2, source=THERMOMETER)
 
 
 def objection(base: CalibrationRecord, measurement: Measurement) -> str:

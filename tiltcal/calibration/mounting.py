@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from math import degrees, radians
+from math import degrees, inf, radians
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import Measurement, missing_temperature
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
 from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, UNKNOWN_FACTOR, mounting_matrix
 from tiltcal.core.mounting_rotation import (
@@ -24,13 +23,12 @@ from tiltcal.core.mounting_rotation import (
     solve_mounting,
 )
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.uncertainty_budget import central_differences
-from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
+from tiltcal.core.uncertain import TURN, Uncertain, central_differences
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.results import CompletingRun, MountingFit
-from tiltcal.files.uncertainty import Uncertainty, uncertainty_inputs
+from tiltcal.files.uncertainty import Uncertainty, uncertain_coefficients
 
 
 def mount(
@@ -113,13 +111,13 @@ def _probability(
     from scipy.special import chdtrc
 
     coefficients = replace(base.coefficients, mounting=None)
-    own = uncertainty_inputs(base.uncertainty, coefficients).without_turn
+    known = uncertain_coefficients(base.uncertainty, coefficients).without(TURN)
     by = central_differences(
-        lambda vector: seen(with_vector(coefficients, own.names, vector)).ravel(),
-        vector_of(coefficients, own.names),
-        np.sqrt(np.diag(own.covariance)),
+        lambda vector: seen(with_vector(coefficients, known.names, vector)).ravel(),
+        vector_of(coefficients, known.names),
+        known.u,
     )
-    shared = np.einsum("ik,kl,il->i", by, own.covariance, by).reshape(len(sigma), 3).sum(axis=1) / 2.0
+    shared = np.einsum("ik,kl,il->i", by, known.covariance, by).reshape(len(sigma), 3).sum(axis=1) / 2.0
     return float(chdtrc(found.dof, np.sum(found.residuals**2 / (sigma**2 + shared))))
 
 
@@ -127,50 +125,37 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def _joined(
-    base: CalibrationRecord, found: MountingEstimate, rotation: Callable[[Coefficients], Array]
-) -> UncertaintyInputs:
-    """Return the base's coefficients and the turn of the mounting that was found with it, with their covariance."""
+def _joined(base: CalibrationRecord, found: MountingEstimate, rotation: Callable[[Coefficients], Array]) -> Uncertain:
+    """Return the errors of the base's coefficients and of the turn of the mounting that was found with it."""
     coefficients = replace(base.coefficients, mounting=None)
-    own = uncertainty_inputs(base.uncertainty, coefficients).without_turn
-    names, covariance, factors = own.names, own.covariance, own.factors
-    vector, u = vector_of(coefficients, names), np.sqrt(np.diag(covariance))
-    moved = np.zeros((3, len(names)))
-    for k in np.flatnonzero(u > 0.0):
-        step = np.where(np.arange(len(names)) == k, u[k], 0.0)
-        ends = [rotation(with_vector(coefficients, names, vector + side * step)) for side in (1.0, -1.0)]
-        moved[:, k] = rotation_vector(ends[0] @ ends[1].T) / (2.0 * u[k])
-    all_moved = np.vstack([np.eye(len(names)), moved])
-    joint = all_moved @ covariance @ all_moved.T
-    joint[-3:, -3:] += found.covariance
-    stretched = all_moved @ (covariance * np.outer(factors, factors)) @ all_moved.T
-    factor = NORMAL_FACTOR if found.stated else coverage_factor(np.array([float(found.dof)]))[0]
-    wide = np.diag(stretched)[-3:] + factor**2 * np.diag(found.covariance)
-    return UncertaintyInputs(
-        (*names, *(f"{TURN}{axis}" for axis in AXES)),
-        joint,
-        np.concatenate([factors, np.sqrt(wide / np.diag(joint)[-3:])]),
+    known = uncertain_coefficients(base.uncertainty, coefficients).without(TURN)
+    start = rotation(coefficients)
+    moved = central_differences(
+        lambda vector: rotation_vector(rotation(with_vector(coefficients, known.names, vector)) @ start.T),
+        vector_of(coefficients, known.names),
+        known.u,
     )
+    names = (*known.names, *(f"{TURN}{axis}" for axis in AXES))
+    size = len(known.names)
+    by_positions = Uncertain.errors(AXES, found.covariance, inf if found.stated else float(found.dof))
+    follows = np.eye(size + 3)
+    follows[size:, :size] = moved
+    return known.beside(by_positions).through(follows, names)
 
 
 def _uncertainty(
-    before: Uncertainty, joint: UncertaintyInputs, mounting: Mounting, u: Mapping[str, float], *, locked: bool
+    before: Uncertainty, joint: Uncertain, mounting: Mounting, u: Mapping[str, float], *, locked: bool
 ) -> Uncertainty:
     """Return the base's uncertainty with the mounting's in it, degrees."""
-    own = before.without_mounting().standard
-    turn, by = joint.covariance[-3:, -3:], angle_derivatives(mounting_matrix(mounting))
-    wide = by @ (turn * np.outer(joint.factors[-3:], joint.factors[-3:])) @ by.T
-    variances = np.diag(by @ turn @ by.T)
-    wider = np.divide(np.diag(wide), variances, out=np.ones(3), where=variances > 0.0)
-    factors = dict(zip(ANGLES, np.sqrt(wider).tolist(), strict=True))
-    if locked:
-        factors |= dict.fromkeys(("roll", "yaw"), UNKNOWN_FACTOR)
+    turn = joint.chosen(range(len(joint.names) - 3, len(joint.names)))
+    angles = turn.through(angle_derivatives(mounting_matrix(mounting)), ANGLES)
+    factors = angles.by_name(angles.factors) | (dict.fromkeys(("roll", "yaw"), UNKNOWN_FACTOR) if locked else {})
     return replace(
         before,
-        standard={**own, **{f"mounting.{angle}": value for angle, value in u.items()}},
-        coverage_factor={n: round(float(f), 3) for n, f in zip(joint.names, joint.factors, strict=True)}
+        standard={**before.without_mounting().standard, **{f"mounting.{angle}": value for angle, value in u.items()}},
+        coverage_factor={name: round(k, 3) for name, k in joint.by_name(joint.factors).items()}
         | {f"mounting.{angle}": round(factors[angle], 3) for angle in u},
-        covariance=rounded_covariance(joint.names, joint.covariance),
+        covariance=rounded_covariance(joint),
     )
 
 
@@ -195,7 +180,7 @@ def _directions(
     return gravity * (1.0, 1.0, side)
 
 
-def _rounded(found: MountingEstimate, joint: UncertaintyInputs) -> tuple[Mounting, dict[str, float]]:
+def _rounded(found: MountingEstimate, joint: Uncertain) -> tuple[Mounting, dict[str, float]]:
     """Return the angles with the digits that their uncertainty warrants, radians; and that, degrees."""
     if found.u is None:
         return found.mounting, {}

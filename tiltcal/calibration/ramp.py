@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
 from math import hypot, inf, radians, sqrt
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,7 @@ from tiltcal.core.ramp.record import RampRecord, row_noise
 from tiltcal.core.rounding import plus_minus, round_to, significant
 from tiltcal.core.samples import SampleSummary
 from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
-from tiltcal.core.uncertainty_budget import Budget, Part
+from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
@@ -168,8 +170,7 @@ def _estimate(
     residuals = np.array([[group.summaries[c].mean for c in design.channels] for group in groups]) - modelled
     return Estimate(
         coefficients=coefficients,
-        names=names,
-        budget=Budget.of(list(_sources(fit, design, coefficients, gravity, names, bench))),
+        uncertain=reduce(add, _sources(fit, design, coefficients, gravity, names, bench)),
         positions=tuple(group.position for group in groups),
         residuals=residuals,
         dof=max(len(fit.means.leg) - fit.order - 1, 0) * len(design.channels),
@@ -203,7 +204,7 @@ def _sources(
     gravity: Array,
     names: Sequence[str],
     bench: BenchUncertainty,
-) -> Iterator[Part]:
+) -> Iterator[Uncertain]:
     """Yield what each source adds to the uncertainty of the coefficients."""
     index = {name: k for k, name in enumerate(names)}
     unit = np.eye(len(names))
@@ -213,9 +214,13 @@ def _sources(
         for channel in design.channels
     ]
     by_record = unit[:, [index[name] for own in drifts for name in own]]
-    yield Part.known(NOISE, by_record, fit.covariance[:-1, :-1])
+
+    def errors(source: str, by: Array, covariance: Array) -> Uncertain:
+        return Uncertain.errors([""] * len(covariance), covariance, source=source).through(by, names)
+
+    yield errors(NOISE, by_record, fit.covariance[:-1, :-1])
     if fit.loop_covariance.any():
-        yield Part.known(HYSTERESIS, by_record, fit.loop_covariance)
+        yield errors(HYSTERESIS, by_record, fit.loop_covariance)
     readings = [
         model.read(theta, gravity[None, :], np.zeros(1))
         for model, theta in zip(coefficients.models, coefficients.vectors, strict=True)
@@ -228,14 +233,14 @@ def _sources(
         if (prior := design.priors.get(name)) is not None and prior.u and name in index
     ]
     if stands_in:
-        yield Part.known(PRIOR, np.stack(stands_in, axis=1), np.eye(len(stands_in)))
+        yield errors(PRIOR, np.stack(stands_in, axis=1), np.eye(len(stands_in)))
     across = np.array([np.cross(gravity, reading.by_gravity[0]) for reading in readings])
     for source, u in ((JIG, design.jig), (TABLE, design.table)):
         if u and u < inf:
-            yield Part.known(source, offsets @ across, radians(u) ** 2 * np.eye(3))
+            yield errors(source, offsets @ across, radians(u) ** 2 * np.eye(3))
     if bench.thermometer:
         slopes = np.pad(fit.coefficients[:, 1:] * np.arange(1, fit.order + 1), ((0, 0), (0, 1)))
-        yield Part.known(THERMOMETER, by_record @ slopes.reshape(-1, 1), np.eye(1) * bench.thermometer**2)
+        yield errors(THERMOMETER, by_record @ slopes.reshape(-1, 1), np.eye(1) * bench.thermometer**2)
 
 
 def _parts(fit: RampFit) -> Iterator[tuple[str, NDArray[np.intp]]]:

@@ -7,33 +7,21 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
 from itertools import pairwise
-from math import inf, sqrt
 from operator import attrgetter
 
 import numpy as np
 
-from tiltcal.calibration.comparison import Comparison, compare_records
+from tiltcal.calibration.comparison import Comparison, compare_records, uncertain_of
 from tiltcal.calibration.interpolation import Interval, Stability
-from tiltcal.core.instrumental_drift import RandomWalk, WalkContrasts, estimate_walk, walk_contrasts
 from tiltcal.core.model import Array, Coefficients
-from tiltcal.core.named_coefficients import ROUNDED, referred, values
+from tiltcal.core.named_coefficients import referred, values
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor, responses_to_priors
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor
 from tiltcal.files.moments import moment, to_the_second
-from tiltcal.files.uncertainty import known_coefficients
 from tiltcal.printable import counted
 
 DAY = 86_400.0
 """Seconds."""
-
-WANDERING = ("offset", "sensitivity")
-"""What may wander, by the first part of its dotted name; temperature coefficients change along a line."""
-
-STEADY_CONTRASTS = 4
-"""Fewest contrasts without their part along a steady change from which a walk is estimated; with fewer it is kept."""
-
-OWN_CONTRASTS = 10
-"""Fewest contrasts of a sensor's own offsets with which its fleet is not asked."""
 
 
 @dataclass(frozen=True)
@@ -131,75 +119,26 @@ class SensorHistory:
         """Return the neighbours that are further apart than the interval and a tenth of it."""
         return [(a, b) for a, b in pairwise(self.calibrations) if b.date - a.date > 1.1 * interval]
 
-    @cached_property
-    def series(self) -> dict[str, tuple[Array, ...]]:
-        """Days, values and standard uncertainties of each coefficient that all have, at the last one's reference."""
-        last = self.calibrations[-1].record.coefficients
-        reference = None if last.thermal is None else last.thermal.reference
+    def series(self, name: str) -> tuple[Array, Array] | None:
+        """Return values and standard uncertainties of a coefficient that all have, at the last one's reference."""
+        records = [calibration.record for calibration in self.calibrations]
+        last = records[-1].coefficients.thermal
+        reference = None if last is None else last.reference
         found = []
-        for calibration in self.calibrations:
-            coefficients = calibration.record.coefficients
-            moved = coefficients if reference is None else referred(coefficients, reference)
-            known = known_coefficients(calibration.record.uncertainty, coefficients, reference)
-            shared = responses_to_priors(calibration.record)  # errs alike in all, so that it makes no difference
-            day = calibration.date.timestamp() / DAY
-            alike = {name: float(row @ row) for name, row in shared.items()}
-            u = {name: sqrt(max(c.u**2 - alike.get(name, 0.0), (ROUNDED * c.u) ** 2)) for name, c in known.items()}
-            found.append({name: (day, value, u[name]) for name, value in values(moved).items() if name in u})
-        common = [name for name in found[-1] if all(name in row for row in found)]
-        return {name: tuple(np.array([row[name] for row in found]).T) for name in common}
-
-    def contrasts(self, kind: str, *, steady: bool) -> WalkContrasts:
-        """Return the contrasts of all coefficients of a kind, such as ``offset``."""
-        if len(self.calibrations) < 2:
-            return WalkContrasts.joined([])
-        return WalkContrasts.joined(
-            [
-                walk_contrasts(*series, steady=steady)
-                for name, series in self.series.items()
-                if name.partition(".")[0] == kind
-            ]
-        )
-
-    @property
-    def wandering(self) -> list[str]:
-        """The coefficients that may wander, by dotted name."""
-        return [name for name in values(self.calibrations[-1].record.coefficients) if name.split(".")[0] in WANDERING]
+        for record in records:
+            errors = uncertain_of(record, reference)
+            u = errors.by_name(errors.u)
+            if name in u:
+                found.append((values(referred(record.coefficients, reference))[name], u[name]))
+        return tuple(np.array(found).T) if len(found) == len(records) else None
 
 
 def stated_stability(history: SensorHistory, milligravity: float) -> Stability:
     """Return a stated stability: the offset wanders by so many mg in a day, as a standard deviation."""
     coefficients = history.calibrations[-1].record.coefficients
-    walks = {
-        f"offset.{channel}": RandomWalk((coefficients.own_sensitivity(channel) * milligravity / 1000.0) ** 2, inf)
-        for channel in coefficients.channels
-    }
-    return Stability(walks, walks, "as stated")
-
-
-def estimated_stability(history: SensorHistory, fleet: Sequence[SensorHistory]) -> Stability:
-    """Estimate how far a sensor wanders, from its own history where that is long enough, or with its fleet's.
-
-    The fleet has the same model and unit, and the sensor is among it.
-    """
-    own = len(history.contrasts("offset", steady=True)) >= OWN_CONTRASTS
-    asked = [history] if own else fleet
-    source = "its own history" if own else f"the history of {len(fleet)} {history.sensor.model}"
-    if len(fleet) < 2:
-        source = "its own history"
-    between: dict[str, RandomWalk] = {}
-    beyond: dict[str, RandomWalk] = {}
-    for kind in WANDERING:
-        free = WalkContrasts.joined([history.contrasts(kind, steady=False) for history in asked])
-        steady = WalkContrasts.joined([history.contrasts(kind, steady=True) for history in asked])
-        walk = estimate_walk(free)
-        if walk is None:
-            continue
-        names = [name for name in history.wandering if name.partition(".")[0] == kind]
-        inner = estimate_walk(steady) if len(steady) >= STEADY_CONTRASTS else walk
-        between |= dict.fromkeys(names, inner or walk)
-        beyond |= dict.fromkeys(names, walk)
-    return Stability(between, beyond, source if beyond else "")
+    return Stability(
+        {f"offset.{c}": (coefficients.own_sensitivity(c) * milligravity / 1000.0) ** 2 for c in coefficients.channels}
+    )
 
 
 def _content(coefficients: Coefficients) -> tuple[object, ...]:

@@ -25,12 +25,12 @@ from tiltcal.core.estimation.hysteresis import ALIKE
 from tiltcal.core.estimation.positions import Observation
 from tiltcal.core.model import Array, Thermal, vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.uncertainty_budget import central_differences
+from tiltcal.core.uncertain import Uncertain, central_differences
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import CrossValidation, Hysteresis
-from tiltcal.files.uncertainty import Covariance
+from tiltcal.files.uncertainty import uncertain_coefficients
 
 ROOM = 25.0
 """Reference temperature where none was measured, °C."""
@@ -159,11 +159,11 @@ def _prediction(estimate: Estimate, position: Observation) -> tuple[Array, Array
     gravity, temperature = np.array([position.gravity]), np.array([position.temperature], dtype=float)
 
     def predicted(values: Array) -> Array:
-        return np.asarray(with_vector(coefficients, estimate.names, values).predict(gravity, temperature)[0])
+        return np.asarray(with_vector(coefficients, estimate.uncertain.names, values).predict(gravity, temperature)[0])
 
-    at = vector_of(coefficients, estimate.names)
-    slopes = central_differences(predicted, at, estimate.budget.u)
-    return predicted(at), np.einsum("ik,kl,il->i", slopes, estimate.covariance, slopes)
+    at = vector_of(coefficients, estimate.uncertain.names)
+    slopes = central_differences(predicted, at, estimate.uncertain.u)
+    return predicted(at), np.einsum("ik,kl,il->i", slopes, estimate.uncertain.covariance, slopes)
 
 
 def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Hysteresis]:
@@ -225,23 +225,15 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
         for power in range(1, len(curve) + 1)
     }
     derived, u = calibration.derived, calibration.uncertainty
+    spread = Uncertain.errors(tuple(typical), np.diag(np.array(list(typical.values())) ** 2))
+    both = uncertain_coefficients(u, coefficients).beside(spread)
     assumed = (*derived.assumed, f"temperature: {population.source}, not this unit's own")
     return replace(
         calibration,
         coefficients=replace(coefficients, thermal=thermal),
-        uncertainty=replace(u, standard={**u.standard, **typical}, covariance=_extended(u.covariance, typical)),
+        uncertainty=replace(u, standard={**u.standard, **typical}, covariance=rounded_covariance(both)),
         derived=derived.replaced(assumed=assumed),
     )
-
-
-def _extended(stated: Covariance | None, typical: Mapping[str, float]) -> Covariance | None:
-    """Add uncorrelated coefficients with their standard uncertainties to a covariance, where there is one."""
-    if stated is None:
-        return None
-    own = len(stated.parameters)
-    matrix = np.diag([*(0.0 for _ in stated.parameters), *(u**2 for u in typical.values())])
-    matrix[:own, :own] = stated.matrix
-    return rounded_covariance((*stated.parameters, *typical), matrix)
 
 
 def _from_reference(curve: Sequence[float], reference: float) -> Array:

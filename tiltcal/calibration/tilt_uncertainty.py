@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import degrees, radians
 
@@ -11,6 +11,7 @@ import numpy as np
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Limits
+from tiltcal.core.uncertain import TURN
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.uncertainty import stated_uncertainty
@@ -47,7 +48,7 @@ def tilt_uncertainty(calibration: CalibrationRecord) -> dict[str, TiltUncertaint
         stated = (
             stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise) for noise in (0.0, None)
         )
-        kernels = [CompensationWithUncertainty(compensation, coefficients, u.inputs.without_turn) for u in stated]
+        kernels = [CompensationWithUncertainty(compensation, coefficients, u.without(TURN)) for u, _ in stated]
     except EstimateError:
         return {}
     by_axis = {}
@@ -97,3 +98,12 @@ def _nominal(calibration: CalibrationRecord) -> Compensation | None:
         channels, channels, np.full(len(channels), model.offset), model.sensitivity * np.eye(len(channels))
     )
     return Compensation(nominal, Limits())
+
+
+def tilt_uncertainty_lines(calibration: CalibrationRecord) -> Iterator[str]:
+    """Yield by axis half the 95 % interval of a tilt near level and at the ends of its range, from the coefficients."""
+    for axis, uncertain in tilt_uncertainty(calibration).items():
+        tilt, half = uncertain.tilt, uncertain.alone
+        level, low, high = half[np.argmin(np.abs(tilt))], half[0], half[-1]
+        ends = f"{low:.2g}° at {tilt[0]:.0f}°, {high:.2g}° at {tilt[-1]:.0f}°"
+        yield f"  tilt {axis} within  ± {level:.2g}° near level, {ends}  (95 %)"

@@ -29,7 +29,7 @@ Examples:
 """
 
 
-@click.command(cls=options.GroupedCommand, epilog=_EXAMPLE)
+@options.command(epilog=_EXAMPLE)
 @click.argument("files", metavar="CALIBRATION LOG...", nargs=-1, required=True)
 @click.option("-o", "--output", default="-", metavar="OUT", help="The file to write [standard output], or the folder.")
 @click.option(

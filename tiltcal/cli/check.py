@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tiltcal.files.pair import PairRecord
 
 
-@click.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
+@options.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
 @click.argument("paths", metavar="FILE...", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--schema", type=click.Choice([*KINDS]), help="Print the JSON Schema of a kind of file, for an editor.")
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON list.")
@@ -128,9 +128,8 @@ def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tup
     if captured is None or not (os.path.isfile(path) and os.path.isfile(path.parent / captured.name)):
         return [], []
     from tiltcal.bench.journal import calibrations_of
-    from tiltcal.calibration.comparison import compare_records
-    from tiltcal.calibration.verdict import judge
-    from tiltcal.files.calibration import CalibrationRecord, changes_between
+    from tiltcal.calibration.comparison import changes_between, compare_records, judge
+    from tiltcal.files.calibration import CalibrationRecord
 
     journal = path.parent / captured.name
     made = calibrations_of(read_journal(journal))

@@ -11,7 +11,7 @@ from tiltcal.cli.talk import remark
 from tiltcal.files.atomic import check_writable
 
 
-@click.command(epilog="Example: tiltcal combine S-0042-scale.yaml S-0042-drift.yaml -o S-0042.yaml")
+@options.command(epilog="Example: tiltcal combine S-0042-scale.yaml S-0042-drift.yaml -o S-0042.yaml")
 @click.argument("calibrations", metavar="CALIBRATION...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--mounting",

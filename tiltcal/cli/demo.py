@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tiltcal.calibration.summary import summary
+from tiltcal.cli import options
 from tiltcal.cli.apply import command as apply
 from tiltcal.cli.report import write_report
 from tiltcal.drivers import find_model
@@ -29,7 +30,7 @@ MODEL, PROCEDURE, SERIAL = "sca100t-d02", "complete", "SIM-1"
 ROWS, REACH, TEMPERATURES = 1500, {"x": 40.0, "y": 35.0}, (22.0, 8.0)
 
 
-@click.command(epilog="Example: tiltcal demo demo")
+@options.command(epilog="Example: tiltcal demo demo")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False), default=Path("demo"))
 @click.option("--seed", default=1, show_default=True, help="The number of the virtual part.")
 def command(folder: Path, seed: int) -> None:

@@ -1,4 +1,4 @@
-"""``tiltcal devices``: list the sensor models."""
+"""``tiltcal devices``: list the sensor models, or show one."""
 
 from __future__ import annotations
 
@@ -7,30 +7,39 @@ from typing import Any
 import click
 
 from tiltcal.cli import options
-from tiltcal.drivers import models
+from tiltcal.cli.talk import remark
+from tiltcal.drivers import find_model, models
 from tiltcal.drivers.model import Model
 
 
-@click.command(epilog="Example: tiltcal devices --json")
+@options.command(epilog="Example: tiltcal devices sca100t-d02")
+@click.argument("model", required=False)
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON list.")
-def command(as_json: bool) -> None:
-    """List the sensor models with their addresses, units, and what their virtual twins do not model."""
-    known = list(models())
+def command(model: str | None, as_json: bool) -> None:
+    """List the sensor models, or show the addresses, the readings and the virtual twin of one."""
+    known = list(models()) if model is None else [find_model(model)]
     if as_json:
-        click.echo(options.json_text([_facts(model) for model in known], 2))
-        return
-    for model in known:
-        click.echo(f"{model.name}  {model.title}")
-        click.echo(f"  reads      {_readings(model)}")
-        if model.channels and model.scaled:
-            click.echo(f"  nominal    {model.offset:g} {model.unit} at 0 g, {model.sensitivity:g} {model.unit}/g")
-        for number, address in enumerate(model.addresses):
-            click.echo(f"  {'' if number else 'address':<10} {address}")
-        click.echo("             sim: for the virtual twin (sim:?twin=FILE&seed=N)")
-        click.echo("  the twin does not model")
-        for effect in model.not_modelled:
-            click.echo(f"    - {effect}")
-        click.echo()
+        click.echo(options.json_text([_facts(one) for one in known], 2))
+    elif model is None:
+        width = max(len(one.name) for one in known)
+        for one in known:
+            click.echo(f"{one.name:<{width}}  {one.title}")
+        remark("`tiltcal devices MODEL` shows the addresses of one, and what its virtual twin does not model")
+    else:
+        _show(known[0])
+
+
+def _show(model: Model) -> None:
+    click.echo(f"{model.name}  {model.title}")
+    click.echo(f"  reads      {_readings(model)}")
+    if model.channels and model.scaled:
+        click.echo(f"  nominal    {model.offset:g} {model.unit} at 0 g, {model.sensitivity:g} {model.unit}/g")
+    for number, address in enumerate(model.addresses):
+        click.echo(f"  {'' if number else 'address':<10} {address}")
+    click.echo("             sim: for the virtual twin (sim:?twin=FILE&seed=N)")
+    click.echo("  the twin does not model")
+    for effect in model.not_modelled:
+        click.echo(f"    - {effect}")
 
 
 def _readings(model: Model) -> str:

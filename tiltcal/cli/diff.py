@@ -10,7 +10,7 @@ from tiltcal.cli import options
 from tiltcal.errors import NEGATIVE_VERDICT
 
 
-@click.command(epilog="Example: tiltcal diff S-0042-spring.yaml S-0042-autumn.yaml")
+@options.command(epilog="Example: tiltcal diff S-0042-spring.yaml S-0042-autumn.yaml")
 @click.argument("before", type=click.Path(path_type=Path))
 @click.argument("after", type=click.Path(path_type=Path))
 @options.as_json

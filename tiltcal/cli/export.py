@@ -14,7 +14,7 @@ from tiltcal.errors import UsageError
 TARGETS = ("c", "fusion", "ros", "px4", "ardupilot", "iio", "python", "json")
 
 
-@click.command(epilog="Example: tiltcal export S-0042.yaml --to c -o tilt.h")
+@options.command(epilog="Example: tiltcal export S-0042.yaml --to c -o tilt.h")
 @click.argument("calibration", type=options.FILE)
 @click.option("--to", required=True, type=click.Choice(TARGETS), help="The program that is to hold the calibration.")
 @options.file_option("-o", "--output", help="The file to write; without it, the result is printed.")

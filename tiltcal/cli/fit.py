@@ -27,7 +27,7 @@ Examples:
 """
 
 
-@click.command(cls=options.GroupedCommand, epilog=_EXAMPLES)
+@options.command(epilog=_EXAMPLES)
 @click.argument("procedure")
 @click.argument("log", type=click.Path(path_type=Path))
 @options.file_option("-o", "--output", required=True, help="The calibration file to write.")

@@ -23,7 +23,7 @@ Examples:
 """
 
 
-@click.command(epilog=_EXAMPLE)
+@options.command(epilog=_EXAMPLE)
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @click.option("--interval", default="365d", metavar="DAYS", help="Time from one calibration to the next [365d].")
 @options.as_json

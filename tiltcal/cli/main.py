@@ -15,13 +15,14 @@ from tiltcal.errors import INTERRUPTED, TiltcalError, UsageError
 from tiltcal.printable import printable
 
 COMMANDS = {
-    "devices": "list the sensor models, their addresses and the limits of their twins",
+    "devices": "list the sensor models, or show one",
     "procedures": "list the procedures, or show one",
     "probe": "test the connection of a sensor",
     "plan": "predict the uncertainty that a procedure gives",
     "measure": "measure the positions of a procedure and write the calibration file",
     "record": "record the readings of a sensor or a bench",
     "verify": "compare a calibration with positions that it was not fitted to",
+    "show": "print the coefficients of a calibration",
     "export": "write a calibration as other programs hold it",
     "combine": "combine calibrations of one sensor from several sessions",
     "diff": "compare two calibrations of one sensor",
@@ -84,8 +85,7 @@ def run(args: list[str] | None = None) -> int:
     """
     try:
         result = group.main(args=args, prog_name="tiltcal", standalone_mode=False)
-        if sys.stdout is not None:
-            sys.stdout.flush()
+        return flushed(result if isinstance(result, int) else 0)
     except click.ClickException as error:
         with suppress(OSError):
             error.show()
@@ -104,7 +104,22 @@ def run(args: list[str] | None = None) -> int:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
             raise
+        return _unwritten(error)
+
+
+def flushed(code: int) -> int:
+    """Have all output written, and return the exit code; where it cannot be written, the command has failed."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:
         sys.stdout = None
-        talk(f"tiltcal: the output cannot be written: {error.strerror}")
-        return UsageError.exit_code
-    return result if isinstance(result, int) else 0
+    except OSError as error:
+        return code or _unwritten(error)
+    return code
+
+
+def _unwritten(error: OSError) -> int:
+    sys.stdout = None
+    talk(f"tiltcal: the output cannot be written: {error.strerror}")
+    return UsageError.exit_code

@@ -25,7 +25,7 @@ Examples:
 """
 
 
-@click.command(epilog=_EXAMPLES)
+@options.command(epilog=_EXAMPLES)
 @click.argument("log")
 @click.option("--pair", "pairs", multiple=True, required=True, metavar="FIRST,SECOND", help="Columns of a pair.")
 @click.option(

@@ -10,7 +10,7 @@ from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 
 
-@click.command(
+@options.command(
     epilog="Example: tiltcal measure zero-45 --sensor sca100t-d02 --address spi:///dev/spidev0.0 --serial S-0042 "
     "-o S-0042.yaml"
 )

@@ -20,7 +20,7 @@ Examples:
 """
 
 
-@click.command(epilog=_EXAMPLES)
+@options.command(epilog=_EXAMPLES)
 @click.argument("log", required=False)
 @click.option("--sensor", metavar="MODEL", help="The model of the sensor; for a LOG it gives unit and sensitivity.")
 @click.option("--address", help="Its address, to record it now instead of reading a LOG.")

@@ -27,6 +27,44 @@ BASE = (
 )
 
 
+HEADINGS = {
+    "Sensor": "--sensor --address --serial --bench --calibration --base --unit",
+    "Data": "--columns --pair --orthogonal --phase --skip-bad-rows",
+    "Result": "--output --golden --limit --to --name --fixed --allow --figure --interval",
+    "Positions": "--operator --procedure --tilt --samples --settle --closing --turns --resume --journal --plain",
+    "Recording": "--rate --rows --for",
+    "Known of the bench": "--jig --thermometer --noise --table-lean --heading-uncertainty --alignment "
+    "--typical-temperature",
+    "Averages": "--target --target-range --averages",
+    "Method": "--online --loops",
+}
+"""The headings of a long help, and their options, the most used first; all others are under "Other"."""
+
+SHORT = 7
+"""Most options that are listed without headings."""
+
+
+class Command(click.Command):
+    """A command whose options are listed below headings: those of their declaration, else the most used first."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        options = {max(one.opts, key=len): one for one in self.get_params(ctx) if isinstance(one, click.Option)}
+        headings = {name: heading for heading, names in HEADINGS.items() for name in names.split()}
+        if len(options) <= SHORT or any(isinstance(one, Declared) for one in options.values()):
+            headings = {name: getattr(one, "group", "") or "Options" for name, one in options.items()}
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for name in dict.fromkeys((*headings, *options)):
+            if name in options and (record := options[name].get_help_record(ctx)) is not None:
+                sections.setdefault(headings.get(name, "Other"), []).append(record)
+        for heading, records in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
+
+
+command = partial(click.command, cls=Command)
+"""Make a command of a function."""
+
+
 class NumberFromZero(click.FloatRange):
     """A number from 0, or above it; the library refuses what is none in the same words."""
 
@@ -96,19 +134,6 @@ def declared(declaration: type) -> Callable[[F], F]:
         return command
 
     return with_options
-
-
-class GroupedCommand(click.Command):
-    """A command whose help lists its options by group."""
-
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        groups: dict[str, list[tuple[str, str]]] = {}
-        for option in self.get_params(ctx):
-            if isinstance(option, click.Option) and (record := option.get_help_record(ctx)) is not None:
-                groups.setdefault(getattr(option, "group", ""), []).append(record)
-        for heading, records in groups.items():
-            with formatter.section(heading or "Options"):
-                formatter.write_dl(records)
 
 
 file_option = partial(click.option, type=FILE)

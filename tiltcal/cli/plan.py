@@ -9,7 +9,7 @@ import click
 from tiltcal.cli import options
 
 
-@click.command(epilog="Example: tiltcal plan cross-axis --sensor sca100t-d02 --jig 0.05")
+@options.command(epilog="Example: tiltcal plan cross-axis --sensor sca100t-d02 --jig 0.05")
 @click.argument("procedure")
 @click.option("--sensor", metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them [that of --base].")
 @options.file_option(

@@ -12,7 +12,7 @@ from tiltcal.drivers.model import SelfTesting
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 
 
-@click.command(epilog="Example: tiltcal probe --sensor sca100t-d02 --address spi:///dev/spidev0.0 --self-test")
+@options.command(epilog="Example: tiltcal probe --sensor sca100t-d02 --address spi:///dev/spidev0.0 --self-test")
 @click.option("--sensor", required=True, metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
 @click.option(
     "--address", required=True, help="Its address, such as spi:///dev/spidev0.0, or sim: for its virtual twin."

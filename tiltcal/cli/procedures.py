@@ -12,7 +12,7 @@ from tiltcal.files.procedure_file import find_procedure, shipped_procedures
 from tiltcal.files.rotation import Rotation
 
 
-@click.command(
+@options.command(
     epilog="Example: tiltcal procedures plane --source > mine.yaml; edit it; run it: tiltcal measure ./mine.yaml ..."
 )
 @click.argument("procedure", required=False)

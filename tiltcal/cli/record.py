@@ -24,7 +24,7 @@ SHOWN_EVERY = 0.25
 """Period of the progress line, s."""
 
 
-@click.command(epilog="Example: tiltcal record --bench bench.yaml --rate 10 -o night.csv")
+@options.command(epilog="Example: tiltcal record --bench bench.yaml --rate 10 -o night.csv")
 @options.file_option("--bench", metavar="FILE", help="Record the sensors of a bench file.")
 @click.option("--sensor", metavar="MODEL", help="The model of a single sensor.")
 @click.option("--address", help="Its address.")

@@ -19,7 +19,7 @@ from tiltcal.files.atomic import require_apart, whole_file, write_whole
 from tiltcal.files.journal import read_journal
 
 
-@click.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")
+@options.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")
 @click.argument("journal", type=click.Path(path_type=Path))
 @options.file_option(
     "-o", "--output", help="The calibration file to write [standard output]; for several sensors a folder."

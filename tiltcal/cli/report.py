@@ -28,7 +28,7 @@ Examples:
 """
 
 
-@click.command(epilog=_EXAMPLES)
+@options.command(epilog=_EXAMPLES)
 @click.argument("files", nargs=-1, required=True, metavar="CAL.yaml [LOG]...")
 @options.file_option("-o", "--output", required=True, metavar="REPORT.html", help="The page to write.")
 @click.option(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tiltcal.files.procedure import Procedure
 
 
-@click.command(epilog="Example: tiltcal verify S-0042.yaml --address spi:///dev/spidev0.0 --limit 0.3")
+@options.command(epilog="Example: tiltcal verify S-0042.yaml --address spi:///dev/spidev0.0 --limit 0.3")
 @click.argument("calibration", type=click.Path(path_type=Path))
 @click.option("--address", help="The address of the sensor, or sim: for its virtual twin.")
 @click.option(

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import nan, pi
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tiltcal.core.compensation import Compensated, Compensation
-from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap
-from tiltcal.core.uncertainty_inputs import UncertaintyInputs
+from tiltcal.core.uncertain import TURN, Uncertain
 from tiltcal.core.uncertainty_propagation import Propagation
 
 _ATTITUDES, _ROUNDING = 9, 1e-9  # values of g_x and of g_y at which the length of gravity is tried; g
@@ -48,9 +47,9 @@ class CompensationWithUncertainty:
     argument of an arcsine is so far beyond ±1 that its interval does not reach back.
     """
 
-    def __init__(self, compensation: Compensation, coefficients: Coefficients, inputs: UncertaintyInputs) -> None:
+    def __init__(self, compensation: Compensation, coefficients: Coefficients, uncertain: Uncertain) -> None:
         self._compensation = compensation
-        self.propagation = Propagation(compensation, coefficients, inputs)
+        self.propagation = Propagation(compensation, coefficients, uncertain)
         self._angles = compensation.angles
 
     @property
@@ -69,14 +68,13 @@ class CompensationWithUncertainty:
         return AngleUncertainty(compensated, standard.T, expanded.T)
 
 
-def length_half_width(coefficients: Coefficients, limits: Limits, inputs: UncertaintyInputs) -> float:
+def length_half_width(coefficients: Coefficients, limits: Limits, uncertain: Uncertain) -> float:
     """Return half of the widest 95 % interval of the length of gravity of three axes over the calibrated range, g.
 
     It is that of the coefficients and of a single reading; 0 where no attitude was covered.
     """
-    inputs = inputs.without_turn  # a turn changes no length
-    wide = inputs.factors / NORMAL_FACTOR
-    inputs = replace(inputs, covariance=inputs.covariance * np.outer(wide, wide), factors=inputs.factors / wide)
+    uncertain = uncertain.without(TURN)  # a turn changes no length
+    uncertain = Uncertain.errors(uncertain.names, uncertain.widened)
     ends = (limits.tilt.get(axis, (-pi / 2, pi / 2)) for axis in AXES)
     x, y, z = (np.sin(np.linspace(low, high, _ATTITUDES)) for low, high in ends)
     g_x, g_y, side = np.meshgrid(x, y, np.array([1.0, -1.0]))
@@ -89,6 +87,6 @@ def length_half_width(coefficients: Coefficients, limits: Limits, inputs: Uncert
     temperatures = (nan,) if thermal is None else (thermal.reference, *(covered or ()))
     gravity, temperature = np.tile(gravity, (len(temperatures), 1)), np.repeat(temperatures, len(gravity))
     compensation, out = Compensation(coefficients), Compensated.empty(len(gravity), 3)
-    propagation = Propagation(compensation, coefficients, inputs)
+    propagation = Propagation(compensation, coefficients, uncertain)
     chunks = compensation.chunks(coefficients.predict(gravity, temperature), temperature, out)
     return max((float(propagation.length_half_width(chunk).max()) for chunk in chunks), default=0.0)

@@ -14,25 +14,13 @@ from math import asin, hypot, nan, pi, sin
 
 from tiltcal.errors import EstimateError
 
+# Cross-axis Compensation
+
 
 def sensitivity_from_pair(reading_tilt1: float, reading_tilt2: float, tilt1: float, tilt2: float) -> float:
-    """Sensitivity along the axis that is tilted up in one position and down in the other.
+    """Eq. 2: sensitivity along an axis that is tilted up, then down, from the magnitudes of both tilts.
 
-    Parameters
-    ----------
-    reading_tilt1, reading_tilt2 : float
-        With the axis tilted up, and down.
-    tilt1, tilt2 : float
-        How far it is tilted in each position, both as magnitudes.
-
-    Raises
-    ------
-    EstimateError
-        A magnitude outside 0 to 90°, or both zero.
-
-    Notes
-    -----
-    Cross-axis Compensation, eq. 2: ``S = (u_tilt1 - u_tilt2) / (sin tilt1 + sin tilt2)``.
+    ``S = (u_tilt1 - u_tilt2) / (sin tilt1 + sin tilt2)``; an EstimateError for a magnitude outside 0 to 90°, or both 0.
     """
     return (reading_tilt1 - reading_tilt2) / _span(tilt1, tilt2)
 
@@ -40,13 +28,6 @@ def sensitivity_from_pair(reading_tilt1: float, reading_tilt2: float, tilt1: flo
 def offset_from_pair(reading_tilt1: float, reading_tilt2: float, tilt1: float, tilt2: float) -> float:
     """Reading at 0 g that goes with :func:`sensitivity_from_pair`, of the same arguments (or, at ±90°, with eq. 3).
 
-    Raises
-    ------
-    EstimateError
-        A magnitude outside 0 to 90°, or both zero.
-
-    Notes
-    -----
     The document leaves the offset to the reader: it is what remains when the sensitivity of eq. 2 is put back into
     ``u = offset + S sin tilt`` at either position. With equal tilts it is the mean of the two readings.
     """
@@ -54,33 +35,15 @@ def offset_from_pair(reading_tilt1: float, reading_tilt2: float, tilt1: float, t
 
 
 def sensitivity_from_upright_pair(reading_up: float, reading_down: float) -> float:
-    """Sensitivity along an axis that points straight up (+90°), then straight down (-90°).
-
-    Notes
-    -----
-    Cross-axis Compensation, eq. 3: ``S = (u_tilt1 - u_tilt2) / 2 g``.
-    """
+    """Eq. 3: sensitivity along an axis that points straight up, then straight down, ``(u_tilt1 - u_tilt2) / 2 g``."""
     return (reading_up - reading_down) / 2.0
 
 
 def cross_axis_sensitivity(own: float, cross_1: float, cross_2: float) -> float:
-    """Cross-axis sensitivity of one channel, percent; negative where ``own`` is.
+    """Eq. 1: cross-axis sensitivity of one channel, percent, ``sqrt(S_Y² + S_Z²) / S_X * 100 %``.
 
-    Parameters
-    ----------
-    own : float
-        Sensitivity in the measuring direction.
-    cross_1, cross_2 : float
-        Sensitivities of the same channel in the two perpendicular directions.
-
-    Raises
-    ------
-    EstimateError
-        ``own`` is zero.
-
-    Notes
-    -----
-    Cross-axis Compensation, eq. 1: ``CrSens = sqrt(S_Y² + S_Z²) / S_X * 100 %``.
+    From the sensitivities in the measuring direction and in the two perpendicular ones; negative where ``own`` is, and
+    an EstimateError where that is zero.
     """
     if own == 0.0:
         raise EstimateError("a sensitivity of 0 in the measuring direction has no cross-axis ratio: is the axis wired?")
@@ -88,28 +51,17 @@ def cross_axis_sensitivity(own: float, cross_1: float, cross_2: float) -> float:
 
 
 def tilt_from_channel(reading: float, offset: float, sensitivity: float) -> float:
-    """Tilt of the axis that one channel measures; NaN where the argument of the arcsine is beyond ±1.
-
-    Notes
-    -----
-    Cross-axis Compensation, eq. 4: ``tilt = asin((u - offset) / S)``.
-    """
+    """Eq. 4: tilt of the axis that one channel measures, ``asin((u - offset) / S)``; NaN beyond ±1."""
     return _trapped_arcsine((reading - offset) / sensitivity)
 
 
 def first_order_compensation(
     reading_x: float, reading_y: float, offset_y: float, sensitivity_xy: float, sensitivity_yy: float
 ) -> float:
-    """Reading of channel X freed from what the Y axis couples into it, to first order.
+    """Eq. 6 with a MINUS: ``u_X - S_XY (u_Y - offset_Y) / S_YY``, X freed from what the Y axis couples into it.
 
-    Parameters
-    ----------
-    sensitivity_xy, sensitivity_yy : float
-        Of channel X and of channel Y along the Y axis, from :func:`sensitivity_from_pair` in the same two positions.
-
-    Notes
-    -----
-    Cross-axis Compensation, eq. 6, with a MINUS: ``u_X - S_XY (u_Y - offset_Y) / S_YY``.
+    Both sensitivities, of channel X and of channel Y along the Y axis, are from :func:`sensitivity_from_pair` in the
+    same two positions.
 
     The document prints a plus, and the plus is wrong. The channel reads ``offset_X + S_XX g_x + S_XY g_y``, and
     ``(u_Y - offset_Y) / S_YY`` is g_y, so the coupled part is there once and must be taken away. No convention for
@@ -121,36 +73,17 @@ def first_order_compensation(
 
 
 def first_order_compensation_from_tilt(reading_x: float, tilt_y: float, sensitivity_xy: float) -> float:
-    """:func:`first_order_compensation` where the tilt of Y is known already.
-
-    Parameters
-    ----------
-    tilt_y : float
-        From :func:`tilt_from_channel`.
-
-    Notes
-    -----
-    Cross-axis Compensation, eq. 5, with a MINUS as in eq. 6: ``u_X - S_XY sin(tilt_Y)``.
-    """
+    """Eq. 5 with a MINUS as in eq. 6: ``u_X - S_XY sin(tilt_Y)``, where the tilt of Y is known already."""
     return reading_x - sensitivity_xy * sin(tilt_y)
 
 
+# A Solid State Tilt Meter
+
+
 def scale_from_tilt(reading_tilted: float, reading_level: float, tilt: float) -> float:
-    """Scale factor from level and one tilt of about 45°.
+    """Section A: scale factor from level and one tilt of about 45°, the angle actually set, with its sign.
 
-    Parameters
-    ----------
-    tilt : float
-        The angle actually set, with its sign.
-
-    Raises
-    ------
-    EstimateError
-        The angle is zero.
-
-    Notes
-    -----
-    A Solid State Tilt Meter, section A: the difference is divided by the sine of the tilt angle.
+    An EstimateError where the angle is zero.
     """
     if sin(tilt) == 0.0:
         raise EstimateError("two level positions cannot determine a scale factor: tilt the second one, to about 45°")
@@ -160,16 +93,9 @@ def scale_from_tilt(reading_tilted: float, reading_level: float, tilt: float) ->
 def tempco_from_two_temperatures(
     reading_1: float, reading_2: float, temperature_1: float, temperature_2: float
 ) -> float:
-    """Temperature coefficient of the zero offset from level readings at two temperatures.
+    """Section C: temperature coefficient of the offset from level readings at two temperatures, such as 24 and 5.5 °C.
 
-    Raises
-    ------
-    EstimateError
-        The temperatures are equal.
-
-    Notes
-    -----
-    A Solid State Tilt Meter, section C: a linear fit to two points, typically 24 °C and 5.5 °C.
+    An EstimateError where the temperatures are equal.
     """
     if temperature_1 == temperature_2:
         raise EstimateError(
@@ -179,33 +105,16 @@ def tempco_from_two_temperatures(
 
 
 def referenced_reading(reading: float, temperature: float, tempco: float, reference: float = 0.0) -> float:
-    """Return what a reading would be at the reference temperature.
-
-    Notes
-    -----
-    A Solid State Tilt Meter, section C, whose reference is 0 °C.
-    """
+    """Section C: what a reading would be at the reference temperature, 0 °C in the paper."""
     return reading - tempco * (temperature - reference)
 
 
 def referenced_tilt(
     reading: float, temperature: float, offset: float, scale: float, tempco: float, reference: float = 0.0
 ) -> float:
-    """Tilt of one axis from the paper's coefficients: two per axis, four per sensor, and the offset at level.
+    """Section C: tilt of one axis from the reading at the reference temperature, its offset there, its scale factor.
 
-    NaN where the argument of the arcsine is beyond ±1.
-
-    Parameters
-    ----------
-    offset : float
-        Reading at level, itself referenced to the reference temperature.
-    scale, tempco : float
-        From :func:`scale_from_tilt` and :func:`tempco_from_two_temperatures`.
-
-    Notes
-    -----
-    A Solid State Tilt Meter, section C: the reading is referenced to 0 °C, the offset is subtracted, the scale factor
-    applied and the arcsine run. Its section A asks that the arcsine be trapped near 90°.
+    NaN where the argument of the arcsine is beyond ±1: section A asks that it be trapped near 90°.
     """
     return _trapped_arcsine((referenced_reading(reading, temperature, tempco, reference) - offset) / scale)
 

@@ -1,140 +1,31 @@
-"""Coefficients by their dotted names: how well each is known, and how it changed between two calibrations."""
+"""Coefficients by their dotted names, and the same coefficients at another reference temperature."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from math import inf, sqrt
+from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.core.coverage_factor import NORMAL_FACTOR, degrees_of_freedom, welch_satterthwaite
 from tiltcal.core.model import Array, Coefficients, polynomial, vector_of, with_vector
-from tiltcal.core.uncertainty_budget import Budget, propagated
+from tiltcal.core.uncertain import TURN, Uncertain, central_differences
 
-ROUNDED = 1e-3
-"""The share of an uncertainty that remains of a difference although both errors are one: files round their numbers."""
-
-
-@dataclass(frozen=True)
-class KnownCoefficient:
-    """The standard uncertainty of a coefficient.
-
-    Attributes
-    ----------
-    u : float
-        In the unit of the coefficient.
-    dof : float
-        Its effective degrees of freedom; infinite where it was not estimated from a scatter.
-    """
-
-    u: float
-    dof: float = inf
+_STEP = 1e-4
+"""Of an uncertainty, by which its coefficient is moved to see how others follow."""
 
 
-@dataclass(frozen=True)
-class CoefficientChange:
-    """The change of one coefficient between two calibrations.
-
-    Attributes
-    ----------
-    name : str
-        Dotted, such as ``sensitivity.x.y``.
-    u : float or None
-        Standard uncertainty of the difference; None where one of the files states none.
-    dof : float
-        Its effective degrees of freedom.
-    """
-
-    name: str
-    before: float
-    after: float
-    u: float | None
-    dof: float = inf
-
-    @property
-    def difference(self) -> float:
-        """After minus before."""
-        return self.after - self.before
-
-    @property
-    def ratio(self) -> float | None:
-        """The difference over its standard uncertainty; None where that is not known, or zero."""
-        return abs(self.difference) / self.u if self.u else None
-
-    @property
-    def is_unjudged(self) -> bool:
-        """Whether it differs, by more than arithmetic makes, and has no uncertainty."""
-        return not self.u and abs(self.difference) > 1e-9 * max(abs(self.before), abs(self.after))
-
-    def threshold(self, confidence: float) -> float:
-        """Return the number of standard uncertainties that the difference of an unchanged coefficient stays within."""
-        upper = (1.0 + confidence) / 2.0
-        if self.dof == inf:
-            from statistics import NormalDist
-
-            return NormalDist().inv_cdf(upper)
-        from scipy.special import stdtrit
-
-        return float(stdtrit(self.dof, upper))
-
-
-@dataclass(frozen=True)
-class DeterminedCoefficients:
-    """Coefficients that data determine, with their uncertainty.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Those that are uncertain, in the order of ``covariance``.
-    budget : Budget
-        Their covariance, its sources, and degrees of freedom of each.
-    """
-
-    coefficients: Coefficients
-    names: tuple[str, ...]
-    budget: Budget
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the uncertain coefficients, shape (k, k)."""
-        return self.budget.covariance
-
-    def uncertainty(self) -> dict[str, float]:
-        """Return the standard uncertainty of each by its dotted name."""
-        return dict(zip(self.names, self.budget.u.tolist(), strict=True))
-
-    def coverage_factors(self) -> dict[str, float]:
-        """Return the coverage factor of each one's 95 % interval by its dotted name."""
-        return dict(zip(self.names, self.budget.factors.tolist(), strict=True))
-
-
-def known(
-    coefficients: Coefficients, names: Sequence[str], covariance: Array, factors: Array, reference: float | None = None
-) -> dict[str, KnownCoefficient]:
-    """Return the standard uncertainty of each uncertain coefficient, at another reference temperature if one is given.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of the uncertain coefficients.
-    covariance : ndarray, shape (k, k)
-    factors : ndarray, shape (k,)
-        Of each standard uncertainty for an interval of 95 %: the degrees of freedom follow from Student's t.
-    reference : float, optional
-        °C; None for the coefficients' own.
-    """
-
-    def numbers(vector: Array) -> Array:
-        moved = with_vector(coefficients, names, vector)
-        return np.array(list(values(referred(moved, reference)).values()))
-
-    u, wide = propagated(numbers, vector_of(coefficients, names), covariance, np.maximum(factors, NORMAL_FACTOR))
-    return {
-        name: KnownCoefficient(own, dof)
-        for name, own, dof in zip(values(coefficients), u.tolist(), degrees_of_freedom(wide).tolist(), strict=True)
-        if own > 0.0
-    }
+def values(coefficients: Coefficients) -> dict[str, float]:
+    """Return every coefficient by its dotted name."""
+    named = {f"offset.{c}": float(v) for c, v in zip(coefficients.channels, coefficients.offset, strict=True)}
+    for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
+        named |= {f"sensitivity.{channel}.{axis}": float(v) for axis, v in zip(coefficients.axes, row, strict=True)}
+    if coefficients.thermal is not None:
+        for what, table in (("offset", coefficients.thermal.drift), ("sensitivity", coefficients.thermal.gain)):
+            for channel, row in zip(coefficients.channels, table, strict=True):
+                named |= {f"temperature.{what}.{channel}.{k}": float(v) for k, v in enumerate(row, start=1)}
+    if coefficients.nonlinearity is not None:
+        for channel, row in zip(coefficients.channels, coefficients.nonlinearity, strict=True):
+            named |= {f"nonlinearity.{channel}.{k}": float(v) for k, v in enumerate(row, start=2)}
+    return named
 
 
 def referred(coefficients: Coefficients, reference: float | None) -> Coefficients:
@@ -172,61 +63,27 @@ def referred(coefficients: Coefficients, reference: float | None) -> Coefficient
     )
 
 
-def changes(
-    before: Coefficients,
-    after: Coefficients,
-    known_before: Mapping[str, KnownCoefficient],
-    known_after: Mapping[str, KnownCoefficient],
-    common: Mapping[str, float] | None = None,
-) -> list[CoefficientChange]:
-    """Return the change of each coefficient that both have, at the later one's reference temperature.
+def uncertain_at(coefficients: Coefficients, uncertain: Uncertain, reference: float | None) -> Uncertain:
+    """Return the errors of coefficients at another reference temperature, °C, from those at their own.
 
-    Parameters
-    ----------
-    known_before, known_after : mapping of str to KnownCoefficient
-        By dotted name, at the later one's reference temperature; a name that is missing is not known.
-    common : mapping of str to float
-        Covariance of the errors of both, by dotted name; a name that is missing has none.
+    A turn of the mounting stays as it is; a coefficient that has become certain is left out.
     """
-    before = referred(before, None if after.thermal is None else after.thermal.reference)
-    old, new, common = values(before), values(after), common or {}
-    return [
-        CoefficientChange(
-            name,
-            old[name],
-            new[name],
-            *difference_of(known_before.get(name), known_after.get(name), common.get(name, 0.0)),
-        )
-        for name in new
-        if name in old
-    ]
+    thermal = coefficients.thermal
+    if thermal is None or reference is None or thermal.reference == reference:
+        return uncertain
+    own, turns = uncertain.without(TURN), [name for name in uncertain.names if name.startswith(TURN)]
+    names = list(values(coefficients))
 
+    def at(vector: Array) -> Array:
+        return vector_of(referred(with_vector(coefficients, own.names, vector), reference), names)
 
-def difference_of(
-    before: KnownCoefficient | None, after: KnownCoefficient | None, common: float = 0.0
-) -> tuple[float | None, float]:
-    """Return the standard uncertainty of a difference and its degrees of freedom (GUM, eq. G.2b)."""
-    if before is None or after is None:
-        return None, inf
-    total = before.u**2 + after.u**2
-    total = max(total - 2.0 * common, ROUNDED**2 * total)
-    parts = [(np.array([value.u**2]), value.dof) for value in (before, after)]
-    return sqrt(total), float(welch_satterthwaite(np.array([total]), parts)[0])
-
-
-def values(coefficients: Coefficients) -> dict[str, float]:
-    """Return every coefficient by its dotted name."""
-    named = {f"offset.{c}": float(v) for c, v in zip(coefficients.channels, coefficients.offset, strict=True)}
-    for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
-        named |= {f"sensitivity.{channel}.{axis}": float(v) for axis, v in zip(coefficients.axes, row, strict=True)}
-    if coefficients.thermal is not None:
-        for what, table in (("offset", coefficients.thermal.drift), ("sensitivity", coefficients.thermal.gain)):
-            for channel, row in zip(coefficients.channels, table, strict=True):
-                named |= {f"temperature.{what}.{channel}.{k}": float(v) for k, v in enumerate(row, start=1)}
-    if coefficients.nonlinearity is not None:
-        for channel, row in zip(coefficients.channels, coefficients.nonlinearity, strict=True):
-            named |= {f"nonlinearity.{channel}.{k}": float(v) for k, v in enumerate(row, start=2)}
-    return named
+    jacobian = np.zeros((len(names) + len(turns), len(uncertain.names)))
+    places = [uncertain.names.index(name) for name in own.names]
+    jacobian[: len(names), places] = central_differences(at, vector_of(coefficients, own.names), _STEP * own.u)
+    for row, name in enumerate(turns, start=len(names)):
+        jacobian[row, uncertain.names.index(name)] = 1.0
+    moved = uncertain.through(jacobian, (*names, *turns))
+    return moved.chosen(np.flatnonzero(moved.u > 0.0))
 
 
 def _shifted(table: Array, shift: float) -> Array:

@@ -23,10 +23,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.coverage_factor import COVERAGE
 from tiltcal.core.model import Array
 from tiltcal.core.quantisation import StepFinder
 from tiltcal.core.samples import rounding_uncertainty
+from tiltcal.core.uncertain import COVERAGE
 from tiltcal.errors import EstimateError
 
 Kind = Literal["white", "flicker", "walk"]

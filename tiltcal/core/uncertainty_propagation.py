@@ -24,13 +24,21 @@ from math import pi, sqrt
 import numpy as np
 
 from tiltcal.core.compensation import Compensation, KernelChunk
-from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor, degrees_of_freedom, welch_satterthwaite
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.mounting_angles import UNKNOWN_ANGLE
 from tiltcal.core.tilt_angles import DIRECTIONS
+from tiltcal.core.uncertain import (
+    ALIGNMENT,
+    NORMAL_FACTOR,
+    READING,
+    TURN,
+    Uncertain,
+    coverage_factor,
+    degrees_of_freedom,
+    welch_satterthwaite,
+)
 from tiltcal.core.uncertainty_columns import round_up
-from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
 from tiltcal.errors import EstimateError
 
 HALF_TURN = pi
@@ -77,31 +85,33 @@ class _Errors:
 class Propagation:
     """The propagation from rows on their way through the kernel to the uncertainty of their angles."""
 
-    def __init__(self, compensation: Compensation, coefficients: Coefficients, inputs: UncertaintyInputs) -> None:
-        self._compensation, self._inputs = compensation, inputs
+    def __init__(self, compensation: Compensation, coefficients: Coefficients, uncertain: Uncertain) -> None:
+        self._compensation = compensation
         self._angles, self._channels = len(compensation.angles), len(coefficients.models)
         self._coupling = compensation.coupling
         self._rotation = np.eye(3) if compensation.rotation is None else compensation.rotation
         self._sees_all = len(compensation.axes) == 3
-        self._rotated = any(name.startswith(TURN) for name in inputs.names)
+        alone = uncertain.by_name(uncertain.u)
+        self._readings = np.array([alone.get(READING + channel, 0.0) for channel in coefficients.channels])
+        self._thermometer, self._alignment = alone.get(f"{READING}temperature", 0.0), alone.get(ALIGNMENT, 0.0)
+        known = uncertain.without(READING, ALIGNMENT)
+        self._rotated = any(name.startswith(TURN) for name in known.names)
         if self._rotated and compensation.axes not in (("x", "y"), AXES):
             raise EstimateError("a mounting that is uncertain takes a sensor that measures at least x and y")
         self._models, self._vectors, self._thermal = coefficients.models, coefficients.vectors, coefficients.thermal
-        parts = [[name for name in model.coefficients if name in inputs.names] for model in self._models]
+        parts = [[name for name in model.coefficients if name in known.names] for model in self._models]
         parts += [[TURN + axis] for axis in AXES] if self._rotated else []
-        for name in set(inputs.names).difference(*parts):
+        for name in set(known.names).difference(*parts):
             raise EstimateError(f"the calibration has no coefficient {name!r}")
         self._columns = [
             [model.coefficients.index(name) for name in names]
             for model, names in zip(self._models, parts, strict=False)
         ]
-        order = [inputs.names.index(name) for names in parts for name in names]
+        known = known.named([name for names in parts for name in names])
         ends = np.cumsum([0, *(len(names) for names in parts)])
         self._parts = [slice(start, end) for start, end in pairwise(ends)]
-        self._covariance = inputs.covariance[np.ix_(order, order)]
-        widening = inputs.factors[order] / NORMAL_FACTOR
-        widened = self._covariance * np.outer(widening, widening)
-        self._single, self._of_means = (self._largest_factor(widened, share) for share in (1.0, 0.0))
+        self._covariance = known.covariance
+        self._single, self._of_means = (self._largest_factor(known.widened, share) for share in (1.0, 0.0))
 
     def __call__(self, chunk: KernelChunk, out: Array | None = None, *, rounded: bool = True) -> Array:
         """Return standard and expanded uncertainty of every angle, rounded up or not, shape (2, angles, n), degrees."""
@@ -193,12 +203,11 @@ class Propagation:
 
     def _stated(self, by_reading: Array, by_temperature: Array, share: Array | float) -> dict[tuple[int, int], Array]:
         """Return the covariances of the signals by the noise of readings and the thermometer."""
-        noise = self._inputs.readings
-        stated = {(a, a): (u * by_reading[a]) ** 2 * share for a, u in enumerate(noise)}
-        if self._inputs.temperature:
+        stated = {(a, a): (u * by_reading[a]) ** 2 * share for a, u in enumerate(self._readings)}
+        if self._thermometer:
             for b in range(self._channels):
                 for a in range(b + 1):
-                    warm = by_temperature[a] * by_temperature[b] * self._inputs.temperature**2
+                    warm = by_temperature[a] * by_temperature[b] * self._thermometer**2
                     stated[a, b] = stated.get((a, b), 0.0) + warm
         return stated
 
@@ -245,7 +254,7 @@ class Propagation:
 
     def _of_alignment(self, chunk: KernelChunk, by_measured: Array) -> Array | float:
         """Return the variance of a turn θ of the sensor since it was level: θ × (g - z), alike about every axis."""
-        if not self._inputs.alignment:
+        if not self._alignment:
             return 0.0
         axes, gravity = self._compensation.axes, self._compensation.sensed(chunk)
         if len(axes) == 1:  # the rest of gravity lies along an axis that the sensor does not see
@@ -255,7 +264,7 @@ class Propagation:
         by_gravity[[AXES.index(axis) for axis in axes]] = by_measured
         if len(axes) == 2:
             by_gravity[2] += self._coupling @ by_measured
-        turned = self._inputs.alignment * np.cross(moved, by_gravity, axis=0)
+        turned = self._alignment * np.cross(moved, by_gravity, axis=0)
         return np.asarray(np.einsum("in,in->n", turned, turned))
 
     def _by_turn(self, up: Array, by_up: Array) -> Array | None:

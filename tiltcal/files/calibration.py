@@ -6,20 +6,16 @@ positions, provenance) are records for people and later questions. Every key and
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, radians
+from math import radians
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from msgspec import Meta
 
-from tiltcal.core.model import AXES, Array, Coefficients, Limits
-from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.mounting_rotation import rotation_vector
-from tiltcal.core.named_coefficients import CoefficientChange, changes, difference_of, referred, values
-from tiltcal.core.uncertainty_inputs import TURN
+from tiltcal.core.model import Coefficients, Limits
+from tiltcal.core.named_coefficients import values
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import CoefficientsSection, coefficients_of, coefficients_section, in_degrees
 from tiltcal.files.document import Document, read_document
@@ -29,14 +25,9 @@ from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, Proc
 from tiltcal.files.uncertainty import (
     Uncertainty,
     UncertaintySection,
-    known_coefficients,
-    known_turns,
     uncertainty_of,
     uncertainty_section,
 )
-
-UNDETERMINED = 1e-3
-"""The positions do not determine a coefficient whose uncertainty is its prior's within this share."""
 
 UNKNOWN_MODEL = "recorded"
 """The model in a file of `fit`, where the user named none."""
@@ -217,55 +208,3 @@ def _comments(unit: str) -> dict[str, str]:
         "uncertainty": "standard uncertainty, k = 1",
         "limits": "the ranges that were covered, degrees and °C",
     }
-
-
-def changes_between(
-    before: CalibrationRecord, after: CalibrationRecord, reference: float | None
-) -> list[CoefficientChange]:
-    """Return the change of every coefficient between two calibrations at a temperature, °C, where they have drifts."""
-    old, new = (referred(record.coefficients, reference) for record in (before, after))
-    earlier, later = (
-        known_coefficients(record.uncertainty, record.coefficients, reference) for record in (before, after)
-    )
-    common: dict[str, float] = {}
-    if before.fit.priors == after.fit.priors:
-        first, last = responses_to_priors(before), responses_to_priors(after)
-        common = {name: float(first[name] @ last[name]) for name in first if name in last}
-    found = changes(old, new, earlier, later, common)
-    return [*found, *_change_of_lag(before, after), *_turns_between(before, after)]
-
-
-def responses_to_priors(record: CalibrationRecord) -> dict[str, Array]:
-    """Return by how much each coefficient follows each of the data sheet's priors, over that one's uncertainty.
-
-    The sums of products of two files are the covariance of their errors: a prior errs alike in all files of a sensor.
-    One that the positions determine in part counts as determined by them.
-    """
-    covariance, priors = record.uncertainty.covariance, record.fit.priors
-    if covariance is None or not set(priors) <= set(covariance.parameters):
-        return {}
-    places, u = [covariance.parameters.index(name) for name in priors], np.array(list(priors.values()))
-    matrix = covariance.as_array()
-    undetermined = np.isclose(np.sqrt(np.diag(matrix))[places], u, rtol=UNDETERMINED)
-    return dict(zip(covariance.parameters, matrix[:, places] / u * undetermined, strict=True))
-
-
-def _change_of_lag(before: CalibrationRecord, after: CalibrationRecord) -> Iterator[CoefficientChange]:
-    """Yield the change of a thermal lag that both have."""
-    thermals = [record.coefficients.thermal for record in (before, after)]
-    first, last = (0.0 if thermal is None else thermal.lag for thermal in thermals)
-    if first and last:
-        u = [record.uncertainty.get("temperature.lag", 0.0) for record in (before, after)]
-        yield CoefficientChange("temperature.lag", first, last, hypot(*u) if all(u) else None)
-
-
-def _turns_between(before: CalibrationRecord, after: CalibrationRecord) -> Iterator[CoefficientChange]:
-    """Yield the turn from one mounting to another about each axis of the application, degrees."""
-    first, last = (record.coefficients.mounting for record in (before, after))
-    if first is None or last is None or first == last:
-        return
-    turn = rotation_vector(mounting_matrix(last) @ mounting_matrix(first).T)
-    stated = [known_turns(record.uncertainty, record.coefficients) for record in (before, after)]
-    for axis, angle in zip(AXES, np.degrees(turn).tolist(), strict=True):
-        name = f"{TURN}{axis}"
-        yield CoefficientChange(name, 0.0, angle, *difference_of(stated[0].get(name), stated[1].get(name)))

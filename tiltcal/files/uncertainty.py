@@ -1,4 +1,4 @@
-"""The ``uncertainty`` section of a calibration file: its reader, its writer, and the inputs of the angles' uncertainty.
+"""The ``uncertainty`` section of a calibration file: its reader, its writer, and the quantities that it states.
 
 Standard uncertainties (k = 1) in the shape of the ``calibration`` section, for people; their covariance
 (``covariance``) and what each is multiplied with for an interval of 95 % (``coverage_factor``), by the coefficients'
@@ -17,11 +17,10 @@ import numpy as np
 from msgspec import Meta
 
 from tiltcal.core.compensation import LENGTH_TOLERANCE
-from tiltcal.core.coverage_factor import NORMAL_FACTOR, degrees_of_freedom
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.named_coefficients import KnownCoefficient, known, values
-from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs, is_turn, with_turns_scaled
+from tiltcal.core.named_coefficients import values
+from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, Uncertain, degrees_of_freedom
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.document import Document
@@ -58,7 +57,7 @@ class Covariance(Record, kw_only=True):
 
     def without_turn(self) -> Covariance:
         """Return the covariance of all but the turn of the mounting."""
-        kept = np.flatnonzero(~is_turn(self.parameters)).tolist()
+        kept = [k for k, name in enumerate(self.parameters) if not name.startswith(TURN)]
         matrix = self.as_array()[np.ix_(kept, kept)]
         return Covariance(parameters=tuple(self.parameters[k] for k in kept), matrix=tuple(map(tuple, matrix.tolist())))
 
@@ -96,14 +95,6 @@ class Uncertainty(Mapping[str, float]):
         )
         covariance = None if self.covariance is None else self.covariance.without_turn()
         return replace(self, standard=standard, coverage_factor=factors, covariance=covariance)
-
-
-@dataclass(frozen=True)
-class StatedUncertainty:
-    """The uncertainty that a file states, as the inputs of an angle's uncertainty, and remarks on what it assumes."""
-
-    inputs: UncertaintyInputs
-    remarks: tuple[str, ...]
 
 
 class ThermalUncertainty(Record, kw_only=True):
@@ -224,14 +215,15 @@ def uncertainty_section(uncertainty: Uncertainty) -> UncertaintySection:
 
 def stated_uncertainty(
     uncertainty: Uncertainty, coefficients: Coefficients, *, reading_noise: float | None = None
-) -> StatedUncertainty:
-    """Return the inputs for the uncertainty of angles; ``reading_noise`` (unit) replaces that of a reading of the file.
+) -> tuple[Uncertain, tuple[str, ...]]:
+    """Return what an angle is uncertain by, and remarks on what is assumed.
 
-    Without a covariance the coefficients count as uncorrelated; what is not stated counts as exact: the remarks say
-    both. An EstimateError where no uncertainty of any coefficient is stated.
+    These are the errors of the coefficients, of the mounting's turn, of a reading and its temperature, and of how the
+    sensor sits. ``reading_noise`` (unit) replaces that of a reading of the file. Without a covariance the coefficients
+    count as uncorrelated; what is not stated counts as exact. An EstimateError refuses a file without any uncertainty.
     """
-    names, covariance = _joint(uncertainty)
-    if not names:
+    known = uncertain_coefficients(uncertainty, coefficients)
+    if not known.names:
         raise EstimateError(
             "the file states no uncertainty of any coefficient: calibrate with `tiltcal measure` or `tiltcal fit`, "
             "which write it, or write standard uncertainties (k = 1) under `uncertainty`, in the shape of `calibration`"
@@ -239,15 +231,11 @@ def stated_uncertainty(
     remarks = []
     if uncertainty.covariance is None:
         remarks.append("the file has no covariance: the coefficients count as uncorrelated")
-    silent = [name for name in values(coefficients) if name not in uncertainty and name not in names]
+    silent = [name for name in values(coefficients) if name not in uncertainty and name not in known.names]
     if silent:
         remarks.append(f"no uncertainty is stated of {', '.join(silent)}: they count as exact")
-    if coefficients.mounting is not None and not is_turn(names).any():
-        angles = {a: u for a in ANGLES if (u := uncertainty.get(f"mounting.{a}")) is not None}
-        if angles:
-            names, covariance = _with_turn(names, covariance, coefficients.mounting, angles)
-        else:
-            remarks.append("no uncertainty is stated of the mounting: it counts as exact")
+    if coefficients.mounting is not None and not known.named(_TURNS).names:
+        remarks.append("no uncertainty is stated of the mounting: it counts as exact")
     reading = dict(uncertainty.single_reading)
     if reading_noise is not None:
         reading |= dict.fromkeys(coefficients.channels, reading_noise)
@@ -255,55 +243,40 @@ def stated_uncertainty(
         remarks.append(
             "the file has no uncertainty of a reading: only that of the calibration counts (state --reading-noise)"
         )
-    factors, usual = uncertainty.coverage_factor, NORMAL_FACTOR
-    return StatedUncertainty(
-        UncertaintyInputs(
-            names,
-            with_turns_scaled(names, covariance, radians(1.0)),
-            np.array([factors.get(name, usual) for name in names]),
-            np.array([reading.get(channel, 0.0) for channel in coefficients.channels]),
-            reading.get(TEMPERATURE, 0.0),
-            radians(uncertainty.alignment),
-        ),
-        tuple(remarks),
-    )
+    u = [*reading.values(), radians(uncertainty.alignment)]
+    other = Uncertain.errors((*(READING + name for name in reading), ALIGNMENT), np.diag(np.array(u) ** 2))
+    return known.beside(other), tuple(remarks)
 
 
-def uncertainty_inputs(uncertainty: Uncertainty, coefficients: Coefficients) -> UncertaintyInputs:
-    """Return the inputs of :func:`stated_uncertainty`, and empty ones where no uncertainty is stated."""
-    if not _joint(uncertainty)[0]:
-        return UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0))
-    return stated_uncertainty(uncertainty, coefficients).inputs
+def uncertain_coefficients(uncertainty: Uncertainty, coefficients: Coefficients) -> Uncertain:
+    """Return the errors of the coefficients and of the mounting's turn; empty where no uncertainty is stated."""
+    stated = uncertainty.covariance
+    if stated is None:
+        own = {
+            name: u
+            for name, u in uncertainty.items()
+            if u > 0.0 and not name.startswith(_MOUNTING) and name not in ("temperature.reference", "temperature.lag")
+        }
+        names, covariance = tuple(own), np.diag(np.array(list(own.values())) ** 2)
+    else:
+        names, covariance = stated.parameters, stated.as_array()
+    scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
+    factors = np.array([uncertainty.coverage_factor.get(name, NORMAL_FACTOR) for name in names])
+    found = Uncertain.errors(names, covariance * np.outer(scale, scale), degrees_of_freedom(factors))
+    angles = {angle: radians(u) for angle in ANGLES if (u := uncertainty.get(f"mounting.{angle}")) is not None}
+    if not names or coefficients.mounting is None or not angles or any(name.startswith(TURN) for name in names):
+        return found
+    return found.beside(_turn(coefficients.mounting, angles))
 
 
 def length_tolerance(uncertainty: Uncertainty, coefficients: Coefficients, limits: Limits) -> float:
     """Return by how much the length of gravity of three axes may differ from 1 g before a row is suspect."""
-    inputs = uncertainty_inputs(uncertainty, coefficients)
-    if len(coefficients.channels) < 3 or not inputs.names:
+    if len(coefficients.channels) < 3 or not uncertain_coefficients(uncertainty, coefficients).names:
         return LENGTH_TOLERANCE
     from tiltcal.core.angle_uncertainty import length_half_width
 
-    return max(LENGTH_TOLERANCE, length_half_width(coefficients, limits, inputs))
-
-
-def known_coefficients(
-    uncertainty: Uncertainty, coefficients: Coefficients, reference: float | None
-) -> dict[str, KnownCoefficient]:
-    """Return the uncertainty of each coefficient at a reference temperature, °C; empty where none is stated."""
-    exact = {name: KnownCoefficient(0.0) for name, u in uncertainty.items() if u == 0.0}
-    stated = uncertainty_inputs(uncertainty, coefficients).without_turn
-    return exact | known(coefficients, stated.names, stated.covariance, stated.factors, reference)
-
-
-def known_turns(uncertainty: Uncertainty, coefficients: Coefficients) -> dict[str, KnownCoefficient]:
-    """Return the uncertainty of a mounting as turns about the application's axes, degrees."""
-    stated = uncertainty_inputs(uncertainty, coefficients)
-    u = np.degrees(np.sqrt(np.diag(stated.covariance))).tolist()
-    return {
-        name: KnownCoefficient(own, dof)
-        for name, own, dof in zip(stated.names, u, degrees_of_freedom(stated.factors).tolist(), strict=True)
-        if name.startswith(TURN)
-    }
+    stated, _ = stated_uncertainty(uncertainty, coefficients)
+    return max(LENGTH_TOLERANCE, length_half_width(coefficients, limits, stated))
 
 
 def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:
@@ -319,23 +292,8 @@ def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, fl
             yield name, value
 
 
-def _joint(uncertainty: Uncertainty) -> tuple[tuple[str, ...], Array]:
-    """Return the uncertain coefficients and their covariance; without a stated one they are uncorrelated."""
-    stated = uncertainty.covariance
-    if stated is not None:
-        return stated.parameters, stated.as_array()
-    own = {
-        name: u
-        for name, u in uncertainty.items()
-        if u > 0.0 and not name.startswith(_MOUNTING) and name not in ("temperature.reference", "temperature.lag")
-    }
-    return tuple(own), np.diag(np.array(list(own.values())) ** 2)
-
-
-def _with_turn(
-    names: tuple[str, ...], covariance: Array, mounting: Mounting, u: Mapping[str, float]
-) -> tuple[tuple[str, ...], Array]:
-    """Add the mounting's turn about the application's axes, from uncorrelated angles, degrees."""
+def _turn(mounting: Mounting, u: Mapping[str, float]) -> Uncertain:
+    """Return the mounting's turn about the application's axes, from uncorrelated angles, radians."""
     axes = np.column_stack(
         [
             mounting_matrix(Mounting(0.0, mounting.pitch, mounting.yaw))[:, 0],
@@ -343,7 +301,5 @@ def _with_turn(
             [0.0, 0.0, 1.0],
         ]
     )
-    turn = axes @ np.diag([u.get(angle, 0.0) ** 2 for angle in ANGLES]) @ axes.T
-    joint = np.zeros((len(names) + 3, len(names) + 3))
-    joint[:-3, :-3], joint[-3:, -3:] = covariance, turn
-    return (*names, *_TURNS), joint
+    angles = np.diag([u.get(angle, 0.0) ** 2 for angle in ANGLES])
+    return Uncertain.errors(ANGLES, angles).through(axes, _TURNS)

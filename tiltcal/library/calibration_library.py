@@ -72,7 +72,7 @@ class CalibrationLibrary:
         ----------
         serial : str
         stated : float, optional
-            The standard deviation of the offset's change in one day, mg, in place of an estimate.
+            The standard deviation of the offset's change in one day, mg, in place of half of each change.
         """
         return self.records.stability(serial, stated)
 
@@ -85,7 +85,7 @@ class CalibrationLibrary:
         time : str, datetime or date
             As text in ISO 8601; UTC where it names no zone.
         stability : float, optional
-            The standard deviation of the offset's change in one day, mg, in place of an estimate.
+            The standard deviation of the offset's change in one day, mg, in place of half of each change.
 
         Raises
         ------

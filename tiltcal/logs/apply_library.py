@@ -121,21 +121,23 @@ def _serials(library: CalibrationFolder, log: LogReader, options: ApplyOptions) 
 def _say_stability(history: SensorHistory, stability: Stability | None, say: Callable[[str], None]) -> None:
     if stability is None:
         return
-    serial = history.sensor.serial
-    if not stability.beyond:
-        say(
-            f"note: how far {serial} wanders is unknown, because no sensor has two calibrations: outside their time "
-            "the uncertainty is that of the nearest one alone (--stability)"
+    serial, coefficients = history.sensor.serial, history.calibrations[-1].record.coefficients
+    if stability.rate:
+        walks = ", ".join(
+            f"{c} {1000.0 * stability.rate[f'offset.{c}'] ** 0.5 / abs(coefficients.own_sensitivity(c)):.2g}"
+            for c in coefficients.channels
         )
-        return
-    coefficients = history.calibrations[-1].record.coefficients
-    walks = []
-    for channel in coefficients.channels:
-        walk = stability.between.get(f"offset.{channel}")
-        if walk is not None and channel in coefficients.axes:
-            walks.append(f"{channel} {1000.0 * walk.rate**0.5 / abs(coefficients.own_sensitivity(channel)):.2g}")
-    source = stability.source if stability.source == "as stated" else f"from {stability.source}"
-    say(f"note: the offset of {serial} wanders by {', '.join(walks)} mg/√d, {source}")
+        say(f"note: the offset of {serial} wanders by {walks} mg/√d, as stated")
+    elif len(history.calibrations) == 1:
+        say(
+            f"note: how far {serial} wanders is unknown, because it has one calibration: the uncertainty is that of "
+            "this alone (--stability)"
+        )
+    else:
+        say(
+            f"note: how far {serial} wanders is not stated (--stability): half of its change between two calibrations "
+            "counts"
+        )
 
 
 def _prepare_sensor(

@@ -63,6 +63,7 @@ _UNITS = {
     "g": ("g_n", "g0", "standard_gravity"),
     "m/s2": ("m s-2", "m s^-2", "m s**-2", "m/s^2", "m/s²", "m/s**2", "m.s-2", "meter second-2"),
 }
+_NAME_AND_UNIT = re.compile(r"(.*\S)\s*[(\[]([^()\[\]]+)[)\]]")
 DEGREE = "degree"
 _DIMENSIONLESS = ("", "1")
 """Units that fit every count and ratio, and say nothing."""
@@ -113,6 +114,13 @@ def same_unit(one: str, other: str) -> bool:
 def _spelt(unit: str) -> str:
     text = unit.strip()
     return next((name for name, others in _UNITS.items() if text == name or text.casefold() in others), text)
+
+
+def split_unit(name: str) -> tuple[str, str | None]:
+    """Return the name of a column without the unit behind it, as in ``x (m/s^2)`` or ``x [V]``, and this unit."""
+    found = _NAME_AND_UNIT.fullmatch(name.strip())
+    spelt = _spelt(found[2]) if found else ""
+    return (found[1], found[2]) if found and spelt in _UNITS else (name, None)
 
 
 def is_judgement(name: str) -> bool:

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.cf_attributes import DEGREE, same_unit
+from tiltcal.logs.cf_attributes import DEGREE, same_unit, split_unit
 
 if TYPE_CHECKING:
     from tiltcal.logs.log import LogReader
@@ -93,7 +93,8 @@ def locate_columns(
 ) -> dict[str, int]:
     """Find the columns of the readings in a log.
 
-    A role that was not named has the column of its own name. Temperature may be absent where it was not named.
+    A role that was not named has the column of its own name. Temperature may be absent where it was not named. A unit
+    behind a column's name in the header, such as ``x (m/s^2)``, may be left out.
 
     Parameters
     ----------
@@ -111,7 +112,8 @@ def locate_columns(
 
     InputError: a column is not there; the message lists those that are.
     """
-    where = {name: index for index, name in enumerate(log.names)}
+    where = {split_unit(name)[0]: index for index, name in enumerate(log.names)}
+    where |= {name: index for index, name in enumerate(log.names)}
     located: dict[str, int] = {}
     for role in dict.fromkeys((*channels, *others, TEMPERATURE, TIME)):
         column = named.get(role, role)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -33,11 +32,11 @@ from tiltcal.files.tables import Segment, SegmentRow, TabledRow, read_positions,
 from tiltcal.logs.columns import named_columns, require_celsius, require_unit
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
-from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, IntervalSamples, Rails, sampled
+from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, Rails
 from tiltcal.logs.log import Progress
 from tiltcal.logs.options import FitOptions
 from tiltcal.logs.ramp import read_ramp
-from tiltcal.logs.recorded_readings import RecordedReadings, recorded_readings
+from tiltcal.logs.recorded_readings import RecordedReadings, read_readings
 from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
 from tiltcal.logs.static_intervals import (
     StaticInterval,
@@ -244,12 +243,11 @@ class FitSource:
             intervals, provenance = self._given(sensor)
             return FitPositions(unplaced(intervals), provenance)
         windows = WINDOWS if self.window is None else (self.window,)
-        with self._record(sensor) as record, record.stored() as readings:
-            chosen, tried = find_still(readings, windows)
-            say(choice_table(chosen, tried, sensor.unit))
-            found = still_segments(chosen)
-            samples, step = sampled(record, found, self.rails)
-            intervals = intervals_of(samples, step, record, file=record.name)
+        record = self._record(sensor)
+        chosen, tried = find_still(record, windows)
+        say(choice_table(chosen, tried, sensor.unit))
+        found = still_segments(chosen)
+        intervals = intervals_of(record, found, self.rails, file=record.name)
         attitudes = [] if chosen.fit is None else chosen.fit.attitudes.tolist()
         for interval, (x, y, z) in zip(intervals, attitudes, strict=True):
             rows = [segment for segment in found if segment.name == interval.position]
@@ -262,7 +260,7 @@ class FitSource:
             threshold=significant(chosen.threshold, 4),
             times_noise=chosen.multiple,
         )
-        return FitPositions(unplaced(intervals), self._provenance(record, how, _times(samples)))
+        return FitPositions(unplaced(intervals), self._provenance(record, how, _times(intervals)))
 
     @property
     def _name(self) -> str:
@@ -286,31 +284,22 @@ class FitSource:
         segments = read_segments(_path_or_rows(self.segments, "the segments", SegmentRow))
         if procedure is not None:
             require_positions(segments, procedure, file=self._name)
-        samples, step, record = self._sampled(sensor, segments, soak)
-        intervals = intervals_of(samples, step, record, file=self._name)
-        return intervals, self._provenance(record, _origin(self.segments, SegmentsRecord), _times(samples))
+        record = self._record(sensor)
+        intervals = intervals_of(record, segments, self.rails, file=self._name, soak=soak)
+        return intervals, self._provenance(record, _origin(self.segments, SegmentsRecord), _times(intervals))
 
     def _whole(self, sensor: SensorIdentity, procedure: Procedure) -> tuple[list[StaticInterval], Provenance]:
         """What the sensor read in the one position of a procedure, which is the whole log."""
+        record = self._record(sensor)
         whole = [Segment(procedure.positions[0].name, 0, TO_THE_END, None, None)]
-        samples, step, record = self._sampled(sensor, whole)
-        return intervals_of(samples, step, record, file=record.name), self._provenance(record, times=_times(samples))
+        intervals = intervals_of(record, whole, self.rails, file=record.name)
+        return intervals, self._provenance(record, times=_times(intervals))
 
-    def _sampled(
-        self, sensor: SensorIdentity, segments: Sequence[Segment], soak: float = 0.0
-    ) -> tuple[list[IntervalSamples], float, RecordedReadings]:
+    def _record(self, sensor: SensorIdentity) -> RecordedReadings:
         """Read the log."""
-        with self._record(sensor) as record:
-            return (*sampled(record, segments, self.rails, soak), record)
-
-    @contextmanager
-    def _record(self, sensor: SensorIdentity) -> Iterator[RecordedReadings]:
         named = named_columns(self.columns, sensor.channels)
-        with (
-            recorded_readings(self.data, sensor.channels, named, sensor.unit, self.progress) as record,
-            imported_meanwhile("scipy.special"),
-        ):
-            yield record
+        with imported_meanwhile("scipy.special"):
+            return read_readings(self.data, sensor.channels, named, sensor.unit, self.progress)
 
     def _provenance(
         self,
@@ -321,7 +310,7 @@ class FitSource:
         """Return what was read; ``times`` are those of the first and the last row of each interval, s."""
         log = None
         if record is not None and record.sha256 is not None:
-            log = LogRecord(name=Path(self.data).name, sha256=record.sha256, rows=record.rows)
+            log = LogRecord(name=Path(self.data).name, sha256=record.sha256, rows=len(record))
         return Provenance(
             made_by=f"fit of a {'table of positions' if self.table else 'recorded log'}",
             log=log,
@@ -333,8 +322,8 @@ class FitSource:
         )
 
 
-def _times(samples: Sequence[IntervalSamples]) -> list[tuple[float, float]]:
-    return [one.times for one in samples if one.times is not None]
+def _times(intervals: Sequence[StaticInterval]) -> list[tuple[float, float]]:
+    return [interval.times for interval in intervals if interval.times is not None]
 
 
 def _serial(serial: str | None, base: str | Path | None) -> str:

@@ -393,7 +393,7 @@ def _uncertain(
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 
     noise = options["reading_noise"]
-    stated = stated_uncertainty(calibration.uncertainty, calibration.coefficients, reading_noise=noise)
-    for remark in stated.remarks:
+    stated, remarks = stated_uncertainty(calibration.uncertainty, calibration.coefficients, reading_noise=noise)
+    for remark in remarks:
         options["say"](f"note: {remark}")
-    return CompensationWithUncertainty(compensation, calibration.coefficients, stated.inputs)
+    return CompensationWithUncertainty(compensation, calibration.coefficients, stated)

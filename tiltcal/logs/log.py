@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
+from tiltcal.logs.cf_attributes import split_unit
 from tiltcal.logs.streams import ByteReader, HashingReader, keep_freed_memory, read_ahead, sha256_of
 
 if TYPE_CHECKING:
@@ -55,6 +56,12 @@ class LogBlock:
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(next(iter(self.values.values())))
+
+    def framed(self) -> pl.DataFrame:
+        """Return all columns with their types, in a block that was asked for them."""
+        if self.frame is None:
+            raise TypeError("the columns of this block have no types")
+        return self.frame
 
     def readings(self, columns: Sequence[int]) -> Array:
         """Return some columns side by side, shape (n, columns), each of them contiguous."""
@@ -182,8 +189,8 @@ class LogReader(ABC):
         return name in self.names
 
     def unit(self, column: int) -> str | None:
-        """Return the unit of a column; None where the log does not state it."""
-        return None
+        """Return the unit of a column, here the one in its name; None where the log does not state it."""
+        return split_unit(self.names[column])[1]
 
     def close(self) -> None:  # noqa: B027
         """Let go of what the format's library holds open; nothing where it holds nothing."""

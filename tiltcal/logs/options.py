@@ -97,7 +97,7 @@ class ApplyOptions(TypedDict, total=False):
         float | None,
         Option(
             "How far the offset wanders in one day, as a standard deviation in mg (over n days √n times as far) "
-            "[half of its change between two calibrations].",
+            "[estimated from the calibrations].",
             "MG",
             _SEASON,
             check=require_from_zero,

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from difflib import get_close_matches
-from functools import reduce
 from math import sqrt
 from typing import Any
 
@@ -15,12 +14,12 @@ from tiltcal.calibration.measurement import Measurement, at_rail
 from tiltcal.core.attitude import Vector
 from tiltcal.core.detection import LEFT_OUT, TILTED, identical_by_chance, noise_of_positions
 from tiltcal.core.model import AXES
-from tiltcal.core.samples import SampleSummary, summary_of
+from tiltcal.core.samples import SampleSummary, summarise
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.tables import Segment, TabledPosition
-from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, IntervalSamples, Line
+from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, LogInterval, Rails, intervals_in, step_of
 from tiltcal.logs.recorded_readings import RecordedReadings
 
 FEWEST_ROWS = 2
@@ -49,6 +48,8 @@ class StaticInterval:
         By how much the temperature rose from beginning to end, °C.
     where : mapping of str to Any
         How it is found again: rows and time of the log, or the line of a table.
+    times : (float, float) or None
+        Of the first and the last of its rows that have one, s.
     """
 
     name: str
@@ -59,18 +60,22 @@ class StaticInterval:
     line: int | None
     warming: float = 0.0
     where: Mapping[str, Any] = field(default_factory=dict)
+    times: tuple[float, float] | None = None
 
 
 def intervals_of(
-    samples: Sequence[IntervalSamples], step: float, record: RecordedReadings, *, file: str
+    record: RecordedReadings, segments: Sequence[Segment], rails: Rails, *, file: str, soak: float = 0.0
 ) -> list[StaticInterval]:
     """Return what the sensor read in each interval, without the samples that are far off the others or missing.
 
     A segment that reaches beyond the log, has samples at a rail or too many far off or missing, or is stuck is refused;
-    ``file`` is where the segments stand, and ``step`` that of the readings, unit.
+    ``file`` is where the segments stand, and a temperature is judged over ``soak`` seconds.
     """
-    names = _distinct([one.parts[0].name for one in samples])
-    intervals = [_interval(one, step, record, name, file) for one, name in zip(samples, names, strict=True)]
+    step = step_of(record)
+    whole = [replace(one, end=len(record)) if one.end == TO_THE_END else one for one in segments]
+    found = intervals_in(record, whole)
+    names = _distinct([one.parts[0].name for one in found])
+    intervals = [_interval(one, step, rails, soak, name, file) for one, name in zip(found, names, strict=True)]
     _require_not_stuck(intervals, step, file)
     return intervals
 
@@ -207,37 +212,31 @@ def _require_not_stuck_everywhere(measurements: Sequence[Measurement], file: str
             )
 
 
-def _interval(samples: IntervalSamples, step: float, record: RecordedReadings, name: str, file: str) -> StaticInterval:
-    parts = [replace(part, end=record.rows) if part.end == TO_THE_END else part for part in samples.parts]
-    pieces = [piece.result() for piece in samples.pieces]
+def _interval(interval: LogInterval, step: float, rails: Rails, soak: float, name: str, file: str) -> StaticInterval:
+    parts, record = interval.parts, interval.record
     _require_rows(parts, record, file)
-    sums = [piece.summed(step) for piece in pieces]
-    far = sum(found.far for found in sums)
-    _require_few(far, next((found.why for found in sums if found.why), ""), parts, file)
-    for channel, rails in samples.rails.items():
-        beyond = [found.beyond[channel] for found in sums if channel in found.beyond]
-        if beyond:
-            reads = f"{beyond[0][0]:.6g} in {sum(count for _, count in beyond)} of its rows"
-            raise _refusal(parts[0], at_rail(channel, reads, rails), file)
-    temperatures = [piece.temperatures for piece in pieces if piece.temperatures is not None]
-    jumped = [reading for found in temperatures for reading in found.jumped]
+    samples = interval.samples(step)
+    _require_few(samples.left_out, samples.why, parts, file)
+    for channel, (low, high) in rails.items():
+        values = samples.channels[channel]
+        beyond = values[~((low < values) & (values < high))]
+        if len(beyond):
+            reads = f"{beyond[0]:.6g} in {len(beyond)} of its rows"
+            raise _refusal(parts[0], at_rail(channel, reads, (low, high)), file)
+    temperatures, jumped = interval.temperatures
     _require_few(len(jumped), f"the thermometer reads {jumped[0]:g} °C" if jumped else "", parts, file)
-    known = [found.moments for found in temperatures if found.moments is not None]
-    warming = reduce(Line.followed_by, (found.line for found in temperatures)).rise if temperatures else 0.0
     rows = tuple((part.start, part.end) for part in parts)
     return StaticInterval(
         name,
         parts[0].name,
         parts[0].gravity,
-        {
-            channel: summary_of([found.channels[channel] for found in sums if found.channels], step)
-            for channel in record.channels
-        },
-        summary_of(known).mean if known else None,
+        {channel: summarise(values, step) for channel, values in samples.channels.items()},
+        summarise(temperatures).mean if len(temperatures) else None,
         parts[0].line,
-        warming if samples.before is None else max(warming, samples.before.rise, key=abs),
-        {"rows": rows if len(rows) > 1 else rows[0], **({"left_out": far} if far else {})}
-        | ({} if samples.times is None else {"time": stamp_of(samples.times[1])}),
+        interval.warming(soak),
+        {"rows": rows if len(rows) > 1 else rows[0], **({"left_out": samples.left_out} if samples.left_out else {})}
+        | ({} if interval.times is None else {"time": stamp_of(interval.times[1])}),
+        interval.times,
     )
 
 
@@ -252,8 +251,8 @@ def _require_few(count: int, why: str, parts: Sequence[Segment], file: str) -> N
 
 def _require_rows(parts: Sequence[Segment], record: RecordedReadings, file: str) -> None:
     for part in parts:
-        if part.end > record.rows:
-            raise _refusal(part, f"ends at row {part.end}; {record.name} has {record.rows} rows", file)
+        if part.end > len(record):
+            raise _refusal(part, f"ends at row {part.end}; {record.name} has {len(record)} rows", file)
         if part.end - part.start < FEWEST_ROWS:
             raise _refusal(part, f"has {part.end - part.start} row; at least {FEWEST_ROWS} are needed", file)
 

@@ -12,7 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from hashlib import file_digest, sha256
 from importlib import import_module
 from pathlib import Path
@@ -44,22 +44,15 @@ class ByteReader(Protocol):
 def log_source(log: str, *, live: bool = False) -> Iterator[tuple[BinaryIO, int | None]]:
     """Open a log, a file or ``-`` for standard input: its bytes, and its size where it has one.
 
-    Parameters
-    ----------
-    live : bool
-        Hand on each line as it arrives, and let Ctrl-C end a stream that has no end of its own; see
-        :class:`LiveStream`.
-
-    UsageError: the file cannot be opened.
+    Where ``live``, Ctrl-C ends a stream that has no end of its own. A UsageError if the file cannot be opened.
     """
-    with _opened(log) as (opened, size):
-        stream = cast("BinaryIO", PipeReader(opened)) if has_no_end(opened) else opened
-        if not live:
+    with _opened(log) as (stream, size):
+        if not has_no_end(stream):
             yield stream, size
             return
-        lines = LiveStream(cast("io.BufferedReader", stream))
-        with lines.ended_by_ctrl_c():
-            yield cast("BinaryIO", lines), size
+        pipe = PipeReader(stream)
+        with pipe.ended_by_ctrl_c() if live else nullcontext():
+            yield cast("BinaryIO", pipe), size
 
 
 @contextmanager
@@ -167,7 +160,7 @@ def interrupts_held() -> Iterator[Callable[[], None]]:
         Raises KeyboardInterrupt where Ctrl-C came; so does the end of the block.
     """
     before = signal.getsignal(signal.SIGINT)
-    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+    if not callable(before) or threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
     held: list[int] = []
@@ -254,33 +247,47 @@ class PipeReader:
 
     The engine that parses rows handles signals in its own way, and lets a read go on after one.
 
-    Parameters
+    Attributes
     ----------
-    stream : BinaryIO
-        Of which nothing was read: what stands in its buffer would not be seen.
+    interrupted : bool
+        Whether Ctrl-C has ended the stream, where it may; see :meth:`ended_by_ctrl_c`.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
+        """Read a stream of which nothing was read: what stands in its buffer would not be seen."""
         self._descriptor = stream.fileno()
-
-    def fileno(self) -> int:
-        """Return the descriptor of the stream."""
-        return self._descriptor
-
-    def read1(self, size: int = -1) -> bytes:
-        """Return what has arrived, once something has; nothing at the end."""
-        # A signal that comes just before the wait, or to another thread, does not end it.
-        while os.name == "posix" and not select([self._descriptor], [], [], _LOOK)[0]:
-            pass
-        return os.read(self._descriptor, size if size >= 0 else _PIPE_BUFFER)
+        self.interrupted = False
 
     def read(self, size: int = -1) -> bytes:
         """Return so many bytes, or all that come until the end."""
-        parts, left = [], size
-        while left and (part := self.read1(left)):
+        parts, missing = [], size
+        while missing and not self.interrupted:
+            # A signal that comes just before the wait, or to another thread, does not end it.
+            if os.name == "posix" and not select([self._descriptor], [], [], _LOOK)[0]:
+                continue
+            part = os.read(self._descriptor, missing if size >= 0 else _PIPE_BUFFER)
+            if not part:
+                break
             parts.append(part)
-            left -= len(part) if size >= 0 else 0
+            missing -= len(part) if size >= 0 else 0
         return b"".join(parts)
+
+    @contextmanager
+    def ended_by_ctrl_c(self) -> Iterator[None]:
+        """Let Ctrl-C end the stream, and leave what was read of it."""
+        before = signal.getsignal(signal.SIGINT)
+        if not callable(before) or threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def end(_signal: int, _frame: FrameType | None) -> None:
+            self.interrupted = True
+
+        signal.signal(signal.SIGINT, end)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
 
 
 def has_no_end(stream: BinaryIO) -> bool:
@@ -289,63 +296,3 @@ def has_no_end(stream: BinaryIO) -> bool:
         return not stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
     except OSError:  # memory
         return False
-
-
-class LiveStream:
-    """The whole lines of a log, handed on as they arrive and not when a block is full.
-
-    Parameters
-    ----------
-    stream : io.BufferedReader
-        Standard input, a pipe, a serial device, or a file.
-
-    Attributes
-    ----------
-    interrupted : bool
-        Whether Ctrl-C has ended it.
-    """
-
-    def __init__(self, stream: io.BufferedReader) -> None:
-        self._stream = stream
-        self.interrupted = False
-        self._waiting = False
-        self._begun = b""
-
-    def read(self, size: int = -1) -> bytes:
-        """Return what has arrived, up to the end of its last line; nothing at the end, where a line may be open."""
-        while not self.interrupted:
-            try:
-                self._waiting = True
-                arrived = self._stream.read1(size)
-            except KeyboardInterrupt:
-                break
-            finally:
-                self._waiting = False
-            if not arrived:
-                rest, self._begun = self._begun, b""
-                return rest
-            lines, end, begun = arrived.rpartition(b"\n")
-            if end:
-                whole, self._begun = self._begun + lines + end, begun
-                return whole
-            self._begun += arrived
-        return b""
-
-    @contextmanager
-    def ended_by_ctrl_c(self) -> Iterator[None]:
-        """Let Ctrl-C end a stream and leave what was read of it; it interrupts the command where a file is read."""
-        before = signal.getsignal(signal.SIGINT)
-        if not has_no_end(self._stream) or before is not signal.default_int_handler:
-            yield
-            return
-
-        def end(_signal: int, _frame: FrameType | None) -> None:
-            self.interrupted = True
-            if self._waiting:
-                raise KeyboardInterrupt
-
-        signal.signal(signal.SIGINT, end)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, before)

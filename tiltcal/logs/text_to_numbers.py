@@ -10,6 +10,7 @@ cell that is neither is missing where another one of its block, or of those befo
 from __future__ import annotations
 
 import re
+from math import nan
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 
 _CUT_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)[eE][+-]?|\d*\.)?")
+_NUMBER = re.compile(r"[+-]?((\d+|\d*\.\d+)([eE][+-]?\d+)?|inf|infinity)", re.ASCII | re.IGNORECASE)
 _OPEN_POINT = r"\.([^0-9]|$)"
 _MOMENT = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z"
 _DAY = r"^\s*\d{4}-\d"
@@ -33,6 +35,14 @@ _PARTS = (
     r"^(?P<day>\d{4}-\d\d?-\d\d?)"
     r"(?:[T ](?P<minute>\d\d?:\d\d?)(?P<second>:\d\d?(?:\.\d*)?)? ?(?P<zone>Z|UTC|[+-]\d\d(?::?\d\d)?)?)?$"
 )
+
+
+def number(cell: str) -> float | None:
+    """Return the nearest double to a number, NaN for a missing value, and None for what is neither."""
+    cell = cell.strip(" \t")
+    if _NUMBER.fullmatch(cell):
+        return float(cell)
+    return nan if cell.casefold() in MISSING else None
 
 
 def numbers(cells: pl.Series) -> tuple[Array, Mask | None]:

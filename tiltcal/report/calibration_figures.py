@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiltcal.calibration.tilt_uncertainty import USUAL, TiltUncertainty
-from tiltcal.core.coverage_factor import NORMAL_FACTOR
 from tiltcal.core.model import Array, Thermal, polynomial
+from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.report.figure import BLUE, CHANNELS, GREY, INK, RED, SvgFigure, picture, write_figure
 

@@ -408,12 +408,12 @@ def _plot_changes(figure: Figure, fleet: ModelFleet) -> None:
         colour, mark, _ = CHANNELS[channel]
         panel.axhline(0.0, color=INK, linewidth=0.6)
         for history in fleet.histories:
-            series = history.series.get(f"offset.{channel}")
+            series = history.series(f"offset.{channel}")
             coefficients = history.calibrations[-1].record.coefficients
             if series is None or len(series[0]) < 2 or channel not in coefficients.axes:
                 continue
             own = coefficients.own_sensitivity(channel)
-            _, values, u = series
+            values, u = series
             dates: list[datetime] = [calibration.date for calibration in history.calibrations]
             panel.errorbar(
                 dates,

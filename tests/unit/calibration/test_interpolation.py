@@ -2,29 +2,71 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support import FIXTURES
 
-from tiltcal.calibration.interpolation import Interval
-from tiltcal.core.model import Coefficients, Thermal
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.calibration.interpolation import Interval, Stability, extrapolate
+from tiltcal.calibration.level import level
+from tiltcal.calibration.measurement import BenchUncertainty, Measurement
+from tiltcal.core.model import Coefficients
+from tiltcal.core.samples import SampleSummary
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
+from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.uncertainty import Uncertainty
 
-
-def calibration(reference: float, factors: dict[str, float]) -> CalibrationRecord:
-    """One channel that is uncertain by 0.1 at its reference, and by 0.1 more per °C."""
-    thermal = Thermal(reference, None, np.array([[0.5]]), np.zeros((1, 0)))
-    return CalibrationRecord(
-        SensorIdentity("sca100t-d02", "S-1", "count", ("x",)),
-        Coefficients(("x",), ("x",), np.array([1000.0]), np.array([[800.0]]), thermal),
-        Uncertainty({"offset.x": 0.1, "temperature.offset.x.1": 0.1}, {}, factors),
-    )
+BASE = read_calibration(FIXTURES / "plane.yaml")
 
 
-def test_an_offset_at_another_reference_has_the_degrees_of_freedom_of_the_drift_too() -> None:
-    """By hand: u² = 0.1² + (20 * 0.1)² = 4.01, of which 4 has 1 degree of freedom: 1 in all, and t = 12.7, not 1.96."""
-    before = calibration(20.0, {"temperature.offset.x.1": 12.706})
-    found = Interval.between(before, calibration(0.0, {}), 100.0, "two files").at(0.0).uncertainty
-    assert found["offset.x"] == pytest.approx(np.sqrt(4.01))
-    assert found.coverage_factor["offset.x"] == pytest.approx(12.7, abs=0.1)
-    assert found.coverage_factor["temperature.offset.x.1"] == pytest.approx(12.706, rel=1e-3)
+def renewed(base: CalibrationRecord, shift: float) -> CalibrationRecord:
+    """The base after a level at which every channel reads more by a shift, in counts."""
+    readings = base.coefficients.predict(np.array([[0.0, 0.0, 1.0]]))[0] + shift
+    summaries = {c: SampleSummary(float(r), 1.0, 100, 0.1) for c, r in zip("xy", readings, strict=True)}
+    one = Measurement("level", (0.0, 0.0, 1.0), {}, 24.0, summaries)
+    return level(base, [one], find_procedure("level"), BenchUncertainty(jig=0.05))
+
+
+def test_halfway_to_its_renewed_level_a_sensitivity_is_as_uncertain_as_at_both_ends() -> None:
+    """Both ends have one error of S; the offsets' own errors are independent."""
+    after = renewed(BASE, 2.0)
+    halfway = Interval.between(BASE, after, 100.0, "two files").at(0.5).uncertainty
+    for name in ("sensitivity.x.x", "sensitivity.x.z", "nonlinearity.y.3"):
+        assert halfway[name] == pytest.approx(BASE.uncertainty[name], rel=1e-3)
+    assert halfway["offset.x"] < max(BASE.uncertainty["offset.x"], after.uncertainty["offset.x"])
+
+
+def test_two_calibrations_of_their_own_have_independent_errors() -> None:
+    """By hand: halfway between u = 0.3 and u = 0.4 there is sqrt(0.3² + 0.4²) / 2 = 0.25."""
+    sensor = SensorIdentity("sca100t-d02", "S-1", "count", ("x",))
+    ends = [
+        CalibrationRecord(
+            sensor,
+            Coefficients(("x",), ("x",), np.array([offset]), np.array([[800.0 + offset]])),
+            Uncertainty({"offset.x": u, "sensitivity.x.x": u}),
+        )
+        for offset, u in ((0.0, 0.3), (6.0, 0.4))
+    ]
+    interval = Interval.between(ends[0], ends[1], 100.0, "two files")
+    assert interval.at(0.5).uncertainty["offset.x"] == pytest.approx(0.25)
+    assert interval.coefficients(0.5).offset == pytest.approx([3.0])
+    # Half of the change of 6, rectangular: 3 / sqrt(3).
+    walked = interval.at(0.5, Stability()).uncertainty
+    assert walked["offset.x"] == pytest.approx(np.hypot(0.25, 3.0 / np.sqrt(3.0)))
+    assert interval.at(0.0, Stability()).uncertainty["offset.x"] == pytest.approx(0.3)
+    beyond = extrapolate(ends[1], 5.0, Stability(), interval).uncertainty
+    assert beyond["offset.x"] == pytest.approx(np.hypot(0.4, 3.0 / np.sqrt(3.0)))
+    # Stated: 0.1 unit after a day, 0.5 after 25, and half of that of 100 days in their middle.
+    stated = Stability({"offset.x": 0.01})
+    assert extrapolate(ends[1], 25.0, stated).uncertainty["offset.x"] == pytest.approx(np.hypot(0.4, 0.5))
+    assert interval.at(0.5, stated).uncertainty["offset.x"] == pytest.approx(np.hypot(0.25, 0.5))
+    assert interval.at(0.5, stated).uncertainty["sensitivity.x.x"] == pytest.approx(0.25)
+
+
+def test_of_two_sessions_only_what_the_data_sheet_states_is_shared() -> None:
+    """The column of z is the prior's alone in both; that of y was measured twice."""
+    other = replace(BASE, coefficients=replace(BASE.coefficients, sensitivity=BASE.coefficients.sensitivity + 0.01))
+    halfway = Interval.between(BASE, other, 100.0, "two files").at(0.5).uncertainty
+    assert halfway["sensitivity.x.z"] == pytest.approx(BASE.uncertainty["sensitivity.x.z"], rel=1e-3)
+    assert halfway["sensitivity.x.y"] == pytest.approx(BASE.uncertainty["sensitivity.x.y"] / np.sqrt(2.0), rel=0.02)

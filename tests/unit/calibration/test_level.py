@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from support import FIXTURES, WITHOUT_PRIORS
 
 from tiltcal.calibration.calibrate import calibrate
+from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.level import NO_LEVEL, NO_NOISE, level, level_summary
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.model import Array, Mounting, vector_of, with_vector
@@ -230,3 +231,30 @@ def test_noise_that_a_table_does_not_state_is_that_of_readings_of_the_base() -> 
         found = level(base, [measurement], find_procedure("level"), BenchUncertainty(0.0, 0.0))
         assert found.uncertainty["offset.x"] == pytest.approx(u, rel=1e-3, abs=1e-6)
         assert (NO_NOISE in found.fit.notes) is said
+
+
+def test_a_comparison_with_the_base_states_the_change_as_the_file_does() -> None:
+    """A base and its renewal share all but the reading at level.
+
+    By draws of sensors that the base may be of: what each reads at level, less what the base expects there, with the
+    jig and the noise of the session.
+    """
+    base, up = read_calibration(FIXTURES / "plane.yaml"), np.array([[0.0, 0.0, 1.0]])
+    readings = base.coefficients.predict(up)[0]
+    renewed = levelled(base, readings + 5.0)
+    stated = base.uncertainty.covariance
+    assert stated is not None
+    rng = np.random.default_rng(5)
+    start = vector_of(base.coefficients, stated.parameters)
+    draws = []
+    for error in rng.multivariate_normal(np.zeros(len(start)), stated.as_array(), 4000):
+        sensor = with_vector(base.coefficients, stated.parameters, start + error)
+        leaning = up + np.append(rng.normal(0.0, radians(JIG), 2), 0.0)
+        draws.append(sensor.predict(leaning)[0] + rng.normal(0.0, NOISE, 2) - readings)
+    changes = {change.name: change for change in compare_records(base, renewed).changes}
+    for channel, u in zip("xy", np.std(draws, axis=0), strict=True):
+        change = changes[f"offset.{channel}"]
+        assert change.u == pytest.approx(u, rel=0.04)
+        assert change.u == pytest.approx(renewed.fit.level.change_uncertainty[channel], rel=1e-3)
+        apart = np.hypot(base.uncertainty[change.name], renewed.uncertainty[change.name])
+        assert abs(change.u / apart - 1.0) > 0.1, "as if the two were independent"

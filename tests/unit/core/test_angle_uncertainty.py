@@ -16,12 +16,13 @@ import scipy
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
+from support.uncertain_readings import uncertain_readings
 
 from tiltcal.core.angle_uncertainty import AngleUncertainty, CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
 from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
-from tiltcal.core.uncertainty_inputs import UncertaintyInputs
+from tiltcal.core.uncertain import ALIGNMENT, READING, Uncertain
 from tiltcal.errors import EstimateError
 
 Array = NDArray[np.float64]
@@ -67,7 +68,7 @@ SENSORS = {
 }
 
 
-def doubt_of(known: Coefficients, *, factors: float | None = None, seed: int = 1) -> UncertaintyInputs:
+def doubt_of(known: Coefficients, *, factors: float | None = None, seed: int = 1) -> Uncertain:
     """Every coefficient uncertain, and strongly correlated with the others."""
     names = [f"offset.{c}" for c in known.channels]
     names += [f"sensitivity.{c}.{a}" for c in known.channels for a in known.axes]
@@ -82,7 +83,7 @@ def doubt_of(known: Coefficients, *, factors: float | None = None, seed: int = 1
     mixed = rng.normal(size=(len(names), 2 * len(names)))
     covariance = mixed @ mixed.T
     u = np.array([_spread(name) for name in names]) / np.sqrt(np.diag(covariance))
-    return UncertaintyInputs(
+    return uncertain_readings(
         tuple(names),
         covariance * np.outer(u, u),
         np.full(len(names), factors or NORMAL),
@@ -130,18 +131,19 @@ def rows(known: Coefficients, count: int = 300) -> tuple[Array, Array]:
     return known.predict(gravity, temperature), temperature
 
 
-def result_of(known: Coefficients, doubt: UncertaintyInputs, readings: Array, temperature: Array) -> AngleUncertainty:
+def result_of(known: Coefficients, doubt: Uncertain, readings: Array, temperature: Array) -> AngleUncertainty:
     return CompensationWithUncertainty(Compensation(known), known, doubt)(readings, temperature)
 
 
-def by_differences(known: Coefficients, doubt: UncertaintyInputs, readings: Array, temperature: Array) -> Array:
+def by_differences(known: Coefficients, doubt: Uncertain, readings: Array, temperature: Array) -> Array:
     """Standard uncertainty by the law of propagation, every derivative a central difference."""
 
     def derivative(change: Callable[[float], Array], step: float) -> Array:
         difference: Array = (change(step) - change(-step) + 180.0) % 360.0 - 180.0
         return difference / (2.0 * step)
 
-    columns = []
+    columns, alone = [], doubt.by_name(doubt.u)
+    doubt = doubt.without(READING, ALIGNMENT)
     for k in range(len(doubt.names)):
         unit = np.eye(len(doubt.names))[k]
         columns.append(
@@ -152,13 +154,13 @@ def by_differences(known: Coefficients, doubt: UncertaintyInputs, readings: Arra
         )
     jacobian = np.array(columns)
     variance = np.einsum("kna,kl,lna->na", jacobian, doubt.covariance, jacobian)
-    for channel, sigma in enumerate(doubt.readings):
-        unit = np.eye(len(known.channels))[channel]
+    for channel, name in enumerate(known.channels):
+        unit, sigma = np.eye(len(known.channels))[channel], alone[READING + name]
         variance += (
             sigma * derivative(lambda h, unit=unit: angles(known, readings + h * unit, temperature), 1e-3)
         ) ** 2
-    if doubt.temperature:
-        variance += (doubt.temperature * derivative(lambda h: angles(known, readings, temperature + h), 1e-3)) ** 2
+    if warmth := alone[f"{READING}temperature"]:
+        variance += (warmth * derivative(lambda h: angles(known, readings, temperature + h), 1e-3)) ** 2
     return np.sqrt(variance)
 
 
@@ -183,11 +185,13 @@ def test_it_is_what_random_errors_scatter_by(name: str) -> None:
     found = result_of(known, doubt, readings, temperature)
     rng = np.random.default_rng(11)
     draws = []
+    warmth = doubt.by_name(doubt.u)[f"{READING}temperature"]
+    doubt = doubt.without(READING, ALIGNMENT)
     for error in rng.multivariate_normal(np.zeros(len(doubt.names)), doubt.covariance, 240):
         off = angles(
             moved(known, doubt.names, error),
             readings + rng.normal(0.0, NOISE, readings.shape),
-            temperature + rng.normal(0.0, doubt.temperature, len(temperature)),
+            temperature + rng.normal(0.0, warmth, len(temperature)),
         )
         draws.append((off - angles(known, readings, temperature) + 180.0) % 360.0 - 180.0)
     np.testing.assert_allclose(found.standard, np.std(draws, axis=0), rtol=0.22)
@@ -199,7 +203,7 @@ class TestByHand:
     ONE = Coefficients(("x",), ("x",), np.array([1024.0]), np.array([[819.0]]))
 
     def u(self, covariance: Array, readings: list[float], noise: float = 0.0) -> Array:
-        doubt = UncertaintyInputs(("offset.x", "sensitivity.x.x"), covariance, np.full(2, NORMAL), np.array([noise]))
+        doubt = uncertain_readings(("offset.x", "sensitivity.x.x"), covariance, np.full(2, NORMAL), np.array([noise]))
         return result_of(self.ONE, doubt, np.array(readings)[:, None], np.zeros(len(readings))).standard[:, 0]
 
     def test_level_and_30_degrees(self) -> None:
@@ -215,12 +219,12 @@ class TestByHand:
         assert u[1] == pytest.approx(degrees(1.5 * 0.1 / 819.0 / cos(radians(30))), rel=1e-3)
 
     def test_a_coefficient_that_is_not_there_is_named(self) -> None:
-        doubt = UncertaintyInputs(("offset.q",), np.eye(1), np.full(1, NORMAL), np.zeros(1))
+        doubt = uncertain_readings(("offset.q",), np.eye(1), np.full(1, NORMAL), np.zeros(1))
         with pytest.raises(EstimateError, match=r"offset\.q"):
             result_of(self.ONE, doubt, np.array([[0.1]]), np.zeros(1))
 
     def test_a_mounting_of_one_channel_is_refused(self) -> None:
-        doubt = UncertaintyInputs(("mounting.turn.z",), np.eye(1), np.full(1, NORMAL), np.zeros(1))
+        doubt = uncertain_readings(("mounting.turn.z",), np.eye(1), np.full(1, NORMAL), np.zeros(1))
         with pytest.raises(EstimateError, match="x and y"):
             result_of(self.ONE, doubt, np.array([[0.1]]), np.zeros(1))
 
@@ -233,7 +237,7 @@ class TestEdges:
 
     def noisy(self, gravity: list[float], count: int = 4000) -> AngleUncertainty:
         """Readings of one attitude with 2 counts of noise, which is all that is uncertain."""
-        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
+        doubt = uncertain_readings((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
         readings = 1000.0 * np.array(gravity) + np.random.default_rng(8).normal(0.0, 2.0, (count, 3))
         return result_of(self.LEVELLING, doubt, readings, np.zeros(count))
 
@@ -247,7 +251,7 @@ class TestEdges:
 
     @pytest.mark.parametrize("tilt", [70.0, 85.0, 88.0, 89.5, 90.0])
     def test_a_tilt_towards_90(self, tilt: float) -> None:
-        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(2, 2.0))
+        doubt = uncertain_readings((), np.zeros((0, 0)), np.zeros(0), np.full(2, 2.0))
         gravity = 1000.0 * np.array([np.sin(radians(tilt)), cos(radians(tilt))])
         readings = gravity + np.random.default_rng(8).normal(0.0, 2.0, (4000, 2))
         found = result_of(self.PLANE, doubt, readings, np.zeros(4000))
@@ -259,7 +263,7 @@ class TestEdges:
 
     def test_an_argument_beyond_its_own_interval_has_no_uncertainty(self) -> None:
         """1.01 with 0.002 of noise contradicts the calibration: it says nothing of how far."""
-        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(2, 2.0))
+        doubt = uncertain_readings((), np.zeros((0, 0)), np.zeros(0), np.full(2, 2.0))
         found = result_of(self.PLANE, doubt, np.array([[1010.0, 0.0], [1003.0, 0.0]]), np.zeros(2))
         assert found.compensated.tilt[:, 0].tolist() == [90.0, 90.0]
         assert np.isnan(found.expanded[0, 0])
@@ -278,13 +282,13 @@ class TestEdges:
         assert level < 4 * degrees(0.002)
 
     def test_exactly_level(self) -> None:
-        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
+        doubt = uncertain_readings((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
         found = result_of(self.LEVELLING, doubt, np.array([[0.0, 0.0, 1000.0], [1000.0, 0.0, 0.0]]), np.zeros(2))
         assert found.expanded[0, 5] == pytest.approx(NORMAL * sqrt(2) * degrees(0.002), rel=1e-3)
         assert found.expanded[1, 3] == pytest.approx(NORMAL * sqrt(2) * degrees(0.002), rel=1e-3)
 
     def test_roll_of_a_sensor_on_its_head_is_anything(self) -> None:
-        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
+        doubt = uncertain_readings((), np.zeros((0, 0)), np.zeros(0), np.full(3, 2.0))
         found = result_of(self.LEVELLING, doubt, np.array([[1000.0, 0.0, 0.0]]), np.zeros(1))
         assert found.expanded[0, 4] == 180.0
         assert found.standard[0, 4] == pytest.approx(degrees(pi / sqrt(3)), rel=1e-3)
@@ -293,7 +297,7 @@ class TestEdges:
     def test_the_hidden_third_towards_the_horizon(self, tilt: float) -> None:
         """Mounted askew, both tilts lean on a g_z that x and y leave; it is never less certain than they make it."""
         known = sensor(2, 3, mounting=TURNED)
-        doubt = UncertaintyInputs((), np.zeros((0, 0)), np.zeros(0), np.full(2, 2.0))
+        doubt = uncertain_readings((), np.zeros((0, 0)), np.zeros(0), np.full(2, 2.0))
         own = np.array([[np.sin(radians(tilt)), 0.0, cos(radians(tilt))]])
         truth = np.degrees(np.arcsin(mounting_matrix(TURNED) @ own[0]))[:2]
         readings = known.predict(own) + np.random.default_rng(8).normal(0.0, 2.0, (4000, 2))
@@ -346,7 +350,7 @@ class TestExpansion:
     @pytest.mark.parametrize("noise", [0.0, 0.3, 4.0])
     def test_welch_and_satterthwaite(self, dof: float, noise: float) -> None:
         factors = np.array([scipy.stats.t.ppf(0.975, dof)])
-        doubt = UncertaintyInputs(("offset.x",), np.eye(1), factors, np.array([noise]))
+        doubt = uncertain_readings(("offset.x",), np.eye(1), factors, np.array([noise]))
         found = result_of(self.ONE, doubt, np.array([[1024.0]]), np.zeros(1))
         u = degrees(np.hypot(1.0, noise) / 819.0)
         assert found.standard[0, 0] == pytest.approx(u, rel=1e-3)
@@ -356,7 +360,7 @@ class TestExpansion:
     def test_the_worst_attitude_gives_the_factor_of_all_rows(self) -> None:
         """The sensitivity has 2 degrees of freedom, and counts at 90° alone; level rows have the same factor."""
         factors = np.array([NORMAL, scipy.stats.t.ppf(0.975, 2.0)])
-        doubt = UncertaintyInputs(("offset.x", "sensitivity.x.x"), np.diag([1.0, 4.0]), factors, np.zeros(1))
+        doubt = uncertain_readings(("offset.x", "sensitivity.x.x"), np.diag([1.0, 4.0]), factors, np.zeros(1))
         found = result_of(self.ONE, doubt, np.array([[1024.0], [1433.5]]), np.zeros(2))
         wide = NORMAL * sqrt((1.0 + 4.0 * (factors[1] / NORMAL) ** 2) / 5.0)
         np.testing.assert_allclose(found.expanded[:, 0], wide * found.standard[:, 0], rtol=2e-3)

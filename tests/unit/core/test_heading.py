@@ -9,6 +9,7 @@ from math import cos, nan, radians, sin
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from support.uncertain_readings import uncertain_readings
 
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
@@ -18,7 +19,7 @@ from tiltcal.core.flags import CLIPPED, FAIL, GRAVITY_LENGTH, MISSING, NO_DIRECT
 from tiltcal.core.heading import FieldLength
 from tiltcal.core.model import Array, Coefficients, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.uncertainty_inputs import TURN, UncertaintyInputs
+from tiltcal.core.uncertain import TURN
 from tiltcal.errors import EstimateError
 from tiltcal.logs.kernel import RoleValues, TiltKernel
 
@@ -118,7 +119,7 @@ def test_intervals_hold_the_truth(channels: int, mounting: Mounting | None, comp
     mixed = mixed @ mixed.T / len(size) + np.eye(len(size))
     covariance = mixed / np.sqrt(np.outer(np.diag(mixed), np.diag(mixed))) * np.outer(size, size)
     compensation = Compensation(known)
-    inputs = UncertaintyInputs(
+    inputs = uncertain_readings(
         tuple(names), covariance, np.full(len(size), 1.959964), np.full(channels, noise), alignment=alignment
     )
     uncertain = CompensationWithUncertainty(compensation, known, inputs)

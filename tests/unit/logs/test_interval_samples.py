@@ -1,74 +1,67 @@
-"""Intervals of a log that are summed up while it is read: against numpy on the whole of them."""
+"""The samples of intervals of a log, against numpy."""
 
 from __future__ import annotations
 
-import tracemalloc
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from tiltcal.core.model import Array
 from tiltcal.files.tables import Segment
-from tiltcal.logs import interval_samples
-from tiltcal.logs.interval_samples import TO_THE_END, Line, sampled
+from tiltcal.logs.interval_samples import TO_THE_END, rise
 from tiltcal.logs.recorded_readings import RecordedReadings
 from tiltcal.logs.static_intervals import StaticInterval, intervals_of
 
 
-def intervals(values: Array, segments: Sequence[Segment], block: int = 700) -> list[StaticInterval]:
+def intervals(values: Array, segments: Sequence[Segment]) -> list[StaticInterval]:
     """Of channels x and y and, where there are three columns, a temperature."""
-    blocks = [values[:, start : start + block] for start in range(0, values.shape[1], block)]
-    record = RecordedReadings("the log", ("x", "y"), blocks, thermometer=len(values) > 2)
-    return intervals_of(*sampled(record, segments, {}), record, file="the segments")
+    record = RecordedReadings("the log", ("x", "y"), list(values[:2]), values[2] if len(values) > 2 else None)
+    return intervals_of(record, segments, {}, file="the segments")
 
 
 def segment(start: int, end: int, name: str = "level") -> Segment:
     return Segment(name, start, end, None, None)
 
 
-@pytest.fixture
-def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(interval_samples, "PIECE", 1000)
+def test_mean_scatter_and_uncertainty_are_those_of_all_samples() -> None:
+    rng = np.random.default_rng(1)
+    values = np.array([[2.5], [-2.4], [24.0]]) + np.cumsum(rng.normal(0.0, 1e-3, (3, 9000)), axis=1)
+    found = intervals(values, [segment(15, 4003), segment(4103, 8994), segment(8994, 9000, "up")])[0]
+    whole = np.concatenate([values[:, 15:4003], values[:, 4103:8994]], axis=1)
+    for channel, samples in zip(("x", "y"), whole, strict=False):
+        summary, size = found.summaries[channel], whole.shape[1] // 10
+        means = samples[: 10 * size].reshape(10, size).mean(axis=1)
+        assert summary.n == whole.shape[1]
+        assert summary.mean == pytest.approx(samples.mean(), rel=1e-13)
+        assert summary.std == pytest.approx(samples.std(ddof=1), rel=1e-12)
+        assert summary.noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
+    assert found.temperature == pytest.approx(whole[2].mean(), rel=1e-13)
 
 
-@pytest.mark.usefixtures("short_pieces")
-class TestSeveralPieces:
-    def test_mean_scatter_and_uncertainty_are_those_of_all_samples(self) -> None:
-        rng = np.random.default_rng(1)
-        values = np.array([[2.5], [-2.4], [24.0]]) + np.cumsum(rng.normal(0.0, 1e-3, (3, 9000)), axis=1)
-        found = intervals(values, [segment(15, 4003), segment(4103, 8994), segment(8994, 9000, "up")])[0]
-        whole = np.concatenate([values[:, 15:4003], values[:, 4103:8994]], axis=1)
-        for channel, samples in zip(("x", "y"), whole, strict=False):
-            summary, size = found.summaries[channel], whole.shape[1] // 10
-            means = samples[: 10 * size].reshape(10, size).mean(axis=1)
-            assert summary.n == whole.shape[1]
-            assert summary.mean == pytest.approx(samples.mean(), rel=1e-13)
-            assert summary.std == pytest.approx(samples.std(ddof=1), rel=1e-12)
-            assert summary.noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
-        assert found.temperature == pytest.approx(whole[2].mean(), rel=1e-13)
+def test_samples_far_off_are_left_out_of_each_piece() -> None:
+    values = np.random.default_rng(2).normal(0.0, 1.0, (2, 5000))
+    values[0, [7, 1234, 4990]] += 50.0
+    (found,) = intervals(values, [segment(0, 5000)])
+    kept = np.delete(values, [7, 1234, 4990], axis=1)
+    assert found.where["left_out"] == 3
+    assert found.summaries["y"].mean == pytest.approx(kept[1].mean(), rel=1e-12)
+    assert found.summaries["x"].std == pytest.approx(kept[0].std(ddof=1), rel=1e-12)
 
-    def test_samples_far_off_are_left_out_of_each_piece(self) -> None:
-        values = np.random.default_rng(2).normal(0.0, 1.0, (2, 5000))
-        values[0, [7, 1234, 4990]] += 50.0
-        (found,) = intervals(values, [segment(0, 5000)])
-        kept = np.delete(values, [7, 1234, 4990], axis=1)
-        assert found.where["left_out"] == 3
-        assert found.summaries["y"].mean == pytest.approx(kept[1].mean(), rel=1e-12)
-        assert found.summaries["x"].std == pytest.approx(kept[0].std(ddof=1), rel=1e-12)
 
-    def test_a_log_that_is_one_position_need_not_say_how_long_it_is(self) -> None:
-        values = np.random.default_rng(3).normal(0.0, 1.0, (2, 30_720))
-        (found,) = intervals(values, [segment(0, TO_THE_END)])
-        means = values[0].reshape(10, 3072).mean(axis=1)
-        assert found.where["rows"] == (0, 30_720)
-        assert found.summaries["x"].mean == pytest.approx(values[0].mean(), rel=1e-12)
-        assert found.summaries["x"].noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
+def test_a_log_that_is_one_position_need_not_say_how_long_it_is() -> None:
+    values = np.random.default_rng(3).normal(0.0, 1.0, (2, 30_720))
+    (found,) = intervals(values, [segment(0, TO_THE_END)])
+    means = values[0].reshape(10, 3072).mean(axis=1)
+    assert found.where["rows"] == (0, 30_720)
+    assert found.summaries["x"].mean == pytest.approx(values[0].mean(), rel=1e-12)
+    assert found.summaries["x"].noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
 
-    def test_a_reading_that_never_changes_has_no_scatter(self) -> None:
-        values = np.full((2, 5000), 0.1)
-        values[:, 4000:] = 0.3
-        assert intervals(values, [segment(0, 4000)])[0].summaries["x"].std == 0.0
+
+def test_a_reading_that_never_changes_has_no_scatter() -> None:
+    values = np.full((2, 5000), 0.1)
+    values[:, 4000:] = 0.3
+    assert intervals(values, [segment(0, 4000)])[0].summaries["x"].std == 0.0
 
 
 @pytest.mark.parametrize(("step", "left_out"), [(1.0, 1), (0.5, 21)])
@@ -84,27 +77,8 @@ def test_what_is_far_off_depends_on_the_step_of_the_whole_log(step: float, left_
     assert found.summaries["x"].n == 1020 - left_out
 
 
-def test_the_rise_of_parts_is_that_of_the_line_through_all() -> None:
+def test_the_rise_is_that_of_the_line_less_its_scatter() -> None:
     """A slope of 0.01 per sample with little scatter, from numpy's fit."""
     values = 0.01 * np.arange(300.0) + np.random.default_rng(4).normal(0.0, 0.05, 300)
     (slope, _), covariance = np.polyfit(np.arange(300), values, 1, cov=True)
-    line = Line.through(values[:80]).followed_by(Line.through(values[80:81])).followed_by(Line.through(values[81:]))
-    assert line.rise == pytest.approx(299 * (slope - 3.0 * np.sqrt(covariance[0, 0])), rel=1e-9)
-
-
-def test_the_samples_are_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(interval_samples, "PIECE", 1 << 12)
-    blocks, rows = 80, 1 << 12
-
-    def made() -> Iterator[Array]:
-        rng = np.random.default_rng(5)
-        for _ in range(blocks):
-            yield np.round(rng.normal(0.0, 1e-3, (2, rows)), 5)
-
-    record = RecordedReadings("the log", ("x", "y"), made(), thermometer=False)
-    end = blocks * rows
-    tracemalloc.start()
-    sampled(record, [segment(10, end // 2), segment(end // 2 + 10, end, "up")], {})
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < 2 * 8 * end
+    assert rise(values) == pytest.approx(299 * (slope - 3.0 * np.sqrt(covariance[0, 0])), rel=1e-9)

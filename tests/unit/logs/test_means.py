@@ -16,7 +16,8 @@ import tiltcal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.library.apply import apply_log
 from tiltcal.library.calibration import Calibration, read
-from tiltcal.logs.formats.csv_rows import CsvBlock, parse_rows
+from tiltcal.logs.formats.csv_dialect import Dialect
+from tiltcal.logs.formats.csv_rows import CsvBlock, RowGrammar
 from tiltcal.logs.formats.csv_types import ColumnTypes
 from tiltcal.logs.kernel import RoleValues, prepare
 from tiltcal.logs.means import GroupSize
@@ -287,16 +288,15 @@ class TestTimeOfCsv:
         assert (found if isinstance(mean, str) else float(found)) == mean
 
     def test_the_text_of_a_bad_row_stays(self) -> None:
-        rows = parse_rows(b"noon,1\nsoon,1,2\n", ("time", "n"), (0,), time=0, texts=(0, 1))
-        frame = self.types().typed(rows).frame
+        frame = self.types().typed(self.block("noon", "soon,2")).frame
         assert frame is not None
-        assert frame["time"].to_list() == ["noon", "soon"]
+        assert frame["time"].to_list() == ["noon", "soon,2,1"]
 
     @staticmethod
     def types() -> ColumnTypes:
-        return ColumnTypes(("time", "n"), (0,), 0, file="log.csv")
+        return ColumnTypes(Dialect(("time", "n")), (0,), 0, file="log.csv")
 
     @staticmethod
     def block(*cells: str) -> CsvBlock:
         data = "".join(f"{cell},1\n" for cell in cells).encode()
-        return parse_rows(data, ("time", "n"), (0,), time=0, texts=(0, 1))
+        return RowGrammar(Dialect(("time", "n")), (0,), 0, (0, 1)).parse(data)

@@ -19,7 +19,6 @@ from tiltcal.logs.static_detection import (
     mean_of,
     still_segments,
 )
-from tiltcal.logs.stored_rows import StoredRows
 
 Array = NDArray[np.float64]
 HELD, MOVED = 300, 120
@@ -172,17 +171,6 @@ def test_mean_and_uncertainty_of_an_attitude(size: int) -> None:
         mean, uncertainty = mean_of(readings, sums, some)
         assert mean == pytest.approx(samples.mean(axis=0), rel=1e-12)
         assert uncertainty == pytest.approx(blocks.std(axis=0, ddof=1) / np.sqrt(10), rel=1e-9)
-
-
-def test_the_same_is_found_in_a_file_as_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tiltcal.logs.stored_rows._MEMORY", 1000)
-    log = np.insert(handled(), 900, np.nan, axis=0)
-    log[50 : 50 + 2 * STUCK] = log[50]
-    with StoredRows(4, 3) as rows:
-        for part in np.array_split(np.column_stack([log, np.arange(len(log))]), 7):
-            rows.append(part.T)
-        assert np.concatenate(list(rows.blocks()), axis=1)[3].tolist() == list(range(len(log)))
-        assert find_still(rows)[0].intervals == find_still(log)[0].intervals
 
 
 def test_segments_and_the_table_that_is_shown() -> None:

@@ -97,7 +97,7 @@ def test_ctrl_c_that_does_not_reach_the_wait_ends_it(tmp_path: Path) -> None:
 
     def interrupt() -> None:
         with open(tmp_path / "device", "wb"):
-            while not (frame := sys._current_frames().get(first)) or frame.f_code.co_name != "read1":
+            while not (frame := sys._current_frames().get(first)) or frame.f_code.co_name != "read":
                 pass
             signal.pthread_kill(threading.get_ident(), signal.SIGINT)
             given_up.append(not ended.wait(10))

@@ -20,17 +20,16 @@ from math import isfinite
 
 import numpy as np
 
-from tiltcal.core.coverage_factor import welch_satterthwaite
 from tiltcal.core.estimation.equations import ADC, JIG, NOISE, PRIOR, Indices
 from tiltcal.core.estimation.solve import EstimatedVariance, Solution
 from tiltcal.core.model import Array
-from tiltcal.core.uncertainty_budget import Budget
+from tiltcal.core.uncertain import Uncertain, welch_satterthwaite
 
 
-def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> list[Budget]:
-    """Return the uncertainty of each sensor's coefficients; ``estimated`` are the variances that the residuals showed.
+def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> list[Uncertain]:
+    """Return the coefficients of each sensor with their uncertainty.
 
-    That of NOISE is of noise and rounding together.
+    ``estimated`` are the variances that the residuals showed; that of NOISE is of noise and rounding together.
     """
     equations, bench, near, covariance = solution.equations, solution.bench, solution.near, solution.covariance
     readings = len(equations.u)
@@ -43,7 +42,7 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
         stated = {PRIOR: equations.rows(PRIOR), **stated}
     by_readings = near.part(slice(0, readings)).normal if estimated else np.zeros((0, 0))
     budgets = []
-    for own in equations.sensor_coefficients():
+    for sensor, own in zip(equations.sensors, equations.sensor_coefficients(), strict=True):
         by = near.times(covariance[:, own])  # equations by coefficients
         squares = np.square(by)
         noise = squares[:readings] * (measured - rounding)[:, None]
@@ -67,7 +66,8 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
                 # The noise, by chance, was less than measured: so is what it does to the coefficients.
                 total = total + shown.value * by_error @ by_error.T
                 variance[NOISE] = variance[NOISE] + shown.value * np.sum(by_error**2, axis=1)
-        budgets.append(Budget(total, variance, welch_satterthwaite(np.diag(total), parts)))
+        dof = welch_satterthwaite(np.diag(total), parts)
+        budgets.append(Uncertain(sensor.design.names, solution.z[own], total, dof, variance))
     return budgets
 
 

@@ -15,11 +15,11 @@ import numpy as np
 from tiltcal.core.attitude import Vector, gravity_from_tilt
 from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.equations import ChannelReadings, Equations
-from tiltcal.core.estimation.free import UNKNOWNS, planned_budget
+from tiltcal.core.estimation.free import UNKNOWNS, planned_uncertain
 from tiltcal.core.estimation.positions import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.solve import UNDETERMINED, solved_at, undetermined
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.uncertainty_budget import Budget
+from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
 MOST_POSITIONS = 3
@@ -156,15 +156,14 @@ class Prediction:
     coefficient that it helps most, and the share of its uncertainty that is left, best first.
     """
 
-    names: tuple[str, ...]
-    budget: Budget
+    uncertain: Uncertain
     dof: int
     correlations: tuple[tuple[str, str, float], ...]
     worth_adding: tuple[tuple[str, str, float], ...]
 
     def uncertainty(self) -> dict[str, float]:
         """Return the predicted standard uncertainty of each coefficient."""
-        return dict(zip(self.names, self.budget.u.tolist(), strict=True))
+        return self.uncertain.by_name(self.uncertain.u)
 
 
 def predict_uncertainty(
@@ -191,10 +190,10 @@ def predict_uncertainty(
     }
     u = max(float(np.hypot(noise, adc)), 1e-12 * abs(sensitivity))
 
-    def reached(planned: Sequence[PlannedPosition]) -> tuple[Budget, int]:
+    def reached(planned: Sequence[PlannedPosition]) -> tuple[Uncertain, int]:
         if design.free:
             gravity = np.array([position.gravity for position in planned])
-            return planned_budget(gravity, u, sensitivity), len(planned) - UNKNOWNS
+            return planned_uncertain(gravity, u, sensitivity), len(planned) - UNKNOWNS
         plan = [_sensor(replace(design, jig=design.jig or 0.0), planned, u, adc)] * sensors
         require_sound(plan)
         equations = Equations(plan)
@@ -207,13 +206,12 @@ def predict_uncertainty(
         solution = solved_at(equations, z)
         return budgets(solution, {})[0], solution.dof
 
-    budget, dof = reached(positions)
+    uncertain, dof = reached(positions)
     return Prediction(
-        names=design.names,
-        budget=budget,
+        uncertain=uncertain,
         dof=dof,
-        correlations=_strong_correlations(design.names, budget.covariance),
-        worth_adding=_worth_adding(design, positions, lambda plan: reached(plan)[0].u, budget.u, level=level),
+        correlations=_strong_correlations(design.names, uncertain.covariance),
+        worth_adding=_worth_adding(design, positions, lambda plan: reached(plan)[0].u, uncertain.u, level=level),
     )
 
 

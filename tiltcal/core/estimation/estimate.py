@@ -31,7 +31,7 @@ from tiltcal.core.estimation.solve import (
     with_estimated,
 )
 from tiltcal.core.model import Array, Coefficients, Thermal
-from tiltcal.core.named_coefficients import DeterminedCoefficients
+from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
 LARGEST_THERMOMETER = 5.0
@@ -73,11 +73,13 @@ class AttitudeError:
 
 
 @dataclass(frozen=True)
-class Estimate(DeterminedCoefficients):
+class Estimate:
     """Coefficients of one sensor, with their uncertainty and the residuals.
 
     Attributes
     ----------
+    uncertain : Uncertain
+        The coefficients by their dotted names, channel by channel.
     residuals : ndarray, shape (positions, channels)
         Measured minus modelled in the positions as they were set, in the sensor's unit.
     dof : int
@@ -101,6 +103,8 @@ class Estimate(DeterminedCoefficients):
         Errors of the bench that no position shows and that are not in the uncertainty.
     """
 
+    coefficients: Coefficients
+    uncertain: Uncertain
     positions: tuple[str, ...]
     residuals: Array
     dof: int
@@ -115,6 +119,14 @@ class Estimate(DeterminedCoefficients):
     by_reading: Array | None = None
     notes: tuple[str, ...] = ()
     not_covered: tuple[str, ...] = ()
+
+    def uncertainty(self) -> dict[str, float]:
+        """Return the standard uncertainty of each coefficient by its dotted name."""
+        return self.uncertain.by_name(self.uncertain.u)
+
+    def coverage_factors(self) -> dict[str, float]:
+        """Return the coverage factor of each one's 95 % interval by its dotted name."""
+        return self.uncertain.by_name(self.uncertain.factors)
 
     def suspects(self) -> list[AttitudeError]:
         """Return the positions that were further off than the stated jig allows, the worst first."""
@@ -195,7 +207,7 @@ def _estimates(
     lean = equations.errors[TABLE]
     covered = lean.stop > lean.start or design.table is not None
     estimates = []
-    for sensor, own, budget in zip(
+    for sensor, own, uncertain in zip(
         equations.sensors, equations.sensor_coefficients(), budgets(solution, estimated), strict=True
     ):
         shape = (len(sensor.design.channels), len(sensor.observations))
@@ -207,8 +219,7 @@ def _estimates(
         estimates.append(
             Estimate(
                 coefficients=_coefficients(sensor, solution.z[own]),
-                names=sensor.design.names,
-                budget=budget,
+                uncertain=uncertain,
                 positions=tuple(observation.position for observation in sensor.observations),
                 residuals=residuals[rows].reshape(shape).T,
                 dof=dof,

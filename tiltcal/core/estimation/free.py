@@ -21,11 +21,10 @@ from math import cos, inf, radians, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.coverage_factor import NORMAL_FACTOR, coverage_factor
 from tiltcal.core.estimation.equations import NOISE
 from tiltcal.core.estimation.solve import undetermined
-from tiltcal.core.model import AXES, Array
-from tiltcal.core.uncertainty_budget import Budget
+from tiltcal.core.model import AXES, Array, ChannelModel
+from tiltcal.core.uncertain import NORMAL_FACTOR, Uncertain, coverage_factor
 from tiltcal.errors import EstimateError
 
 DIFFERENT_ATTITUDE = 5.0
@@ -51,6 +50,7 @@ CHANCE = 0.01
 
 _UPPER = np.triu_indices(3)
 UNKNOWNS = 3 + len(_UPPER[0])
+_COEFFICIENTS = [name for axis in AXES for name in ChannelModel(axis, AXES).coefficients]
 _NAMES = [f"offset.{axis}" for axis in AXES]
 _NAMES += [f"sensitivity.{AXES[i]}.{AXES[j]}" for i, j in zip(*_UPPER, strict=True)]
 _PLACES = np.concatenate([4 * np.arange(3), 4 * _UPPER[0] + 1 + _UPPER[1]])  # among the twelve, channel by channel
@@ -116,11 +116,11 @@ class FreeFit:
         student = float(coverage_factor(np.array([float(self.dof)]))[0])
         return student * max(self.noise, self.scatter) * sqrt(float(np.mean(np.sum(inverse**2, axis=1))))
 
-    def budget(self, noise_dof: float) -> Budget:
+    def uncertain(self, noise_dof: float) -> Uncertain:
         """Return the uncertainty of the twelve coefficients, channel by channel; the noise has so many dof."""
         if self.dof == 0 or self.below_noise:
-            return _budget(self.jacobian, self.noise, noise_dof)
-        return _budget(self.jacobian, self.scatter, self.dof)
+            return _uncertain(self.jacobian, self.noise, noise_dof)
+        return _uncertain(self.jacobian, self.scatter, self.dof)
 
 
 def fit_free(mean: Array, u: Array, sway: Array | float = 0.0) -> FreeFit:
@@ -159,14 +159,14 @@ def fit_free(mean: Array, u: Array, sway: Array | float = 0.0) -> FreeFit:
     )
 
 
-def planned_budget(attitudes: Array, noise: float, sensitivity: float) -> Budget:
+def planned_uncertain(attitudes: Array, noise: float, sensitivity: float) -> Uncertain:
     """Return the uncertainty of the twelve coefficients that planned attitudes, (n, 3), leave; noise of means, unit."""
     if len(attitudes) < UNKNOWNS:
         raise EstimateError(f"{len(attitudes)} free positions for {UNKNOWNS} unknowns: {_ADVICE}")
     readings = attitudes * sensitivity
     jacobian = _linearised(readings, np.zeros_like(readings), np.zeros(3), np.eye(3) * sensitivity).jacobian
     _require_determined(jacobian)
-    return _budget(jacobian, noise / sensitivity, inf)
+    return _uncertain(jacobian, noise / sensitivity, inf)
 
 
 def count_distinct(attitudes: Array) -> int:
@@ -237,8 +237,8 @@ def _require_determined(jacobian: Array) -> None:
         raise EstimateError(f"the {len(jacobian)} free positions do not determine {', '.join(mixed[:4])}: {_ADVICE}")
 
 
-def _budget(jacobian: Array, scatter: float, dof: float) -> Budget:
+def _uncertain(jacobian: Array, scatter: float, dof: float) -> Uncertain:
     """Return the uncertainty of the twelve coefficients, those below the diagonal exact; ``scatter`` in g."""
     covariance = np.zeros((12, 12))
     covariance[np.ix_(_PLACES, _PLACES)] = scatter**2 * np.linalg.inv(jacobian.T @ jacobian)
-    return Budget(covariance, {NOISE: np.diag(covariance)}, np.full(12, float(dof)))
+    return Uncertain.errors(_COEFFICIENTS, covariance, dof, source=NOISE)

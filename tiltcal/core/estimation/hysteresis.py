@@ -18,6 +18,7 @@ from tiltcal.core.estimation.equations import HYSTERESIS
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.estimation.positions import Observation, SensorObservations
 from tiltcal.core.model import AXES
+from tiltcal.core.uncertain import Uncertain
 
 ALIKE = 1.5
 """Temperatures that are no further apart are one temperature met twice, °C."""
@@ -34,7 +35,7 @@ def with_hysteresis(fitted: Estimate, sensor: SensorObservations) -> Estimate:
     jig = fitted.estimated_jig if sensor.design.jig is None else sensor.design.jig
     settings = np.cumsum([not observation.held for observation in observations])
     axes = [AXES.index(axis) for axis in fitted.coefficients.axes]
-    added = np.zeros_like(fitted.covariance)
+    added = np.zeros_like(fitted.uncertain.covariance)
     for column, sensitivity in enumerate(fitted.coefficients.sensitivity):
         loops = []
         for i, j in pairs:
@@ -49,7 +50,10 @@ def with_hysteresis(fitted: Estimate, sensor: SensorObservations) -> Estimate:
             for rows in _moved_together(settings.tolist(), {index for pair in pairs for index in pair}):
                 moved = fitted.by_reading[:, rows, column].sum(axis=1) * loop
                 added += np.outer(moved, moved) / 12.0
-    return replace(fitted, budget=fitted.budget.with_known(added, HYSTERESIS)) if added.any() else fitted
+    if not added.any():
+        return fitted
+    by_loops = Uncertain.errors(fitted.uncertain.names, added, source=HYSTERESIS)
+    return replace(fitted, uncertain=fitted.uncertain + by_loops)
 
 
 def _moved_together(settings: Sequence[int], twice: set[int]) -> Iterator[list[int]]:

@@ -203,7 +203,7 @@ def shown_variance(solution: Solution, source: str) -> EstimatedVariance:
     seen = d2 > _INSENSITIVE * largest
     d2, z2 = d2[seen], (vectors.T @ (gradient[own] - across @ gradient[others]))[seen] ** 2 / d2[seen]
     whole = float(near.residual @ near.residual - gradient[others] @ inverse @ gradient[others])
-    rest, count = max(whole - float(z2.sum()), 0.0), solution.dof - len(d2)
+    rest, count = max(whole - float(z2.sum()), 0.0), max(solution.dof - len(d2), 0)
     if source != NOISE:
         return EstimatedVariance(*_most_likely(np.ones(len(d2)), d2, z2, -_POSITIVE / largest), rest, count)
     # No reading is better than its rounding, with which a factor of 1 counts.

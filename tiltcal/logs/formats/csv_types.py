@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiltcal.errors import InputError
+from tiltcal.logs.formats.csv_dialect import Dialect
 from tiltcal.logs.formats.csv_rows import CsvBlock
 from tiltcal.logs.text_to_numbers import numbers
 
@@ -47,14 +48,16 @@ class ColumnTypes:
     InputError: a column has no name.
     """
 
-    def __init__(self, names: Sequence[str], needed: Sequence[int], time: int | None, *, file: str) -> None:
+    def __init__(self, dialect: Dialect, needed: Sequence[int], time: int | None, *, file: str) -> None:
+        names = dialect.names
         if "" in names:
             raise InputError(
                 f"column {names.index('') + 1} has no name, which Parquet and means need: name it in the header",
                 file=file,
                 line=1,
             )
-        self._names, self._time, self._file = tuple(names), time, file
+        self._names, self._time, self._file = names, time, file
+        self._points = dialect.with_points
         self._needed = tuple(index for index in needed if index != time)
         self.others = tuple(index for index in range(len(names)) if index not in self._needed)
         self._types: dict[int, Callable[[CsvBlock, int], pl.Series]] = {}
@@ -81,7 +84,7 @@ class ColumnTypes:
     def _type(self, block: CsvBlock, index: int) -> Callable[[CsvBlock, int], pl.Series]:
         """Return how a column is typed, by the sound cells of the first block."""
         cells = block.texts[index].clone().scatter([*block.faults], None)
-        values, wrong = numbers(cells)
+        values, wrong = numbers(self._points(cells))
         if wrong is not None:
             return _as_moments if index == self._time and np.isfinite(block.values[index][wrong]).any() else _as_text
         if not np.isfinite(values).any():
@@ -95,7 +98,7 @@ class ColumnTypes:
     def _as_numbers(self, block: CsvBlock, index: int) -> pl.Series:
         import polars as pl
 
-        values, wrong = numbers(block.texts[index])
+        values, wrong = numbers(self._points(block.texts[index]))
         self._refuse(block, index, wrong)
         return pl.Series(values).fill_nan(None)
 

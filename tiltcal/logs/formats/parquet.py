@@ -142,9 +142,7 @@ def _widened(block: LogBlock, table: Table) -> pl.DataFrame:
     """Return all columns of a block, and those that belong behind them."""
     import polars as pl
 
-    if block.frame is None:
-        raise TypeError("a block without its columns cannot be written as Parquet")
-    return block.frame.hstack([pl.Series(name, column) for name, column in table.items()])
+    return block.framed().hstack([pl.Series(name, column) for name, column in table.items()])
 
 
 def _numbers(column: pl.Series) -> Array:

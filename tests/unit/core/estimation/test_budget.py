@@ -4,32 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from math import cos, degrees, radians, sin, sqrt
+from math import cos, radians, sin, sqrt
 
 import numpy as np
 import pytest
 import scipy
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from support.accuracy_study import Regime, planned, simulate, sweep, two_temperatures
 from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of
 
 from tiltcal.core.attitude import gravity_from_tilt
-from tiltcal.core.coverage_factor import coverage_factor, welch_satterthwaite
-from tiltcal.core.derived_quantities import cross_axis, derived, misalignment
 from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.solve import solved_at, start_as_set
-from tiltcal.core.intrinsic_parameters import intrinsic, separated
-from tiltcal.core.model import Coefficients, Mounting
-from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.samples import pooled
-from tiltcal.core.uncertainty_budget import propagated
-from tiltcal.core.uncertainty_inputs import UncertaintyInputs
+from tiltcal.core.uncertain import coverage_factor, welch_satterthwaite
 from tiltcal.errors import EstimateError
 
 LEVEL = np.array([0.0, 0.0, 1.0])
@@ -60,7 +52,7 @@ class TestBudgetByHand:
         by_step = self.STEP * sqrt(2) / (2 * sin(radians(30)))
         by_jig = sqrt(2) * self.S * cos(radians(30)) * radians(self.JIG) / (2 * sin(radians(30)))
         assert found.uncertainty()["sensitivity.x.x"] == pytest.approx(sqrt(by_noise**2 + by_step**2 + by_jig**2), 1e-4)
-        variance = {source: part[1] for source, part in found.budget.variance.items()}
+        variance = {source: part[1] for source, part in found.uncertain.sources.items()}
         assert variance["noise"] == pytest.approx(by_noise**2, rel=1e-5)
         assert variance["adc"] == pytest.approx(by_step**2, rel=1e-5)
         assert variance["jig"] == pytest.approx(by_jig**2, rel=1e-4)
@@ -73,7 +65,7 @@ class TestBudgetByHand:
             for t in (24.0, 24.0 - spread)
         ]
         found = estimate(levels, Design(("x",), (), drift=1, reference=24.0, jig=self.JIG, thermometer=thermometer))
-        shares = {source: share[1] for source, share in found.budget.shares.items()}
+        shares = {source: share[1] for source, share in found.uncertain.shares.items()}
         by_noise, by_warmth = self.NOISE * sqrt(2) / spread, sqrt(2) * drift * thermometer / spread
         assert found.uncertainty()["temperature.offset.x.1"] == pytest.approx(np.hypot(by_noise, by_warmth), rel=1e-6)
         assert shares["thermometer"] == pytest.approx(by_warmth**2 / (by_noise**2 + by_warmth**2), rel=1e-6)
@@ -102,7 +94,7 @@ class TestBudgetByHand:
             "assumed": ((1.0 - by_reading * sin(t)) * known) ** 2,
             "jig": (by_reading * jig) ** 2,
         }
-        assert {source: part[1] for source, part in budget.variance.items()} == pytest.approx(by_hand, rel=1e-6)
+        assert {source: part[1] for source, part in budget.sources.items()} == pytest.approx(by_hand, rel=1e-6)
         total = known**2 * (1.0 - by_reading * sin(t))
         assert sum(by_hand.values()) == pytest.approx(total, rel=1e-9)
         assert budget.covariance[1, 1] == pytest.approx(total, rel=1e-9)
@@ -174,7 +166,7 @@ class TestChiSquare:
         found = [estimate(one, design(plan_of(12, noise=1e-4, jig=0.1), jig=0.1)) for one in (good, bad)]
         assert found[1].p is not None
         assert found[1].p < 1e-6
-        np.testing.assert_allclose(found[0].budget.u, found[1].budget.u, rtol=0.3)
+        np.testing.assert_allclose(found[0].uncertain.u, found[1].uncertain.u, rtol=0.3)
 
 
 @pytest.mark.parametrize(
@@ -229,7 +221,7 @@ class TestJigNotStated:
             assert found.dof == 4
             errors = np.hstack([found.coefficients.offset - offset, (found.coefficients.sensitivity - matrix).ravel()])
             order = [0, 3, 1, 2, 4, 5]
-            half = (found.budget.factors * found.budget.u)[order]
+            half = (found.uncertain.factors * found.uncertain.u)[order]
             inside.append(np.mean(np.abs(errors) <= half))
         error = np.std(inside) / np.sqrt(len(inside))
         assert 0.93 - 3 * error <= np.mean(inside) <= 0.97 + 3 * error
@@ -256,98 +248,6 @@ class TestPooling:
         assert np.all(np.isinf(dof))
 
 
-def uncertain(names: tuple[str, ...], covariance: np.ndarray, factor: float = 1.96) -> UncertaintyInputs:
-    return UncertaintyInputs(names, covariance, np.full(len(names), factor))
-
-
-class TestIntrinsic:
-    """The nine numbers that no mounting changes."""
-
-    TRIANGULAR = np.array([[1.02, 0.03, -0.02], [0.0, 0.97, 0.05], [0.0, 0.0, 1.01]])
-    NAMES = tuple(f"{name}" for c in XYZ for name in (f"offset.{c}", *(f"sensitivity.{c}.{a}" for a in XYZ)))
-
-    def coefficients(self, rotation: np.ndarray) -> Coefficients:
-        return Coefficients(XYZ, XYZ, np.array([0.1, -0.2, 0.3]), self.TRIANGULAR @ rotation)
-
-    @settings(max_examples=50, deadline=None)
-    @given(st.tuples(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1)))
-    def test_any_mounting_is_told_from_the_sensor(self, angles) -> None:
-        rotation = mounting_matrix(Mounting(*angles))
-        triangular, found = separated(self.TRIANGULAR @ rotation)
-        np.testing.assert_allclose(triangular, self.TRIANGULAR, atol=1e-12)
-        np.testing.assert_allclose(found, rotation, atol=1e-12)
-
-    def test_lengths_and_angles_by_hand(self) -> None:
-        own = intrinsic(self.coefficients(np.eye(3)), uncertain(self.NAMES, 1e-12 * np.eye(12)))
-        assert own.sensitivity["x"].value == pytest.approx(sqrt(1.02**2 + 0.03**2 + 0.02**2))
-        assert own.sensitivity["z"].value == pytest.approx(1.01)
-        assert own.angle["yz"].value == pytest.approx(degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
-        assert own.offset["y"].value == -0.2
-
-    def test_a_common_turn_is_uncertain_in_the_mounting_alone(self) -> None:
-        """An error that turns all rows alike, by 0.1° about z, is the yaw's and nobody else's."""
-        turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-        shift = np.hstack([np.zeros((3, 1)), self.TRIANGULAR @ turn]).ravel() * radians(0.1)
-        own = intrinsic(self.coefficients(np.eye(3)), uncertain(self.NAMES, np.outer(shift, shift)))
-        assert own.mounting["yaw"].u == pytest.approx(0.1, rel=1e-3)
-        assert own.mounting["roll"].u < 1e-3
-        assert own.sensitivity["x"].u < 1e-5
-        assert own.angle["xy"].u < 1e-3
-
-    def test_one_estimated_variance_gives_all_of_them_the_factor_of_student(self) -> None:
-        """Readings whose variance has 5 degrees of freedom: whatever follows from them straightly has t of 5."""
-        student = float(scipy.stats.t.ppf(0.975, 5))
-        by = np.random.default_rng(3).normal(size=(12, 12))
-        own = intrinsic(self.coefficients(np.eye(3)), uncertain(self.NAMES, 1e-12 * by @ by.T, student))
-        every = [*own.offset.values(), *own.sensitivity.values(), *own.angle.values(), *own.mounting.values()]
-        assert len(every) == 12
-        np.testing.assert_allclose([one.factor for one in every], student, rtol=1e-4)
-
-    def test_a_mirror_image_is_refused(self) -> None:
-        with pytest.raises(EstimateError, match="left-handed"):
-            separated(np.diag([1.0, 1.0, -1.0]))
-
-    def test_a_mirror_image_has_its_nine_numbers_all_the_same(self) -> None:
-        """A channel that is wired the other way round: lengths stay, and its angles with the others are 180° less."""
-        mirrored = Coefficients(XYZ, XYZ, np.zeros(3), self.TRIANGULAR * np.array([[1.0], [-1.0], [1.0]]))
-        own = intrinsic(mirrored, uncertain(self.NAMES, 1e-12 * np.eye(12)))
-        assert own.sensitivity["y"].value == pytest.approx(sqrt(0.97**2 + 0.05**2))
-        assert own.angle["yz"].value == pytest.approx(180.0 - degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
-        assert own.mounting == {}
-        assert "left-handed" in own.left_handed
-
-
-def test_cross_axis_and_misalignment_with_their_uncertainty() -> None:
-    """S_X = 2, S_Y = 0.06, S_Z = 0.08: 5 %; du = (0.6 du_Y + 0.8 du_Z) / 2, for both of 0.01: 0.5 %."""
-    known = Coefficients(("x",), XYZ, np.zeros(1), np.array([[2.0, 0.06, 0.08]]))
-    known_to = uncertain(("sensitivity.x.y", "sensitivity.x.z"), 1e-4 * np.eye(2))
-    assert cross_axis(known)["x"] == pytest.approx(5.0)
-    assert derived(cross_axis, known, known_to)["x"].u == pytest.approx(0.5, rel=0.01)
-    angle = degrees(np.arctan(0.05))
-    assert misalignment(known)["x"] == pytest.approx(angle)
-    assert derived(misalignment, known, known_to)["x"].u == pytest.approx(degrees(0.005 / (1 + 0.05**2)), rel=0.01)
-
-
-def test_propagation_is_exact_for_a_straight_function() -> None:
-    matrix = np.array([[1.0, -2.0], [0.5, 3.0], [0.0, 1.0]])
-    covariance = np.array([[2.0, 0.7], [0.7, 1.0]])
-    u, _ = propagated(lambda v: matrix @ v, np.array([1.0, 2.0]), covariance, np.full(2, 1.96))
-    np.testing.assert_allclose(u, np.sqrt(np.diag(matrix @ covariance @ matrix.T)), rtol=1e-12)
-
-
-def test_propagation_never_moves_an_exact_parameter() -> None:
-    """The eigenvectors of a covariance with rows of zeros hold numbers of 1e-17 there, on some processors."""
-    rng = np.random.default_rng(3)
-    parameters = rng.normal(size=8)
-    exact = np.array([1, 4, 5])
-    for _ in range(20):
-        factor = rng.normal(size=(8, 8))
-        factor[exact] = 0.0
-        u, _ = propagated(lambda v: v - parameters, parameters, factor @ factor.T, np.full(8, 1.96))
-        assert np.all(u[exact] == 0.0)
-        np.testing.assert_allclose(u, np.linalg.norm(factor, axis=1), rtol=1e-9)
-
-
 class TestPrediction:
     FACES = tuple(PlannedPosition(f"p{k}", tuple(g)) for k, g in enumerate(FACES.tolist()))
 
@@ -357,7 +257,7 @@ class TestPrediction:
         predicted = predict_uncertainty(Design(XYZ, XYZ, jig=0.1), self.FACES, 1e-3)
         plan = plan_of(6, noise=1e-3, jig=0.1)
         found = estimate_jointly(fixture(measured(rng, plan, [part(rng)]), design(plan, jig=0.1)))[0]
-        np.testing.assert_allclose(predicted.budget.u, found.budget.u, rtol=0.1)
+        np.testing.assert_allclose(predicted.uncertain.u, found.uncertain.u, rtol=0.1)
         assert predicted.dof == found.dof
 
     def test_a_pair_by_hand(self) -> None:

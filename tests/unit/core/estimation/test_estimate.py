@@ -189,7 +189,7 @@ def test_weights_and_covariance_agree_with_scipy() -> None:
     peer = least_squares(lambda p: (p[0] + gravity[:, :2] @ p[1:] - mean) / sigma, [0.0, 1.0, 0.0], xtol=1e-15)
     theta = [found.coefficients.offset[0], *found.coefficients.sensitivity[0]]
     np.testing.assert_allclose(theta, peer.x, rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(peer.jac.T @ peer.jac), rtol=1e-6)
+    np.testing.assert_allclose(found.uncertain.covariance, np.linalg.inv(peer.jac.T @ peer.jac), rtol=1e-6)
     assert found.chi_square == pytest.approx(2 * peer.cost, rel=1e-8)
     assert found.dof == 3
 
@@ -237,7 +237,7 @@ def test_the_joint_minimum_is_scipys() -> None:
     # What is taken off for the squares of the attitudes is of their size, 0.4° squared.
     np.testing.assert_allclose(theta, peer.x[:10].reshape(2, 5), atol=jig**2)
     peer_u = np.sqrt(np.diag(np.linalg.inv(peer.jac.T @ peer.jac)))[:10]
-    np.testing.assert_allclose(found.budget.u, peer_u, rtol=0.01)
+    np.testing.assert_allclose(found.uncertain.u, peer_u, rtol=0.01)
 
 
 def test_a_jig_that_goes_to_zero_is_least_squares() -> None:
@@ -247,7 +247,7 @@ def test_a_jig_that_goes_to_zero_is_least_squares() -> None:
     exact, nearly = (estimate(observations, Design(("x",), ("x", "y", "z"), jig=jig)) for jig in (0.0, 1e-9))
     np.testing.assert_allclose(nearly.coefficients.offset, exact.coefficients.offset, rtol=1e-10)
     np.testing.assert_allclose(nearly.coefficients.sensitivity, exact.coefficients.sensitivity, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(nearly.covariance, exact.covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(nearly.uncertain.covariance, exact.uncertain.covariance, rtol=1e-6, atol=1e-12)
     assert nearly.dof == exact.dof
 
 

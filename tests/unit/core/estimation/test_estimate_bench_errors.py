@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tiltcal.core.attitude import gravity_from_tilt
-from tiltcal.core.coverage_factor import coverage_factor
 from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.estimate import LEAN, Estimate, estimate
 from tiltcal.core.estimation.hysteresis import with_hysteresis
@@ -24,6 +23,7 @@ from tiltcal.core.model import Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.mounting_rotation import solve_mounting
 from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means, summarise
+from tiltcal.core.uncertain import coverage_factor
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ class TestLean:
             hits.append(inside(found, self.OFFSETS))
         assert np.mean(hits) == pytest.approx(0.95, abs=0.055)
         by_lean = radians(0.2) * (1 + cos(radians(30))) / 2
-        assert sqrt(found.budget.variance["table"][0]) == pytest.approx(by_lean, rel=0.12)
+        assert sqrt(found.uncertain.sources["table"][0]) == pytest.approx(by_lean, rel=0.12)
 
     def test_a_lean_that_headings_cannot_show_is_not_covered(self) -> None:
         found = estimate(plane(np.random.default_rng(2), (0.0, 0.0)), Design(("x", "y"), ("x", "y"), jig=0.0))
@@ -224,7 +224,7 @@ def test_a_loop_counts_where_noise_and_jig_do_not_explain_it() -> None:
     for jig, met, counts in ((0.0, observations, True), (10.0, observations, False), (10.0, untouched, True)):
         design = Design(("x",), ("x",), drift=1, jig=jig, priors={"sensitivity.x.x": Prior(1.0)})
         found = with_hysteresis(estimate(met, design), SensorObservations(design, met))
-        assert ("hysteresis" in found.budget.variance) is counts
+        assert ("hysteresis" in found.uncertain.sources) is counts
 
 
 def test_a_loop_is_in_offset_and_drift() -> None:
@@ -242,7 +242,7 @@ def test_a_loop_is_in_offset_and_drift() -> None:
     loop = max(found.residuals[3, 0] - found.residuals[1, 0], found.residuals[4, 0] - found.residuals[0, 0])
     expected = [loop**2 / 12.0 * (np.sum(by) ** 2 + by[2] ** 2) for by in (offset, drift)]
     assert loop == pytest.approx(0.4, abs=0.01)
-    added = dict(zip(found.names, found.budget.variance["hysteresis"], strict=True))
+    added = dict(zip(found.uncertain.names, found.uncertain.sources["hysteresis"], strict=True))
     assert [added["offset.x"], added["temperature.offset.x.1"]] == pytest.approx(expected, rel=1e-6)
 
 
@@ -263,9 +263,9 @@ def test_a_loop_moves_the_positions_of_its_own_setting_alone() -> None:
     ]
     design = Design(("x",), ("x",), drift=1, jig=0.0)
     found = with_hysteresis(estimate(observations, design), SensorObservations(design, observations))
-    by = dict(zip(found.names, np.linalg.pinv([[1.0, x, t] for x, t, _, _ in rows]), strict=True))
+    by = dict(zip(found.uncertain.names, np.linalg.pinv([[1.0, x, t] for x, t, _, _ in rows]), strict=True))
     loop = max(found.residuals[3, 0] - found.residuals[1, 0], found.residuals[4, 0] - found.residuals[0, 0])
-    added = dict(zip(found.names, found.budget.variance["hysteresis"], strict=True))
+    added = dict(zip(found.uncertain.names, found.uncertain.sources["hysteresis"], strict=True))
     for name, row in by.items():
         expected = loop**2 / 12.0 * (np.sum(row[:5]) ** 2 + row[2] ** 2)
         assert added[name] == pytest.approx(expected, rel=1e-6, abs=1e-12), name

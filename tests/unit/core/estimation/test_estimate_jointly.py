@@ -201,12 +201,12 @@ class TestTable:
         found = [estimate(one, self.design(None)) for one in sessions]
         own = [0, 3]
         errors = np.array([one.coefficients.offset - offset for one in found])
-        half = np.array([(one.budget.factors * one.budget.u)[own] for one in found])
+        half = np.array([(one.uncertain.factors * one.uncertain.u)[own] for one in found])
         assert np.mean(np.abs(errors) <= half) == pytest.approx(0.95, abs=0.03)
         # Eight readings, of which the lean and the offsets use up four.
         student = scipy.stats.t.ppf(0.975, 4)
-        assert np.median([one.budget.factors[own] for one in found]) == pytest.approx(student, rel=0.02)
-        assert all(share >= 0.0 for one in found for column in one.budget.shares.values() for share in column[own])
+        assert np.median([one.uncertain.factors[own] for one in found]) == pytest.approx(student, rel=0.02)
+        assert all(share >= 0.0 for one in found for column in one.uncertain.shares.values() for share in column[own])
 
 
 def test_sensors_of_different_benches_are_refused() -> None:

@@ -61,7 +61,7 @@ def test_it_is_the_minimum_that_scipy_finds() -> None:
     assert found.offset == pytest.approx(peer.x[6:], abs=1e-6)
     # The uncertainty of the offsets, from the peer's Jacobian and the scatter of its residuals.
     u = np.sqrt(np.diag(np.linalg.inv(peer.jac.T @ peer.jac))[6:] * 2 * peer.cost / 9)
-    assert found.budget(np.inf).u[[0, 4, 8]] == pytest.approx(u, rel=1e-4)
+    assert found.uncertain(np.inf).u[[0, 4, 8]] == pytest.approx(u, rel=1e-4)
 
 
 def test_nine_attitudes_fit_perfectly_and_are_worth_nothing() -> None:
@@ -86,7 +86,9 @@ def test_misfits_below_the_noise_are_chance_or_sway() -> None:
     assert by_chance.noise == pytest.approx(0.0101, rel=0.05)
     sway = fit_free(readings(up, noise=0.001), np.full((12, 3), 0.1))
     assert not sway.below_noise
-    assert sway.budget(np.inf).u[0] == pytest.approx(by_chance.budget(np.inf).u[0] * sway.scatter / 0.0101, rel=0.05)
+    assert sway.uncertain(np.inf).u[0] == pytest.approx(
+        by_chance.uncertain(np.inf).u[0] * sway.scatter / 0.0101, rel=0.05
+    )
 
 
 def test_count_distinct() -> None:

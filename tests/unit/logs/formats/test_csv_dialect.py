@@ -1,4 +1,4 @@
-"""Logs without a header: columns by number, fields parted by blanks."""
+"""Logs as programs, phones and Europe write them: other separators, a decimal comma, no header, units in it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tiltcal.errors import InputError
 from tiltcal.logs.columns import locate_columns
 from tiltcal.logs.formats.csv import CsvReader
-from tiltcal.logs.formats.whitespace import WhitespaceSeparated, blank_separated_names, numbered_columns
+from tiltcal.logs.formats.csv_dialect import BlankSeparated, Dialect, dialect_of
 from tiltcal.logs.log import LogSource
 
 NUMBERED = CsvReader(LogSource(BytesIO(b"4,5,6\n7,8,9\n"), "log.txt", "log.txt"))
@@ -50,7 +50,9 @@ def table(content: bytes, block: int = 1 << 20, skip_bad_rows: bool = False) -> 
     ],
 )
 def test_a_first_line_of_numbers_is_a_row(line: str, columns: tuple[str, ...] | None) -> None:
-    assert numbered_columns(line) == columns
+    dialect = dialect_of(line)
+    assert dialect.has_header == (columns is None)
+    assert columns is None or dialect.names == columns
 
 
 @pytest.mark.parametrize("block", [1, 2, 5, 1 << 20])
@@ -77,7 +79,7 @@ def test_blanks_are_commas(rows: list[list[int]], gaps: list[str], block: int) -
     text = "".join(
         gaps[0] + gaps[number % len(gaps)].join(map(str, row)) + gaps[-1] + "\n" for number, row in enumerate(rows)
     )
-    stream = WhitespaceSeparated(b"", BytesIO(text.encode()))
+    stream = BlankSeparated(b"", BytesIO(text.encode()))
     read = b"".join(iter(lambda: stream.read(block), b""))
     assert read.decode() == "".join(",".join(map(str, row)) + "\n" for row in rows)
 
@@ -134,7 +136,58 @@ def test_names_may_be_parted_by_blanks_too(content: bytes, block: int) -> None:
     ],
 )
 def test_blanks_within_a_name_part_nothing(first: str, second: str) -> None:
-    assert blank_separated_names(first, second) is None
+    assert not dialect_of(f"{first}\n{second}\n").has_blanks
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("time;x\n0,5;1\n1,5;2\n", Dialect(("time", "x"), ";", ",")),
+        ("time;x\n1;2\n1;2,5\n", Dialect(("time", "x"), ";", ",")),
+        ("time;x\r\n0.5;1\r\n", Dialect(("time", "x"), ";")),
+        ("time\tx\n0,5\t1,25\n", Dialect(("time", "x"), "\t", ",")),
+        ("Time (s)\tx (m/s^2)\n0.5\t1.25\n", Dialect(("Time (s)", "x (m/s^2)"), "\t")),
+        ("0,5;1,25\n1,5;2,5\n", Dialect(("1", "2"), ";", ",", has_header=False)),
+        ("a;b,c\n1;2,3\n", Dialect(("a;b", "c"))),
+        ("note,x\na;b,1\n", Dialect(("note", "x"))),
+    ],
+)
+def test_the_dialect_is_seen_at_the_top(content: str, expected: Dialect) -> None:
+    assert dialect_of(content) == expected
+
+
+class TestDecimalComma:
+    CONTENT = "time;x;note\n0,5;1;a.b\n1,5;-2,5e-1;01.02.2026\n;NA;\n"
+
+    @pytest.mark.parametrize("size", [None, 100])
+    def test_numbers_and_text(self, size: int | None) -> None:
+        """With the engine, and without it."""
+        log = CsvReader(LogSource(BytesIO(self.CONTENT.encode()), "log.csv", "log.csv", size=size))
+        (block,) = log.rows([0, 1])
+        np.testing.assert_array_equal([block.values[0], block.values[1]], [[0.5, 1.5, np.nan], [1.0, -0.25, np.nan]])
+
+    @pytest.mark.parametrize("cell", ["1.5", "1.234,5", "1,", "1,5,2"])
+    def test_a_point_is_none(self, cell: str) -> None:
+        """1.234 is more than a thousand where commas are decimal."""
+        with pytest.raises(InputError, match=f"log.txt:3: column 'x': '{cell}' is no number"):
+            table(f"time;x\n0,5;1,5\n1,5;{cell}\n".encode())
+
+    def test_columns_have_types(self) -> None:
+        log = CsvReader(LogSource(BytesIO(self.CONTENT.encode()), "log.csv", "log.csv"))
+        (block,) = log.rows([1], frames=True)
+        assert block.framed()["time"].to_list() == [0.5, 1.5, None]
+        assert block.framed()["note"].to_list() == ["a.b", "01.02.2026", None]
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("Acceleration x (m/s^2)", "m/s^2"), ("x [V]", "V"), ("x (left)", None), ("x", None), ("(V)", None)],
+)
+def test_a_unit_may_stand_in_the_header(name: str, unit: str | None) -> None:
+    log = CsvReader(LogSource(BytesIO(f"time,{name}\n0,1\n".encode()), "log.csv", "log.csv"))
+    assert log.unit(1) == unit
+    bare = name if unit is None else name.partition(" ")[0] if name.startswith("x") else "Acceleration x"
+    assert locate_columns(log, ("x",), {"x": bare}) == locate_columns(log, ("x",), {"x": name}) == {"x": 1}
 
 
 def test_a_name_that_is_there_twice_is_refused_however_names_are_parted() -> None:

@@ -1,0 +1,85 @@
+"""What follows from the sensitivity matrix: against formulas by hand."""
+
+from __future__ import annotations
+
+from math import degrees, radians, sqrt
+
+import numpy as np
+import pytest
+import scipy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation, separated
+from tiltcal.core.model import AXES, Coefficients, Mounting
+from tiltcal.core.mounting_angles import mounting_matrix
+from tiltcal.core.uncertain import Uncertain, degrees_of_freedom
+from tiltcal.errors import EstimateError
+
+TRIANGULAR = np.array([[1.02, 0.03, -0.02], [0.0, 0.97, 0.05], [0.0, 0.0, 1.01]])
+NAMES = tuple(f"{name}" for c in AXES for name in (f"offset.{c}", *(f"sensitivity.{c}.{a}" for a in AXES)))
+STRAIGHT = Coefficients(AXES, AXES, np.array([0.1, -0.2, 0.3]), TRIANGULAR)
+
+
+def uncertain(names: tuple[str, ...], covariance: np.ndarray, factor: float = 1.96) -> Uncertain:
+    return Uncertain.errors(names, covariance, degrees_of_freedom(np.full(len(names), factor)))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.tuples(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1)))
+def test_any_mounting_is_told_from_the_sensor(angles) -> None:
+    turned = mounting_matrix(Mounting(*angles))
+    triangular, found = separated(TRIANGULAR @ turned)
+    np.testing.assert_allclose(triangular, TRIANGULAR, atol=1e-12)
+    np.testing.assert_allclose(found, turned, atol=1e-12)
+
+
+def test_lengths_and_angles_by_hand() -> None:
+    own = intrinsic(STRAIGHT, uncertain(NAMES, 1e-12 * np.eye(12)))
+    nine = own.by_name(own.value)
+    assert nine["sensitivity.x"] == pytest.approx(sqrt(1.02**2 + 0.03**2 + 0.02**2))
+    assert nine["sensitivity.z"] == pytest.approx(1.01)
+    assert nine["angle_degrees.yz"] == pytest.approx(degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
+    assert nine["offset.y"] == -0.2
+
+
+def test_a_common_turn_is_uncertain_in_the_mounting_alone() -> None:
+    """An error that turns all rows alike, by 0.1° about z, is the yaw's and nobody else's."""
+    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    shift = np.hstack([np.zeros((3, 1)), TRIANGULAR @ turn]).ravel() * radians(0.1)
+    known = uncertain(NAMES, np.outer(shift, shift))
+    turned, locked = rotation(STRAIGHT, known)
+    assert not locked
+    assert turned.by_name(turned.u)["rotation_degrees.yaw"] == pytest.approx(0.1, rel=1e-3)
+    assert turned.by_name(turned.u)["rotation_degrees.roll"] < 1e-3
+    assert np.all(intrinsic(STRAIGHT, known).u < 1e-3)
+
+
+def test_one_estimated_variance_gives_all_of_them_the_factor_of_student() -> None:
+    """Readings whose variance has 5 degrees of freedom: whatever follows from them straightly has t of 5."""
+    student = float(scipy.stats.t.ppf(0.975, 5))
+    by = np.random.default_rng(3).normal(size=(12, 12))
+    known = uncertain(NAMES, 1e-12 * by @ by.T, student)
+    factors = np.concatenate([intrinsic(STRAIGHT, known).factors, rotation(STRAIGHT, known)[0].factors])
+    np.testing.assert_allclose(factors, np.full(12, student), rtol=1e-4)
+
+
+def test_a_mirror_image_has_no_rotation_and_its_nine_numbers_all_the_same() -> None:
+    """A channel that is wired the other way round: lengths stay, and its angles with the others are 180° less."""
+    mirrored = Coefficients(AXES, AXES, np.zeros(3), TRIANGULAR * np.array([[1.0], [-1.0], [1.0]]))
+    own = intrinsic(mirrored, uncertain(NAMES, 1e-12 * np.eye(12)))
+    nine = own.by_name(own.value)
+    assert nine["sensitivity.y"] == pytest.approx(sqrt(0.97**2 + 0.05**2))
+    assert nine["angle_degrees.yz"] == pytest.approx(180.0 - degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
+    with pytest.raises(EstimateError, match="left-handed"):
+        rotation(mirrored, uncertain(NAMES, 1e-12 * np.eye(12)))
+
+
+def test_cross_axis_and_misalignment_with_their_uncertainty() -> None:
+    """S_X = 2, S_Y = 0.06, S_Z = 0.08: 5 %; du = (0.6 du_Y + 0.8 du_Z) / 2, for both of 0.01: 0.5 %."""
+    coefficients = Coefficients(("x",), AXES, np.zeros(1), np.array([[2.0, 0.06, 0.08]]))
+    known = uncertain(("sensitivity.x.y", "sensitivity.x.z"), 1e-4 * np.eye(2))
+    share, angle = cross_axis(coefficients, known), misalignment(coefficients, known)
+    assert (share.value[0], share.u[0]) == pytest.approx((5.0, 0.5), rel=0.01)
+    assert angle.value[0] == pytest.approx(degrees(np.arctan(0.05)))
+    assert angle.u[0] == pytest.approx(degrees(0.005 / (1 + 0.05**2)), rel=0.01)

@@ -1,0 +1,105 @@
+"""Uncertain quantities: against the examples of the GUM and calculations by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy
+
+from tiltcal.core.uncertain import Uncertain, central_differences, weighted_sum, welch_satterthwaite
+
+RNG = np.random.default_rng(3)
+
+
+def errors(covariance: list[list[float]] | np.ndarray, dof: float = np.inf) -> Uncertain:
+    matrix = np.asarray(covariance, dtype=float)
+    return Uncertain.errors([f"q{k}" for k in range(len(matrix))], matrix, dof, source="noise")
+
+
+def test_the_degrees_of_freedom_of_the_example_of_the_guide() -> None:
+    """GUM, G.4.1: a product of three quantities, from 10, 5 and 15 readings; relative uncertainties in percent."""
+    parts = [(np.array([0.25**2]), 9.0), (np.array([0.57**2]), 4.0), (np.array([0.82**2]), 14.0)]
+    (dof,) = welch_satterthwaite(np.array([1.03**2]), parts)
+    assert dof == pytest.approx(19.0, abs=0.05)
+
+
+def test_a_part_without_weight_leaves_the_degrees_infinite() -> None:
+    """Such a part came from a sensor whose noise was far below its jig."""
+    tiny = np.array([1e-157, 0.0, 5.98e-157, 2.33e-160])
+    assert np.all(np.isinf(welch_satterthwaite(np.full(4, 0.05), [(tiny, 1.0)])))
+
+
+def test_independent_errors_add_with_the_sources_of_both() -> None:
+    """Variances of 4 with 5 degrees of freedom and of 4 with 5: 8 with 10 (eq. G.2b)."""
+    both = errors([[4.0]], 5.0) + replace(errors([[4.0]], 5.0), sources={"jig": np.array([4.0])})
+    assert both.dof == pytest.approx([10.0])
+    assert {source: share.tolist() for source, share in both.shares.items()} == {"noise": [0.5], "jig": [0.5]}
+    assert both.factors == pytest.approx([scipy.stats.t.ppf(0.975, 10)])
+
+
+def test_a_linear_function_has_j_c_j_and_the_factor_of_the_one_variance_that_was_estimated() -> None:
+    matrix = np.array([[1.0, -2.0], [0.5, 3.0], [0.0, 1.0]])
+    known = errors([[2.0, 0.7], [0.7, 1.0]], 6.0)
+    for found in (known.through(matrix, "abc"), known.through_function("abc", lambda v: matrix @ v)):
+        np.testing.assert_allclose(found.covariance, matrix @ known.covariance @ matrix.T, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(found.factors, np.full(3, scipy.stats.t.ppf(0.975, 6)), rtol=1e-6)
+
+
+def test_an_exact_parameter_is_never_moved() -> None:
+    """The eigenvectors of a covariance with rows of zeros hold numbers of 1e-17 there, on some processors."""
+    exact = np.array([1, 4, 5])
+    for _ in range(20):
+        factor = RNG.normal(size=(8, 8))
+        factor[exact] = 0.0
+        u = errors(factor @ factor.T).through_function([""] * 8, lambda v: v).u
+        assert np.all(u[exact] == 0.0)
+        np.testing.assert_allclose(u, np.linalg.norm(factor, axis=1), rtol=1e-9)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-9])
+def test_the_last_digit_of_a_covariance_turns_nothing(scale: float) -> None:
+    """Beside equal variances it turns the principal axes by 45°, which a result with a corner near would follow."""
+    units, at = np.array([scale, 1.0]), np.array([0.3 * scale, 0.2])
+
+    def length(errors: np.ndarray) -> np.ndarray:
+        return np.array([np.hypot(errors[0] / scale, errors[1])])
+
+    found = [
+        replace(errors(np.array([[1.0, off], [off, 1.0]]) * np.outer(units, units)), value=at)
+        .through_function("l", length)
+        .u[0]
+        for off in (0.0, 1e-15, -1e-15)
+    ]
+    assert found == pytest.approx([found[0]] * 3, rel=1e-12)
+
+
+def test_what_follows_from_another_error_counts_once() -> None:
+    """As in the GUM, 5.2.2: fully correlated errors add, and opposite ones cancel; an exact one adds none."""
+    known = errors([[4.0, -2.0, 0.0], [-2.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    found = known.through_function("abc", lambda x: np.array([x.sum(), x[0] - x[1], x[0] + 2.0 * x[1]]))
+    assert found.u == pytest.approx([1.0, 3.0, 0.0], abs=1e-12)
+
+
+def test_a_shared_error_is_one_error_in_a_weighted_sum() -> None:
+    """Two offsets read anew, o_i = -S / 2 + e_i, with one S of u = 4 and e_i of 3 and 1.
+
+    By hand: their difference has 3² + 1²; halfway between them S keeps its 4, and the offset has 2² + (3² + 1²) / 4.
+    """
+    first, second = (errors([[4.0 + e**2, -8.0], [-8.0, 16.0]]) for e in (3.0, 1.0))
+    change = weighted_sum(first, second, (-1.0, 1.0), ("q1",))
+    assert change.u == pytest.approx([np.sqrt(10.0), 0.0])
+    halfway = weighted_sum(first, second, (0.5, 0.5), ("q1",))
+    assert halfway.u == pytest.approx([np.sqrt(4.0 + 10.0 / 4.0), 4.0])
+    assert weighted_sum(first, second, (0.5, 0.5), ()).u[1] == pytest.approx(4.0 / np.sqrt(2.0))
+
+
+def test_the_derivatives_of_a_quadratic_are_exact_and_those_by_a_certain_parameter_0() -> None:
+    def function(x: np.ndarray) -> np.ndarray:
+        return np.array([x[0] ** 2 + 3.0 * x[1], x[0] * x[1]])
+
+    found = central_differences(function, np.array([2.0, 5.0]), np.array([0.5, 0.25]))
+    assert found == pytest.approx(np.array([[4.0, 3.0], [5.0, 2.0]]), rel=1e-12)
+    assert central_differences(lambda x: 2.0 * x, np.ones(2), np.array([1.0, 0.0])).tolist() == [[2.0, 0.0], [0.0, 0.0]]
+    assert central_differences(lambda x: np.ones(3), np.zeros(0), np.zeros(0)).shape == (3, 0)

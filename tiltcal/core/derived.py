@@ -1,0 +1,144 @@
+"""Quantities that follow from the sensitivity matrix: cross-axis sensitivity, misalignment, intrinsic parameters.
+
+The intrinsic parameters separate a sensor from the way in which it was mounted. An RQ decomposition of the sensitivity
+matrix, ``S = U R``, gives the rotation ``R`` from the frame in which the positions were set to the sensor's own; ``U``
+is upper triangular with a positive diagonal, so that the sensor's own z axis is along its z channel's sensitive
+direction and its y axis in the plane of y and z. A turn of the sensor changes R and nothing else. Nine numbers do not
+change with the mounting: the three offsets, the lengths of the rows of S (how much each channel reads at 1 g along its
+sensitive direction) and the three angles between those directions.
+
+(A polar decomposition would put the sensor's axes as near to all three sensitive directions as can be; it is the
+triangular form that unit gravity alone determines.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import combinations
+from math import atan2, degrees, hypot, radians
+
+import numpy as np
+
+from tiltcal.core.closed_forms import cross_axis_sensitivity
+from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
+from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, is_locked, mounting_angles
+from tiltcal.core.uncertain import Uncertain
+from tiltcal.errors import EstimateError
+
+
+def cross_axis(coefficients: Coefficients, uncertain: Uncertain) -> Uncertain:
+    """Return the cross-axis sensitivity of each channel, by its name, % (Cross-axis Compensation, eq. 1).
+
+    A column that was not determined counts as zero; a channel whose own axis was not determined is left out.
+    """
+
+    def shares(at: Coefficients) -> Array:
+        return np.array([float(cross_axis_sensitivity(own, *others)) for own, others in _rows(at)])
+
+    return _following([c for c in coefficients.channels if c in coefficients.axes], shares, coefficients, uncertain)
+
+
+def misalignment(coefficients: Coefficients, uncertain: Uncertain) -> Uncertain:
+    """Return the angle between each channel's sensitive direction and its nominal axis, by the channel, degrees."""
+
+    def angles(at: Coefficients) -> Array:
+        return np.array([degrees(atan2(hypot(*others), own)) for own, others in _rows(at)])
+
+    return _following([c for c in coefficients.channels if c in coefficients.axes], angles, coefficients, uncertain)
+
+
+def intrinsic(coefficients: Coefficients, uncertain: Uncertain) -> Uncertain:
+    """Return the nine parameters that do not change with the mounting.
+
+    They are ``offset.x``, unit, ``sensitivity.x``, unit/g, and ``angle_degrees.xy`` for all channels and pairs. An
+    EstimateError refuses fewer than three channels or axes.
+    """
+    if len(coefficients.channels) != 3 or set(coefficients.axes) != set(AXES):
+        raise EstimateError("a sensor is separated from its mounting where it has three channels over three axes")
+    channels = coefficients.channels
+    pairs = [first + second for first, second in combinations(channels, 2)]
+    names = [f"{kind}.{channel}" for kind in ("offset", "sensitivity") for channel in channels]
+    return _following([*names, *(f"angle_degrees.{pair}" for pair in pairs)], _nine, coefficients, uncertain)
+
+
+def rotation(coefficients: Coefficients, uncertain: Uncertain) -> tuple[Uncertain, bool]:
+    """Return ``rotation_degrees.roll``, ``.pitch`` and ``.yaw`` of R, and whether roll and yaw are not separated.
+
+    An EstimateError refuses channels that form a left-handed frame.
+    """
+    angles = mounting_angles(separated(_matrix(coefficients))[1])
+    turned = np.array([angles.mounting.roll, angles.mounting.pitch, angles.mounting.yaw])
+
+    def off(moved: Coefficients) -> Array:
+        around = mounting_angles(separated(_matrix(moved))[1]).mounting
+        there = np.array([around.roll, around.pitch, around.yaw])
+        return np.asarray(np.degrees(np.mod(there - turned + np.pi, 2 * np.pi) - np.pi))
+
+    names = [f"rotation_degrees.{angle}" for angle in ("roll", "pitch", "yaw")]
+    found = replace(_following(names, off, coefficients, uncertain), value=np.degrees(turned))
+    locked = angles.gimbal_lock or is_locked(angles.mounting.pitch, radians(float(found.u[1])))
+    if locked:
+        u = np.array([degrees(UNKNOWN_ANGLE), found.u[1], degrees(UNKNOWN_ANGLE)])
+        found = replace(found, covariance=np.diag(u**2), dof=np.where([True, False, True], np.inf, found.dof))
+    return found, locked
+
+
+def separated(matrix: Array) -> tuple[Array, Array]:
+    """Return the RQ decomposition of a sensitivity matrix.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (3, 3)
+
+    Returns
+    -------
+    triangular : ndarray, shape (3, 3)
+        Upper triangular, positive diagonal.
+    rotation : ndarray, shape (3, 3)
+        ``matrix = triangular @ rotation``.
+
+    EstimateError: the matrix is singular, or its channels form a left-handed frame: no mounting does that.
+    """
+    # The QR decomposition of the rows in reverse order, read backwards.
+    q, r = np.linalg.qr(matrix[::-1].T)
+    sign = np.where(np.diag(r) < 0.0, -1.0, 1.0)
+    rotation = np.asarray((q * sign).T[::-1])
+    if abs(np.linalg.det(matrix)) == 0.0:
+        raise EstimateError("the sensitivity matrix is singular: two channels measure the same axis")
+    if np.linalg.det(rotation) < 0.0:
+        raise EstimateError("the channels form a left-handed frame, which no mounting does: are they named right?")
+    return np.triu(matrix @ rotation.T), rotation
+
+
+def _following(
+    names: Sequence[str], function: Callable[[Coefficients], Array], coefficients: Coefficients, uncertain: Uncertain
+) -> Uncertain:
+    """Return a function of the coefficients."""
+    at = replace(uncertain, value=vector_of(coefficients, uncertain.names))
+    found = at.through_function(names, lambda vector: function(with_vector(coefficients, uncertain.names, vector)))
+    return replace(found, value=function(coefficients))
+
+
+def _rows(coefficients: Coefficients) -> list[tuple[float, list[float]]]:
+    """Return the sensitivity of each channel to its own axis, and to the two others."""
+    rows = []
+    for channel, row in zip(coefficients.channels, coefficients.sensitivity.tolist(), strict=True):
+        along = dict(zip(coefficients.axes, row, strict=True))
+        if channel in along:
+            rows.append((along[channel], [along.get(axis, 0.0) for axis in AXES if axis != channel]))
+    return rows
+
+
+def _matrix(coefficients: Coefficients) -> Array:
+    """Return S with its columns in the order x, y, z."""
+    return coefficients.sensitivity[:, [coefficients.axes.index(axis) for axis in AXES]]
+
+
+def _nine(coefficients: Coefficients) -> Array:
+    """Return the offsets, the lengths of the rows of S, and the angles between each two of them in degrees."""
+    rows = _matrix(coefficients)
+    first, second = rows[[0, 0, 1]], rows[[1, 2, 2]]
+    sine = np.linalg.norm(np.cross(first, second), axis=1)
+    angles = np.degrees(np.arctan2(sine, np.sum(first * second, axis=1)))
+    return np.concatenate([coefficients.offset, np.linalg.norm(rows, axis=1), angles])

@@ -1,0 +1,306 @@
+"""Uncertain quantities: values with their covariance, the degrees of freedom behind it, and its sources.
+
+What follows from uncertain quantities is uncertain by the law of propagation J C Jᵀ; independent errors of the same
+quantities add. The coverage factor of a 95 % interval is Student's t of the effective degrees of freedom.
+
+Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2, 5.1, 6.2 and annex G.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tiltcal.core.model import Array
+
+COVERAGE = 0.95
+"""Probability that a stated interval contains the truth."""
+
+NORMAL_FACTOR = 1.959963984540054
+"""The coverage factor of a variance that is known: the normal distribution is within so many deviations in 95 %."""
+
+NEGLIGIBLE = 1e-3
+"""The share of a variance below which a part of it changes no coverage factor visibly."""
+
+TURN = "mounting.turn."
+"""A small rotation error of the mounting about one of the application's axes, radians, by its dotted name."""
+
+READING, ALIGNMENT = "single_reading.", "alignment"
+"""Errors of one reading of a log, by channel, and of its ``temperature``; and of how the sensor sits, radians."""
+
+_FOLLOWS = 1e-12
+"""An error follows from others if no larger share of its variance is its own: rounding leaves so much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertain:
+    """Quantities with their joint uncertainty.
+
+    Attributes
+    ----------
+    names : tuple of str
+    value : ndarray, shape (k,)
+        0 where the errors alone count.
+    covariance : ndarray, shape (k, k)
+    dof : ndarray, shape (k,)
+        Effective degrees of freedom; infinite where nothing was estimated from a scatter.
+    sources : mapping of str to ndarray, shape (k,)
+        The part of each variance that comes from a source, where that is known; their sum is the diagonal.
+    """
+
+    names: tuple[str, ...]
+    value: Array
+    covariance: Array
+    dof: Array
+    sources: Mapping[str, Array] = field(default_factory=dict)
+
+    @classmethod
+    def errors(
+        cls, names: Sequence[str], covariance: Array, dof: Array | float = np.inf, *, source: str = ""
+    ) -> Uncertain:
+        """Return errors from one source; ``dof`` has the shape (k,), or is one number for all."""
+        size = len(covariance)
+        own = {source: np.diag(covariance)} if source else {}
+        return cls(tuple(names), np.zeros(size), covariance, np.broadcast_to(np.asarray(dof, float), (size,)), own)
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainties, shape (k,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def factors(self) -> Array:
+        """What each standard uncertainty is multiplied with for an interval of 95 %, shape (k,)."""
+        return coverage_factor(self.dof)
+
+    @property
+    def widened(self) -> Array:
+        """The covariance of known errors that have the same 95 % intervals, shape (k, k)."""
+        wider = self.factors / NORMAL_FACTOR
+        return np.asarray(self.covariance * np.outer(wider, wider))
+
+    @property
+    def shares(self) -> dict[str, Array]:
+        """The share of each variance that comes from each source, shape (k,) each."""
+        total = np.diag(self.covariance)
+        safe = np.where(total > 0.0, total, 1.0)
+        return {source: variance / safe for source, variance in self.sources.items()}
+
+    def by_name(self, numbers: Array) -> dict[str, float]:
+        """Return numbers, shape (k,), by the names of the quantities."""
+        return dict(zip(self.names, numbers.tolist(), strict=True))
+
+    def chosen(self, places: Sequence[int] | NDArray[np.intp]) -> Uncertain:
+        """Return some of the quantities, by their places."""
+        some = np.asarray(places, dtype=np.intp)
+        return Uncertain(
+            tuple(self.names[k] for k in some),
+            self.value[some],
+            self.covariance[np.ix_(some, some)],
+            self.dof[some],
+            {source: variance[some] for source, variance in self.sources.items()},
+        )
+
+    def named(self, names: Collection[str]) -> Uncertain:
+        """Return those of the quantities that have one of some names, in the order of these."""
+        return self.chosen([self.names.index(name) for name in names if name in self.names])
+
+    def without(self, *starts: str) -> Uncertain:
+        """Return the quantities whose names do not start so."""
+        return self.chosen([k for k, name in enumerate(self.names) if not name.startswith(starts)])
+
+    def beside(self, other: Uncertain) -> Uncertain:
+        """Return these and other quantities, whose errors are independent of these."""
+        one, two = len(self.names), len(other.names)
+        across = np.zeros((one, two))
+        return Uncertain(
+            (*self.names, *other.names),
+            np.concatenate([self.value, other.value]),
+            np.block([[self.covariance, across], [across.T, other.covariance]]),
+            np.concatenate([self.dof, other.dof]),
+        )
+
+    def through(
+        self, jacobian: Array, names: Sequence[str], value: Array | None = None, *, source: str = ""
+    ) -> Uncertain:
+        """Return quantities that follow linearly from these, near their values.
+
+        The squares of 95 % intervals add as variances do, which is wider than the sum of independent errors, ``+``.
+
+        Parameters
+        ----------
+        jacobian : ndarray, shape (m, k)
+            Derivatives of the m quantities by these.
+        value : ndarray, shape (m,), optional
+            Of the quantities; 0 where their errors alone count.
+        source : str
+            What their whole variance counts as; where it is left out, the one source of these if they have one alone.
+        """
+        covariance = jacobian @ self.covariance @ jacobian.T
+        wide = np.einsum("ik,kl,il->i", jacobian, self.widened, jacobian)
+        source = source or (next(iter(self.sources)) if len(self.sources) == 1 else "")
+        found = Uncertain.errors(names, covariance, _dof_of(np.diag(covariance), wide), source=source)
+        return found if value is None else replace(found, value=value)
+
+    def through_function(self, names: Sequence[str], function: Callable[[Array], Array]) -> Uncertain:
+        """Return quantities by a function of these, from shape (k,) to (m,), that may have corners.
+
+        Notes
+        -----
+        The function is evaluated one standard deviation to either side along each column of the covariance's Cholesky
+        factor, as the unscented transform does. That is :meth:`through` where the function is linear, and stays finite
+        where it has a corner, such as the angle between two directions that are nearly parallel. Principal axes turn
+        with the last digit of a covariance where two of them are equally long, and such a result with them. The
+        uncertainty is NaN where the function is NaN near the values.
+
+        Source: S. Julier and J. Uhlmann, *Unscented filtering and nonlinear estimation*, Proc. IEEE 92 (2004) 401.
+        """
+        middle = function(self.value)
+        covariance = _around(function, self.value, self.covariance)
+        wide = _around(function, self.value, self.widened) if np.isfinite(self.dof).any() else covariance
+        return Uncertain(tuple(names), middle, covariance, _dof_of(np.diag(covariance), np.diag(wide)))
+
+    def following(self, names: Sequence[str]) -> Array:
+        """Return by how much the errors of all follow those of some of the quantities, shape (k, m)."""
+        some = self.named(names)
+        size = np.where(some.u > 0.0, some.u, 1.0)
+        correlations = some.covariance / np.outer(size, size)
+        inverse = np.linalg.pinv(correlations, rcond=1e-9, hermitian=True) / np.outer(size, size)
+        return np.asarray(self.covariance[:, [self.names.index(name) for name in some.names]] @ inverse)
+
+    def __add__(self, other: Uncertain) -> Uncertain:
+        """Return the sum of independent errors of the same quantities."""
+        covariance = self.covariance + other.covariance
+        parts = [(np.diag(one.covariance), one.dof) for one in (self, other)]
+        none = np.zeros(len(covariance))
+        every = dict.fromkeys((*self.sources, *other.sources))
+        sources = {source: self.sources.get(source, none) + other.sources.get(source, none) for source in every}
+        dof = welch_satterthwaite(np.diag(covariance), parts)
+        return Uncertain(self.names, self.value + other.value, covariance, dof, sources)
+
+
+def weighted_sum(
+    first: Uncertain, second: Uncertain, weights: tuple[float, float], shared: Collection[str]
+) -> Uncertain:
+    """Return a weighted sum of the errors of two sets of quantities; one that only one set has is exact in the other.
+
+    Parameters
+    ----------
+    weights : tuple of float
+        Of the two: -1 and 1 give their difference.
+    shared : collection of str
+        The quantities whose errors are one error in both. What follows from these in each set counts as common, and
+        all else as independent.
+    """
+    names = tuple(dict.fromkeys((*first.names, *second.names)))
+    common = second.named([name for name in names if name in shared])
+    by_common, apart = np.zeros((len(names), len(common.names))), []
+    for one, weight in zip((first, second), weights, strict=True):
+        at = selection(names, one.names)
+        slopes = at @ one.following(common.names)
+        by_common += weight * slopes
+        both = one.named(common.names).covariance
+        rest = at @ one.covariance @ at.T - slopes @ both @ slopes.T
+        kept = np.array([name not in common.names for name in names])
+        rest = np.where(np.outer(kept, kept), rest, 0.0) * weight**2
+        np.fill_diagonal(rest, np.maximum(np.diag(rest), 0.0))
+        dof = np.array([dict(zip(one.names, one.dof.tolist(), strict=True)).get(name, np.inf) for name in names])
+        apart.append(Uncertain.errors(names, rest, dof))
+    return common.through(by_common, names) + apart[0] + apart[1]
+
+
+def selection(names: Sequence[str], among: Sequence[str]) -> Array:
+    """Return the derivatives of named quantities by some, of which each is one of them or none, shape (m, k)."""
+    return np.array([[float(name == other) for other in among] for name in names]).reshape(len(names), len(among))
+
+
+def coverage_factor(dof: Array) -> Array:
+    """Return the coverage factors of 95 % intervals: Student's t, 1.96 where the degrees of freedom are infinite.
+
+    Parameters
+    ----------
+    dof : ndarray, shape (k,)
+        Effective degrees of freedom; below 1 they count as 1.
+    """
+    factors, estimated = np.full(dof.shape, NORMAL_FACTOR), np.isfinite(dof)
+    if estimated.any():
+        from scipy.special import stdtrit
+
+        factors[estimated] = stdtrit(np.maximum(dof[estimated], 1.0), 0.5 + COVERAGE / 2.0)
+    return factors
+
+
+def degrees_of_freedom(factors: Array) -> Array:
+    """Return the degrees of freedom of coverage factors, shape (k,), by Student's t; infinite for the normal one."""
+    dof, wider = np.full(factors.shape, np.inf), factors > NORMAL_FACTOR * (1.0 + NEGLIGIBLE)
+    if wider.any():
+        from scipy.special import stdtridf
+
+        dof[wider] = stdtridf(0.5 + COVERAGE / 2.0, factors[wider])
+    return dof
+
+
+def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float | Array]]) -> Array:
+    """Return effective degrees of freedom of sums of variances (GUM, eq. G.2b); infinite where no part was estimated.
+
+    Parameters
+    ----------
+    variance : ndarray, shape (k,)
+        The sums.
+    parts : sequence of (ndarray of shape (k,), float or ndarray of shape (k,))
+        The parts, each with its degrees of freedom; infinite where it was not estimated.
+    """
+    weighted = np.zeros_like(variance)
+    for part, dof in parts:
+        weighted += part**2 / dof
+    # A part so small that the quotient is no number is none.
+    counts = weighted > variance**2 * np.finfo(float).tiny
+    return np.divide(variance**2, weighted, out=np.full_like(weighted, np.inf), where=counts)
+
+
+def central_differences(function: Callable[[Array], Array], at: Array, steps: Array) -> Array:
+    """Return the derivatives of a function by its parameters, from its values on both sides; shape (m, k).
+
+    Parameters
+    ----------
+    function : callable
+        From the parameters, shape (k,), to values, shape (m,).
+    at : ndarray, shape (k,)
+    steps : ndarray, shape (k,)
+        How far to either side; a parameter whose step is 0 counts as certain, and its column is 0.
+    """
+    moves = np.diag(np.where(steps > 0.0, steps, 0.0))
+    columns = [(function(at + move) - function(at - move)) / (2.0 * (move.sum() or 1.0)) for move in moves]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(function(at)), 0))
+
+
+def _around(function: Callable[[Array], Array], at: Array, covariance: Array) -> Array:
+    """Return the covariance of a function's values about the middle, one deviation to either side of it, (m, m)."""
+    middle = function(at)
+    found = np.zeros((len(middle), len(middle)))
+    for step in _independent_steps(covariance):
+        for change in (function(at + step) - middle, function(at - step) - middle):
+            found += np.outer(change, change) / 2.0
+    return found
+
+
+def _dof_of(variance: Array, wide: Array) -> Array:
+    """Return the degrees of freedom of variances, from those that known errors of the same intervals have."""
+    return degrees_of_freedom(NORMAL_FACTOR * np.sqrt(wide / np.where(variance > 0.0, variance, np.inf)))
+
+
+def _independent_steps(covariance: Array) -> Iterator[Array]:
+    """Yield the columns of the Cholesky factor, shape (k,): independent errors that make up the covariance.
+
+    An error that follows from those before it has none, nor has an exact parameter.
+    """
+    rest = covariance.copy()
+    for k, variance in enumerate(np.diag(covariance)):
+        if rest[k, k] > _FOLLOWS * variance:
+            column = rest[:, k] / np.sqrt(rest[k, k])
+            column[:k] = 0.0
+            rest -= np.outer(column, column)
+            yield column
