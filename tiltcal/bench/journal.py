@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, far_off, measurement_of
-from tiltcal.bench.operators import Answer, Message
+from tiltcal.bench.operators import Message, OperatorAnswer
 from tiltcal.bench.sensors import ConnectedSensor, SensorSet, letter_of, named_error
-from tiltcal.bench.setup import Device, Setup
+from tiltcal.bench.setup import BenchDevice, Setup
 from tiltcal.core.model import Array
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.core.rounding import plus_minus
@@ -347,7 +347,7 @@ class RecordedSession:
         self._steps = {serial: ReadingStep() for serial in self.sensors}
         # Of a position no more samples than twice those wanted are ever taken.
         self._samples: deque[RecordedSample] = deque(maxlen=2 * self.setup.settings.samples + 2)
-        self._answer: Answer | None = None
+        self._answer: OperatorAnswer | None = None
         self._sampling = False
         channels = None if self.setup.steps.rotation is None else self.setup.channel_map()
         self._channels = () if channels is None else (channels.phase, *channels.readings)
@@ -359,7 +359,7 @@ class RecordedSession:
                 self._take(item)
                 yield item
             elif item.kind == ANSWER:
-                self._hear(item.payload[0]["to"], Answer.from_record(item.payload[0]))
+                self._hear(item.payload[0]["to"], OperatorAnswer.from_record(item.payload[0]))
             elif item.kind == POSITION:
                 self._accept(accepted_position(item), item)
             elif item.kind == RESUMED and self.journal.version > 1 and not self._channels:
@@ -407,7 +407,7 @@ class RecordedSession:
         elif sample.counts or self.journal.version == 1:
             self._samples.append(sample)
 
-    def _hear(self, question: str, answer: Answer) -> None:
+    def _hear(self, question: str, answer: OperatorAnswer) -> None:
         if answer.word == "back" and self.accepted:
             self.accepted.pop()
         if question in ("position", "rotation") and answer.word == "ready":
@@ -656,7 +656,7 @@ def _tilt_calibrations(
     return calibrations
 
 
-def _provenance(setup: Setup, device: Device, statistics: Mapping[str, int] | None) -> Provenance:
+def _provenance(setup: Setup, device: BenchDevice, statistics: Mapping[str, int] | None) -> Provenance:
     """Return what a sensor's calibration file states of the session, without its end."""
     return Provenance(
         **_session_provenance(setup),

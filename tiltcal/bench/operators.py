@@ -1,7 +1,6 @@
 """The operator of a session: a person, a program, a Python object or the virtual jig, asked and told by dictionaries.
 
-A session asks, and the answer is ``{"answer": ...}``; it tells what has happened. ``docs/reference/rig.md`` has all
-questions and events of the protocol::
+A session asks, and the answer is ``{"answer": ...}``; it tells what has happened::
 
     {"ask": "position", "position": "y-tilt1", "tilt": {"y": 30.0}, "gravity": [0, 0.5, 0.866], "heading": 0,
      "temperature": None, "prompt": "Tilt the +Y side up to 30°"}
@@ -91,7 +90,7 @@ class Operator(Protocol):
 
 
 @dataclass(frozen=True)
-class Answer:
+class OperatorAnswer:
     """An answer of the operator, as the journal keeps it.
 
     Attributes
@@ -139,14 +138,14 @@ class Answer:
         }
 
     @classmethod
-    def from_record(cls, record: Message) -> Answer:
+    def from_record(cls, record: Message) -> OperatorAnswer:
         """Return the answer of a :meth:`record`."""
         gravity = record.get("gravity")
         tilt, direction = dict(record.get("tilt", {})), None if gravity is None else tuple(gravity)
         return cls(record["answer"], tilt, direction, record.get("temperature"))
 
 
-def understood(said: object, words: Sequence[str] = WORDS["position"]) -> Answer:
+def understood(said: object, words: Sequence[str] = WORDS["position"]) -> OperatorAnswer:
     """Return the answer of what an operator said; ``words`` are those that it may give.
 
     InputError: it is not an answer; the message says what is wrong with it.
@@ -159,7 +158,9 @@ def understood(said: object, words: Sequence[str] = WORDS["position"]) -> Answer
     word = said.get("answer")
     if not isinstance(word, str) or word not in words:
         raise InputError(f"answer {word!r} is not one of {', '.join(words)}")
-    return Answer(word, _tilt(said.get("tilt")), _gravity(said.get("gravity")), _temperature(said.get("temperature")))
+    return OperatorAnswer(
+        word, _tilt(said.get("tilt")), _gravity(said.get("gravity")), _temperature(said.get("temperature"))
+    )
 
 
 def _tilt(tilt: object) -> dict[str, float]:

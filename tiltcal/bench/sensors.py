@@ -10,7 +10,7 @@ from functools import cached_property, partial
 from math import radians
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.bench.setup import Device
+from tiltcal.bench.setup import BenchDevice
 from tiltcal.core.attitude import STRAIGHT, Orientation, Vector
 from tiltcal.core.model import Mounting
 from tiltcal.drivers.bus import link_letter, open_link
@@ -342,7 +342,9 @@ class RecordedLink:
             self._live = None
 
 
-def open_device(device: Device, virtual: VirtualBench, lines: MutableMapping[str, ModbusLine] | None = None) -> Link:
+def open_device(
+    device: BenchDevice, virtual: VirtualBench, lines: MutableMapping[str, ModbusLine] | None = None
+) -> Link:
     """Return the live link of one device.
 
     Parameters
@@ -357,7 +359,7 @@ def open_device(device: Device, virtual: VirtualBench, lines: MutableMapping[str
 
 
 def _open_same(
-    device: Device,
+    device: BenchDevice,
     virtual: VirtualBench,
     lines: MutableMapping[str, ModbusLine],
     clock: Clock,
@@ -382,7 +384,7 @@ def _open_same(
 
 
 def probe_devices(
-    devices: Sequence[Device], virtual: VirtualBench, clock: Clock, *, read: bool = False
+    devices: Sequence[BenchDevice], virtual: VirtualBench, clock: Clock, *, read: bool = False
 ) -> list[Reading]:
     """Open one device after the other, check that it answers, and return a reading of each where it is to be read.
 
@@ -401,7 +403,7 @@ def probe_devices(
 
 @contextmanager
 def connected(
-    devices: Sequence[Device],
+    devices: Sequence[BenchDevice],
     thermometer: bool,
     recorder: Recorder,
     clock: Clock,
@@ -412,7 +414,7 @@ def connected(
 
     Parameters
     ----------
-    devices : sequence of Device
+    devices : sequence of BenchDevice
         In the order in which the journal numbers them.
     thermometer : bool
         Whether the last of them is the thermometer of all.
@@ -446,7 +448,7 @@ def connected(
             link.close()
 
 
-def letter_of(device: Device) -> str:
+def letter_of(device: BenchDevice) -> str:
     """Return the bus of a device in a journal."""
     return link_letter(parse_address(device.address), device.wired)
 
@@ -474,7 +476,7 @@ def open_sensor(model: str, address: str) -> Iterator[Sensor]:
     HardwareError
         It cannot be opened.
     """
-    device = Device(model=model, serial="", address=address)
+    device = BenchDevice(model=model, serial="", address=address)
     clock = session_clock(datetime.now(UTC), virtual=device.simulated)
     with closing(open_device(device, VirtualBench(clock, [device]))) as link:
         yield device.wired.driver(link, clock)
@@ -485,11 +487,11 @@ class VirtualBench:
 
     Parameters
     ----------
-    devices : sequence of Device
+    devices : sequence of BenchDevice
         The devices; ``sim:`` addresses take ``twin=FILE`` and ``seed=N``.
     """
 
-    def __init__(self, clock: Clock, devices: Sequence[Device]) -> None:
+    def __init__(self, clock: Clock, devices: Sequence[BenchDevice]) -> None:
         self._clock = clock
         self._first = next((device for device in devices if device.simulated), None)
 
@@ -503,13 +505,13 @@ class VirtualBench:
             self._clock, seed=truth.seed, jig=truth.jig, ambient=truth.ambient, time_constant=truth.time_constant
         )
 
-    def twin(self, device: Device) -> Link:
+    def twin(self, device: BenchDevice) -> Link:
         """Return the virtual sensor behind a ``sim:`` address."""
         truth = truth_of(parse_address(device.address), device.wired)
         return device.wired.twin(truth, self.fixture.turned(_to_sensor(device, truth)), self._clock)
 
 
-def _to_sensor(device: Device, truth: Truth) -> Callable[[Vector], Vector]:
+def _to_sensor(device: BenchDevice, truth: Truth) -> Callable[[Vector], Vector]:
     """Return the function that takes a vector of the fixture's frame into the sensor's."""
     if truth.mounting == (0.0, 0.0, 0.0):
         return device.orientation.seen

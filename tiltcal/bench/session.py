@@ -24,7 +24,7 @@ from tiltcal.bench.checks import (
     require_off_rails,
 )
 from tiltcal.bench.journal import RecordedSample, RecordedSession
-from tiltcal.bench.operators import LOOK, WORDS, Answer, Operator, understood
+from tiltcal.bench.operators import LOOK, WORDS, Operator, OperatorAnswer, understood
 from tiltcal.bench.sensors import (
     RecordedClock,
     Recorder,
@@ -229,7 +229,7 @@ class Session:
             self.accept(result, {"lines": [first, last], **({"without": without} if without else {})})
         return verdict.word
 
-    def ask_for(self, position: Position, to: str = "position") -> Answer:
+    def ask_for(self, position: Position, to: str = "position") -> OperatorAnswer:
         """Ask for a position; ``to`` is the question in the journal."""
         if position.temperature != self._soaked:
             self._soaked = None
@@ -249,7 +249,7 @@ class Session:
         self._waiting_ns = WAITING_NS
         return answer
 
-    def ask(self, question: Mapping[str, Any], to: str = "") -> Answer:
+    def ask(self, question: Mapping[str, Any], to: str = "") -> OperatorAnswer:
         """Return the answer to a question, which goes to the journal; ask again where it cannot be understood.
 
         Stopped: the operator quits.
@@ -260,14 +260,14 @@ class Session:
                 self.recorder.record(ANSWER, {"to": to or question["ask"], **answer.record()})
                 return answer
 
-    def poll(self, to: str) -> Answer | None:
+    def poll(self, to: str) -> OperatorAnswer | None:
         """Return what the operator said without being asked; None where that is nothing."""
         answer = self._heard({"ask": "poll"})
         if answer is not None:
             self.recorder.record(ANSWER, {"to": to, **answer.record()})
         return answer
 
-    def _heard(self, question: Mapping[str, Any]) -> Answer | None:
+    def _heard(self, question: Mapping[str, Any]) -> OperatorAnswer | None:
         """Return the answer of the operator, None where there is none yet; one that is not understood is refused."""
         if self._operator is None:
             raise Stopped("the session has no operator")

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from tiltcal.bench.stage import ChannelMap
 
 
-class Device(Record, kw_only=True):
+class BenchDevice(Record, kw_only=True):
     """A sensor or the thermometer of a session."""
 
     always_written = ("output",)
@@ -99,8 +99,8 @@ class Setup(Record, kw_only=True, dict=True):
     virtual: Annotated[bool, about("whether every device is a twin")]
     operator: Annotated[Text, about("who leads: `terminal`, `json`, `sim` or `python`")]
     person: Annotated[Text | None, about("the name in the bench file")] = None
-    sensors: Annotated[Annotated[tuple[Device, ...], Meta(min_length=1)], about("the sensors, in order")]
-    thermometer: Annotated[Device | None, about("of a bench that has one")] = None
+    sensors: Annotated[Annotated[tuple[BenchDevice, ...], Meta(min_length=1)], about("the sensors, in order")]
+    thermometer: Annotated[BenchDevice | None, about("of a bench that has one")] = None
     settings: Annotated[Settings, about("how the session measures")]
     procedure: Annotated[Mapping[str, Any], about("the procedure file in full")]
     base: Annotated[
@@ -207,7 +207,7 @@ class Setup(Record, kw_only=True, dict=True):
         return datetime.fromisoformat(self.started)
 
     @property
-    def devices(self) -> tuple[Device, ...]:
+    def devices(self) -> tuple[BenchDevice, ...]:
         """The sensors, and the thermometer behind them; a journal numbers them in this order."""
         return self.sensors if self.thermometer is None else (*self.sensors, self.thermometer)
 
@@ -294,7 +294,7 @@ class SessionFiles:
         if output is not None and len(self.outputs) > 1 and not os.path.isdir(output):
             raise UsageError(f"the session has {len(self.outputs)} sensors: name a folder instead of {output}")
 
-    def _output(self, device: Device) -> Path:
+    def _output(self, device: BenchDevice) -> Path:
         planned = Path(os.path.normpath(self.journal.parent / device.output))
         if self._named is None:
             return planned
@@ -372,10 +372,10 @@ def known_bench(document: Document) -> BenchFile:
     return bench
 
 
-def devices_of(bench: BenchFile) -> tuple[tuple[Device, ...], Device | None]:
+def devices_of(bench: BenchFile) -> tuple[tuple[BenchDevice, ...], BenchDevice | None]:
     """Return the devices of a bench: its sensors, and its thermometer."""
     sensors = tuple(
-        Device(
+        BenchDevice(
             model=sensor.model,
             serial=sensor.serial,
             address=sensor.address,
@@ -385,7 +385,7 @@ def devices_of(bench: BenchFile) -> tuple[tuple[Device, ...], Device | None]:
     )
     if bench.thermometer is None:
         return sensors, None
-    thermometer = Device(model=bench.thermometer.model, serial="thermometer", address=bench.thermometer.address)
+    thermometer = BenchDevice(model=bench.thermometer.model, serial="thermometer", address=bench.thermometer.address)
     if not thermometer.wired.thermometer:
         raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
     return sensors, thermometer

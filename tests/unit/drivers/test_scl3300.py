@@ -10,7 +10,7 @@ from support.scl3300_part import ALLOWED, Scl3300Part
 
 from tiltcal.bench import sensors
 from tiltcal.bench.sensors import Recorder, VirtualBench
-from tiltcal.bench.setup import Device
+from tiltcal.bench.setup import BenchDevice
 from tiltcal.drivers import find_model
 from tiltcal.drivers import scl3300 as frames
 from tiltcal.drivers.bus.address import parse_address
@@ -157,7 +157,7 @@ def test_a_reset_within_a_sample_is_no_reading(after: int) -> None:
 
 def test_another_part_after_the_bus_was_opened_again_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The adapter is pulled out twice: the same part is read on, the other one is not."""
-    clock, device = VirtualClock(), Device(model="scl3300", serial="A-1", address="spi:///dev/spidev0.0")
+    clock, device = VirtualClock(), BenchDevice(model="scl3300", serial="A-1", address="spi:///dev/spidev0.0")
     same, again, other, back = links = [PartLink(), PartLink(), PartLink(serial=1), PartLink()]
     for link in links:
         link.clock = clock
