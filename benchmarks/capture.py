@@ -22,7 +22,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from tiltcal.bench.event_log import EventLog, RecordedLink
+from tiltcal.bench.sensors import RecordedLink, Recorder
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
@@ -115,14 +115,14 @@ def measured(address: str, live: Callable[[], Link], enough: Callable[[Any], boo
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "capture.jsonl"
         clock = SystemClock(time.time_ns())
-        log = EventLog(clock, writer=JournalWriter.create(path, {}))
-        link = RecordedLink(log, live, "r", 0)
+        writer = JournalWriter.create(path, {})
+        link = RecordedLink(Recorder(clock, writer), live, "r", 0)
         sensor = model.driver(link, clock)
         wall, processor = time.monotonic(), time.process_time()
         while not enough(sensor):
             sensor.read()
         share = (time.process_time() - processor) / (time.monotonic() - wall)
-        log.finish()
+        writer.finish(0)
         link.close()
         return sensor, share, path.stat().st_size
 

@@ -10,6 +10,7 @@ TYPE_CHECKING = False
 
 if TYPE_CHECKING:
     from tiltcal.bench.plan import plan
+    from tiltcal.bench.sensors import open_sensor
     from tiltcal.errors import (
         BusError,
         DeviceFault,
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from tiltcal.library.calibration_library import CalibrationLibrary, open_calibrations
     from tiltcal.library.fit import fit
     from tiltcal.library.match import match
-    from tiltcal.library.measure import measure, open_sensor
+    from tiltcal.library.measure import measure
     from tiltcal.library.noise import noise
     from tiltcal.library.pair_calibration import PairCalibration
 
@@ -54,7 +55,7 @@ _HOME = {
     "measure": "library.measure",
     "noise": "library.noise",
     "open_calibrations": "library.calibration_library",
-    "open_sensor": "library.measure",
+    "open_sensor": "bench.sensors",
     "plan": "bench.plan",
     "read": "library.calibration",
 }

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple, get_args, get_origin
 from msgspec import NODEFAULT, Struct
 from msgspec.structs import fields
 
+from tiltcal.bench.setup import Setup
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import LimitsSection, SensorIdentity, TiltFile
 from tiltcal.files.coefficients import CoefficientsSection
-from tiltcal.files.journal_header import Header
 from tiltcal.files.pair import PairFile
 from tiltcal.files.procedure import ProcedureFile
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
@@ -43,7 +43,7 @@ TABLES: dict[str, type[Struct]] = {
     "disk": DiskSection,
     "segments": SegmentRow,
     "table": TabledRow,
-    "journal-header": Header,
+    "journal-header": Setup,
 }
 
 _TABLE = re.compile(r"(<!-- table ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -14,8 +14,7 @@ from support.command import measure
 from support.json_program import GONE, Event, ProgramSession, lead
 
 import tiltcal
-from tiltcal.bench.operators.json_lines import parsed
-from tiltcal.bench.operators.rig import understood
+from tiltcal.bench.operators import parsed, understood
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.results import PositionSet

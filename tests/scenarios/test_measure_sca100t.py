@@ -18,7 +18,7 @@ from support.command import TILTCAL
 from support.emulated.bench import Part, run_on_spi
 from support.warm_start import WarmStart
 
-from tiltcal.bench.session import Session
+from tiltcal.bench.journal import calibrations_of
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
 
@@ -173,6 +173,6 @@ def test_killed_on_the_real_bus_and_resumed(warm: WarmStart, tmp_path: Path) -> 
     np.testing.assert_allclose(found.offset, FLAT.offset, atol=0.7)
     assert [event.kind for event in read_journal(journal).events].count("resumed") == 1
     assert (
-        next(iter(Session.of_journal(journal).replay().texts.values())).encode()
+        next(iter(calibrations_of(read_journal(journal)).texts().values())).encode()
         == (tmp_path / "S-0042.yaml").read_bytes()
     )

@@ -7,19 +7,18 @@ from pathlib import Path
 import pytest
 from support.command import measure, tiltcal
 
-from tiltcal.bench.device_setup import single
-from tiltcal.bench.operators.operator import Live, OperatorAnswer
-from tiltcal.bench.operators.sim import SimOperator
-from tiltcal.bench.position_result import PositionResult
+from tiltcal.bench.journal import SessionResult, calibrations_of
+from tiltcal.bench.operators import Message, VirtualJig
+from tiltcal.bench.run import run_session
 from tiltcal.bench.session import Session
-from tiltcal.bench.session_plan import plan_session
+from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.drivers.virtual import Fixture, VirtualPart
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure import Position
 from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.results import PositionSet
+from tiltcal.library.measure import measure as measure_here
 
 TWIN = """\
 tiltcal: 1
@@ -41,26 +40,23 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def session(procedure: str = "plane", model: str = "sca100t-d02", **options: float) -> Session:
-    plan = plan_session(
-        find_procedure(procedure),
-        single(model, "S-1", "sim:?twin=twin.yaml"),
-        [Path("S-1.yaml")],
-        Path("S-1.journal.jsonl"),
-        operator="sim",
-        **options,  # type: ignore[arg-type]
-    )
-    return Session(plan, Path("S-1.journal.jsonl"))
+def session(procedure: str = "plane", model: str = "sca100t-d02") -> Session:
+    journal = Path("S-1.journal.jsonl")
+    bench, outputs = single(model, "S-1", "sim:?twin=twin.yaml"), [Path("S-1.yaml")]
+    setup = Setup.begin(find_procedure(procedure), bench, outputs, journal, operator="sim")
+    return Session(setup, SessionFiles(setup, journal))
 
 
-def run(
-    procedure: str = "plane", operator: SimOperator | None = None, **options: float
-) -> tuple[CalibrationRecord, list[str]]:
+def written(result: SessionResult) -> CalibrationRecord:
+    Path("S-1.yaml").write_text(result.texts()["S-1"])
+    return read_calibration("S-1.yaml")
+
+
+def run(procedure: str = "plane", operator: VirtualJig | None = None) -> tuple[CalibrationRecord, list[str]]:
     said: list[str] = []
-    live = session(procedure, **options)
+    live = session(procedure)
     live.probe()
-    live.run(operator or SimOperator(said.append)).write()
-    return read_calibration("S-1.yaml"), said
+    return written(run_session(live, operator or VirtualJig(said.append))), said
 
 
 def twin_with(line: str) -> None:
@@ -82,24 +78,21 @@ def test_two_temperatures_find_the_drift_and_take_the_nominal_sensitivity(bench:
     assert calibration.derived.assumed == ("sensitivity: nominal of the model",)
 
 
-class Clumsy(SimOperator):
+class Clumsy(VirtualJig):
     """Types, at the second position, the angle of the first one: the sensor is where it was."""
 
-    def __init__(self, said: list[str]) -> None:
-        super().__init__(said.append)
-        self.clumsy = True
+    clumsy = True
 
-    def position(self, position: Position, number: int, live: object) -> OperatorAnswer:
-        if position.name == "x-tilt2" and self.clumsy:
+    def ask(self, question: Message) -> object:
+        if question.get("position") == "x-tilt2" and self.clumsy:
             self.clumsy = False
-            return OperatorAnswer("ready", gravity=(0.0, 0.0, 1.0))
-        return OperatorAnswer("ready")
+            return {"answer": "ready", "gravity": [0.0, 0.0, 1.0]}
+        return super().ask(question)
 
 
 def test_what_was_typed_is_what_is_judged(bench: Path) -> None:
     """Level typed for a position, and level taken: odd, but consistent, so it counts as typed."""
-    said: list[str] = []
-    calibration, _ = run("plane", Clumsy(said))
+    calibration, _ = run("plane", Clumsy())
     assert calibration.procedure.set["x-tilt2"] == PositionSet(gravity=(0.0, 0.0, 1.0))
 
 
@@ -128,7 +121,7 @@ def test_a_fault_that_stays_ends_the_session(bench: Path) -> None:
     live = session()
     live.probe()
     with pytest.raises(HardwareError, match="unplugged"):
-        live.run(SimOperator())
+        run_session(live, VirtualJig())
     assert not Path("S-1.yaml").exists()
     assert Path("S-1.journal.jsonl").exists()
 
@@ -138,11 +131,11 @@ def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone(bench: Path
     live = session()
     live.probe()
     with pytest.raises(HardwareError, match="unplugged"):
-        live.run(SimOperator())
-    journal = Path("S-1.journal.jsonl")
-    resumed = Session.of_journal(journal).run(SimOperator())
-    assert read_journal(journal).end is not None
-    assert Session.of_journal(journal).replay().texts == resumed.texts
+        run_session(live, VirtualJig())
+    measure_here(resume="S-1.journal.jsonl", operator="sim")
+    journal = read_journal("S-1.journal.jsonl")
+    assert journal.end is not None
+    assert calibrations_of(journal).texts() == {"S-1": Path("S-1.yaml").read_text()}
 
 
 def test_a_slow_chamber_is_waited_for(bench: Path) -> None:
@@ -184,19 +177,18 @@ def test_a_thermometer_that_is_five_minutes_late_is_waited_for(
     """The chamber goes by 1 °C/min, the part with it; its thermometer is 0.7 °C behind ten minutes later."""
     Path("twin.yaml").write_text(LATE)
     move = Fixture.move
-    monkeypatch.setattr(Fixture, "move", lambda fixture, gravity, to=None: move(fixture, gravity, to, 1.0))
+    monkeypatch.setattr(Fixture, "move", lambda fixture, gravity, to=None, _=0.0: move(fixture, gravity, to, 1.0))
     monkeypatch.setattr(VirtualPart, "_celsius", lambda part: part._fixture.temperature(300.0))
     live = session("two-temperature", model="scl3300")
     live.probe()
 
-    class Late(SimOperator):
-        def position(self, position: Position, number: int, ask: Live) -> OperatorAnswer:
-            if position.name == "level-cold" and minutes:
-                live._clock.sleep(60.0 * (18.5 + minutes))
-            return super().position(position, number, ask)
+    class Late(VirtualJig):
+        def ask(self, question: Message) -> object:
+            if (question["ask"], question.get("position")) == ("position", "level-cold") and minutes:
+                live.clock.sleep(60.0 * (18.5 + minutes))
+            return super().ask(question)
 
-    live.run(Late()).write()
-    found = read_calibration("S-1.yaml")
+    found = written(run_session(live, Late()))
     assert found.positions[1].temperature == pytest.approx(5.5, abs=0.15)
     assert found.coefficients.thermal is not None
     for drift, channel, truth in zip(found.coefficients.thermal.drift[:, 0], "xy", (6.0, -6.0), strict=False):
@@ -220,23 +212,20 @@ positions:
 """
 
 
-class Returning(SimOperator):
+class Returning(VirtualJig):
     """Measures the cold position, and goes back to the warm one before it."""
 
-    looked = False
+    measured = returned = False
 
-    def position(self, position: Position, number: int, live: Live) -> OperatorAnswer:
-        if position.name == "cold" and self.looked:
-            self.looked = False
-            return OperatorAnswer("back")
-        return super().position(position, number, live)
-
-    def review(self, result: PositionResult) -> OperatorAnswer:
-        if result.position.name == "cold" and not Path("looked").exists():
-            Path("looked").touch()
-            self.looked = True
-            return OperatorAnswer("redo")
-        return super().review(result)
+    def ask(self, question: Message) -> object:
+        match question["ask"], question.get("position"):
+            case "review", "cold" if not self.measured:
+                self.measured = True
+                return {"answer": "redo"}
+            case "position", "cold" if self.measured and not self.returned:
+                self.returned = True
+                return {"answer": "back"}
+        return super().ask(question)
 
 
 def test_a_temperature_is_waited_for_again_after_another_one(bench: Path) -> None:

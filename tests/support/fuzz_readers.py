@@ -70,7 +70,7 @@ def procedure(draw: Random) -> None:
 
 @target(share=80)
 def bench(draw: Random) -> None:
-    from tiltcal.bench.device_setup import known_bench
+    from tiltcal.bench.setup import known_bench
     from tiltcal.files.document import read_document
 
     Path("b.yaml").write_bytes(damaged_yaml(draw, BENCH))
@@ -149,8 +149,7 @@ def address(draw: Random) -> None:
 
 @target(share=100)
 def answer(draw: Random) -> None:
-    from tiltcal.bench.operators.json_lines import parsed
-    from tiltcal.bench.operators.rig import understood
+    from tiltcal.bench.operators import parsed, understood
 
     text = '{"answer": "ready", "tilt": {"x": 30.0}, "gravity": [0, 0.5, 0.866], "temperature": 20.5}'
     way = draw.choice((damaged_bytes, lambda draw, data: damaged_text(draw, data.decode()).encode(errors="replace")))

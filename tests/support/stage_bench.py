@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from support import accelerometer_disk as disk
-from tiltcal.bench.channel_map import map_channels
-from tiltcal.bench.event_log import EventLog, RecordedClock, RecordedLink
-from tiltcal.bench.operators.operator import OperatorAnswer, StageTurn
-from tiltcal.bench.operators.sim import SimRotationOperator
-from tiltcal.bench.rotation_runner import RotationResult, RotationRunner
-from tiltcal.bench.sensor_set import ConnectedSensor, SensorSet
+from tiltcal.bench import sensors
+from tiltcal.bench.journal import SessionResult, calibrations_of
+from tiltcal.bench.operators import Message
+from tiltcal.bench.run import run_session
+from tiltcal.bench.session import Session
+from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import Pair
-from tiltcal.drivers import find_model
-from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.errors import BusError, Stopped
-from tiltcal.files.journal import Journal, JournalWriter, read_journal
-from tiltcal.files.rotation import PairSelection, Rotation
+from tiltcal.files.document import document_of
+from tiltcal.files.journal import read_journal
+from tiltcal.files.pair import PairRecord
+from tiltcal.files.procedure_file import procedure_in
 
 A1_A2 = Pair("a1", "a2", "a4")
 A3_A4 = Pair("a3", "a4", "a1")
@@ -63,45 +66,78 @@ class Device:
         pass
 
 
-class Attendant(SimRotationOperator):
+class Attendant:
     """Says ready, and stop where it is told to; keeps what it hears."""
 
     def __init__(self, *, stop_after: Sequence[int] = (), readies: int = 1) -> None:
-        super().__init__()
-        self.turns: list[StageTurn] = []
+        self.turns: list[Message] = []
         self.told: list[str] = []
-        self.matchings: Sequence[Matching] = ()
+        self.accepted: Message = {}
         self._stop_after = list(stop_after)
         self._readies = readies
         self._looks = 0
 
-    def turning(self, prompt: str, pairs: Sequence[Pair], turns: int) -> OperatorAnswer:
+    def ask(self, question: Message) -> object:
+        if question["ask"] == "poll":
+            self._looks += 1
+            if self._stop_after and self._looks >= self._stop_after[0]:
+                self._stop_after.pop(0)
+                return {"answer": "stop"}
+            return None
+        if question["ask"] == "write":
+            return {"answer": "yes"}
         if not self._readies:
             raise Stopped("enough")
         self._readies -= 1
-        return OperatorAnswer("ready")
+        return {"answer": "ready"}
 
-    def poll(self) -> OperatorAnswer | None:
-        self._looks += 1
-        if self._stop_after and self._looks >= self._stop_after[0]:
-            self._stop_after.pop(0)
-            return OperatorAnswer("stop")
-        return None
+    def tell(self, event: Message) -> None:
+        match event["event"]:
+            case "turn":
+                self.turns.append(event)
+            case "held":
+                self.told.append(event["why"])
+            case "resumed":
+                self.told.append("goes on")
+            case "refused":
+                self.told.append(f"refused: {event['why']}")
+            case "accepted":
+                self.accepted = event
 
-    def turn_completed(self, turn: StageTurn) -> None:
-        self.turns.append(turn)
 
-    def paused(self, why: str) -> None:
-        self.told.append(why)
+@dataclass(frozen=True)
+class Turned:
+    """What a session at the stage gave."""
 
-    def resumed(self) -> None:
-        self.told.append("goes on")
+    record: PairRecord
 
-    def refused(self, why: str) -> None:
-        self.told.append(f"refused: {why}")
+    @property
+    def matchings(self) -> tuple[Matching, ...]:
+        return self.record.matchings
 
-    def matched(self, turns: float, matchings: Sequence[Matching]) -> None:
-        self.matchings = matchings
+    @property
+    def turns(self) -> float:
+        return self.record.spin.turns
+
+    @property
+    def frequency(self) -> float | None:
+        return self.record.spin.frequency
+
+    @property
+    def ended(self) -> str | None:
+        return self.record.provenance.stopped
+
+    @property
+    def samples(self) -> int:
+        return self.record.provenance.samples.used  # type: ignore[union-attr]
+
+    @property
+    def left_out(self) -> int:
+        return self.record.provenance.samples.left_out  # type: ignore[union-attr]
+
+    @property
+    def unmatched(self) -> tuple[str, ...]:
+        return self.record.provenance.not_matched
 
 
 def turned(
@@ -113,32 +149,44 @@ def turned(
     converged: float | None = None,
     interval: float = 0.02,
     journal: Path | None = None,
-    replay: bool = False,
     resume: bool = False,
-) -> RotationResult:
-    """Let the runner take the lines; with a journal they are captured there, or played from it and gone on with."""
-    selected = tuple(PairSelection((pair.first, pair.second), pair.orthogonal) for pair in pairs)
-    rotation = Rotation("theta", selected, turns=turns, converged=converged)
-    model = find_model("gradiometer").at(parse_address("serial:///dev/null?columns=theta,a1,a2,a3,a4"))
-    clock = VirtualClock()
-    before: Journal | None = read_journal(journal) if (replay or resume) and journal else None
-    writer = JournalWriter.create(journal, {}) if journal and before is None else None
-    if resume and before is not None:
-        writer = JournalWriter.resume(before)
-    log = EventLog(clock, before, writer)
-    recorded = RecordedClock(log, clock)
-    device = Device(printed, clock, interval)
-    driver = model.driver(RecordedLink(log, lambda: device, "r", 0), recorded)
-    sensors = SensorSet([ConnectedSensor(model, "G-1", driver)])
-    channels = map_channels(rotation, [("G-1", model)])
-    runner = RotationRunner(rotation, channels, sensors, attendant, log, recorded)
-    try:
-        found = runner.run("a rotation")
-        log.finish()
-        return found
-    finally:
-        if writer is not None:
-            writer.close()
+) -> Turned:
+    """Let a session take the lines; its journal is captured in a file, gone on with on request, and replayed."""
+    with TemporaryDirectory() as folder:
+        path = journal or Path(folder) / "stage.journal.jsonl"
+        before = read_journal(path) if resume else None
+        setup = _setup(pairs, turns, converged, path) if before is None else Setup.of(before)
+        session = Session(setup, SessionFiles(setup, path), before)
+        session.clock = clock = VirtualClock()
+        opening, device = sensors.open_device, Device(printed, clock, interval)
+        sensors.open_device = lambda *_: device
+        try:
+            result = run_session(session, attendant)
+        finally:
+            sensors.open_device = opening
+        assert calibrations_of(read_journal(path)).texts() == result.texts()
+    return Turned(record_of(result))
+
+
+def record_of(result: SessionResult) -> PairRecord:
+    (record,) = result.calibrations.values()
+    assert isinstance(record, PairRecord)
+    return record
+
+
+def _setup(pairs: Sequence[Pair], turns: int, converged: float | None, journal: Path) -> Setup:
+    rotation: dict[str, Any] = {
+        "phase": "theta",
+        "pairs": [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in pairs],
+        "turns": turns,
+    }
+    if converged is not None:
+        rotation["converged"] = converged
+    stated = {"tiltcal": 1, "kind": "procedure", "name": "stage", "title": "a rotation", "rotation": rotation}
+    bench = single("gradiometer", "G-1", "serial:///dev/null?columns=theta,a1,a2,a3,a4")
+    return Setup.begin(
+        procedure_in(document_of(stated)), bench, [journal.with_suffix(".yaml")], journal, operator="json"
+    )
 
 
 def regressed(taken: disk.Record, pair: tuple[int, int, int]) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tiltcal.bench.channel_map import map_channels
+from tiltcal.bench.stage import map_channels
 from tiltcal.calibration.free_positions import require_no_jig
 from tiltcal.calibration.joint_fit import along_gravity
 from tiltcal.calibration.prediction import PredictedMounting, PredictedUncertainty, predict, predict_mounting

@@ -1,127 +1,108 @@
-"""One session at the bench: a plan carried out, captured, and turned into calibration files."""
+"""One session at the bench: ask, wait until still, sample, check, review; every input goes to the journal at once.
+
+The calibration is made of the journal alone, at the end of a session as in a replay. A session that is resumed takes
+the accepted positions from its journal and asks for the next one; the one in progress is taken again.
+"""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
-from shlex import quote
-from typing import TYPE_CHECKING, BinaryIO, cast
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from typing import Any
 
-from tiltcal.bench.device_setup import DeviceSetup
-from tiltcal.bench.event_log import EventLog, RecordedClock
-from tiltcal.bench.operators.operator import PositionOperator, RotationOperator
-from tiltcal.bench.operators.sim import SimOperator, SimRotationOperator
-from tiltcal.bench.position_runner import PositionRunner
-from tiltcal.bench.recording import sample_rows
-from tiltcal.bench.sample_checks import ReadingSpans
-from tiltcal.bench.sensor_set import SensorSet, connected, probe_devices
-from tiltcal.bench.session_calibration import SessionEnd, tilt_calibrations, tilt_provenance
-from tiltcal.bench.session_plan import SessionPlan
-from tiltcal.bench.virtual_bench import VirtualBench
-from tiltcal.calibration.record import record_in
-from tiltcal.calibration.verification import Verification, verify_positions
+import numpy as np
+
+from tiltcal.bench.checks import (
+    Expectations,
+    PositionResult,
+    ReadingSpans,
+    far_off,
+    measurement_of,
+    require_few,
+    require_off_rails,
+)
+from tiltcal.bench.journal import RecordedSample, RecordedSession
+from tiltcal.bench.operators import LOOK, WORDS, Operator, OperatorAnswer, understood
+from tiltcal.bench.sensors import (
+    RecordedClock,
+    Recorder,
+    Sample,
+    SensorSet,
+    VirtualBench,
+    connected,
+    probe_devices,
+)
+from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
+from tiltcal.bench.setup import SessionFiles, Setup
+from tiltcal.core.attitude import normalised
+from tiltcal.core.quantisation import ReadingStep
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.model import Reading
-from tiltcal.errors import HardwareError, InputError, Stopped, TiltcalError, UsageError
-from tiltcal.files.atomic import check_writable, write_whole
-from tiltcal.files.calibration import CalibrationRecord, dump_calibration
-from tiltcal.files.document import read_document
-from tiltcal.files.journal import Journal, JournalWriter, read_journal
-from tiltcal.files.moments import moment_after
-from tiltcal.files.record import plain
+from tiltcal.errors import HardwareError, InputError, Stopped, TiltcalError
+from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter
+from tiltcal.files.moments import moment_after, stamp
+from tiltcal.files.procedure import Position
 
-if TYPE_CHECKING:
-    from tiltcal.files.pair import PairRecord
-    from tiltcal.files.rotation import Rotation
+NUDGED = 0.002
+"""A change while sampling above this is a sensor that was touched, g (0.1° near level)."""
 
+NUDGED_SIGMAS = 6.0
+"""And it must be this many standard uncertainties: a refusal costs the operator time, a look while settling none."""
 
-@dataclass(frozen=True)
-class SessionResult:
-    """The result of a session.
+TIP = "tip"
+"""The question whether a reading follows, and the position that is asked for."""
 
-    Attributes
-    ----------
-    calibrations : dict of Path to CalibrationRecord or PairRecord
-        By the file that each goes to.
-    """
+TIPPED = (0.2, 0.2, -0.2)
+"""What a tip by hand adds to gravity, g: of any attitude it changes all components, of level by 14° in all."""
 
-    calibrations: dict[Path, CalibrationRecord | PairRecord]
-    ending: SessionEnd
-
-    @property
-    def texts(self) -> dict[Path, str]:
-        """The calibration files' texts, by where they go."""
-        return {path: _text(record) for path, record in self.calibrations.items()}
-
-    def write(self) -> None:
-        """Write the calibration files."""
-        for path, text in self.texts.items():
-            write_whole(path, text)
-
-    def require_all(self) -> None:
-        """Refuse a session in which sensors were given up.
-
-        HardwareError: with the reasons.
-        """
-        if self.ending.lost:
-            raise HardwareError("no calibration file for " + "; ".join(self.ending.lost.values()))
-
-
-@dataclass(frozen=True)
-class _OpenSession:
-    """The open devices of a session; every byte passes through its event log."""
-
-    sensors: SensorSet
-    log: EventLog
-    clock: RecordedClock
-    live: bool
+WAITING_NS = 60_000_000_000
+"""Time between two events while a chamber soaks or a reading settles, ns."""
 
 
 class Session:
-    """A plan being carried out, live, resumed or replayed.
+    """A setup being carried out.
 
     Parameters
     ----------
-    path : Path
-        The journal.
+    files : SessionFiles
+        The journal, and where the calibrations go.
     journal : Journal, optional
-        What was captured before.
-    output : Path, optional
-        Where the calibration files go, in place of what the plan says: a file, or of several sensors the folder.
+        What was captured before an interruption.
+
+    Attributes
+    ----------
+    accepted : list of PositionResult
+        The positions so far.
+    leg : list of RecordedSample
+        The samples of a ramp's leg from before an interruption.
+    captured, finished : bool
+        Whether the journal has a begin, and its end.
     """
 
-    def __init__(
-        self, plan: SessionPlan, path: Path, journal: Journal | None = None, output: Path | None = None
-    ) -> None:
-        self.plan = plan
-        self.path = path
+    sensors: SensorSet
+    recorder: Recorder
+
+    def __init__(self, setup: Setup, files: SessionFiles, journal: Journal | None = None) -> None:
+        self.setup = setup
+        self.files = files
         self.journal = journal
-        self._named = output
-        self._captured = journal is not None
-        self._finished = False
-        self._clock = session_clock(plan.started, virtual=plan.virtual)
-        self._virtual = VirtualBench(self._clock, plan.devices)
+        self.clock = session_clock(setup.began, virtual=setup.simulated)
+        self.accepted: list[PositionResult] = []
+        self.leg: list[RecordedSample] = []
+        self._operator: Operator | None = None
+        self.captured = journal is not None
+        self.finished = False
+        self._virtual = VirtualBench(self.clock, setup.devices)
+        self._steps = {device.serial: ReadingStep() for device in setup.sensors}
+        """What the readings have shown of the steps that no model states."""
         self._probed: dict[str, Reading] = {}
-
-    @classmethod
-    def of_journal(
-        cls, path: Path, remark: Callable[[str], None] = lambda line: None, output: Path | None = None
-    ) -> Session:
-        """Return the session of a journal, to be resumed or replayed; a torn last line is a remark.
-
-        JournalError: the journal cannot be read or used.
-        UsageError: the session has several sensors, and the output is no folder.
-        """
-        journal = read_journal(path)
-        if journal.torn:
-            remark(f"{path}: the last line was torn off and is dropped")
-        session = cls(SessionPlan.from_journal(journal), path, journal, output)
-        if output is not None and len(session.outputs) > 1 and not os.path.isdir(output):
-            raise UsageError(f"the session has {len(session.outputs)} sensors: name a folder instead of {output}")
-        return session
+        self._tipped = False
+        self._answered_ns = self._waiting_ns = 0
+        self._soaked: float | None = None
+        """The temperature that the sensors have, °C; None on the way."""
+        self._interrupted = False
 
     @contextmanager
     def resumable(self, command: str, remark: Callable[[str], None]) -> Iterator[None]:
@@ -134,15 +115,11 @@ class Session:
         remark : callable
             Gets the line where the error's own message is about something else.
         """
-        named = self._named
-        if named is None and self._outside:
-            named = self.outputs[0] if len(self.outputs) == 1 else self.outputs[0].parent
-        where = "" if named is None else f" -o {quote(str(named))}"
-        go_on = f"everything measured is kept; continue with: tiltcal {command} --resume {quote(str(self.path))}{where}"
+        go_on = self.files.go_on(command)
         try:
             yield
         except (KeyboardInterrupt, TiltcalError) as error:
-            if not self._captured:
+            if not self.captured:
                 raise
             if isinstance(error, KeyboardInterrupt):
                 raise Stopped(f"interrupted; {go_on}") from None
@@ -150,194 +127,305 @@ class Session:
                 raise Stopped(f"{error}; {go_on}") from None
             if not isinstance(error, HardwareError):
                 remark(go_on)
-            elif not self._finished:
+            elif not self.finished:
                 raise HardwareError(f"{error}; {go_on}") from None
             raise
-
-    @property
-    def outputs(self) -> list[Path]:
-        """The calibration files, one per sensor, or one for all pairs of a stage."""
-        return [self._output(device) for device in self.plan.sensors if device.output]
-
-    @property
-    def _ended(self) -> bool:
-        """Whether the journal that is gone on with has its end."""
-        return self.journal is not None and self.journal.end is not None
-
-    @property
-    def _outside(self) -> list[Path]:
-        """The calibration files that lie outside the journal's folder."""
-        folder = os.path.realpath(self.path.parent)
-        return [path for path in self.outputs if os.path.commonpath((folder, os.path.realpath(path))) != folder]
-
-    def require_writable(self) -> None:
-        """Check before the operator starts that the files can be written; a journal that has its end is not.
-
-        UsageError: a path that cannot be written, or where a journal would replace a file that is no calibration of its
-            sensor, or that it names outside its own folder.
-        """
-        if self.journal is not None and self._named is None and self._outside:
-            # The journal may be somebody else's.
-            raise UsageError(
-                f"the journal names {self._outside[0]}, outside its own folder: say with -o where the calibration goes"
-            )
-        for path in self.outputs:
-            check_writable(path, self.path)
-            if self.journal is not None and os.path.isfile(path) and os.path.getsize(path):
-                self._require_calibration_of_plan(path)
-        if not self._ended:
-            check_writable(self.path)
-
-    def _require_calibration_of_plan(self, path: Path) -> None:
-        """Refuse a file that is no calibration of a sensor of the plan: the journal may be somebody else's."""
-        identities = [(device.model_name, device.serial) for device in self.plan.sensors]
-        try:
-            there = record_in(read_document(path))
-        except InputError:
-            there = None
-        if isinstance(there, CalibrationRecord):
-            replaceable = (there.sensor.model, there.sensor.serial) in identities
-        else:
-            bench = None if there is None else there.provenance.bench
-            replaceable = bench is not None and [(one.model, one.serial) for one in bench.sensors] == identities
-        if not replaceable:
-            serials = ", ".join(serial for _, serial in identities)
-            raise UsageError(
-                f"cannot write {path}: the file there is no calibration of {serials}; move it away, or name another "
-                "file with -o"
-            )
 
     def probe(self) -> None:
         """Check before the operator starts that every device answers; a journal that has its end needs none.
 
         HardwareError: a device that does not answer.
         """
-        probed = probe_devices(() if self._ended else self.plan.devices, self._virtual, self._clock, read=True)
-        self._probed = {device.serial: reading for device, reading in zip(self.plan.sensors, probed, strict=False)}
-        self._clock.seek(0)
-
-    def run(
-        self, operator: PositionOperator | RotationOperator | None, samples: BinaryIO | None = None
-    ) -> SessionResult:
-        """Carry the session out, go on with it, or replay it.
-
-        Parameters
-        ----------
-        operator : PositionOperator, RotationOperator or None
-            Of the kind that the procedure needs; None replays the journal without hardware.
-        samples : BinaryIO, optional
-            Gets every sample of the session as the rows of a log.
-
-        JournalError: the journal does not fit, or a replay ends before the session did.
-        TiltcalError: what stopped it; everything that was measured is in the journal.
-        """
-        with self._open(live=operator is not None, samples=samples) as opened:
-            rotation = self.plan.procedure.rotation
-            if rotation is not None:
-                return self._match(rotation, opened, cast(RotationOperator, operator or SimRotationOperator()))
-            positions = cast(PositionOperator, operator or SimOperator())
-            runner = self._position_runner(opened, positions)
-            accepted = runner.run()
-            if not self.outputs:  # a verification
-                return SessionResult({}, self._finish(opened))
-            found = tilt_calibrations(
-                self.plan, opened.sensors.sensors, accepted, runner.records, runner.unseen, opened.sensors.reopened
-            )
-            files = {self._output(device): device for device in self.plan.sensors if device.serial in found}
-            opened.log.ask("write", positions.confirm_write, list(files))
-            end = self._finish(opened)
-            calibrations: dict[Path, CalibrationRecord | PairRecord] = {
-                path: replace(found[device.serial], provenance=tilt_provenance(self.plan, device, end))
-                for path, device in files.items()
-            }
-            return SessionResult(calibrations, end)
-
-    def replay(self, samples: BinaryIO | None = None) -> SessionResult:
-        """Run a captured session again without hardware, as :meth:`run` without an operator."""
-        return self.run(None, samples)
-
-    def verify(self, operator: PositionOperator, calibration: CalibrationRecord, limit: float) -> Verification:
-        """Take the positions, or go on with them, and judge a calibration of the sensor by a limit in degrees.
-
-        TiltcalError: what stopped it; everything that was measured is in the journal.
-        """
-        with self._open(live=True) as opened:
-            accepted = self._position_runner(opened, operator).run()
-            (sensor,), jig = self.plan.sensors, self.plan.settings.jig
-            measurements = [result.measurements[sensor.serial] for result in accepted]
-            found = verify_positions(calibration, measurements, jig)
-            self._finish(opened)
-            return Verification(calibration.sensor, found, limit, jig)
-
-    def _position_runner(self, opened: _OpenSession, operator: PositionOperator) -> PositionRunner:
-        fixture = self._virtual.fixture if self.plan.virtual and opened.live else None
-        spans = ReadingSpans(opened.sensors.sensors)
-        spans.add(self._probed)
-        if self.plan.procedure.ramp is not None:
-            from tiltcal.bench.ramp_runner import RampRunner
-
-            ramp = self.plan.procedure.ramp
-            return RampRunner(ramp, self.plan, opened.sensors, operator, opened.log, opened.clock, spans, fixture)
-        return PositionRunner(self.plan, opened.sensors, operator, opened.log, opened.clock, spans, fixture)
-
-    def _match(self, rotation: Rotation, opened: _OpenSession, operator: RotationOperator) -> SessionResult:
-        """Let the stage turn, and match its pairs."""
-        from tiltcal.bench.rotation_runner import RotationRunner, pair_calibration
-
-        plan = self.plan
-        channels = plan.channel_map(rotation)
-        runner = RotationRunner(rotation, channels, opened.sensors, operator, opened.log, opened.clock)
-        turned = runner.run(plan.procedure.title)
-        opened.log.ask("write", operator.confirm_write, self.outputs)
-        end = self._finish(opened)
-        return SessionResult({self.outputs[0]: pair_calibration(plan, channels, turned, end)}, end)
-
-    @contextmanager
-    def _open(self, *, live: bool, samples: BinaryIO | None = None) -> Iterator[_OpenSession]:
-        """Connect the devices to an event log for the time of the block."""
-        plan = self.plan
-        with self._writer(live) as writer:
-            log = EventLog(self._clock, self.journal, writer)
-            clock = RecordedClock(log, self._clock)
-            with connected(plan.sensors, plan.thermometer, log, clock, self._virtual) as sensors:
-                if samples is not None:
-                    sensors.listen(sample_rows(samples, sensors, plan.started, log))
-                yield _OpenSession(sensors, log, clock, writer is not None)
-
-    @contextmanager
-    def _writer(self, live: bool) -> Iterator[JournalWriter | None]:
-        """Open the journal for live events; None in a replay, and for a journal that has its end."""
-        if not live or self._ended:
-            yield None
+        if self.journal is not None and self.journal.end is not None:
             return
-        if self.journal is None:
-            writer = JournalWriter.create(self.path, plain(self.plan.header()))
-            self._captured = True
-        else:
+        clock = session_clock(self.setup.began, virtual=self.setup.simulated)
+        devices = self.setup.devices
+        probed = probe_devices(devices, VirtualBench(clock, devices), clock, read=True)
+        self._probed = {device.serial: reading for device, reading in zip(self.setup.sensors, probed, strict=False)}
+
+    def open(self, stack: ExitStack, operator: Operator, recorded: RecordedSession | None) -> JournalWriter:
+        """Open the journal and the devices until the end of the stack, and tell the operator what begins."""
+        self._operator = operator
+        if self.journal is not None:
             writer = JournalWriter.resume(self.journal)
+        else:
+            writer = JournalWriter.create(self.files.journal, self.setup.header())
+        self.captured = True
+        stack.callback(writer.close)
+        self._begin(stack, writer, recorded)
+        return writer
+
+    def _begin(self, stack: ExitStack, writer: JournalWriter, recorded: RecordedSession | None) -> None:
+        """Connect the devices, and tell the operator what begins; of a session that goes on take what it has."""
+        setup = self.setup
+        self.recorder = Recorder(self.clock, writer, 0 if recorded is None else recorded.playback.now_ns)
+        if recorded is not None:
+            self._take_over(recorded)
+        last_answers = None if recorded is None else recorded.playback.last_answers
+        clock = RecordedClock(self.recorder, self.clock)
+        opened = connected(
+            setup.devices, setup.thermometer is not None, self.recorder, clock, self._virtual, last_answers
+        )
+        self.sensors = stack.enter_context(opened)
+        self._spans = ReadingSpans(self.sensors.sensors) if recorded is None else recorded.spans
+        self._spans.add(self._probed)
+        self.sensors.listen(self._spans.add)
+        if recorded is not None:
+            self.sensors.give_up(recorded.lost)
+        stage = setup.steps.rotation is not None
+        self.tell(
+            "begin",
+            title=setup.steps.title,
+            length="" if stage else setup.steps.length,
+            positions=[position.name for position in setup.steps.positions],
+            sensors={
+                sensor.serial: {
+                    "model": sensor.model.name,
+                    "unit": sensor.model.unit,
+                    "offset": sensor.model.offset,
+                    "sensitivity": sensor.model.sensitivity,
+                }
+                for sensor in self.sensors.sensors
+            },
+        )
+
+    def _take_over(self, recorded: RecordedSession) -> None:
+        """Take what was measured before the interruption; the virtual jig has taken the positions, too."""
+        self.accepted, self.leg, self._tipped = recorded.accepted, recorded.leg, recorded.tipped
+        if self.setup.simulated:
+            for result in self.accepted:
+                self._hold(replace(result.position, temperature=result.asked))
+            if self.leg:
+                (reading, *_) = self.leg[-1].readings.values()
+                position = self.setup.steps.positions[len(self.accepted)]
+                self._hold(replace(position, temperature=reading.temperature))
+        self._soaked = self.accepted[-1].asked if self.accepted else None
+        self._interrupted = self._soaked is not None
+        self.clock.seek(recorded.playback.now_ns)
+        self.recorder.record(RESUMED)
+
+    def attempt(self, position: Position) -> str:
+        """Ask for a position, measure it, have it judged; return the last answer."""
+        answer = self.ask_for(position)
+        if answer.word != "ready":
+            return answer.word
+        actual = answer.as_set(position)
+        if actual != position:
+            self._hold(actual)
+        self._settle(position, answer.temperature)
+        first = self.recorder.line + 1
+        samples, without = self._sampled(position, thermometers=answer.temperature is None)
+        last = self.recorder.line
+        self.sensors.succeeded()
+        expectations = Expectations(self.setup, self.sensors.sensors, self.accepted)
+        result = replace(self._result(actual, samples, len(without), answer.temperature), asked=position.temperature)
+        expectations.require(result)
+        if len(self.accepted) == len(self.setup.steps.positions) - 1:
+            self.tip(position)
+        sensors = {serial: result.values(serial) for serial in result.measurements}
+        review = {"ask": "review", "position": position.name, "sensors": sensors}
+        verdict = self.ask({**review, "expected": expectations.expected(result)})
+        if verdict.word == "accept":
+            self.accept(result, {"lines": [first, last], **({"without": without} if without else {})})
+        return verdict.word
+
+    def ask_for(self, position: Position, to: str = "position") -> OperatorAnswer:
+        """Ask for a position; ``to`` is the question in the journal."""
+        if position.temperature != self._soaked:
+            self._soaked = None
+        self._hold(position)
+        question = {
+            "ask": "position",
+            "position": position.name,
+            "tilt": position.tilt,
+            "gravity": [round(component, 9) + 0.0 for component in position.gravity],
+            "heading": position.heading or 0,
+            "temperature": position.temperature,
+            **({} if position.stage is None else {"stage": position.stage}),
+            "prompt": position.prompt,
+        }
+        answer = self.ask(question, to)
+        self._answered_ns = self.recorder.now_ns
+        self._waiting_ns = WAITING_NS
+        return answer
+
+    def ask(self, question: Mapping[str, Any], to: str = "") -> OperatorAnswer:
+        """Return the answer to a question, which goes to the journal; ask again where it cannot be understood.
+
+        Stopped: the operator quits.
+        """
+        while True:
+            answer = self._heard(question)
+            if answer is not None:
+                self.recorder.record(ANSWER, {"to": to or question["ask"], **answer.record()})
+                return answer
+
+    def poll(self, to: str) -> OperatorAnswer | None:
+        """Return what the operator said without being asked; None where that is nothing."""
+        answer = self._heard({"ask": "poll"})
+        if answer is not None:
+            self.recorder.record(ANSWER, {"to": to, **answer.record()})
+        return answer
+
+    def _heard(self, question: Mapping[str, Any]) -> OperatorAnswer | None:
+        """Return the answer of the operator, None where there is none yet; one that is not understood is refused."""
+        if self._operator is None:
+            raise Stopped("the session has no operator")
+        while True:
+            try:
+                said = self._operator.ask(question)
+                if said is None and question["ask"] == "poll":
+                    return None
+                if said == {"answer": LOOK}:
+                    self._show_reading(question)
+                    return None
+                answer = understood(said, WORDS[question["ask"]])
+            except InputError as error:
+                self.refuse(question.get("position", "rotation"), str(error))
+                continue
+            if answer.word == "quit":
+                raise Stopped("the operator program answered quit")
+            return answer
+
+    def tell(self, event: str, **fields: Any) -> None:
+        """Tell the operator what has happened."""
+        if self._operator is not None:
+            self._operator.tell({"event": event, **fields})
+
+    def refuse(self, position: str, why: str) -> None:
+        """Tell the operator that an answer, or what was set, is refused; it is asked for again."""
+        self.tell("refused", position=position, why=why)
+
+    def accept(self, result: PositionResult, samples: Mapping[str, Any]) -> None:
+        """Note an accepted position and the lines of its samples, and wait until it is on the disk."""
+        values = {serial: result.values(serial) for serial in result.measurements}
+        self.recorder.record(POSITION, {"position": result.position.name, **samples, "sensors": values})
+        self.recorder.secure()
+        self.accepted.append(result)
+        stated = {
+            serial: {key: value for key, value in one.items() if value is not None} for serial, one in values.items()
+        }
+        event = {"position": result.position.name, **next(iter(stated.values()))}
+        self.tell("accepted", **event, **({"sensors": stated} if len(self.setup.sensors) > 1 else {}))
+
+    def _show_reading(self, question: Mapping[str, Any]) -> None:
+        """Take a reading that only the operator looks at."""
+        look = {"position": question.get("position", ""), "why": "", "readings": {}}
         try:
-            yield writer
-        finally:
-            writer.close()
+            look["readings"] = self._shown(self.sensors.by_serial(self.sensors.read(fresh=True)))
+        except HardwareError as error:
+            look["why"] = f"no reading: {error}"
+        self.tell("look", **look)
 
-    def _finish(self, opened: _OpenSession) -> SessionEnd:
-        """End the journal; there is nothing to resume then."""
-        ended = moment_after(self.plan.started, opened.log.now_ns())
-        sha256 = opened.log.finish()
-        self._finished = True
-        return SessionEnd(ended, sha256, opened.sensors.lost, opened.sensors.link_statistics())
+    def look(self, position: Position, sample: Sample, why: str) -> None:
+        """Show readings while the session waits or samples, and once a minute why it takes so long."""
+        readings = self._shown(self.sensors.by_serial(sample))
+        self.tell("look", position=position.name, why=why, readings=readings)
+        waited_ns = self.recorder.now_ns - self._answered_ns
+        if waited_ns >= self._waiting_ns:
+            self._waiting_ns = (waited_ns // WAITING_NS + 1) * WAITING_NS
+            temperature = next((one.temperature for one in sample if one.temperature is not None), None)
+            seconds = round(waited_ns / 1e9)
+            self.tell("waiting", position=position.name, seconds=seconds, why=why, temperature=temperature)
 
-    def _output(self, device: DeviceSetup) -> Path:
-        planned = Path(os.path.normpath(self.path.parent / device.output))
-        if self._named is None:
-            return planned
-        return self._named / planned.name if os.path.isdir(self._named) else self._named
+    def _shown(self, readings: Mapping[str, Reading]) -> dict[str, dict[str, Any]]:
+        """Return readings as an event has them, by serial number."""
+        channels = {sensor.serial: sensor.model.channels for sensor in self.sensors.sensors}
+        return {
+            serial: {
+                "values": dict(zip(channels[serial], reading.values, strict=True)),
+                "temperature": reading.temperature,
+            }
+            for serial, reading in readings.items()
+        }
 
+    def now(self) -> str:
+        """Return the time of the last event as a stamp."""
+        return stamp(moment_after(self.setup.began, self.recorder.now_ns))
 
-def _text(record: CalibrationRecord | PairRecord) -> str:
-    """Return the text of a calibration file."""
-    if isinstance(record, CalibrationRecord):
-        return dump_calibration(record)
-    from tiltcal.files.pair import dump_pair
+    def _hold(self, position: Position) -> None:
+        """Bring the virtual jig, where there is one, into a position."""
+        if self.setup.simulated:
+            ramp = self.setup.steps.ramp
+            pace = 0.0 if ramp is None else ramp.pace
+            self._virtual.fixture.move(position.gravity, position.temperature, pace)
 
-    return dump_pair(record)
+    def _settle(self, position: Position, typed: float | None) -> None:
+        """Wait until the readings hold still, and the temperature too, where the sensors do not have it already."""
+        soaked, settings = self._soaked, self.setup.settings
+        if self._interrupted and soaked is not None and not self._still_at(soaked, typed):
+            soaked = None
+        self._interrupted = False
+        if position.temperature is None or position.temperature == soaked:
+            window = Window(settings.settle)
+        else:
+            # A temperature that the operator types counts, because the thermometer may be far off.
+            target = position.temperature if typed is None else None
+            soak = self.setup.steps.soak
+            late = None if soak.thermometer is None else soak.thermometer * settings.soak / soak.seconds
+            window = Window(settings.soak, soak.drift, target, late)
+            self._soaked = None
+        clock = RecordedClock(self.recorder, self.clock)
+        wait_until_still(self.sensors, clock, window, partial(self.look, position))
+        self._soaked = position.temperature
+
+    def _still_at(self, soaked: float, typed: float | None) -> bool:
+        """Return whether the thermometers still read, after an interruption, about what they read before it."""
+        if typed is not None:
+            return True
+        before = {serial: one.temperature for serial, one in self.accepted[-1].measurements.items()}
+        readings = self.sensors.by_serial(self.sensors.read(fresh=True))
+        changes = [
+            abs(reading.temperature - (before.get(serial) or soaked))
+            for serial, reading in readings.items()
+            if reading.temperature is not None
+        ]
+        return all(change <= NEAR for change in changes)
+
+    def _sampled(self, position: Position, *, thermometers: bool) -> tuple[list[Timed], list[int]]:
+        """Return the samples of a position, and the numbers of those far off; Unsettled where too many are."""
+        sensors, wanted = self.sensors, self.setup.settings.samples
+        counted: dict[int, Timed] = {}
+        without: list[int] = []
+        while True:
+            while len(counted) < wanted:
+                sample = sensors.read()
+                counted[len(counted) + len(without)] = (self.recorder.now_ns / 1e9, sample)
+                self.look(position, sample, f"sample {len(counted)} of {wanted}")
+                self.clock.sleep(max(model.interval for model in sensors.models))
+            numbers = list(counted)
+            wrong = far_off(list(counted.values()), sensors.models, thermometers=thermometers)
+            if not wrong:
+                return list(counted.values()), sorted(without)
+            without += [numbers[place] for place in wrong]
+            require_few(len(without), wanted, next(iter(wrong.values())))
+            counted = {number: timed for number, timed in counted.items() if number not in without}
+
+    def _result(self, position: Position, samples: list[Timed], left_out: int, typed: float | None) -> PositionResult:
+        """Return what the samples of a position give; Unsettled where they moved, or are at a rail."""
+        models = self.sensors.models
+        moved = movement(samples, models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(samples) > 2 else None
+        if moved:
+            raise Unsettled(f"moved while it was sampled: {moved}")
+        measurements = {}
+        when = {"time": self.now(), **({"left_out": left_out} if left_out else {})}
+        for index, sensor in enumerate(self.sensors.sensors):
+            readings = [sample[index] for _, sample in samples]
+            require_off_rails(readings, sensor.model)
+            if not sensor.model.resolution:
+                values = np.array([reading.values for reading in readings]).T
+                self._steps[sensor.serial].add(values, min(reading.step for reading in readings))
+            measurements[sensor.serial] = measurement_of(sensor, position, readings, when, typed)
+        return PositionResult(position, measurements, typed is not None, left_out).with_steps(self._steps)
+
+    def tip(self, position: Position) -> None:
+        """Have the sensors tipped once where a channel that no position tilts has shown no more than two values."""
+        if self._tipped or not (quiet := self._spans.quiet_channels(self.setup.steps.positions)):
+            return
+        names = ", ".join(f"{channel} of {serial}" for serial, channels in quiet.items() for channel in channels)
+        gravity = normalised([component + by for component, by in zip(position.gravity, TIPPED, strict=True)])
+        prompt = f"{names}: no change was seen. Tip it by hand, some 10° about each axis, and answer while it is."
+        tip = replace(position, name=TIP, gravity=gravity, tilt=None, prompt=prompt)
+        if self.ask_for(tip, TIP).word == "ready":
+            self.sensors.read(fresh=True)
+        self._tipped = True

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import islice
 from operator import mul
 
-from tiltcal.bench.sensor_set import Sample, SensorSet
+from tiltcal.bench.sensors import Sample, SensorSet
 from tiltcal.core.detection import is_still
 from tiltcal.core.samples import drift
 from tiltcal.drivers.bus.clock import Clock

@@ -71,7 +71,7 @@ def _checked(path: Path) -> tuple[str, list[str], list[str]]:
     if kind in ("tilt", "pair"):
         return _of_calibration(path, document)
     if kind == "bench":
-        from tiltcal.bench.device_setup import known_bench
+        from tiltcal.bench.setup import known_bench
 
         known_bench(document)
         return kind, [], []
@@ -97,12 +97,14 @@ def _is_journal(path: Path) -> bool:
 
 
 def _of_journal(path: Path) -> list[str]:
+    from tiltcal.bench.setup import Setup
+
     journal = read_journal(path)
     findings = []
     if journal.torn:
         findings.append("its last line is torn off")
     if journal.end is None:
-        findings.append(f"the session was interrupted; continue it with: {journal.plan().resume_command(path)}")
+        findings.append(f"the session was interrupted; continue it with: {Setup.of(journal).resume_command(path)}")
     return findings
 
 
@@ -125,13 +127,13 @@ def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tup
     captured = found.provenance.journal
     if captured is None or not (os.path.isfile(path) and os.path.isfile(path.parent / captured.name)):
         return [], []
-    from tiltcal.bench.session import Session
+    from tiltcal.bench.journal import calibrations_of
     from tiltcal.calibration.comparison import changes_between, compare_records, judge
     from tiltcal.files.calibration import CalibrationRecord
 
     journal = path.parent / captured.name
-    made = Session.of_journal(journal).replay()
-    if path.read_text(encoding="utf-8") in made.texts.values():
+    made = calibrations_of(read_journal(journal))
+    if path.read_text(encoding="utf-8") in made.texts().values():
         return [], []
     for new in made.calibrations.values():
         if isinstance(new, CalibrationRecord) and isinstance(found, CalibrationRecord) and new.sensor == found.sensor:

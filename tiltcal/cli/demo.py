@@ -94,12 +94,12 @@ def command(folder: Path, seed: int) -> None:
 
 def _record(path: Path, address: Address, model: Model) -> None:
     """Write the log for the calibration, a row each second, with its true tilt beside the readings."""
-    from tiltcal.bench.device_setup import DeviceSetup
-    from tiltcal.bench.virtual_bench import VirtualBench
+    from tiltcal.bench.sensors import VirtualBench
+    from tiltcal.bench.setup import BenchDevice
     from tiltcal.core.attitude import gravity_from_tilt
     from tiltcal.drivers.bus.clock import VirtualClock
 
-    clock, device = VirtualClock(), DeviceSetup(model.name, "", str(address))
+    clock, device = VirtualClock(), BenchDevice(model=model.name, serial="", address=str(address))
     bench = VirtualBench(clock, [device])
     sensor = model.driver(bench.twin(device), clock)
     lines = ["time,x,y,temperature,true_tilt_x,true_tilt_y"]

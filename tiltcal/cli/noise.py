@@ -100,7 +100,7 @@ def command(
         if address is not None:
             from tempfile import TemporaryDirectory
 
-            from tiltcal.bench.device_setup import single
+            from tiltcal.bench.setup import single
             from tiltcal.cli.record import record_log
 
             path = output or Path(stack.enter_context(TemporaryDirectory(prefix="tiltcal-"))) / "recorded"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import click
 
+from tiltcal.bench.sensors import open_sensor
 from tiltcal.cli import options
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import SelfTesting
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
-from tiltcal.library.measure import open_sensor
 
 
 @options.command(epilog="Example: tiltcal probe --sensor sca100t-d02 --address spi:///dev/spidev0.0 --self-test")

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import click
 
-from tiltcal.bench.device_setup import known_bench, single
-from tiltcal.bench.recording import RecordingTally, record_bench
+from tiltcal.bench.record import RecordingTally, record_bench
+from tiltcal.bench.setup import known_bench, single
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import INTERRUPTED, UsageError

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from contextlib import nullcontext
 from itertools import zip_longest
 from pathlib import Path
 
 import click
 
-from tiltcal.bench.session import Session
+from tiltcal.bench.journal import calibrations_of, samples_of
+from tiltcal.bench.record import write_samples
+from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, JournalError, UsageError
 from tiltcal.files.atomic import require_apart, whole_file, write_whole
+from tiltcal.files.journal import read_journal
 
 
 @options.command(epilog="Example: tiltcal replay S-0042.journal.jsonl --golden S-0042.yaml")
@@ -37,29 +39,33 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
 
     A verification makes no file: `tiltcal verify CAL --resume JOURNAL` repeats its verdict.
     """
-    session = Session.of_journal(journal, remark, output)
-    before = session.journal
-    if before is not None and before.end is None:
+    captured = read_journal(journal)
+    if captured.torn:
+        remark(f"{journal}: the last line was torn off and is dropped")
+    setup = Setup.of(captured)
+    files = SessionFiles(setup, journal, output)
+    if captured.end is None:
         raise JournalError(
-            f"the session was interrupted; continue it with: {before.plan().resume_command(journal)}",
+            f"the session was interrupted; continue it with: {setup.resume_command(journal)}",
             file=journal,
-            line=len(before.events) + 2,
+            line=len(captured.events) + 2,
         )
-    if not session.outputs and (output or golden) is not None:
+    if setup.verifies and (output or golden) is not None:
         raise UsageError(f"{journal} is of a verification, which makes no calibration file: leave -o and --golden out")
     if output is not None:
-        session.require_writable()
+        files.require_writable(captured)
     if samples is not None:
         require_apart(samples, journal)
-    with nullcontext() if samples is None else whole_file(samples) as stream:
-        texts = session.replay(stream).texts
+        with whole_file(samples) as stream:
+            write_samples(stream, setup, samples_of(captured))
+    texts = {files.outputs[serial]: text for serial, text in calibrations_of(captured).texts().items()}
     if golden is not None and not _gives(journal, texts, golden):
         return NEGATIVE_VERDICT
     if output is not None:
         for path, text in texts.items():
             write_whole(path, text)
             remark(f"wrote {path}")
-    elif not session.outputs:
+    elif setup.verifies:
         remark(f"{journal} is replayed; for its verdict: tiltcal verify CAL --resume {journal}")
     elif golden is None:
         click.echo("---\n".join(texts.values()), nl=False)

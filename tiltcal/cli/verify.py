@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,7 +15,6 @@ from tiltcal.files.calibration import SensorIdentity, read_calibration
 from tiltcal.files.procedure_file import find_procedure
 
 if TYPE_CHECKING:
-    from tiltcal.bench.operators.operator import PositionOperator
     from tiltcal.bench.session import Session
     from tiltcal.files.procedure import Procedure
 
@@ -61,53 +60,52 @@ def command(
     if every tilt error is within the limit with it added, failed if one is beyond the limit with it subtracted, else
     not decided. Exit code 1 unless passed.
     """
-    from tiltcal.bench.device_setup import single
-    from tiltcal.bench.operators.selection import open_operator
+    from tiltcal.bench.journal import positions_of
+    from tiltcal.bench.run import open_operator, run_session
     from tiltcal.bench.session import Session
-    from tiltcal.bench.session_plan import plan_session
-    from tiltcal.bench.session_start import free_journal
-    from tiltcal.calibration.verification import PASSED
+    from tiltcal.bench.setup import SessionFiles, Setup, free_journal, single
+    from tiltcal.calibration.verification import PASSED, Verification, verify_positions
+    from tiltcal.files.journal import read_journal
+    from tiltcal.library.measure import resumed
 
     judged = read_calibration(calibration)
     if resume is not None:
-        session = Session.of_journal(resume, remark)
-        operator = session.plan.operator if options.left_at_default("operator") else operator
+        named = None if options.left_at_default("procedure") else procedure
+        stated = {
+            "--procedure": named, "--address": address, "--jig": jig, "--tilt": tilt, "--samples": samples,
+            "--settle": settle, "--journal": journal,
+        }  # fmt: skip
+        session = resumed(resume, None, stated, remark, verifies=True)
+        operator = session.setup.operator if options.left_at_default("operator") else operator
     elif address is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
     else:
         path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), remark)
         bench = single(judged.sensor.model, judged.sensor.serial, address, jig)
         steps = _positions(procedure, tilt)
-        plan = plan_session(steps, bench, [None], path, operator=operator, samples=samples, settle=settle)
-        session = Session(plan, path)
+        setup = Setup.begin(steps, bench, [None], path, operator=operator, samples=samples, settle=settle)
+        session = Session(setup, SessionFiles(setup, path))
     _require_sensor(session, judged.sensor, calibration)
-    if resume is not None:
-        session.plan.require_as_begun(
-            {
-                "--procedure": None if options.left_at_default("procedure") else procedure,
-                "--address": address,
-                "--jig": jig,
-                "--tilt": tilt,
-                "--samples": samples,
-                "--settle": settle,
-                "--journal": None if journal is None else journal.name,
-            }
-        )
     again = f"verify {quote(str(calibration))}"
     again += "" if options.left_at_default("limit") else f" --limit {limit}"
     again += " --json" if as_json else ""
-    session.require_writable()
+    session.files.require_writable(session.journal)
     with session.resumable(again, remark):
         session.probe()
-        with open_operator(operator, turns=False, virtual=session.plan.virtual, say=remark, plain=plain) as opened:
-            found = session.verify(cast("PositionOperator", opened), judged, limit)
-            opened.done([], session.path)
-    if found.jig is None:
+        with open_operator(operator, turns=False, virtual=session.setup.simulated, say=remark, plain=plain) as opened:
+            run_session(session, opened)
+            recorded = positions_of(read_journal(session.files.journal))
+            measurements = [result.measurements[judged.sensor.serial] for result in recorded.results()]
+            stated_jig = session.setup.settings.jig
+            tilts = verify_positions(judged, measurements, stated_jig)
+            verification = Verification(judged.sensor, tilts, limit, stated_jig)
+            opened.tell({"event": "done", "calibrations": [], "journal": str(session.files.journal)})
+    if stated_jig is None:
         remark("no --jig is stated: the positions count as exact")
     # What a program reads is JSON to the last line.
     as_json = as_json or operator == "json"
-    options.print_judged(options.json_text(found.as_data()) if as_json else str(found))
-    return 0 if found.verdict == PASSED else NEGATIVE_VERDICT
+    options.print_judged(options.json_text(verification.as_data()) if as_json else str(verification))
+    return 0 if verification.verdict == PASSED else NEGATIVE_VERDICT
 
 
 def _positions(procedure: str, tilt: float | None) -> Procedure:
@@ -120,18 +118,14 @@ def _positions(procedure: str, tilt: float | None) -> Procedure:
 
 
 def _require_sensor(session: Session, judged: SensorIdentity, calibration: Path) -> None:
-    """Refuse the journal of a measurement, and readings that are not those of the calibration's sensor."""
-    if session.outputs:
-        raise UsageError(
-            f"{session.path} is of a measurement; continue it with: tiltcal measure --resume {quote(str(session.path))}"
-        )
-    for device in session.plan.sensors:
-        if (device.model_name, device.serial) != (judged.model, judged.serial):
+    """Refuse the journal of another sensor, and readings that are not those of the calibration's sensor."""
+    for device in session.setup.sensors:
+        if (device.model, device.serial) != (judged.model, judged.serial):
             raise UsageError(
-                f"{session.path} is of {device.model_name} {device.serial}, and {calibration} of {judged.model} "
+                f"{session.files.journal} is of {device.model} {device.serial}, and {calibration} of {judged.model} "
                 f"{judged.serial}: name the calibration of that sensor"
             )
-        channels, unit = device.model.channels, device.model.unit
+        channels, unit = device.wired.channels, device.wired.unit
         if unit != judged.unit or not set(judged.channels) <= set(channels):
             raise UsageError(
                 f"{calibration} is of {', '.join(judged.channels)} in {judged.unit}, and {device.address} gives "

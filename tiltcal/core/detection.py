@@ -2,7 +2,7 @@
 
 They work on the samples of a position; the bench, recorded logs and the characterisation of noise use them with limits
 of their own. Those of a record of any length are in :mod:`tiltcal.core.rows`, those that need positions in
-:mod:`tiltcal.bench.sample_checks` and :mod:`tiltcal.logs.static_intervals`, that of a turning stage in
+:mod:`tiltcal.bench.checks` and :mod:`tiltcal.logs.static_intervals`, that of a turning stage in
 :mod:`tiltcal.core.pair.stage`.
 
 Samples that are all alike are not still: a sensor at rest has noise, and one whose reading does not change although its

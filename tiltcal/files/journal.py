@@ -2,13 +2,13 @@
 
 ::
 
-    {"tiltcal-journal": 1, ..., "check": "5d41a0c2"}      header
+    {"tiltcal-journal": 2, ..., "check": "5d41a0c2"}      header
     [48000, "s", "100000", "008f20", "0c11be07"]          bus transaction: nanoseconds since the line before, the
                                                           bus's letter, bytes out, bytes in, (device number if not 0)
     [0, "!", "100000", "why", "…"]                        a bus transaction that failed
     [0, "a", {"to": "position", "answer": "ready"}, "…"]  what the operator answered
-    [0, "p", {"position": "x-tilt1", …}, "…"]             an accepted position
-    [0, "live", "…"]                                      a reading follows that only the operator looked at
+    [0, "p", {"position": "x-tilt1", "lines": [8, 19], …}, "…"]    an accepted position, and the lines of its samples
+    [0, "live", "…"]                                      in format 1: a reading follows that only the operator saw
     [9, "resumed", "…"]                                   the session was interrupted, and goes on from here
     [0, "end", {"events": 812, "sha256": "…"}, "…"]       the session came to its end
 
@@ -32,14 +32,14 @@ from typing import Any, BinaryIO, overload
 from zlib import crc32
 
 import msgspec
+from msgspec import Struct
 
-from tiltcal.errors import InputError, JournalError, UsageError
+from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.atomic import append_whole, part_of, write_all
-from tiltcal.files.document import document_of
-from tiltcal.files.journal_header import Header
-from tiltcal.files.record import Record
+from tiltcal.files.record import Count, Record
 
-VERSION = 1
+VERSION, VERSIONS = 2, (1, 2)
+"""The format that is written, and those that are read: in format 1 a position does not name its samples."""
 HARDWARE_ERROR = "!"
 ANSWER = "a"
 POSITION = "p"
@@ -73,15 +73,13 @@ class Event:
 class Events(Sequence[Event]):
     """The events of a journal that was checked, read from its file in blocks: a night of six sensors has millions.
 
-    ``starts`` are the places where their lines begin, and where the last one ends; ``more`` follow them.
+    ``starts`` are the places where their lines begin, and where the last one ends.
     """
 
-    def __init__(self, path: Path, starts: array[int], more: tuple[Event, ...] = ()) -> None:
+    def __init__(self, path: Path, starts: array[int]) -> None:
         self._path = path
         self._starts = starts
-        self._more = more
-        self._in_file = len(starts) - 1
-        self._count = self._in_file + len(more)
+        self._count = len(starts) - 1
         self._first = 0
         self._block: list[bytes] = []
 
@@ -98,17 +96,11 @@ class Events(Sequence[Event]):
         if isinstance(index, slice):
             return [self[k] for k in range(*index.indices(self._count))]
         place = range(self._count)[index]
-        if place >= self._in_file:
-            return self._more[place - self._in_file]
         if not self._first <= place < self._first + len(self._block):
             self._first = place - place % BLOCK
-            self._block = self._lines(self._first, min(self._first + BLOCK, self._in_file))
+            self._block = self._lines(self._first, min(self._first + BLOCK, self._count))
         number = place + 2
         return _event_of(_loads(_body(self._block[place - self._first]), self._path, number), number)
-
-    def followed_by(self, event: Event) -> Events:
-        """Return these events and another one."""
-        return Events(self._path, self._starts, (*self._more, event))
 
     def _lines(self, first: int, last: int) -> list[bytes]:
         with open(self._path, "rb") as stream:
@@ -123,30 +115,21 @@ class Events(Sequence[Event]):
 class Journal:
     """A journal that was read and found sound, without a torn last line.
 
-    ``end`` is the end record, None where the session was interrupted; ``size`` counts the bytes of whole lines; ``crc``
-    and ``digest`` (SHA-256) are those of everything before the end record.
+    ``accepted`` are the accepted positions among the events; ``end`` is the end record, None where the session was
+    interrupted; ``size`` counts the bytes of whole lines; ``crc`` and ``digest`` (SHA-256) are those of everything
+    before the end record.
     """
 
     path: Path
+    version: int
     header: dict[str, Any]
     events: Events
+    accepted: tuple[Event, ...]
     end: dict[str, Any] | None
     size: int
     torn: bool
     crc: int
     digest: hashlib._Hash
-
-    def plan(self) -> Header:
-        """Return the session's plan, from the header; a JournalError where it is none."""
-        try:
-            document = document_of(self.header, str(self.path), 1)
-            plan = document.read(Header)
-            document.require_moments(plan, "started")
-            return plan
-        except InputError as error:
-            raise JournalError(
-                f"the header cannot be used: {error.message}", file=self.path, line=1, key=error.key
-            ) from None
 
     @property
     def sha256(self) -> str:
@@ -174,6 +157,8 @@ def _read(stream: BinaryIO, path: Path) -> Journal:
             raise _too_long(path, 1)
         raise JournalError("holds no complete header: nothing was captured; start the session anew", file=path)
     header, crc = _header(line[:-1], path)
+    version = header.pop("tiltcal-journal")
+    accepted: list[Event] = []
     starts, digest = array("Q", [len(line)]), hashlib.sha256(line)
     size, number, torn = len(line), 1, False
     end: dict[str, Any] | None = None
@@ -195,7 +180,9 @@ def _read(stream: BinaryIO, path: Path) -> Journal:
         else:
             starts.append(size)
             digest.update(line)
-    return Journal(path, header, Events(path, starts), end, size, torn, crc, digest)
+            if event.kind == POSITION:
+                accepted.append(event)
+    return Journal(path, version, header, Events(path, starts), tuple(accepted), end, size, torn, crc, digest)
 
 
 def _too_long(path: Path, number: int) -> JournalError:
@@ -266,6 +253,11 @@ class JournalWriter:
             os.close(descriptor)
             raise
         return cls(journal.path, descriptor, journal.crc, len(journal.events), journal.digest.copy(), journal.size)
+
+    @property
+    def line(self) -> int:
+        """The line of the last event, or of the header."""
+        return self._events + 1
 
     def append(self, dt_ns: int, kind: str, *payload: Any) -> None:
         """Write one event, whole or not at all.
@@ -338,8 +330,8 @@ def _header(line: bytes, path: Path) -> tuple[dict[str, Any], int]:
     if line[-_OBJECT_CHECK:] != f',"check":"{crc:08x}"}}'.encode():
         raise JournalError("the line is damaged: its check does not fit its content", file=path, line=1)
     header: dict[str, Any] = _loads(body, path, 1)
-    version = header.pop("tiltcal-journal")
-    if version != VERSION:
+    version = header["tiltcal-journal"]
+    if version not in VERSIONS:
         raise JournalError(f"is of journal version {version}; this tiltcal reads version {VERSION}", file=path, line=1)
     return header, crc
 
@@ -384,6 +376,40 @@ class RecordedAnswer(Record, kw_only=True):
     temperature: float = 0.0
 
 
+class AcceptedPosition(Struct):
+    """An accepted position: the lines of its samples, none in format 1, and which of them were left out, from 0."""
+
+    position: str
+    sensors: Mapping[str, Mapping[str, Any]] | tuple[Mapping[str, Any], ...] = ()
+    lines: tuple[Count, Count] | None = None
+    without: tuple[Count, ...] = ()
+    ended: str = ""
+
+    @property
+    def n(self) -> int:
+        """The samples that count."""
+        return next((int(values.get("n", 0)) for values in self.values), 0)
+
+    @property
+    def left_out(self) -> int:
+        """The samples that were far off."""
+        return next((int(values.get("left_out", 0)) for values in self.values), 0)
+
+    @property
+    def values(self) -> list[Mapping[str, Any]]:
+        """Mean, std, n and temperature of each sensor."""
+        return list(self.sensors.values() if isinstance(self.sensors, Mapping) else self.sensors)
+
+    def by_serial(self, serials: Sequence[str]) -> Mapping[str, Mapping[str, Any]]:
+        """Return mean, std, n and temperature by serial number; the first journals had them in order."""
+        return self.sensors if isinstance(self.sensors, Mapping) else dict(zip(serials, self.sensors, strict=False))
+
+
+def accepted_position(event: Event) -> AcceptedPosition:
+    """Return the accepted position of an event."""
+    return msgspec.convert(event.payload[0], AcceptedPosition)
+
+
 def _is_event(line: Any) -> bool:
     """Return whether a line has the elements of its kind, each of its type."""
     if not isinstance(line, list) or len(line) < 2 or not _is_count(line[0]):
@@ -395,7 +421,10 @@ def _is_event(line: Any) -> bool:
         case "a":
             with suppress(msgspec.ValidationError):
                 return len(payload) == 1 and msgspec.convert(payload[0], RecordedAnswer) is not None
-        case "p" | "end":
+        case "p":
+            with suppress(msgspec.ValidationError):
+                return len(payload) == 1 and msgspec.convert(payload[0], AcceptedPosition) is not None
+        case "end":
             return len(payload) == 1 and isinstance(payload[0], dict)
         case str() if kind == HARDWARE_ERROR or _BUS.fullmatch(kind):
             out, back, *device = payload if len(payload) in (2, 3) else (None, None)

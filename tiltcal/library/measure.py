@@ -1,30 +1,42 @@
-"""Measuring from Python: what ``tiltcal measure`` does, as a function, and a sensor that can be read by itself."""
+"""Measuring from Python: what ``tiltcal measure`` does, as a function."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
-from datetime import UTC, datetime
+import os
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tiltcal.bench.device_setup import DeviceSetup
-from tiltcal.bench.operators.selection import open_operator
-from tiltcal.bench.sensor_set import open_device
-from tiltcal.bench.session import Session, SessionResult
-from tiltcal.bench.session_calibration import changes_in_words
-from tiltcal.bench.session_start import StatedSession, start_session
-from tiltcal.bench.virtual_bench import VirtualBench
+from tiltcal.bench.journal import SessionResult, changes_in_words
+from tiltcal.bench.run import open_operator, run_session
+from tiltcal.bench.session import Session
+from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
+from tiltcal.calibration.free_positions import require_no_jig
 from tiltcal.calibration.level import NO_LEVEL, level_summary
+from tiltcal.calibration.prediction import predict
+from tiltcal.calibration.suitability import unchecked
 from tiltcal.calibration.summary import NOT_FOLLOWED, summary, verdict
-from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.drivers.model import Sensor, link_in_words
+from tiltcal.drivers.model import link_in_words
+from tiltcal.errors import JournalError, UsageError
+from tiltcal.files.atomic import check_writable, write_whole
+from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.bench import BenchFile
-from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.document import read_document
+from tiltcal.files.journal import read_journal
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure_file import find_procedure
 from tiltcal.library.calibration import Calibration
 from tiltcal.library.pair_calibration import PairCalibration
-from tiltcal.stated_arguments import of_python, require_boolean, require_path
+from tiltcal.stated_arguments import (
+    of_python,
+    require_above_zero,
+    require_boolean,
+    require_from_zero,
+    require_name,
+    require_path,
+    require_whole,
+)
 
 
 def unheard(remark: str) -> None:
@@ -67,7 +79,7 @@ def measure(
     procedure : str or Path
         A shipped procedure by its name, or your own by its path.
     operator : object or str
-        Who brings the sensors into position. An object with the methods of :mod:`tiltcal.bench.operators.rig`:
+        Who brings the sensors into position. An object with the methods of :mod:`tiltcal.bench.operators`:
         ``position(ask)`` returns an answer such as ``{"answer": "ready", "tilt": {"y": 30.02}}``; for a turning stage
         ``rotation(ask)``. By name: ``"terminal"``, ``"json"``, ``"sim"``. None: as the journal says, or a terminal.
     sensor, address, serial : str
@@ -102,9 +114,9 @@ def measure(
     journal : str or Path, optional
         Where the session is captured; by default beside the output.
     resume : str or Path, optional
-        The journal of an interrupted session, to go on with. All but the operator is as at its start, and what is
-        stated otherwise is refused; with ``output`` the calibration goes there, which it must where the journal names a
-        file outside its own folder.
+        The journal of an interrupted session, to go on with. All but the operator is as at its start, and what else is
+        stated is remarked and changes nothing; with ``output`` the calibration goes there, which it must where the
+        journal names a file outside its own folder.
     plain : bool
         Whether the terminal prints lines only.
     remark : callable
@@ -132,40 +144,207 @@ def measure(
     for option, file in (("--base", base), ("--journal", journal), ("--resume", resume), ("-o", output)):
         if file is not None:
             require_path(option, file)
-    stated = StatedSession(
-        procedure=procedure,
-        operator=operator,
-        sensor=sensor,
-        address=address,
-        serial=serial,
-        output=None if output is None else Path(output),
-        bench=bench,
-        samples=of_python(samples),
-        settle=of_python(settle),
-        jig=of_python(jig),
-        table_lean=of_python(table_lean),
-        heading=of_python(heading),
-        tilt=of_python(tilt),
-        turns=of_python(turns),
-        alignment=of_python(alignment),
-        base=base,
-        typical_temperature=of_python(typical_temperature),
-        closing=of_python(closing),
-        journal=None if journal is None else Path(journal),
-        resume=None if resume is None else Path(resume),
-    )
-    session = start_session(stated, remark)
-    session.require_writable()
-    operator = operator or session.plan.operator
-    turns_stage, virtual = session.plan.procedure.rotation is not None, session.plan.virtual
+    require_from_zero("--heading-uncertainty", of_python(heading))
+    stated = {
+        "PROCEDURE": procedure, "--sensor": sensor, "--address": address, "--serial": serial, "--bench": bench,
+        "--samples": of_python(samples), "--settle": of_python(settle), "--jig": of_python(jig),
+        "--table-lean": of_python(table_lean), "--heading-uncertainty": of_python(heading), "--tilt": of_python(tilt),
+        "--turns": of_python(turns), "--alignment": of_python(alignment), "--base": base,
+        "--typical-temperature": of_python(typical_temperature), "--closing": of_python(closing), "--journal": journal,
+    }  # fmt: skip
+    named = None if output is None else Path(output)
+    if resume is not None and os.path.exists(resume):
+        session = resumed(Path(resume), named, stated, remark)
+    else:
+        missing = None if resume is None else Path(resume)
+        session = _begun(stated, named, operator, missing, remark)
+    session.files.require_writable(session.journal)
+    operator = operator or session.setup.operator
+    turns_stage, virtual = session.setup.steps.rotation is not None, session.setup.simulated
     with session.resumable("measure", remark):
         session.probe()
         with open_operator(operator, turns=turns_stage, virtual=virtual, say=remark, plain=bool(plain)) as opened:
-            outcome = session.run(opened)
-            outcome.write()
-            opened.done(list(outcome.calibrations), session.path)
+            outcome = run_session(session, opened)
+            paths = {session.files.outputs[serial]: text for serial, text in outcome.texts().items()}
+            for path, text in paths.items():
+                write_whole(path, text)
+            files = [str(path) for path in paths]
+            opened.tell({"event": "done", "calibrations": files, "journal": str(session.files.journal)})
             outcome.require_all()
-    return _results(session, outcome, remark, None if operator == "json" else result)
+    return _results(session.setup, outcome, remark, None if operator == "json" else result)
+
+
+def resumed(
+    path: Path,
+    output: Path | None,
+    stated: Mapping[str, object],
+    remark: Callable[[str], None],
+    *,
+    verifies: bool = False,
+) -> Session:
+    """Return the session of a journal; options that are stated again are a remark, for it goes on as it began.
+
+    Parameters
+    ----------
+    output : Path or None
+        Where the calibrations go, in place of what the journal says.
+    stated : mapping of str to object
+        Values by option; None and False of those that are not stated.
+    verifies : bool
+        Whether the journal is to be that of a verification.
+
+    JournalError: it cannot be read or used.
+    UsageError: it is of the other kind.
+    """
+    journal = read_journal(path)
+    setup = Setup.of(journal)
+    if journal.torn:
+        remark(f"{path}: the last line was torn off and is dropped")
+    if setup.verifies != verifies:
+        kind = "verification" if setup.verifies else "measurement"
+        raise UsageError(f"{path} is of a {kind}; continue it with: {setup.resume_command(path)}")
+    repeated = [option for option, value in stated.items() if value is not None and value is not False]
+    if repeated:
+        remark(f"the session goes on as it began: {', '.join(repeated)} beside --resume changes nothing")
+    return Session(setup, SessionFiles(setup, path, output), journal)
+
+
+def _begun(
+    stated: Mapping[str, Any],
+    output: Path | None,
+    operator: object,
+    missing: Path | None,
+    remark: Callable[[str], None],
+) -> Session:
+    """Return a new session, and remark how well it will determine the coefficients.
+
+    ``stated`` are values by option; ``missing`` is the journal that was to be resumed, and is not there.
+    """
+    base, named = stated["--base"], stated["--bench"]
+    sensor, serial, address = stated["--sensor"], stated["--serial"], stated["--address"]
+    if base is not None and named is None and os.path.isfile(base):
+        identity = read_calibration(base).sensor
+        sensor, serial = sensor or identity.model, serial or identity.serial
+    one = {"--sensor": sensor, "--address": address, "--serial": serial}
+    _require_named(stated["PROCEDURE"], one, named, output, missing)
+    steps = find_procedure(str(stated["PROCEDURE"]), stated["--tilt"])
+    steps = steps.with_turns(stated["--turns"]).with_alignment(stated["--alignment"]).with_closing(stated["--closing"])
+    if named is None:
+        require_name(str(serial), "the serial number")
+    _require_settings(steps, stated)
+    bench = single(str(sensor), str(serial), str(address)) if named is None else _bench(named)
+    stated_of = {"jig": "--jig", "table": "--table-lean", "heading": "--heading-uncertainty"}
+    bench = bench.replaced(**{key: stated[name] for key, name in stated_of.items() if stated[name] is not None})
+    bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
+    outputs, beside = _outputs(steps, bench, named, output)
+    path = missing or (None if stated["--journal"] is None else Path(stated["--journal"]))
+    path = path or free_journal(beside, remark)
+    operator = operator or "terminal"
+    setup = Setup.begin(
+        steps,
+        bench,
+        outputs,
+        path,
+        operator=operator if isinstance(operator, str) else "json",
+        samples=stated["--samples"],
+        settle=stated["--settle"],
+        bases=bases,
+        typical=bool(stated["--typical-temperature"]),
+    )
+    _predict(setup, remark)
+    if steps.rotation is None:
+        _make_folder(beside.parent)
+    return Session(setup, SessionFiles(setup, path))
+
+
+def _require_named(
+    procedure: object, one: Mapping[str, object], bench: object, output: Path | None, missing_journal: Path | None
+) -> None:
+    """Refuse a session whose procedure or sensor is not named; ``one`` names a single sensor, by option."""
+    wanted = {"PROCEDURE": procedure}
+    if bench is None:
+        wanted |= {**one, "-o": output}
+    missing = [name for name, value in wanted.items() if value is None]
+    if missing_journal is not None and missing:
+        raise JournalError("no such journal", file=str(missing_journal))
+    if missing:
+        raise UsageError(f"measure needs {', '.join(missing)} (or --resume JOURNAL); see tiltcal measure --help")
+    if bench is not None and any(one.values()):
+        raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
+
+
+def _bench(bench: str | Path | BenchFile) -> BenchFile:
+    return bench if isinstance(bench, BenchFile) else known_bench(read_document(bench))
+
+
+def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
+    """Remark how well the positions will determine the coefficients; refuse those that cannot."""
+    if setup.steps.determines.completes:
+        return
+    if setup.steps.rotation is not None:
+        for why in setup.channel_map().left_out:
+            remark(why)
+        if len(setup.sensors) > 1:
+            remark("several devices are read one after the other: the delay of one, times 2 pi f, goes into q")
+        return
+    for device in setup.sensors:
+        if why := unchecked(device.wired):
+            remark(f"{device.serial}: {why}")
+    for device in {(sensor.model, sensor.orientation): sensor for sensor in setup.sensors}.values():
+        base = setup.known.get(device.serial)
+        expected = predict(
+            setup.steps,
+            device.wired,
+            jig=setup.settings.jig,
+            thermometer=setup.settings.thermometer,
+            table_lean=setup.settings.table,
+            samples=setup.settings.samples,
+            orientation=device.orientation,
+            sensors=len(setup.sensors),
+            base=None if base is None else base.calibration,
+        )
+        remark(f"{device.model}, {expected}")
+
+
+def _require_settings(procedure: Procedure, stated: Mapping[str, Any]) -> None:
+    """Refuse settings that the procedure does not have, or with which no session can measure."""
+    require_no_jig(procedure, stated["--jig"])
+    require_whole("--samples", stated["--samples"], 2, "samples")
+    require_above_zero("--settle", stated["--settle"])
+    if procedure.rotation is None:
+        return
+    for option in ("--samples", "--settle", "--jig"):
+        if stated[option] is not None:
+            raise UsageError(f"a rotation has no positions: leave {option} out; --turns limits its length")
+
+
+def _outputs(
+    procedure: Procedure, sensors: BenchFile, bench: str | Path | BenchFile | None, output: Path | None
+) -> tuple[list[Path | None], Path]:
+    """Return the calibration files, and the file beside which the journal lies.
+
+    A bench's sensors each have a file of their own, named for their serial number, in the folder that -o names; those
+    of a stage that turns have one together, which -o names.
+    """
+    if procedure.rotation is not None:
+        if output is None or os.path.isdir(output):
+            raise UsageError("the pairs of a stage have one file together: name it with -o PAIR.yaml")
+        return [output, *(None for _ in sensors.sensors[1:])], output
+    if bench is None and output is not None:
+        check_writable(output)
+        return [output], output
+    folder = output or Path()
+    name = "bench" if isinstance(bench, BenchFile) else Path(str(bench)).name
+    return [folder / f"{sensor.serial}.yaml" for sensor in sensors.sensors], folder / name
+
+
+def _make_folder(folder: Path) -> None:
+    """Make the folder of a bench's calibration files, unless it is there."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        why = f"{folder} cannot be made: {error.strerror}"
+        raise UsageError(f"with --bench, -o names the folder for the calibration files; {why}") from None
 
 
 def _remark_notes(
@@ -186,43 +365,14 @@ def _remark_notes(
         remark(f"{'all sensors' if every else ', '.join(serials)}: {note}")
 
 
-@contextmanager
-def open_sensor(model: str, address: str) -> Iterator[Sensor]:
-    """Open one sensor to be read, and close it at the end of the block.
-
-    Parameters
-    ----------
-    model : str
-        Such as ``sca100t-d02``.
-    address : str
-        Such as ``spi:///dev/spidev0.0``, or ``sim:`` for its virtual twin.
-
-    Yields
-    ------
-    Sensor
-        ``read()`` returns a reading: ``values`` by the model's channels in its unit, ``temperature`` in °C or None.
-
-    Raises
-    ------
-    UsageError
-        No such model, or a bad address.
-    HardwareError
-        It cannot be opened.
-    """
-    device = DeviceSetup(model, "", address)
-    clock = session_clock(datetime.now(UTC), virtual=parse_address(address).simulated)
-    with closing(open_device(device, VirtualBench(clock, [device]))) as link:
-        yield device.model.driver(link, clock)
-
-
 def _results(
-    session: Session, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
+    setup: Setup, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
 ) -> Calibration | PairCalibration | list[Calibration]:
-    """Return what a session found, and remark what limits it."""
-    for name, statistics in outcome.ending.link_statistics_by_serial.items():
+    """Return what a session gives, and remark what limits it."""
+    for name, statistics in outcome.link_statistics.items():
         remark(f"{name}: {link_in_words(statistics)}")
-    records, determines = list(outcome.calibrations.values()), session.plan.procedure.determines
-    if session.plan.procedure.rotation is not None:
+    records, determines = list(outcome.calibrations.values()), setup.steps.determines
+    if setup.steps.rotation is not None:
         pair = PairCalibration(records[0])  # type: ignore[arg-type]
         (result or unheard)(str(pair))
         return pair
@@ -233,6 +383,6 @@ def _results(
             (result or remark)(level_summary(calibration.record))
         else:
             (result or unheard)(summary(calibration.record, notes=False))
-        if session.plan.procedure.closes:
+        if setup.steps.closes:
             remark(changes_in_words(calibration.record))
-    return calibrations[0] if len(session.plan.sensors) == 1 else calibrations
+    return calibrations[0] if len(setup.sensors) == 1 else calibrations

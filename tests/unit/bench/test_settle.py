@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from tiltcal.bench.sensor_set import Sample, SensorSet
+from tiltcal.bench.sensors import Sample, SensorSet
 from tiltcal.bench.settle import Window, wait_until_still
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.clock import VirtualClock

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import pytest
 from support.emulated.bench import Scl3300 as PartFacts
 from support.scl3300_part import ALLOWED, Scl3300Part
 
-from tiltcal.bench import sensor_set
-from tiltcal.bench.device_setup import DeviceSetup
-from tiltcal.bench.event_log import EventLog, RecordedClock
-from tiltcal.bench.virtual_bench import VirtualBench
+from tiltcal.bench import sensors
+from tiltcal.bench.sensors import Recorder, VirtualBench
+from tiltcal.bench.setup import BenchDevice
 from tiltcal.drivers import find_model
 from tiltcal.drivers import scl3300 as frames
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Model, Sensor
 from tiltcal.errors import BusError, DeviceFault, SensorError
-from tiltcal.files.journal import JournalWriter, read_journal
 
 SCL = find_model("scl3300")
 MODE_3, MODE_4 = (SCL.at(parse_address(f"sim:range=mode{number}")) for number in (3, 4))
@@ -158,36 +155,26 @@ def test_a_reset_within_a_sample_is_no_reading(after: int) -> None:
     assert sensor.read().values == truth
 
 
-def test_another_part_after_the_bus_was_opened_again_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The adapter is pulled out twice: the same part is read on, the other one is not, nor in a replay."""
-    clock, device = VirtualClock(), DeviceSetup("scl3300", "A-1", "spi:///dev/spidev0.0")
+def test_another_part_after_the_bus_was_opened_again_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The adapter is pulled out twice: the same part is read on, the other one is not."""
+    clock, device = VirtualClock(), BenchDevice(model="scl3300", serial="A-1", address="spi:///dev/spidev0.0")
     same, again, other, back = links = [PartLink(), PartLink(), PartLink(serial=1), PartLink()]
     for link in links:
         link.clock = clock
     opened = iter(links)
-    monkeypatch.setattr(sensor_set, "open_link", lambda *_: next(opened))
-
-    def outcomes(log: EventLog) -> list[str]:
-        found = []
-        with sensor_set.connected([device], None, log, RecordedClock(log, clock), VirtualBench(clock, [device])) as on:
-            for pulled in (None, same, None, again, None, None):
-                if pulled is not None:
-                    pulled.before = broken
-                try:
-                    found.append(str(on.read()[0].values))
-                except SensorError as error:
-                    found.append(str(error))
-        return found
-
-    writer = JournalWriter.create(tmp_path / "S.journal.jsonl", {})
-    live = outcomes(EventLog(clock, None, writer))
-    writer.close()
+    monkeypatch.setattr(sensors, "open_link", lambda *_: next(opened))
+    live = []
+    with sensors.connected([device], False, Recorder(clock), clock, VirtualBench(clock, [device])) as bench:
+        for pulled in (None, same, None, again, None, None):
+            if pulled is not None:
+                pulled.before = broken
+            try:
+                live.append(str(bench.read()[0].values))
+            except SensorError as error:
+                live.append(str(error))
     reading, out = live[0], "the adapter was pulled out"
     said = "another part answers: its serial number is 1B33, it was 1021704154B33; connect that one"
     assert live == [reading, out, reading, out, said, reading]
     with pytest.raises(BusError, match="pulled out"):
         other.exchange(b"")  # it was closed
     assert back.part.counts["forbidden"] == 0
-    assert outcomes(EventLog(clock, read_journal(tmp_path / "S.journal.jsonl"))) == live

@@ -11,14 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from tiltcal.bench.event_log import EventLog, RecordedLink
+from tiltcal.bench.sensors import RecordedLink, Recorder
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.bus.gpio import Edge, unpack_edges
 from tiltcal.errors import BusError, HardwareError, UsageError
-from tiltcal.files.journal import JournalWriter, read_journal
 
 pytest.importorskip("vcd", reason="the pyvcd package is not installed")
 
@@ -85,8 +84,8 @@ def test_a_file_of_sigrok_gives_the_duty_cycle_that_was_generated(tmp_path: Path
         assert driver.link_statistics()["lost edges"] == 0
 
 
-def recorded(log: EventLog, capture: Path) -> RecordedLink:
-    return RecordedLink(log, lambda: opened(capture), "e", 0)
+def recorded(capture: Path, last_answer: bytes = b"") -> RecordedLink:
+    return RecordedLink(Recorder(VirtualClock()), lambda: opened(capture), "e", 0, last_answer)
 
 
 def numbers(records: bytes) -> list[int]:
@@ -94,7 +93,7 @@ def numbers(records: bytes) -> list[int]:
 
 
 def test_a_capture_at_its_end_starts_again_once_it_is_written_anew(hand_written: Path) -> None:
-    with closing(recorded(EventLog(VirtualClock()), hand_written)) as link:
+    with closing(recorded(hand_written)) as link:
         assert numbers(link.exchange(b"", 4096)) == [1, 2, 3, 4, 5]
         for _ in range(2):
             with pytest.raises(BusError, match="at its end"):
@@ -109,19 +108,12 @@ def test_a_capture_at_its_end_starts_again_once_it_is_written_anew(hand_written:
 
 
 @pytest.mark.parametrize("again", [HAND_WRITTEN, HAND_WRITTEN + "#150 0!\n"], ids=["the same", "a longer one"])
-def test_a_session_that_is_resumed_goes_on_behind_the_edges_that_it_has(
-    hand_written: Path, tmp_path: Path, again: str
-) -> None:
-    journal = tmp_path / "j.jsonl"
-    writer = JournalWriter.create(journal, {})
-    with closing(recorded(EventLog(VirtualClock(), None, writer), hand_written)) as link, closing(writer):
+def test_a_session_that_is_resumed_goes_on_behind_the_edges_that_it_has(hand_written: Path, again: str) -> None:
+    with closing(recorded(hand_written)) as link:
         taken = link.exchange(b"", 28)
     assert numbers(taken) == [1, 2]
     hand_written.write_text(again)
-    captured = read_journal(journal)
-    writer = JournalWriter.resume(captured)
-    with closing(recorded(EventLog(VirtualClock(), captured, writer), hand_written)) as link, closing(writer):
-        assert link.exchange(b"", 28) == taken
+    with closing(recorded(hand_written, taken)) as link:
         assert numbers(link.exchange(b"", 28)) == [3, 4]
         # A link that is opened anew after an error goes on as well.
         link.close()

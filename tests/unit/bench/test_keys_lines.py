@@ -9,8 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tiltcal.bench.operators.keys import ENTER, LineKeys
-from tiltcal.bench.operators.line_reader import LONGEST, LineReader
+from tiltcal.bench.keys import ENTER, LONGEST, LineKeys, LineReader
 from tiltcal.errors import Stopped
 
 

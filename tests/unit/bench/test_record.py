@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tiltcal.bench.recording import CsvRecorder, record
-from tiltcal.bench.sensor_set import ConnectedSensor, SensorSet
+from tiltcal.bench.record import CsvRecorder, record
+from tiltcal.bench.sensors import ConnectedSensor, SensorSet
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock

@@ -9,22 +9,25 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
-from tiltcal.bench.device_setup import all_virtual, devices_of, with_thermometer
-from tiltcal.bench.event_log import EventLog
-from tiltcal.bench.sensor_set import ConnectedSensor, Listener, SensorSet, connected, probe_devices
-from tiltcal.bench.virtual_bench import VirtualBench
+from tiltcal.bench.sensors import Recorder, SensorSet, VirtualBench, connected, probe_devices
+from tiltcal.bench.setup import devices_of
+from tiltcal.bench.stage import column_name
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
-from tiltcal.drivers.model import Reading, link_in_words
+from tiltcal.drivers.model import Model, Reading, link_in_words
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import append_whole
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.moments import moment_after, stamp
+
+if TYPE_CHECKING:
+    from tiltcal.bench.journal import RecordedSample
+    from tiltcal.bench.setup import Setup
 
 SECURE_NS = 1_000_000_000
 """Time that a row may wait for the disk, ns."""
@@ -136,44 +139,24 @@ class CsvRecorder:
         )
 
 
-def column_name(serial: str, channel: str, *, alone: bool) -> str:
-    """Return the column of a channel: its name alone, or of several devices behind the serial number."""
-    return channel if alone else f"{serial}_{channel}"
-
-
-def header(sensors: SensorSet) -> list[str]:
+def _header(models: Mapping[str, Model], thermometer: bool) -> list[str]:
     """Return the columns: ``x``, ``y``, ``temperature`` of a single sensor, ``S-7_x`` and so on of several."""
     names = ["time"]
-    alone = len(sensors.sensors) == 1
-    for device in sensors.sensors:
-        own = ["temperature"] if device.model.thermometer and not sensors.has_thermometer else []
-        names += [column_name(device.serial, name, alone=alone) for name in (*device.model.channels, *own)]
-    return names + (["temperature"] if sensors.has_thermometer else [])
+    for serial, model in models.items():
+        beside = ["temperature"] if model.thermometer and not thermometer else []
+        names += [column_name(serial, name, alone=len(models) == 1) for name in (*model.channels, *beside)]
+    return names + (["temperature"] if thermometer else [])
 
 
-def sample_rows(stream: BinaryIO, sensors: SensorSet, started: datetime, events: EventLog) -> Listener:
-    """Return a listener that writes samples as the rows of a log; a sensor that is given up leaves its cells empty.
-
-    Parameters
-    ----------
-    stream : BinaryIO
-        Gets the header at once.
-    sensors : SensorSet
-        None of it is given up yet.
-    started : datetime
-        UTC, when the session began.
-    events : EventLog
-        Its time is that of the sample.
-    """
-    connected, thermometer = sensors.sensors, sensors.has_thermometer
-
-    def write(sample: Mapping[str, Reading]) -> None:
-        moment = moment_after(started, events.now_ns())
-        readings = [sample.get(device.serial) for device in connected]
-        stream.write(_row(_cells(connected, readings, moment, thermometer)))
-
-    stream.write(_row(header(sensors)))
-    return write
+def write_samples(stream: BinaryIO, setup: Setup, samples: Iterable[RecordedSample]) -> None:
+    """Write the samples of a session as the rows of a log; a sensor that was given up leaves its cells empty."""
+    models = {device.serial: device.wired for device in setup.sensors}
+    thermometer = setup.thermometer is not None
+    stream.write(_row(_header(models, thermometer)))
+    for sample in samples:
+        moment = moment_after(setup.began, sample.now_ns)
+        readings = [sample.readings.get(serial) for serial in models]
+        stream.write(_row(_cells(list(models.values()), readings, moment, thermometer)))
 
 
 def record_bench(
@@ -200,9 +183,9 @@ def record_bench(
     HardwareError: a sensor does not answer.
     """
     sensors, thermometer = devices_of(bench)
-    devices = with_thermometer(sensors, thermometer)
-    virtual = all_virtual(devices)
-    interval = 1.0 / rate if rate else max(sensor.model.interval for sensor in sensors)
+    devices = sensors if thermometer is None else (*sensors, thermometer)
+    virtual = all(device.simulated for device in devices)
+    interval = 1.0 / rate if rate else max(sensor.wired.interval for sensor in sensors)
     endless = rows is None and seconds is None
     if seconds is not None and interval:
         rows, seconds = min(rows or sys.maxsize, max(1, round(seconds / interval))), None
@@ -213,8 +196,8 @@ def record_bench(
     twins = VirtualBench(clock, devices)
     probe_devices(devices, twins, clock)
     tally = RecordingTally()
-    with connected(sensors, thermometer, EventLog(clock), clock, twins) as opened:
-        recorder = CsvRecorder(log, header(opened))
+    with connected(devices, thermometer is not None, Recorder(clock), clock, twins) as opened:
+        recorder = CsvRecorder(log, _header({one.serial: one.model for one in opened.sensors}, opened.has_thermometer))
         try:
             for tally in record(opened, recorder, clock, started, interval=interval, rows=rows, seconds=seconds):
                 progress(tally)
@@ -261,7 +244,7 @@ def record(
     while (rows is None or tally.rows < rows) and (seconds is None or clock.now_ns() - begun_ns < seconds * 1e9):
         readings, why = sensors.read_available(fresh=slower or not tally.rows)
         now_ns = clock.now_ns()
-        log.write(_cells(sensors.sensors, readings, moment_after(started, now_ns), sensors.has_thermometer))
+        log.write(_cells(sensors.models, readings, moment_after(started, now_ns), sensors.has_thermometer))
         tally.rows += 1
         if why:
             tally.missing, tally.why = tally.missing + len(why), why[-1]
@@ -278,15 +261,15 @@ def _row(cells: Sequence[str]) -> bytes:
 
 
 def _cells(
-    connected: Sequence[ConnectedSensor], readings: Sequence[Reading | None], moment: datetime, thermometer: bool
+    models: Sequence[Model], readings: Sequence[Reading | None], moment: datetime, thermometer: bool
 ) -> list[str]:
     cells = [stamp(moment)]
     common = None
-    for device, reading in zip(connected, readings, strict=True):
-        cells += [""] * len(device.model.channels) if reading is None else [f"{value:.10g}" for value in reading.values]
+    for model, reading in zip(models, readings, strict=True):
+        cells += [""] * len(model.channels) if reading is None else [f"{value:.10g}" for value in reading.values]
         temperature = None if reading is None else reading.temperature
         common = temperature if common is None else common
-        if device.model.thermometer and not thermometer:
+        if model.thermometer and not thermometer:
             cells.append(_temperature(temperature))
     return cells + ([_temperature(common)] if thermometer else [])
 

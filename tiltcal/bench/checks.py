@@ -1,0 +1,339 @@
+"""A measured position, and the checks of its samples: values far off, rails, a channel that is stuck, a wrong one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from tiltcal.bench.sensors import ConnectedSensor
+from tiltcal.bench.settle import Timed, Unsettled
+from tiltcal.bench.setup import Setup
+from tiltcal.calibration.measurement import Measurement, missing_temperature
+from tiltcal.core.detection import (
+    LEFT_OUT,
+    TEMPERATURE_JUMP,
+    TEMPERATURES,
+    TILTED,
+    identical_by_chance,
+    noise_of_positions,
+    outliers,
+)
+from tiltcal.core.model import Array
+from tiltcal.core.plausibility import ExpectedReadings
+from tiltcal.core.quantisation import ReadingStep, resolution
+from tiltcal.core.samples import summarise
+from tiltcal.drivers.model import Model, Reading
+from tiltcal.files.procedure import Position
+
+POWER_ON = 85.0
+"""The temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)."""
+
+AGREEMENT = 20.0
+"""The largest distance of a position's temperature from the one asked for, or from a position before, °C."""
+
+
+@dataclass(frozen=True)
+class PositionResult:
+    """A measured position.
+
+    Attributes
+    ----------
+    position : Position
+        As it was actually set.
+    measurements : mapping of str to Measurement
+        What each sensor gave, by serial number, as the estimator takes it.
+    typed : bool
+        Whether the operator typed the temperature.
+    left_out : int
+        Samples that were far off, and were taken again.
+    asked : float or None
+        The temperature that the procedure asks for, °C.
+    """
+
+    position: Position
+    measurements: Mapping[str, Measurement]
+    typed: bool = False
+    left_out: int = 0
+    asked: float | None = None
+
+    def with_steps(self, steps: Mapping[str, ReadingStep]) -> PositionResult:
+        """Return this position with the steps that a session's readings have shown, where the models state none."""
+        measurements = {}
+        for serial, measurement in self.measurements.items():
+            step = steps[serial].step()
+            summaries = {
+                channel: summary.with_resolution(step) if step else summary
+                for channel, summary in measurement.summaries.items()
+            }
+            measurements[serial] = replace(measurement, summaries=summaries)
+        return replace(self, measurements=measurements)
+
+    def mean(self, serial: str) -> Array:
+        """Return the mean reading of each channel of a sensor, in its unit."""
+        return np.array([summary.mean for summary in self.measurements[serial].summaries.values()])
+
+    def values(self, serial: str) -> dict[str, Any]:
+        """Return mean, scatter, number and temperature of one sensor, as the journal and a program get them."""
+        measurement = self.measurements[serial]
+        return {
+            "mean": {channel: summary.mean for channel, summary in measurement.summaries.items()},
+            "std": {channel: summary.std for channel, summary in measurement.summaries.items()},
+            "n": next(iter(measurement.summaries.values())).n,
+            "temperature": measurement.temperature,
+            **({"left_out": self.left_out} if self.left_out else {}),
+        }
+
+
+def measurement_of(
+    sensor: ConnectedSensor,
+    position: Position,
+    readings: Sequence[Reading],
+    when: Mapping[str, Any],
+    typed: float | None = None,
+) -> Measurement:
+    """Return one sensor's samples of a position as the estimator takes them, in the sensor's own frame.
+
+    The temperature is the one that was typed, else the mean of the thermometer, else the one that was asked for.
+    """
+    temperature = position.temperature if typed is None else typed
+    measured = [reading.temperature for reading in readings if reading.temperature is not None]
+    if typed is None and measured:
+        temperature = summarise(measured).mean
+    return Measurement(
+        position.name,
+        sensor.orientation.seen(position.gravity),
+        position.tilt if sensor.orientation.straight else None,
+        temperature,
+        {
+            channel: summarise([reading.values[place] for reading in readings], sensor.model.resolution)
+            for place, channel in enumerate(sensor.model.channels)
+        },
+        when,
+        heading=position.heading,
+        stage=position.stage,
+    )
+
+
+def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: bool) -> dict[int, str]:
+    """Return the samples of a position that are no measurement, by their number, with the reason.
+
+    Parameters
+    ----------
+    thermometers : bool
+        Whether temperatures count; not where the operator typed one.
+    """
+    found: dict[int, str] = {}
+    for index, model in enumerate(models):
+        readings = [sample[index] for _, sample in held]
+        for place, channel in enumerate(model.channels):
+            values = np.array([reading.values[place] for reading in readings])
+            for number in outliers(values, model.resolution or resolution([values])).tolist():
+                middle = float(np.median(values))
+                found[number] = f"{channel} reads {values[number]:.6g} where the other samples read {middle:.6g}"
+        if thermometers:
+            found |= _absurd_temperatures(readings)
+    return found
+
+
+def require_few(count: int, wanted: int, why: str) -> None:
+    """Raise Unsettled, with the last reason, where too many samples of a position had to be taken again."""
+    if count > max(1, LEFT_OUT * wanted):
+        raise Unsettled(f"{count} samples of a position of {wanted} are far off: {why}; look for a loose contact")
+
+
+def at_rail(reading: Reading, model: Model) -> str:
+    """Return which channel of a reading is at a rail, and what to look at; nothing where none is."""
+    low, high = model.rails
+    for channel, value in zip(model.channels, reading.values, strict=True):
+        if not low < value < high:
+            return (
+                f"{channel} reads {value:.6g}, at its rail: is the angle within the sensor's range, and is it wired "
+                "right?"
+            )
+    return ""
+
+
+def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
+    """Raise Unsettled, with the channel, for readings at a rail."""
+    for reading in readings:
+        if why := at_rail(reading, model):
+            raise Unsettled(why)
+
+
+def require_plausible_temperature(result: PositionResult, accepted: Sequence[PositionResult]) -> None:
+    """Refuse a thermometer that converts nothing, and a temperature that fits no other of its position.
+
+    Unsettled: with the temperatures.
+    """
+    source = "was typed" if result.typed else "is what the thermometer reads"
+    for serial, measurement in result.measurements.items():
+        temperature = measurement.temperature
+        if temperature == POWER_ON and result.asked is None and not result.typed:
+            raise Unsettled(
+                f"the thermometer reads {temperature:g} °C in every sample, as a DS18B20 does that converts nothing: "
+                "see to its supply, or take it out of the bench file"
+            )
+        alike = [before.measurements[serial].temperature for before in accepted if before.asked == result.asked]
+        others = [(result.asked, "was asked for"), *((other, "was measured in a position before") for other in alike)]
+        for other, whose in others:
+            if temperature is not None and other is not None and abs(temperature - other) > AGREEMENT:
+                raise Unsettled(f"{temperature:g} °C {source}, and {other:g} °C {whose}: one of them is wrong")
+
+
+def require_not_stuck(sensor: ConnectedSensor, result: PositionResult, accepted: Sequence[PositionResult]) -> None:
+    """Refuse a channel that reads one value, never another, where something else has changed.
+
+    A reading that stands still within a position is coarse, unless its noise in the positions before is more than its
+    step hides. One that stands still over positions of other tilt is stuck.
+
+    Unsettled: with the channel and the value.
+    """
+    now = result.measurements[sensor.serial]
+    for channel, summary in now.summaries.items():
+        before = [result.measurements[sensor.serial] for result in accepted]
+        noise = noise_of_positions([one.summaries[channel] for one in before], summary.resolution) if before else 0.0
+        if summary.std == 0.0 and not identical_by_chance(summary.n, noise, summary.resolution):
+            raise Unsettled(
+                f"{channel} of {sensor.serial} is stuck: all {summary.n} samples read {summary.mean:.6g} "
+                f"{sensor.model.unit}, and those of the positions before scatter by {noise:.3g}; see that the sensor "
+                "converts (if it was shaken in the positions before, go back and repeat them)"
+            )
+        alike = [one for one in before if one.summaries[channel].std == summary.std == 0.0]
+        same = [one for one in alike if one.summaries[channel].mean == summary.mean]
+        axis = "xyz".index(channel)
+        if any(abs(one.gravity[axis] - now.gravity[axis]) > TILTED for one in same):
+            count = sum(one.summaries[channel].n for one in (*same, now))
+            raise Unsettled(
+                f"{channel} of {sensor.serial} is stuck: all {count} samples of {len(same) + 1} positions read "
+                f"{summary.mean:.6g} {sensor.model.unit}; see that the sensor converts, and that its axis is wired"
+            )
+
+
+class ReadingSpans:
+    """The lowest and the highest reading of each channel that a session has seen, moves between positions included."""
+
+    def __init__(self, sensors: Sequence[ConnectedSensor]) -> None:
+        self._sensors = sensors
+        self._models = {sensor.serial: sensor.model for sensor in sensors}
+        self._spans: dict[str, list[tuple[float, float, float]]] = {}
+
+    def add(self, readings: Mapping[str, Reading]) -> None:
+        """Take one sample, by serial number; a reading at a rail is none."""
+        for serial, reading in readings.items():
+            step = self._models[serial].resolution or reading.step
+            before = self._spans.get(serial) or [(value, value, step) for value in reading.values]
+            if not at_rail(reading, self._models[serial]):
+                spans = zip(before, reading.values, strict=True)
+                self._spans[serial] = [(min(low, one), max(high, one), step) for (low, high, _), one in spans]
+
+    def quiet_channels(self, positions: Sequence[Position]) -> dict[str, list[str]]:
+        """Return the channels that no position tilts and that have shown at most two values, by serial number.
+
+        That is the normal state of a good sensor without noise, and of a dead converter.
+        """
+        quiet: dict[str, list[str]] = {}
+        for sensor in self._sensors:
+            seen = np.array([sensor.orientation.seen(one.gravity) for one in positions])
+            flat = [channel for channel, by in zip("xyz", np.ptp(seen, axis=0), strict=True) if by <= TILTED]
+            spans = zip(sensor.model.channels, self._spans.get(sensor.serial, []), strict=False)
+            channels = [name for name, (low, high, step) in spans if high - low <= 1.5 * step and name in flat]
+            quiet |= {sensor.serial: channels} if channels else {}
+        return quiet
+
+
+def _absurd_temperatures(readings: Sequence[Reading]) -> dict[int, str]:
+    """Return the samples whose temperature no bench has, or that none of the others has."""
+    low, high = TEMPERATURES
+    known = {number: reading.temperature for number, reading in enumerate(readings) if reading.temperature is not None}
+    possible = [temperature for temperature in known.values() if low <= temperature <= high]
+    middle = median(possible) if possible else None
+    return {
+        number: f"the thermometer reads {temperature:g} °C"
+        for number, temperature in known.items()
+        if not low <= temperature <= high or (middle is not None and abs(temperature - middle) > TEMPERATURE_JUMP)
+    }
+
+
+class Expectations:
+    """What the positions so far, and the model, predict of the readings of each sensor.
+
+    Parameters
+    ----------
+    sensors : sequence of ConnectedSensor
+        Those that were not given up.
+    accepted : sequence of PositionResult
+        The positions so far.
+    """
+
+    def __init__(self, setup: Setup, sensors: Sequence[ConnectedSensor], accepted: Sequence[PositionResult]) -> None:
+        self._setup = setup
+        self._sensors = sensors
+        self._accepted = accepted
+        bases = setup.known.values()
+        self._mounted = any(base.calibration.coefficients.mounting is not None for base in bases)
+        """Whether the positions are those of an application in which a sensor sits in a way of its own."""
+        self._readings = {sensor.serial: self._learnt(sensor) for sensor in sensors}
+
+    def _learnt(self, sensor: ConnectedSensor) -> ExpectedReadings:
+        model = sensor.model
+        readings = ExpectedReadings(
+            model.channels, model.offset, model.sensitivity, model.offset_spread, model.sensitivity_spread
+        )
+        for result in self._accepted:
+            before = result.measurements[sensor.serial]
+            readings.learn(before.gravity, result.mean(sensor.serial), before.temperature)
+        return readings
+
+    def expected(self, result: PositionResult) -> dict[str, dict[str, float]]:
+        """Return the predicted reading of each channel by serial number; empty where nothing predicts it."""
+        determines = self._setup.steps.determines
+        return {
+            sensor.serial: self._readings[sensor.serial].expected(result.measurements[sensor.serial].gravity)
+            if sensor.model.scaled and not determines.free and not self._mounted
+            else {}
+            for sensor in self._sensors
+        }
+
+    def require(self, result: PositionResult) -> None:
+        """Raise Unsettled where the temperature is absurd, a sensor is stuck, or it is another position."""
+        require_plausible_temperature(result, self._accepted)
+        determines = self._setup.steps.determines
+        if determines.level or determines.mounting:
+            from tiltcal.calibration import level
+
+            objection = level.objection if determines.level else missing_temperature
+            for serial, measurement in result.measurements.items():
+                if refusal := objection(self._setup.known[serial].calibration, measurement):
+                    raise Unsettled(refusal)
+        for sensor in self._sensors:
+            require_not_stuck(sensor, result, self._accepted)
+        if determines.mounting or self._mounted:
+            return
+        for sensor in self._sensors:
+            why = self._repeated(sensor, result) if determines.free else self._objection(sensor, result)
+            if why:
+                alone = determines.free or len(self._setup.sensors) == 1
+                raise Unsettled(why if alone else f"{sensor.serial}: {why}")
+
+    def _objection(self, sensor: ConnectedSensor, result: PositionResult) -> str | None:
+        """Return why a sensor sees a position as another one."""
+        if not sensor.model.scaled:
+            return None
+        positions = {position.name: position.gravity for position in self._setup.steps.positions}
+        positions |= {one.position.name: one.position.gravity for one in (*self._accepted, result)}
+        seen = {name: sensor.orientation.seen(gravity) for name, gravity in positions.items()}
+        temperature = result.measurements[sensor.serial].temperature
+        return self._readings[sensor.serial].objection(
+            result.position.name, seen, result.mean(sensor.serial), temperature
+        )
+
+    def _repeated(self, sensor: ConnectedSensor, result: PositionResult) -> str | None:
+        """Return why an attitude is there already, as a sensor of three axes sees it."""
+        if not sensor.model.scaled or len(sensor.model.channels) < 3:
+            return None
+        before = {one.position.name: one.mean(sensor.serial) for one in self._accepted}
+        return self._readings[sensor.serial].repeated(before, result.mean(sensor.serial))

@@ -1,1 +1,0 @@
-"""The operators of a session: a person, a program, or the virtual jig."""
