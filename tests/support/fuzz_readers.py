@@ -87,6 +87,7 @@ def twin(draw: Random) -> None:
 
 @target(share=60)
 def journal(draw: Random) -> None:
+    from tiltcal.bench.setup import Setup
     from tiltcal.files.journal import read_journal
 
     lines = golden(f"{draw.choice(JOURNALS)}.journal.jsonl").encode().splitlines(keepends=True)
@@ -94,7 +95,7 @@ def journal(draw: Random) -> None:
     piece = b"".join((lines[0], *lines[first : first + EVENTS], lines[-1]))
     Path("j.jsonl").write_bytes(damaged_journal(draw, piece))
     found = read_journal("j.jsonl")
-    found.plan()
+    Setup.of(found)
     for _ in found.events:
         pass
 
