@@ -1,8 +1,8 @@
 """Sensor drivers: bytes in, readings out. They contain nothing about calibration, prompts or files.
 
-There is one module per sensor or converter, and a virtual part of the same name in ``twin/``. What they share is in
-``device`` (the interfaces), ``bus/`` (addresses and links), ``registers`` and ``polled`` (parts with byte registers),
-``converter`` (analog sensors), ``lines`` and ``sentences`` (text on a serial line), and ``pulses`` (edges).
+A module holds a sensor or converter and its virtual part; ``parts`` has register parts, a row of facts each. What they
+share is in ``model`` (the interfaces), ``bus/`` (addresses and links), ``registers`` (what makes a driver and a virtual
+part of a row), ``converters`` and ``analog`` (analog sensors), and ``virtual`` (virtual parts and their truth).
 
 The user selects a model by name. The built-in models are in a table and are imported only when used. A third party adds
 a model by an entry point in the group ``tiltcal.devices``, with the name of the model, that loads a
