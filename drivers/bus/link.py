@@ -11,13 +11,6 @@ class CaptureEnded(BusError):
     """A capture has no further edges; its link stays open, because opened anew it would start at the first edge."""
 
 
-class Interruption(BusError):
-    """A bus transaction that never took place, because the session was interrupted there."""
-
-    def __init__(self) -> None:
-        super().__init__("the session was interrupted here")
-
-
 class Link(Protocol):
     """One opened connection to one device.
 

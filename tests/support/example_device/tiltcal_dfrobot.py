@@ -21,7 +21,7 @@ from operator import xor
 from tiltcal.drivers import sca100t
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Interruption, Link
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.model import Model, Reading, link_in_words
 from tiltcal.drivers.registers import in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualLine
@@ -69,8 +69,6 @@ class Dfrobot:
             try:
                 while len(received) < LENGTH:
                     received += self._link.exchange(b"", 4096)
-            except Interruption:
-                raise
             except BusError:  # a byte was lost: part of an answer is a damaged one
                 pass
             reading = parse_answer(received)
