@@ -41,7 +41,7 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
     """
     from tiltcal.calibration.level import level_summary
     from tiltcal.calibration.summary import mounting_summary, summary
-    from tiltcal.files.procedure_file import find_procedure
+    from tiltcal.files.procedure import find_procedure
     from tiltcal.library.fit import fit
     from tiltcal.logs.fit import FOUND_ONLY
 
