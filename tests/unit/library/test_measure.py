@@ -253,7 +253,7 @@ def test_measuring_tilt_loads_nothing_of_a_stage() -> None:
 import sys
 from tiltcal.cli.main import run
 assert run({PLANE!r}) == 0
-pair = ("tiltcal.core.pair.stage", "tiltcal.bench.rotation")
+pair = ("tiltcal.bench.stage", "tiltcal.bench.rotation")
 print([name for name in sys.modules if any(one in name for one in pair)])
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
