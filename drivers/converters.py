@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from tiltcal.drivers.bus.link import require_length
 from tiltcal.drivers.bus.spi import SpiPort
-from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, at_time, uniform
+from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -436,11 +436,6 @@ class VirtualAds1115(VirtualConverter):
         if count:
             self._clock.sleep(9 * (1 + count) * ADS1115_BIT_SECONDS)
         return (answer * (count // 2 + 1))[:count]
-
-    def recall(self, out: bytes, now_ns: int) -> None:
-        """Repeat a write of an earlier time, whose effect a real part would have kept."""
-        with at_time(self._clock, now_ns):
-            self._write(out)
 
     def _write(self, out: bytes) -> None:
         if out:

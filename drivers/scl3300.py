@@ -25,7 +25,7 @@ from tiltcal.drivers.bus.link import require_length
 from tiltcal.drivers.bus.spi import SpiPort
 from tiltcal.drivers.model import Model, Reading, deviation_within, link_in_words, typical_nonlinearity
 from tiltcal.drivers.registers import check_data_line, choose_range, in_counts
-from tiltcal.drivers.virtual import HeldPose, RecallingPart, Tolerances, Truth, uniform
+from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -432,7 +432,7 @@ WORDS_PER_SECOND = 2000.0
 BIT_SECONDS = 1.0 / 2_000_000
 
 
-class VirtualScl3300(RecallingPart):
+class VirtualScl3300(VirtualPart):
     """A part on the SPI bus at 2 MHz, in its state after power-up.
 
     measuring: what the driver is going to set; the truth is in counts of this mode.
@@ -460,14 +460,8 @@ class VirtualScl3300(RecallingPart):
                 self._raise(MEMORY)
             answer = self._answer()
             self._take(out)
-        self._clock.sleep(self._seconds(out))
+        self._clock.sleep(8 * len(out) * BIT_SECONDS)
         return answer[: len(out)]
-
-    def _take_set_up_state(self) -> None:
-        self._range, self._standing, self._held = self._truth_range, 0, 0
-
-    def _seconds(self, out: bytes) -> float:
-        return 8 * len(out) * BIT_SECONDS
 
     def _reset(self) -> None:
         """Take the state after power-up: mode 1, bank 0, the flag of the supply set."""

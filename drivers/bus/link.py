@@ -48,19 +48,6 @@ class Link(Protocol):
 
 
 @runtime_checkable
-class Recalling(Protocol):
-    """A virtual link with registers that keep what was written to them.
-
-    A resumed session has new twins, while a real part keeps its registers; so such a twin receives again what was sent
-    before.
-    """
-
-    def recall(self, out: bytes, now_ns: int) -> None:
-        """Take what was sent at an earlier session time, in nanoseconds, without an answer."""
-        ...
-
-
-@runtime_checkable
 class Continuing(Protocol):
     """A link to recorded data, which goes on where an earlier link to the same data stopped."""
 
