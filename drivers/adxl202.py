@@ -135,10 +135,7 @@ MOST_APART = 1 / 8
 class Pulse(NamedTuple):
     """One pulse of one line.
 
-    Attributes
-    ----------
-    rise, fall : int
-        Any unit of time.
+    rise, fall: any unit of time.
     """
 
     rise: int
@@ -158,12 +155,8 @@ class Pulse(NamedTuple):
 class Cycle(NamedTuple):
     """One measurement of both axes.
 
-    Attributes
-    ----------
-    x, y : float
-        T1 of each, in the unit of the edges.
-    period : float
-        T2, likewise.
+    x, y: T1 of each, in the unit of the edges.
+    period: T2, likewise.
     """
 
     x: float
@@ -191,12 +184,8 @@ def rising_cycle(x: Pulse, y: Pulse, next_x: Pulse) -> Cycle:
 class PulseTrains:
     """Converts the edges of both lines to cycles, one per period.
 
-    Attributes
-    ----------
-    lost : int
-        Edges that were captured and never arrived; their periods give no cycle.
-    torn : int
-        Periods without a cycle because a pulse of one line is missing, although no edge was lost.
+    lost: edges that were captured and never arrived; their periods give no cycle.
+    torn: periods without a cycle because a pulse of one line is missing, although no edge was lost.
     """
 
     def __init__(self) -> None:
@@ -309,10 +298,7 @@ class Adxl202Sentences:
     def read(self) -> Reading:
         """Return the next undamaged sentence: the duty cycles of x and y, and the temperature where it is sent, °C.
 
-        Raises
-        ------
-        BusError
-            No data, or no valid sentence.
+        BusError: no data, or no valid sentence.
         """
         sentence = self._next()
         return Reading(sentence.duty, sentence.temperature)
@@ -378,12 +364,8 @@ class Adxl202Edges:
     def read(self) -> Reading:
         """Return the next period: the duty cycles of x and y.
 
-        Raises
-        ------
-        BusError
-            No edges.
-        DeviceFault
-            One line is dead, or the lines do not belong together.
+        BusError: no edges.
+        DeviceFault: one line is dead, or the lines do not belong together.
         """
         return Reading(self._next().duty)
 
@@ -509,12 +491,8 @@ class VirtualEdges(VirtualLine):
 class Adxl202Variant:
     """The constants of one part.
 
-    Attributes
-    ----------
-    duty_per_g : float
-        Nominal sensitivity.
-    noise_density : float
-        g/√Hz.
+    duty_per_g: nominal sensitivity.
+    noise_density: g/√Hz.
     """
 
     duty_per_g: float
@@ -531,11 +509,8 @@ OFFSET_SPREAD = 0.5
 def draw_truth(variant: Adxl202Variant, seed: int) -> Truth:
     """Return a plausible part.
 
-    Returns
-    -------
-    Truth
-        Sensitivity within the part's spread; offset within ±0.4 g, a cross-axis sensitivity within 2 %, drifts within
-        the typical 2 mg/°C and 0.02 %/°C, noise at 10 Hz of bandwidth, a jig of 0.01° and a chamber with a time
+    Returns: sensitivity within the part's spread; offset within ±0.4 g, a cross-axis sensitivity within 2 %, drifts
+        within the typical 2 mg/°C and 0.02 %/°C, noise at 10 Hz of bandwidth, a jig of 0.01° and a chamber with a time
         constant of 20 s. Where no note states a number, these are ours.
     """
     channels = ("x", "y")

@@ -270,10 +270,7 @@ SHORTED, OPEN = 0.005, 0.995
 class Curve:
     """The curve of Steinhart and Hart, 1/T = a + b ln R + c (ln R)³ in K and Ω.
 
-    Attributes
-    ----------
-    a, b, c : float
-        1/K. ``b`` is positive and ``c`` is not negative, so the temperature falls as the resistance rises.
+    a, b, c: 1/K. ``b`` is positive and ``c`` is not negative, so the temperature falls as the resistance rises.
     """
 
     a: float
@@ -314,12 +311,8 @@ class Curve:
 class Divider:
     """A thermistor and a fixed resistor across a supply.
 
-    Attributes
-    ----------
-    fixed : float
-        Ω.
-    grounded : bool
-        Whether the thermistor is tied to ground and not to the supply.
+    fixed: Ω.
+    grounded: whether the thermistor is tied to ground and not to the supply.
     """
 
     curve: Curve

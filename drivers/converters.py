@@ -118,18 +118,11 @@ def take_input(address: Address, option: str, front_end: FrontEnd, default: int)
 class Supply:
     """The supply of a ratiometric sensor.
 
-    Attributes
-    ----------
-    number : int or None
-        The input that measures it; None if it is stated.
-    volts : float
-        As stated; if it is measured, the nominal value.
-    low, high : float
-        Within these limits the sensor is ratiometric, V.
-    full_scale : float
-        Of the converter, V.
-    reference : float or None
-        Voltage at the converter's reference pin, V; None if that pin is tied to this supply or does not exist.
+    number: the input that measures it; None if it is stated.
+    volts: as stated; if it is measured, the nominal value.
+    low, high: within these limits the sensor is ratiometric, V.
+    full_scale: of the converter, V.
+    reference: voltage at the converter's reference pin, V; None if that pin is tied to this supply or does not exist.
     """
 
     number: int | None
@@ -146,17 +139,10 @@ class Supply:
         supply is therefore read before and after the others and interpolated: drift cancels, and only ripple faster
         than one sample remains.
 
-        Parameters
-        ----------
-        numbers : sequence of int
-            The inputs, in the order in which they are measured.
+        numbers: the inputs, in the order in which they are measured.
 
-        Returns
-        -------
-        shares : tuple of float
-            One per input.
-        supply : float
-            Mean of the measured values, or the stated value, V.
+        shares: one per input.
+        supply: mean of the measured values, or the stated value, V.
 
         BusError: the transaction failed.
         DeviceFault: the supply is outside the range of the sensor.
@@ -195,10 +181,7 @@ def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) 
 
     A converter whose reference pin is the sensor's supply needs neither.
 
-    Parameters
-    ----------
-    low, high : float
-        Allowed supply of the sensor, V.
+    low, high: allowed supply of the sensor, V.
 
     UsageError: it is neither measured nor stated, or both, or outside the range of the converter.
     """

@@ -331,10 +331,7 @@ class RegisterSensor:
     The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
     set up, so a reset shows as samples that do not come.
 
-    Attributes
-    ----------
-    remembered : any
-        What the functions of the row keep of the part from one set-up to the next.
+    remembered: what the functions of the row keep of the part from one set-up to the next.
     """
 
     part: RegisterPart
@@ -354,12 +351,8 @@ class RegisterSensor:
     def read(self) -> Reading:
         """Take the next sample: counts, and the temperature in °C where the part has a thermometer.
 
-        Raises
-        ------
-        BusError
-            The transaction failed, every bit of the sample is the same, or the part does not keep its settings.
-        DeviceFault
-            Another part answers, it does not measure, or it was reset since it was set up.
+        BusError: the transaction failed, every bit of the sample is the same, or the part does not keep its settings.
+        DeviceFault: another part answers, it does not measure, or it was reset since it was set up.
         """
         part = self.part
         ready, self._ready = self._ready, False

@@ -44,14 +44,9 @@ CONSUMER = "tiltcal"
 class Edge(NamedTuple):
     """One change of one line.
 
-    Attributes
-    ----------
-    time_ns : int
-        On the capturing clock.
-    line : int
-        0 is x, 1 is y.
-    number : int
-        Counts the edges of both lines in the order of capture.
+    time_ns: on the capturing clock.
+    line: 0 is x, 1 is y.
+    number: counts the edges of both lines in the order of capture.
     """
 
     time_ns: int
@@ -81,11 +76,8 @@ def unpack_edges(records: bytes) -> Iterator[Edge]:
 def open_gpio(address: Address, model: Device) -> GpioLink:
     """Open a ``gpio:`` address.
 
-    Parameters
-    ----------
-    address : Address
-        The path is a GPIO chip; options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge that
-        are an error.
+    address: the path is a GPIO chip; options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge
+        that are an error.
 
     UsageError: a line is missing, or both are the same.
     HardwareError: the gpiod package is not installed, or is older than version 2.

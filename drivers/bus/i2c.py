@@ -20,10 +20,7 @@ LOWEST, HIGHEST = 0x08, 0x77
 def open_i2c(address: Address, model: Device) -> I2cLink:
     """Open an ``i2c:`` address for one device.
 
-    Parameters
-    ----------
-    address : Address
-        Option ``address``, the device's 7-bit address, is required.
+    address: option ``address``, the device's 7-bit address, is required.
 
     UsageError: an unknown option, or an I2C address that is missing or reserved.
     HardwareError: the smbus2 package is not installed.

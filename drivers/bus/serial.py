@@ -41,11 +41,8 @@ STOP_BITS = {"1": 1.0, "1.5": 1.5, "2": 2.0}
 def open_serial(address: Address, model: Device) -> SerialLink:
     """Open a ``serial:`` address.
 
-    Parameters
-    ----------
-    address : Address
-        The path is a port, or a URL of pyserial's with one of :data:`HANDLERS`. Options ``baudrate``, ``parity`` (N,
-        E, O, M, S), ``stopbits`` (1, 1.5, 2) and ``timeout`` (seconds of silence that are an error).
+    address: the path is a port, or a URL of pyserial's with one of :data:`HANDLERS`. Options ``baudrate``, ``parity``
+        (N, E, O, M, S), ``stopbits`` (1, 1.5, 2) and ``timeout`` (seconds of silence that are an error).
 
     UsageError: an unknown or wrong option, or a URL that pyserial does not support.
     HardwareError: the pyserial package is not installed.
@@ -87,14 +84,9 @@ def require_line(address: Address) -> None:
 class SerialLink:
     """One serial line; :func:`open_serial` says what can go wrong.
 
-    Parameters
-    ----------
-    place : str
-        What was opened, for messages.
-    port : serial.SerialBase
-        Not opened yet.
-    timeout : float
-        Seconds of silence that are an error.
+    place: what was opened, for messages.
+    port: not opened yet.
+    timeout: seconds of silence that are an error.
     """
 
     letter = "r"

@@ -19,16 +19,10 @@ if TYPE_CHECKING:
 class SpiPort:
     """The SPI settings that a part accepts.
 
-    Attributes
-    ----------
-    modes : tuple of int
-        Clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
-    fastest : int or None
-        Highest clock, Hz; None where no source states it.
-    speed : int or None
-        Clock if the address states none, Hz; None is the fastest.
-    slowest : int
-        Lowest clock at which the part's words do not change while they are read, Hz.
+    modes: clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
+    fastest: highest clock, Hz; None where no source states it.
+    speed: clock if the address states none, Hz; None is the fastest.
+    slowest: lowest clock at which the part's words do not change while they are read, Hz.
     """
 
     modes: tuple[int, ...]
@@ -44,12 +38,8 @@ FASTEST = 100_000_000
 def open_spi(address: Address, model: Device) -> SpiLink:
     """Open a ``spi:`` address for one device.
 
-    Parameters
-    ----------
-    address : Address
-        Options ``mode`` (0 to 3) and ``speed`` (Hz); the default is what the model prefers.
-    model : Model
-        Its :attr:`~tiltcal.drivers.model.Model.spi` limits them.
+    address: options ``mode`` (0 to 3) and ``speed`` (Hz); the default is what the model prefers.
+    model: its :attr:`~tiltcal.drivers.model.Model.spi` limits them.
 
     UsageError: an unknown option, or a mode or speed that the part does not support.
     HardwareError: the spidev package is not installed.
