@@ -351,17 +351,22 @@ class VirtualPart(ABC):
         """Return the fault that is present now; of an unplugged part it is a BusError."""
         return self._truth.fault_on_link(self._clock.now_ns())
 
+    def _state(self) -> tuple[Vector, float, float]:
+        """Return up (g), the temperature of the element (°C) and the session time (s) of the present sample.
+
+        A stuck part stays level and at the temperature of the start, with the noise of the beginning of its fault.
+        """
+        fault = self._fault()
+        if fault.kind == "stuck":
+            return LEVEL, self._truth.ambient, fault.start
+        return self._fixture.gravity, self._fixture.temperature(self._truth.lag), self._clock.now_ns() / 1e9
+
     def _word(self, channel: str, rate: float, low: int, high: int, scale: float = 1.0) -> int:
         """Return a channel with the noise of the present conversion, rounded and clipped, count.
 
         ``scale`` is the counts of the measuring range that is set, to those of the truth.
         """
-        gravity, temperature = self._fixture.gravity, self._fixture.temperature(self._truth.lag)
-        now = self._clock.now_ns() / 1e9
-        fault = self._fault()
-        if fault.kind == "stuck":
-            # Held at its level value: a function of the fault alone, so a resumed session reads the same words.
-            gravity, temperature, now = LEVEL, self._truth.ambient, fault.start
+        gravity, temperature, now = self._state()
         reading = self._truth.reading(channel, gravity, temperature)
         noise = self._truth.noise.get(channel, 0.0)
         if noise:
