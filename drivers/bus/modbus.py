@@ -9,7 +9,7 @@ from collections.abc import MutableMapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.nodes import import_library, no_permission, no_serial_port
+from tiltcal.drivers.bus.nodes import SERIAL_PORT, import_library
 from tiltcal.drivers.bus.serial import PARITIES, require_line
 from tiltcal.errors import BusError
 
@@ -235,7 +235,7 @@ def _why_not_opened(place: str) -> str:
     if place.startswith("tcp://"):
         return f"no Modbus server answers at {place}: is it running, and are host and port right?"
     if not Path(place).exists():
-        return no_serial_port(place)
+        return SERIAL_PORT.missing(place)
     if not os.access(place, os.R_OK | os.W_OK):
-        return no_permission(place, "tty")
+        return SERIAL_PORT.no_permission(place)
     return f"{place} cannot be opened: is it a serial port, and does another program use it?"
