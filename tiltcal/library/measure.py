@@ -12,10 +12,10 @@ from tiltcal.bench.run import open_operator, run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
 from tiltcal.calibration.free_positions import require_no_jig
-from tiltcal.calibration.level import NO_LEVEL, level_summary
+from tiltcal.calibration.level import NO_LEVEL
 from tiltcal.calibration.prediction import predict
 from tiltcal.calibration.suitability import unchecked
-from tiltcal.calibration.summary import NOT_FOLLOWED, summary, verdict
+from tiltcal.calibration.summary import NOT_FOLLOWED, level_summary, summary, verdict
 from tiltcal.drivers.model import link_in_words
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
@@ -24,8 +24,7 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure import Procedure
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.library.calibration import Calibration
 from tiltcal.library.pair_calibration import PairCalibration
 from tiltcal.stated_arguments import (

@@ -13,13 +13,14 @@ from support import FIXTURES, WITHOUT_PRIORS
 
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.comparison import compare_records
-from tiltcal.calibration.level import NO_LEVEL, NO_NOISE, level, level_summary
+from tiltcal.calibration.level import NO_LEVEL, NO_NOISE, level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.calibration.summary import level_summary
 from tiltcal.core.model import Array, Mounting, vector_of, with_vector
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.library.calibration import Calibration
 
