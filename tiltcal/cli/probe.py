@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from tiltcal.bench.sensors import open_sensor
+from tiltcal.bench.devices import open_sensor
 from tiltcal.cli import options
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address

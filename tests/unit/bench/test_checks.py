@@ -15,7 +15,7 @@ from support import ROOT
 from support.command import tiltcal
 
 from tiltcal import Calibration, measure, plan
-from tiltcal.bench import sensors, settle
+from tiltcal.bench import devices, settle
 from tiltcal.bench.checks import PositionResult, require_plausible_temperature
 from tiltcal.bench.operators import understood
 from tiltcal.bench.session import Session
@@ -61,7 +61,7 @@ Change = Callable[[bytes, bytes, int], bytes]
 
 def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
     """Let ``change(out, answer, number)`` alter what the virtual part answers to its n-th transaction of a kind."""
-    connect = sensors.open_device
+    connect = devices.open_device
 
     class Disturbed:
         letter = "s"
@@ -75,7 +75,7 @@ def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
             self._counts[out] = self._counts.get(out, 0) + 1
             return change(out, self._link.exchange(out, count), self._counts[out])
 
-    monkeypatch.setattr(sensors, "open_device", Disturbed)
+    monkeypatch.setattr(devices, "open_device", Disturbed)
 
 
 def word(value: int) -> bytes:
@@ -155,7 +155,7 @@ def test_a_change_that_probing_has_seen_counts(monkeypatch: pytest.MonkeyPatch) 
     """Before the first position the sensor lay otherwise; the first link of a session is that of the probe."""
     quiet = TWIN.replace("{x: 0.6, y: 0.6}", "{x: 0.02, y: 0.6}")
     Path("twin.yaml").write_text(quiet)
-    connect = sensors.open_device
+    connect = devices.open_device
     links: list[object] = []
 
     def opened(*args: Any) -> Any:
@@ -166,7 +166,7 @@ def test_a_change_that_probing_has_seen_counts(monkeypatch: pytest.MonkeyPatch) 
             link.exchange = lambda out, count=0: word(1300) if out[0] == 0x10 else exchange(out, count)  # type: ignore[method-assign]
         return link
 
-    monkeypatch.setattr(sensors, "open_device", opened)
+    monkeypatch.setattr(devices, "open_device", opened)
     session("reversal", operator=(table := Table()))
     assert "tip" not in [ask["position"] for ask in table.asks]
 
