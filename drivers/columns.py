@@ -92,10 +92,7 @@ class LineBuffer:
     The first piece after the start, or after :meth:`discard`, may be the tail of a line; it is a whole one where the
     device was silent before it.
 
-    Parameters
-    ----------
-    clock : Clock
-        Times a line, and the silence before it.
+    clock: times a line, and the silence before it.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
@@ -108,11 +105,7 @@ class LineBuffer:
     def next(self) -> tuple[bytes, bool]:
         """Return the next line that is not empty, without its end.
 
-        Returns
-        -------
-        line : bytes
-        whole : bool
-            False if its beginning may be missing.
+        whole: false if its beginning may be missing.
 
         BusError: silence, bytes without a line end, or line ends alone.
         """
@@ -183,12 +176,8 @@ def shown(line: bytes) -> str:
 class ColumnLayout:
     """The meaning of the numbers of a line.
 
-    Attributes
-    ----------
-    names : tuple of str
-        In the order of the line; ``-`` for one that is skipped.
-    separator : bytes
-        A regular expression.
+    names: in the order of the line; ``-`` for one that is skipped.
+    separator: A regular expression.
     """
 
     names: tuple[str, ...]
@@ -245,10 +234,7 @@ class ColumnsSensor:
     def read(self) -> Reading:
         """Return the next line of numbers.
 
-        Raises
-        ------
-        BusError
-            No data, or no line with the right number of columns.
+        BusError: no data, or no line with the right number of columns.
         """
         for _ in range(UNUSABLE):
             line, whole = self._lines.next()
@@ -278,10 +264,7 @@ class ColumnsSensor:
 def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
     """Return the column layout of an address.
 
-    Parameters
-    ----------
-    default : str, optional
-        The columns if the address names none; without it they are required.
+    default: the columns if the address names none; without it they are required.
 
     UsageError: an invalid name, a repeated name, or no reading.
     """

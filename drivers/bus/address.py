@@ -43,16 +43,10 @@ SCHEMES = (*BUSES, "sim")
 class Address:
     """One parsed address.
 
-    Attributes
-    ----------
-    written : str
-        As the user wrote it.
-    scheme : str
-        ``spi``, ``i2c``, ``ads1115+i2c``, ...
-    path : str
-        The device or file; for ``serial`` what pyserial opens; empty if the scheme needs none.
-    options : dict of str to str
-        In the order written, each at most once.
+    written: as the user wrote it.
+    scheme: ``spi``, ``i2c``, ``ads1115+i2c``, ...
+    path: the device or file; for ``serial`` what pyserial opens; empty if the scheme needs none.
+    options: in the order written, each at most once.
     """
 
     written: str
@@ -81,10 +75,7 @@ class Address:
     def text(self, name: str, default: str | None = None) -> str:
         """Return the text of an option.
 
-        Parameters
-        ----------
-        default : str, optional
-            Value if the option is left out; without it the option is required.
+        default: value if the option is left out; without it the option is required.
 
         UsageError: it is missing or empty.
         """
@@ -98,12 +89,8 @@ class Address:
     def integer(self, name: str, default: int | None = None, *, low: int | None = None, high: int | None = None) -> int:
         """Return a whole number, decimal or hexadecimal (``0x1d``).
 
-        Parameters
-        ----------
-        default : int, optional
-            Value if the option is left out; without it the option is required.
-        low, high : int, optional
-            Smallest and largest number that is accepted.
+        default: value if the option is left out; without it the option is required.
+        low, high: smallest and largest number that is accepted.
 
         UsageError: it is missing, not a whole number, or out of bounds.
         """
@@ -121,12 +108,8 @@ class Address:
     ) -> float:
         """Return a finite number such as ``5``, ``4.98`` or ``5e-3``.
 
-        Parameters
-        ----------
-        default : float, optional
-            Value if the option is left out; without it the option is required.
-        low, high : float, optional
-            Smallest and largest number that is accepted.
+        default: value if the option is left out; without it the option is required.
+        low, high: smallest and largest number that is accepted.
 
         UsageError: it is missing, not a finite number, or out of bounds.
         """
@@ -142,10 +125,7 @@ class Address:
     def choice(self, name: str, meanings: Mapping[str, R], default: R) -> R:
         """Return the meaning of the word that an option gives.
 
-        Parameters
-        ----------
-        default
-            Value if the option is left out.
+        default: value if the option is left out.
 
         UsageError: it is empty, or none of the words.
         """
@@ -170,10 +150,7 @@ class Address:
 def parse_address(text: str) -> Address:
     """Parse an address.
 
-    Parameters
-    ----------
-    text : str
-        As the user wrote it.
+    text: as the user wrote it.
 
     UsageError: the address is malformed. The bus that opens it checks the options.
     """

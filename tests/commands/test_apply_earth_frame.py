@@ -33,7 +33,7 @@ TIMES = ("time", "1777640400", "1777726800")
 """Noon of May 1st and 2nd, 2026, UTC, seconds since 1970."""
 COMPASS = ("--magnetometer", "mx,my,mz", "--declination", "5", "--velocity", "u,v,w")
 BY_HAND = {"heading": [5.0, 65.0], "v_east": [-0.996195, 0.784886], "v_north": [0.087156, 0.365998], "v_up": [0.0, 0.5]}
-"""Worked out in docs/how-to.md."""
+"""Worked out in docs/how-to/heading.md."""
 
 
 @pytest.fixture(autouse=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from tiltcal.calibration.combined_record import combined_provenance, combined_record
 from tiltcal.calibration.combined_session import CombinedSession
-from tiltcal.calibration.stated_mounting import mounting_in_words, stated_mounting, with_mounting
+from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.core.estimation.estimate import Estimate, estimate
 from tiltcal.core.estimation.hysteresis import with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations

@@ -11,35 +11,24 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.calibration_folder import CalibrationFolder
-from tiltcal.calibration.sensor_history import SensorHistory
+from tiltcal.calibration.season import CalibrationFolder, SensorHistory
 from tiltcal.core.named_coefficients import referred, values
-from tiltcal.core.outlier_test import extreme_values
-from tiltcal.core.uncertain import COVERAGE
 from tiltcal.errors import InputError
 from tiltcal.files.moments import to_the_second
 
 FEWEST_SENSORS = 3
 """Sensors of one model that make a distribution."""
 
+FAR = 5.0
+"""A sensor is an outlier where a coefficient is so many robust standard deviations from the median of its fleet."""
+
 
 @dataclass(frozen=True)
 class CoefficientDistribution:
-    """The distribution of a coefficient over the sensors of one model, each with its last calibration.
-
-    Attributes
-    ----------
-    name : str
-        Dotted.
-    values : mapping of str to float
-        By serial number, ascending in value.
-    outliers : tuple of str
-        Serial numbers, the most extreme first.
-    """
+    """A coefficient over the sensors of one model, each with its last calibration, ascending in value."""
 
     name: str
     values: Mapping[str, float]
-    outliers: tuple[str, ...]
 
     @property
     def median(self) -> float:
@@ -51,6 +40,13 @@ class CoefficientDistribution:
         """The standard deviation; from the quartiles, so that outliers do not count (0.7413 times their distance)."""
         low, high = np.quantile(list(self.values.values()), [0.25, 0.75])
         return float(0.7413 * (high - low))
+
+    @property
+    def outliers(self) -> tuple[str, ...]:
+        """Serial numbers, the most extreme first; none where more than half of the sensors have one value."""
+        middle, reach = self.median, FAR * self.spread
+        far = {serial: abs(value - middle) for serial, value in self.values.items()}
+        return tuple(sorted((serial for serial in far if far[serial] > reach > 0.0), key=lambda serial: -far[serial]))
 
     @property
     def line(self) -> str:
@@ -75,14 +71,9 @@ class CoefficientDistribution:
 
 @dataclass(frozen=True)
 class ModelFleet:
-    """The sensors of one model and unit.
+    """The sensors of one model and unit, with the distribution of each coefficient that three of them have.
 
-    Attributes
-    ----------
-    reference : float or None
-        The reference temperature of all coefficients, °C: that of most calibrations.
-    distributions : tuple of CoefficientDistribution
-        Of each coefficient that three sensors have. Of a fleet without outliers, 5 % have one named.
+    ``reference`` is the reference temperature of all coefficients, °C: that of most calibrations.
     """
 
     model: str
@@ -91,19 +82,27 @@ class ModelFleet:
     histories: tuple[SensorHistory, ...]
     distributions: tuple[CoefficientDistribution, ...]
 
+    @classmethod
+    def of(cls, histories: Sequence[SensorHistory]) -> ModelFleet:
+        """Return the fleet of sensors of one kind."""
+        last = {history.sensor.serial: history.calibrations[-1].record.coefficients for history in histories}
+        thermals = [coefficients.thermal for coefficients in last.values() if coefficients.thermal is not None]
+        reference = mode(thermal.reference for thermal in thermals) if thermals else None
+        named = {serial: values(referred(coefficients, reference)) for serial, coefficients in last.items()}
+        distributions = []
+        for name in dict.fromkeys(chain.from_iterable(named.values())):
+            rows = sorted((row[name], serial) for serial, row in named.items() if name in row)
+            if len(rows) >= FEWEST_SENSORS:
+                distributions.append(CoefficientDistribution(name, {serial: value for value, serial in rows}))
+        sensor = histories[0].sensor
+        return cls(sensor.model, sensor.unit, reference, tuple(histories), tuple(distributions))
+
 
 @dataclass(frozen=True)
 class FleetHistory:
-    """The history of a folder.
+    """The history of a folder at a moment (UTC): its sensors, its fleets, and files that cannot be used.
 
-    Attributes
-    ----------
-    interval : timedelta
-        In which each sensor is calibrated again.
-    now : datetime
-        UTC.
-    problems : tuple of str
-        Files that cannot be used, or contradict each other.
+    Each sensor is calibrated again in an interval.
     """
 
     folder: str
@@ -177,7 +176,9 @@ class FleetHistory:
 
 def fleet_history(library: CalibrationFolder, interval: timedelta, now: datetime) -> FleetHistory:
     """Return the history of all sensors of a folder, each calibrated again in an interval; ``now`` is in UTC."""
-    histories, problems = [], [str(problem) for problem in library.index.problems]
+    problems = [str(problem) for problem in library.index.problems]
+    kinds: dict[tuple[object, ...], list[SensorHistory]] = {}
+    histories = []
     for serial in library.serials:
         try:
             history = library.history(serial)
@@ -186,44 +187,8 @@ def fleet_history(library: CalibrationFolder, interval: timedelta, now: datetime
             problems.append(str(problem))
             continue
         histories.append(history)
-    kinds = dict.fromkeys(_kind(known) for known in histories)
-    models = [_of_model([known for known in histories if _kind(known) == kind]) for kind in kinds]
-    return FleetHistory(
-        str(library.folder),
-        interval,
-        now,
-        tuple(histories),
-        tuple(model for model in models if model.distributions),
-        tuple(problems),
-    )
-
-
-def _kind(history: SensorHistory) -> tuple[object, ...]:
-    """Return what sensors share whose coefficients can be compared."""
-    return history.sensor.model, history.sensor.unit, history.sensor.channels
-
-
-def _of_model(histories: Sequence[SensorHistory]) -> ModelFleet:
-    last = {history.sensor.serial: history.calibrations[-1].record.coefficients for history in histories}
-    references = [coefficients.thermal.reference for coefficients in last.values() if coefficients.thermal is not None]
-    reference = mode(references) if references else None
-    named = {serial: values(c if reference is None else referred(c, reference)) for serial, c in last.items()}
-    names = dict.fromkeys(chain.from_iterable(named.values()))
-    sets = {name: {serial: row[name] for serial, row in named.items() if name in row} for name in names}
-    sets = {name: found for name, found in sets.items() if len(found) >= FEWEST_SENSORS}
-    rate = 1.0 - COVERAGE ** (1.0 / max(1, len(sets)))
-    sensor = histories[0].sensor
-    return ModelFleet(
-        sensor.model,
-        sensor.unit,
-        reference,
-        tuple(histories),
-        tuple(_distribution(name, found, rate) for name, found in sets.items()),
-    )
-
-
-def _distribution(name: str, found: Mapping[str, float], rate: float) -> CoefficientDistribution:
-    serials = sorted(found, key=lambda serial: found[serial])
-    numbers = np.array([found[serial] for serial in serials])
-    outliers = tuple(serials[place] for place in extreme_values(numbers, rate))
-    return CoefficientDistribution(name, {serial: found[serial] for serial in serials}, outliers)
+        sensor = history.sensor
+        kinds.setdefault((sensor.model, sensor.unit, sensor.channels), []).append(history)
+    fleets = map(ModelFleet.of, kinds.values())
+    models = tuple(fleet for fleet in fleets if fleet.distributions)
+    return FleetHistory(str(library.folder), interval, now, tuple(histories), models, tuple(problems))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import asin, degrees
+from math import asin, degrees, radians, sin, sqrt
 
 import numpy as np
 
@@ -53,6 +53,35 @@ def mounting_summary(calibration: CalibrationRecord) -> str:
         )
         lines += [f"  {objection}" for objection in _objections_to_mounting(fit)]
     return "\n".join(lines)
+
+
+def level_summary(calibration: CalibrationRecord) -> str:
+    """Return by how much the offsets have changed, and whether that is more than their uncertainty."""
+    return "\n".join(_level_lines(calibration))
+
+
+def _level_lines(calibration: CalibrationRecord) -> Iterator[str]:
+    sensor, coefficients, found = calibration.sensor, calibration.coefficients, calibration.fit.level
+    if found is None:
+        return
+    at = "" if found.temperature is None else f" at {found.temperature:g} °C"
+    yield f"{sensor.model} {sensor.serial}, level{at}  (± standard uncertainty, k = 1)"
+    for row, channel in enumerate(coefficients.channels):
+        offset, change = float(coefficients.offset[row]), found.change[channel]
+        column = coefficients.axes.index(channel) if channel in coefficients.axes else row
+        angle = degrees(asin(max(-1.0, min(change / float(coefficients.sensitivity[row, column]), 1.0))))
+        yield (
+            f"  offset {channel}  {plus_minus(offset, calibration.uncertainty.get(f'offset.{channel}', 0.0))} "
+            f"{sensor.unit}; was {offset - change:.6g}, changed by "
+            f"{plus_minus(change, found.change_uncertainty.get(channel, 0.0), signed=True)} ({angle:+.3f}°)"
+        )
+    yield f"  {found.verdict}"
+    askew = calibration.uncertainty.alignment
+    if askew:
+        yield (
+            f"  the sensor may sit up to {askew * sqrt(3.0):.2g}° askew since its calibration (--alignment): nothing "
+            f"at level, ±{2.0 * askew * sin(radians(30.0)):.2g}° (95 %) where the other axis is tilted by 30°"
+        )
 
 
 def mounting_lines(calibration: CalibrationRecord) -> Iterator[str]:

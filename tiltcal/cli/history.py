@@ -32,8 +32,8 @@ def command(folder: Path, interval: str, as_json: bool) -> None:
 
     Each calibration is compared with the one before it, as `tiltcal diff` does. Then follows, for each model with three
     sensors or more, the distribution of every coefficient over the last calibrations, at one reference temperature, and
-    the sensors that lie outside it (generalised ESD test: of a fleet without outliers, 5 % have one named). Files that
-    cannot be used, or that contradict each other, are named. `tiltcal report DIR` makes a page of it.
+    the sensors that lie outside it by more than five robust standard deviations. Files that cannot be used, or that
+    contradict each other, are named. `tiltcal report DIR` makes a page of it.
     """
     found = read_history(folder, interval)
     click.echo(options.json_text(found.as_data()) if as_json else str(found))
@@ -46,8 +46,8 @@ def read_history(folder: Path, interval: str = "365d") -> FleetHistory:
     """
     from datetime import UTC, datetime, timedelta
 
-    from tiltcal.calibration.calibration_folder import CalibrationFolder
     from tiltcal.calibration.fleet import fleet_history
+    from tiltcal.calibration.season import CalibrationFolder
 
     try:
         days = float(interval.removesuffix("d"))

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import StepFinder
+from tiltcal.core.quantisation import even_step
 from tiltcal.core.samples import rounding_uncertainty
 from tiltcal.core.uncertain import COVERAGE
 from tiltcal.errors import EstimateError
@@ -42,22 +42,20 @@ FEWEST_SAMPLES = 64
 RANGE_OF_100 = 5.0152
 """Mean range of 100 independent values of a normal distribution, in standard deviations (Tippett, 1925)."""
 
-TERMS = ("N", "B", "K", "R")
-
 FLICKER = sqrt(2.0 * log(2.0) / pi)
 """Deviation of flicker noise over its coefficient B: 0.664."""
 
-_KINDS: tuple[Kind, ...] = ("white", "flicker", "walk", "walk")
-_LIMITS: Mapping[str, Limit] = {"B": "flicker", "K": "walk", "R": "drift"}
-_DECADES = tuple(10**power for power in range(8))
+TERMS = ("N", "B", "K", "R")
 
-_STARTS = 32  # of overlapping stretches in the length of one; more show no more
+_KINDS: tuple[Kind, ...] = ("white", "flicker", "walk", "walk")  # of the terms
+_LIMITS: Mapping[str, Limit] = {"B": "flicker", "K": "walk", "R": "drift"}
+_WIDTHS = (1, 2, 4, 8, 16, 32)  # stretches of a mean; of longer ones every start in 1/32 of the mean counts
 _PRESENT = 0.5  # share of a stretch's samples from which on its mean is used
 _FEWEST_STRETCHES = 4  # of the longest averaging time in the record
 _FEWEST_AVERAGES = 5  # of a size that nobody asked for
 _FEWEST_OCTAVES = 6  # that remain when short ones are set aside
 _SIZES = 12_000  # numbers of samples that are tried, evenly in their logarithm
-_CHUNK = 1 << 16
+_CHUNK = 1 << 16  # samples that are summed up at once
 
 _MOST_DOF = 1000.0
 """Weight an octave by at most so many degrees of freedom: four terms describe no deviation to better than 2 %."""
@@ -88,9 +86,8 @@ class AllanFit:
     """The kinds of noise that show in an Allan deviation, from the octave ``first`` on.
 
     ``value`` has the coefficients: N in unit √s, B in unit, K in unit/√s, R in unit/s. Before ``first`` neighbouring
-    samples are alike, or opposite, by a filter or an interference. ``dof`` has the equivalent degrees of freedom of
-    every octave, shape (k,), by the kind of noise that dominates there; ``follows`` is whether the deviation follows
-    the terms to within its uncertainty.
+    samples are alike, or opposite, by a filter or an interference. ``dof``, shape (k,), are those of every octave by
+    the kind that dominates there; ``follows`` is whether the deviation follows the terms to within its uncertainty.
     """
 
     value: Mapping[str, float]
@@ -98,14 +95,13 @@ class AllanFit:
     dof: Array
     follows: bool
 
-    def variance(self, tau: Array) -> Array:
-        """Allan variance that the terms make, shape of ``tau`` (seconds)."""
-        return np.asarray(_columns(tau) @ np.array([self.value.get(name, 0.0) ** 2 for name in TERMS]))
-
     def parts(self, tau: Array) -> dict[str, Array]:
         """Return the deviation that each term would make alone, shape of ``tau`` (seconds)."""
-        columns = np.sqrt(_columns(tau))
-        return {name: columns[:, TERMS.index(name)] * value for name, value in self.value.items()}
+        return {name: np.sqrt(_columns(tau)[:, TERMS.index(name)]) * value for name, value in self.value.items()}
+
+    def variance(self, tau: Array) -> Array:
+        """Allan variance that the terms make, shape of ``tau`` (seconds)."""
+        return np.asarray(sum(part**2 for part in self.parts(tau).values()))
 
 
 @dataclass(frozen=True)
@@ -152,10 +148,7 @@ class ChannelNoise:
         return self.averages[0].std / sqrt(average.samples)
 
     def uncertainty(self, tau: Array) -> Array:
-        """Return the standard uncertainty of a mean that takes ``tau`` seconds, within the record's averaging times.
-
-        The Allan deviation of the kinds of noise that show, where they describe it; else as measured.
-        """
+        """Return the standard uncertainty of a mean that takes ``tau`` seconds: of the kinds that show, or measured."""
         measured = np.exp(np.interp(np.log(tau), np.log(self.tau), np.log(self.deviation**2)))
         described = (tau >= self.tau[self.terms.first] * (1.0 - 1e-9)) & self.terms.follows
         return np.asarray(np.sqrt(np.where(described, self.terms.variance(tau), measured) + self.rounding**2))
@@ -204,22 +197,19 @@ def characterise(samples: Array, interval: float, sizes: Sequence[int] = ()) -> 
     factor, variance = allan_variance(samples)
     if not len(factor):
         raise EstimateError("so much is missing that no two neighbouring averages are left")
-    averages = [average(samples, size) for size in sorted({*_DECADES, *sizes})]
+    averages = [average(samples, size) for size in sorted({*(10**power for power in range(8)), *sizes})]
     listed = [one for one in averages if one.count >= (2 if one.samples in sizes else _FEWEST_AVERAGES)]
-    steps = StepFinder()
-    for some in _pieces(samples):
-        steps.add(some[np.isfinite(some)])
     tau = np.asarray(factor * interval, dtype=np.float64)
     terms = kinds_of_noise(tau, variance, factor, len(samples))
     low, high = limits(variance, terms.dof)
-    single = averages[0]
-    return ChannelNoise(single.mean, single.count, steps.result(), listed, tau, np.sqrt(variance), low, high, terms)
+    mean, count = averages[0].mean, averages[0].count
+    return ChannelNoise(mean, count, even_step(samples), listed, tau, np.sqrt(variance), low, high, terms)
 
 
 def average(samples: Array, size: int) -> Average:
     """Return the scatter of averages of ``size`` samples each, one behind the other; samples of shape (n,)."""
-    means = [sums / np.where(counts >= _PRESENT * size, counts, nan) for sums, counts in _sums(samples, size)]
-    usable = np.concatenate([[], *(some[np.isfinite(some)] for some in means)])
+    sums, counts = (np.concatenate(parts) for parts in zip(*_sums(samples, size), strict=True))
+    usable = sums[counts >= _PRESENT * size] / counts[counts >= _PRESENT * size]
     if len(usable) < 2:
         return Average(size, len(usable), float(usable.mean()) if len(usable) else nan, nan, nan)
     return Average(size, len(usable), float(usable.mean()), float(usable.std(ddof=1)), float(np.ptp(usable)))
@@ -230,65 +220,50 @@ def allan_variance(samples: Array) -> tuple[NDArray[np.int64], Array]:
 
     Samples, shape (n,), are NaN where a value is missing.
     """
-    zero = next((some[np.isfinite(some)][0] for some in _pieces(samples) if np.isfinite(some).any()), 0.0)
-    variances: dict[int, float] = {}
-    size, widths = 1, [1, 2, 4, 8, 16, _STARTS]
-    sums, counts = samples, np.empty(0)
-    while len(samples) >= _FEWEST_STRETCHES * size * widths[0]:
-        widths = [width for width in widths if len(samples) >= _FEWEST_STRETCHES * size * width]
-        variances |= _variances(sums, counts, zero, size, widths)
-        pairs = list(_sums(samples, 2, zero)) if size == 1 else [_joined(sums, counts)]
-        sums, counts = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
-        size, widths = 2 * size, [_STARTS]
-    usable = {factor: variance for factor, variance in sorted(variances.items()) if variance > 0.0}
+    zero = next(some[np.isfinite(some)][0] for some in _chunks(samples) if np.isfinite(some).any())
+    variances = _variances(samples, None, zero, 1, _WIDTHS, len(samples))
+    size, (sums, counts) = 2, (np.concatenate(parts) for parts in zip(*_sums(samples, 2, zero), strict=True))
+    while len(samples) >= _FEWEST_STRETCHES * size * _WIDTHS[-1]:
+        variances |= _variances(sums, counts, 0.0, size, _WIDTHS[-1:], len(samples))
+        even, size = len(sums) // 2 * 2, 2 * size
+        sums, counts = (values[:even:2] + values[1:even:2] for values in (sums, counts))
+    usable = {factor: variance for factor, variance in variances.items() if variance > 0.0}
     return np.array(list(usable), dtype=np.int64), np.array(list(usable.values()))
 
 
-def _pieces(samples: Array, size: int = 1) -> Iterator[Array]:
-    """Yield the samples, shape (n,), in pieces of whole stretches of ``size``."""
+def _chunks(samples: Array, size: int = 1) -> Iterator[Array]:
+    """Yield samples, shape (n,), in chunks of whole stretches of ``size``, all of which are whole."""
     length = max(_CHUNK // size, 1) * size
-    return (np.asarray(samples[start : start + length]) for start in range(0, len(samples), length))
+    whole = samples[: len(samples) // size * size]
+    return (np.asarray(whole[start : start + length]) for start in range(0, max(len(whole), 1), length))
 
 
 def _sums(samples: Array, size: int, zero: float = 0.0) -> Iterator[tuple[Array, Array]]:
     """Yield sums, about ``zero``, and numbers of the samples of stretches that follow each other, shape (m,)."""
-    for piece in _pieces(samples[: len(samples) // size * size], size):
-        there = np.isfinite(piece).reshape(-1, size)
-        about = (piece - zero).reshape(-1, size)
-        yield np.sum(about, axis=1, where=there), there.sum(axis=1).astype(np.float64)
+    for chunk in _chunks(samples, size):
+        stretches = (chunk - zero).reshape(-1, size)
+        there = np.isfinite(stretches)
+        yield np.sum(stretches, axis=1, where=there), there.sum(axis=1).astype(np.float64)
 
 
-def _joined(sums: Array, counts: Array) -> tuple[Array, Array]:
-    even = len(sums) // 2 * 2
-    return sums[:even:2] + sums[1:even:2], counts[:even:2] + counts[1:even:2]
-
-
-def _variances(sums: Array, counts: Array, zero: float, size: int, widths: Sequence[int]) -> dict[int, float]:
-    """Return the Allan variances of means over ``widths`` stretches of ``size`` samples; NaN where gaps leave none."""
+def _variances(
+    sums: Array, counts: Array | None, zero: float, size: int, widths: Sequence[int], samples: int
+) -> dict[int, float]:
+    """Return the Allan variances of means over ``widths`` stretches of ``size`` samples, by samples; NaN of gaps."""
+    widths = [width for width in widths if samples >= _FEWEST_STRETCHES * size * width]
     squares, pairs = np.zeros((2, len(widths)))
     for start in range(0, len(sums), _CHUNK):
-        stretches = slice(start, start + _CHUNK + 2 * widths[-1] - 1)
-        part, number = np.asarray(sums[stretches]), counts[stretches]
-        if size == 1:
-            number = np.isfinite(part).astype(np.float64)
-            part = np.where(number > 0.0, part - zero, 0.0)
-        total, there = (np.concatenate([[0.0], np.cumsum(values)]) for values in (part, number))
-        whole = there[-1] == len(part) * size
+        part = np.asarray(sums[start : start + _CHUNK + 2 * widths[-1] - 1]) - zero
+        number = np.isfinite(part).astype(float) if counts is None else counts[start : start + len(part)]
+        total, there = (np.concatenate([[0.0], np.cumsum(np.where(number > 0.0, one, 0.0))]) for one in (part, number))
         for place, width in enumerate(widths):
-            starts = min(_CHUNK, len(part) - 2 * width + 1)
-            if starts <= 0:
-                continue
-            last = starts + 2 * width
-            mean = total[width:last] - total[: last - width]
-            if whole:
-                mean /= width * size
-            else:
-                present = there[width:last] - there[: last - width]
-                mean /= np.where(present >= _PRESENT * width * size, present, nan)
-            change = mean[width:] - mean[:-width]
-            usable = change if whole else change[np.isfinite(change)]
-            squares[place] += usable @ usable
-            pairs[place] += len(usable)
+            last = min(_CHUNK, len(part) - 2 * width + 1) + 2 * width
+            present = there[width:last] - there[: max(last - width, 0)]
+            mean = (total[width:last] - total[: max(last - width, 0)]) / np.maximum(present, 1.0)
+            usable = present >= _PRESENT * width * size
+            change = (mean[width:] - mean[:-width])[usable[width:] & usable[:-width]]
+            squares[place] += change @ change
+            pairs[place] += len(change)
     variances = np.divide(squares, 2.0 * pairs, where=pairs > 0.0, out=np.full(len(widths), nan))
     return {width * size: float(variance) for width, variance in zip(widths, variances, strict=True)}
 
@@ -319,51 +294,52 @@ def limits(variance: Array, dof: Array) -> tuple[Array, Array]:
 
 
 def kinds_of_noise(tau: Array, variance: Array, factor: NDArray[np.int64], samples: int) -> AllanFit:
-    """Return the fewest kinds of noise that make an Allan variance.
+    """Return the fewest kinds of noise that make an Allan variance of a record of so many samples.
 
-    Averaging times in seconds, variances and samples per average, shape (k,), rise by octaves; so many samples are in
-    the record. Non-negative least squares weigh each octave with its degrees of freedom, and a term has to lower the
-    deviance of the chi-square distributed variances by its price. Short octaves that no terms describe are set aside
-    one by one.
+    Averaging times in seconds, variances and samples per average, shape (k,), rise by octaves. A term has to lower the
+    deviance of the variances by its price. Short octaves that no terms describe are set aside one by one.
     """
-    if not np.all(np.isfinite(variance)):
-        raise EstimateError("the Allan variance is beyond any number: give the readings in another unit")
-    fits = (_fitted(tau, variance, factor, samples, first) for first in range(max(1, len(tau) - _FEWEST_OCTAVES + 1)))
-    whole = next(fits)
-    return whole if whole.follows else next((fit for fit in fits if fit.follows), whole)
-
-
-def _fitted(tau: Array, variance: Array, factor: NDArray[np.int64], samples: int, first: int) -> AllanFit:
-    """Return the kinds of noise that make the Allan variance from the octave ``first`` on."""
     from scipy.special import chdtrc
 
-    columns, octaves = _columns(tau), len(tau) - first
+    if not np.all(np.isfinite(variance)):
+        raise EstimateError("the Allan variance is beyond any number: give the readings in another unit")
     table = np.array([[degrees_of_freedom(kind, samples, m) for kind in _KINDS] for m in factor.tolist()])
-    chosen = list(range(len(TERMS)))
-    squares, dof, deviance = _squares(columns, variance, table, first, chosen)
-    while len(chosen) > 1:
-        without = [[term for term in chosen if term != gone] for gone in chosen]
-        fits = [_squares(columns, variance, table, first, fewer) for fewer in without]
-        least = min(range(len(fits)), key=lambda k: fits[k][2])
-        if fits[least][2] > deviance + _WORTH and len(chosen) <= octaves:
-            break
-        chosen, (squares, dof, deviance) = without[least], fits[least]
-    value = {TERMS[term]: sqrt(squares[term]) for term in chosen if squares[term] > 0.0}
-    free = octaves - len(chosen)
-    return AllanFit(value, first, dof, free <= 0 or float(chdtrc(free, deviance)) > _CREDIBLE)
+    fits: list[AllanFit] = []
+    for first in range(max(1, len(tau) - _FEWEST_OCTAVES + 1)):
+        octaves, terms = len(tau) - first, list(range(len(TERMS)))
+        squares, dof, deviance = _squares(tau, variance, table, first, terms)
+        while len(terms) > 1:
+            fewer = [(_squares(tau, variance, table, first, rest), rest) for rest in _each_left_out(terms)]
+            best, rest = min(fewer, key=lambda fit: fit[0][2])
+            if best[2] > deviance + _WORTH and len(terms) <= octaves:
+                break
+            terms, (squares, dof, deviance) = rest, best
+        value = {TERMS[term]: sqrt(squares[term]) for term in terms if squares[term] > 0.0}
+        free = octaves - len(terms)
+        fits.append(AllanFit(value, first, dof, free <= 0 or float(chdtrc(free, deviance)) > _CREDIBLE))
+        if fits[-1].follows:
+            return fits[-1]
+    return fits[0]
 
 
-def _squares(
-    columns: Array, variance: Array, table: Array, first: int, chosen: list[int]
-) -> tuple[Array, Array, float]:
-    """Return the squares of all coefficients, the degrees of freedom of all octaves, and the deviance."""
+def _each_left_out(terms: Sequence[int]) -> Iterator[list[int]]:
+    return ([term for term in terms if term != gone] for gone in terms)
+
+
+def _squares(tau: Array, variance: Array, table: Array, first: int, terms: Sequence[int]) -> tuple[Array, Array, float]:
+    """Return the squares of all coefficients, the degrees of freedom of all octaves, and the deviance.
+
+    Non-negative least squares of the octaves from ``first`` on; the weights follow the variance that the terms make.
+    """
     from scipy.optimize import nnls
 
-    squares, made, dof = np.zeros(len(TERMS)), variance, table[:, chosen[0]]
-    for _ in range(8):  # the weights follow the model
+    columns = _columns(tau)
+    squares, made, dof = np.zeros(len(TERMS)), variance, table[:, terms[0]]
+    for _ in range(8):
         root = np.sqrt(np.minimum(dof, _MOST_DOF)[first:]) / made[first:]
-        scale = np.linalg.norm(columns[first:, chosen] * root[:, None], axis=0)
-        squares[chosen] = nnls(columns[first:, chosen] * root[:, None] / scale, root * variance[first:])[0] / scale
+        weighted = columns[first:, terms] * root[:, None]
+        scale = np.linalg.norm(weighted, axis=0)
+        squares[terms] = nnls(weighted / scale, root * variance[first:])[0] / scale
         parts = columns * squares
         made = np.maximum(parts.sum(axis=1), 1e-3 * variance)
         dof = table[np.arange(len(table)), np.argmax(parts, axis=1)]
@@ -405,10 +381,8 @@ def _useful(noise: ChannelNoise, samples: NDArray[np.int64], u: Array) -> tuple[
     if not shorter.any() or (len(helps) and helps[-1] == np.flatnonzero(shorter)[-1]):
         return None, "record"
     place = min(int(helps[-1]) + 1, len(samples) - 1) if len(helps) else 0
-    useful = int(samples[place])
     if noise.rounding > float(u[place]) / sqrt(2.0):
-        return useful, "rounding"
+        return int(samples[place]), "rounding"
     rest = {name: part[0] for name, part in noise.terms.parts(noise.tau[-1:]).items() if name in _LIMITS}
-    if not noise.terms.follows or not rest:
-        return useful, "unknown"
-    return useful, _LIMITS[max(rest, key=lambda name: rest[name])]
+    limit = _LIMITS[max(rest, key=lambda name: rest[name])] if noise.terms.follows and rest else "unknown"
+    return int(samples[place]), limit

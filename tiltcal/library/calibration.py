@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, Unpack, overload
 
 from tiltcal.calibration.comparison import Comparison, compare_records
-from tiltcal.calibration.record import compensation_of, limits_of, record_in
-from tiltcal.calibration.stated_mounting import stated_mounting, with_mounting
+from tiltcal.calibration.record import compensation_of, limits_of, record_in, stated_mounting, with_mounting
 from tiltcal.calibration.summary import summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits

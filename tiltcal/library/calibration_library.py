@@ -7,9 +7,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Unpack, overload
 
-from tiltcal.calibration.calibration_folder import CalibrationFolder
-from tiltcal.calibration.interpolation import Stability
-from tiltcal.calibration.sensor_history import SensorHistory
+from tiltcal.calibration.season import CalibrationFolder, SensorHistory
 from tiltcal.files.calibration_folder import FolderIndex
 from tiltcal.library.calibration import Calibration
 from tiltcal.library.pair_calibration import Frame
@@ -64,17 +62,6 @@ class CalibrationLibrary:
             A file is wrong, or two contradict each other.
         """
         return self.records.history(serial)
-
-    def stability(self, serial: str, stated: float | None = None) -> Stability:
-        """Return how far a sensor wanders.
-
-        Parameters
-        ----------
-        serial : str
-        stated : float, optional
-            The standard deviation of the offset's change in one day, mg, in place of half of each change.
-        """
-        return self.records.stability(serial, stated)
 
     def at(self, serial: str, time: str | date, *, stability: float | None = None) -> Calibration:
         """Return the calibration of a sensor at a time: between two of them, or the nearest one.

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiltcal.calibration.calibration_folder import CalibrationFolder
 from tiltcal.calibration.record import record_in
+from tiltcal.calibration.season import CalibrationFolder
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.files.calibration import CalibrationRecord

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.calibration.calibration_folder import calibration_at
-from tiltcal.calibration.interpolation import FARTHEST_TURN
 from tiltcal.calibration.record import limits_of
 from tiltcal.calibration.summary import objections
 from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_columns
@@ -33,14 +31,16 @@ from tiltcal.logs.options import ApplyOptions, silent
 from tiltcal.logs.streams import sha256_of
 from tiltcal.logs.text_to_numbers import no_time_yet
 from tiltcal.options import complete
+from tiltcal.stated_arguments import require_from_zero
 
 if TYPE_CHECKING:
-    from tiltcal.calibration.calibration_folder import CalibrationFolder
-    from tiltcal.calibration.interpolation import Stability
-    from tiltcal.calibration.sensor_history import SensorHistory
+    from tiltcal.calibration.season import CalibrationFolder, SensorHistory
     from tiltcal.files.calibration import CalibrationRecord
 
 T = TypeVar("T")
+
+FARTHEST_TURN = 5.0
+"""Degrees by which two mountings may differ to have others between them."""
 
 STEPS = 64
 """Of the time between two calibrations, each with an uncertainty of its own."""
@@ -68,6 +68,7 @@ def prepare_library(
     InputError: a calibration is wrong, or two contradict each other.
     """
     say = options["say"]
+    require_from_zero("--stability", options["stability"])
     start = None if options["start"] is None else moment(options["start"]).timestamp()
     for problem in library.index.problems:
         say(f"note: left out: {problem}")
@@ -80,9 +81,9 @@ def prepare_library(
         for calibration in history.calibrations[:-1]:
             for objection in objections(calibration.record):
                 say(f"note: {calibration.name}: {objection}")
-        stability = library.stability(history.sensor.serial, options["stability"]) if options["uncertainty"] else None
-        _say_stability(history, stability, say)
-        parts.append(_prepare_sensor(history, stability, options, start, log.name))
+        if options["uncertainty"]:
+            _say_stability(history, options["stability"], say)
+        parts.append(_prepare_sensor(history, options, start, log.name))
     others = parts[0].roles
     named = named_columns(options["columns"], [name for part in parts for name in part.channels], others)
     roles = others if start is not None and named.get(TIME, TIME) not in log.names else (TIME, *others)
@@ -118,15 +119,10 @@ def _serials(library: CalibrationFolder, log: LogReader, options: ApplyOptions) 
     )
 
 
-def _say_stability(history: SensorHistory, stability: Stability | None, say: Callable[[str], None]) -> None:
-    if stability is None:
-        return
-    serial, coefficients = history.sensor.serial, history.calibrations[-1].record.coefficients
-    if stability.rate:
-        walks = ", ".join(
-            f"{c} {1000.0 * stability.rate[f'offset.{c}'] ** 0.5 / abs(coefficients.own_sensitivity(c)):.2g}"
-            for c in coefficients.channels
-        )
+def _say_stability(history: SensorHistory, stability: float | None, say: Callable[[str], None]) -> None:
+    serial = history.sensor.serial
+    if stability is not None:
+        walks = ", ".join(f"{c} {stability:.2g}" for c in history.sensor.channels)
         say(f"note: the offset of {serial} wanders by {walks} mg/√d, as stated")
     elif len(history.calibrations) == 1:
         say(
@@ -141,11 +137,7 @@ def _say_stability(history: SensorHistory, stability: Stability | None, say: Cal
 
 
 def _prepare_sensor(
-    history: SensorHistory,
-    stability: Stability | None,
-    options: ApplyOptions,
-    start: float | None,
-    log: str,
+    history: SensorHistory, options: ApplyOptions, start: float | None, log: str
 ) -> PreparedCalibration:
     calibrations = history.calibrations
     origin = {
@@ -153,9 +145,9 @@ def _prepare_sensor(
         "sha256": ", ".join(sha256_of(calibration.path) for calibration in calibrations),
     }
     template = prepare(calibrations[-1].record, options, origin=origin)
-    kernel = LibraryKernel(history, stability, options, template, start, log)
+    kernel = LibraryKernel(history, options, template, start, log)
     alone = complete(ApplyOptions, {name: options[name] for name in ("first_order", "mounting")})
-    readings = template.readings and _prepare_sensor(history, None, alone, start, log)
+    readings = template.readings and _prepare_sensor(history, alone, start, log)
     return replace(template, kernel=kernel, readings=readings)
 
 
@@ -168,8 +160,6 @@ class LibraryKernel:
 
     Parameters
     ----------
-    stability : Stability or None
-        None where no uncertainty is asked for.
     template : PreparedCalibration
         The last calibration: each compensation gives its columns, and adds to its remarks.
     start : float or None
@@ -179,14 +169,12 @@ class LibraryKernel:
     def __init__(
         self,
         history: SensorHistory,
-        stability: Stability | None,
         options: ApplyOptions,
         template: PreparedCalibration,
         start: float | None,
         log: str,
     ) -> None:
         self.columns, self._remarks = template.kernel.columns, template.remarks[""]
-        self._stability = stability
         self._options: ApplyOptions = {**options, "say": silent}
         self._plain: ApplyOptions = {**self._options, **_WITHOUT_UNCERTAINTY}
         self._start, self._log = start, log
@@ -202,7 +190,7 @@ class LibraryKernel:
         self._history = replace(history, calibrations=tuple(replace(one, record=record) for one, record in dated))
         self._dates = np.array([calibration.date.timestamp() for calibration in history.calibrations])
         self._joined = [_joined(self._history, k) for k in range(len(records) - 1)]
-        self._edges = self._dates if stability is None else _steps(self._dates)
+        self._edges = _steps(self._dates) if options["uncertainty"] else self._dates
         middles = [self._dates[k : k + 2].mean() for k, joined in enumerate(self._joined) if not joined]
         self._edges = np.unique([*self._edges, *middles])
         self._kernels: dict[tuple[float, bool, bool], Kernel] = {}
@@ -248,7 +236,7 @@ class LibraryKernel:
         """Return the compensation by the calibration of a time: without uncertainty, and counted for the remarks."""
         if (key := (time, plain, counts)) not in self._kernels:
             dated = [one.record for one in self._history.calibrations if one.date.timestamp() == time]
-            record = _without_lag(dated[0] if dated else calibration_at(self._history, time, self._stability))
+            record = _without_lag(dated[0] if dated else self._history.at(time, self._options["stability"]))
             # With them stated, nothing looks for the sensor's model in each step.
             record = replace(record, limits=replace(record.limits, reading=self._rails, length=self._length))
             options = self._plain if plain else self._options
@@ -300,7 +288,7 @@ def _steps(dates: Array) -> Array:
 
 def _joined(history: SensorHistory, k: int) -> bool:
     """Return whether gravity may be interpolated between a calibration and the next: the sensor sat in one way."""
-    history.interval(k)  # raises where the two are not of one sensor
+    history.require_line(k)
     before, after = (history.calibrations[i].record.coefficients.mounting for i in (k, k + 1))
     if before is None or after is None:
         return True

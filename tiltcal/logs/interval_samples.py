@@ -13,7 +13,7 @@ import numpy as np
 
 from tiltcal.core.detection import TEMPERATURE_JUMP, distances, outliers
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import DifferentValues
+from tiltcal.core.quantisation import resolution
 from tiltcal.files.tables import Segment
 from tiltcal.logs.recorded_readings import RecordedReadings
 
@@ -149,12 +149,7 @@ def intervals_in(record: RecordedReadings, segments: Sequence[Segment]) -> list[
 
 def step_of(record: RecordedReadings) -> float:
     """Return the step of the readings, unit: the smallest of a channel in the whole log; 0 where all are alike."""
-    steps = []
-    for column in record.columns:
-        different = DifferentValues()
-        different.add(column)
-        steps.append(different.step())
-    return min(filter(None, steps), default=0.0)
+    return resolution(record.columns)
 
 
 def rise(values: Array) -> float:

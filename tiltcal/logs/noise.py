@@ -1,4 +1,4 @@
-"""The noise of a sensor at rest, from a log or a frame of its readings."""
+"""The noise of a sensor at rest, from a log or a frame of its readings: as evenly spaced samples of each channel."""
 
 from __future__ import annotations
 
@@ -18,17 +18,24 @@ from tiltcal.core.noise import FEWEST_SAMPLES, ChannelNoise, NoiseScale, charact
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.columns import OF_G
-from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.logs.columns import TIME, locate_columns, locate_readings, named_columns
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
-from tiltcal.logs.noise_summary import NoiseTarget, SensorNoise
+from tiltcal.logs.noise_summary import NoiseTarget, Pace, SensorNoise
 from tiltcal.logs.numbers import read_columns
 from tiltcal.logs.streams import imported_meanwhile
-from tiltcal.logs.uniform_sampling import SamplingInterval, evenly_spaced
 from tiltcal.stated_arguments import require_above_zero, require_whole
+
+_LATE = 1.5
+"""Rows are missing where the next one is late by so many intervals."""
+
+_MILLISECOND = 1e-3
+"""Times that are written to the millisecond may be off by as much, seconds."""
+
+_LONGEST_GAP, _GAP_SHARE = 10_000_000, 100
+"""Refuse a gap of more rows than this, and than so many times the rows before it."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,21 @@ class NoiseFacts:
             calibration = read_calibration(calibration)
         if calibration is not None and not isinstance(calibration, CalibrationRecord):
             raise UsageError(f"--calibration takes a tilt calibration or its file, not {calibration!r}")
-        stated = _stated_unit(model, calibration, unit)
+        units = {
+            "--sensor": model.unit if model else None,
+            "--calibration": calibration.sensor.unit if calibration else None,
+            "--unit": unit,
+        }
+        units = {option: stated for option, stated in units.items() if stated is not None}
+        if len(set(units.values())) > 1:
+            contradiction = ", but ".join(f"{option} says {stated}" for option, stated in units.items())
+            raise UsageError(f"the readings have one unit: {contradiction}")
+        if model and calibration and set(calibration.sensor.channels) - set(model.channels):
+            raise UsageError(
+                f"--calibration is of {', '.join(calibration.sensor.channels)}, and {model.name} has "
+                f"{', '.join(model.channels)}"
+            )
+        stated = next(iter(units.values()), None)
         channels = tuple(model.channels) if model else calibration.sensor.channels if calibration else ()
         if calibration is not None:
             coefficients = calibration.coefficients
@@ -115,48 +136,67 @@ def characterise_readings(
         channels = asked or facts.channels or there or AXES[:1]
         if facts.unit is not None:
             locate_readings(log, channels, named, facts.unit)
+        where = locate_columns(log, channels, named)
+        indices = [where[channel] for channel in channels]
+        time = None if rate is not None else _time_column(log, named)
         with imported_meanwhile("scipy.optimize"):
-            samples, pace, faulty = _samples(log, channels, named, rate)
+            numbers = read_columns(log, indices if time is None else [*indices, time], time)
+        samples, pace = numbers.columns[: len(indices)], Pace(1.0 / (rate or 1.0), len(numbers))
+        if time is not None:
+            samples, pace = evenly_spaced(samples, numbers.columns[-1], log.name)
         name = log.name
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        each = threads.map(partial(_noise, file=name, pace=pace, averages=averages), channels, samples)
+        each = threads.map(partial(_noise, file=name, interval=pace.interval, averages=averages), channels, samples)
         noises = dict(zip(channels, each, strict=True))
-    missing = {channel: pace.rows - noises[channel].count for channel in channels}
-    return SensorNoise(
-        pace,
-        noises,
-        {channel: count for channel, count in missing.items() if count},
-        faulty,
-        moved_rows(samples, [noise.step for noise in noises.values()]),
-        stuck_rows(samples),
-        facts.scale(channels),
-        target,
-    )
+    missing = {channel: pace.rows - noise.count for channel, noise in noises.items() if noise.count < pace.rows}
+    moved = moved_rows(samples, [noise.step for noise in noises.values()])
+    scale = facts.scale(channels)
+    return SensorNoise(pace, noises, missing, numbers.faulty, moved, stuck_rows(samples), scale, target)
 
 
-def _samples(
-    log: LogReader, channels: Sequence[str], named: Mapping[str, str], rate: float | None
-) -> tuple[Sequence[Array], SamplingInterval, int]:
-    """Read the channels, evenly spaced, shape (n,) each; return with them their pace and the rows not parsed."""
-    where = locate_columns(log, channels, named)
-    columns = [where[channel] for channel in channels]
-    if rate is not None:
-        numbers = read_columns(log, columns)
-        return numbers.columns, SamplingInterval(1.0 / rate, len(numbers)), numbers.faulty
+def _time_column(log: LogReader, named: Mapping[str, str]) -> int:
     time = named.get(TIME, TIME)
     if time not in log.names:
-        raise InputError(
-            "its sample rate is unknown: there is no column 'time'; name it with --columns time=NAME, or state --rate "
-            "HZ",
-            file=log.name,
-            line=log.header_line,
-        )
-    index = log.names.index(time)
-    numbers = read_columns(log, [*columns, index], index)
-    return *evenly_spaced(numbers.columns[:-1], numbers.columns[-1], log.name), numbers.faulty
+        why = "there is no column 'time'; name it with --columns time=NAME, or state --rate HZ"
+        raise InputError(f"its sample rate is unknown: {why}", file=log.name, line=log.header_line)
+    return log.names.index(time)
 
 
-def _noise(channel: str, samples: Array, file: str, pace: SamplingInterval, averages: Sequence[int]) -> ChannelNoise:
+def evenly_spaced(columns: Sequence[Array], times: Array, file: str) -> tuple[Sequence[Array], Pace]:
+    """Give each row its place in time: columns of shape (n + lost,), NaN where a row is lost.
+
+    Times, shape (n,), are seconds; a row without one follows the row before it. An InputError where time stands still,
+    goes back or leaps, as where a clock is set.
+    """
+    rows = np.flatnonzero(np.isfinite(times))
+    steps = np.diff(times[rows])
+    if len(steps) and steps.min() < 0.0:
+        row = int(rows[1 + np.argmin(steps)])
+        raise InputError(f"time goes back at row {row}: sort the log, or state --rate HZ", file=file)
+    steps[np.diff(rows) != 1] = np.nan  # what lies between rows without a time is no step of one interval
+    singles = steps[np.isfinite(steps)]
+    # Times that are written to the millisecond may stand still between rows that are taken faster.
+    usual = (float(np.median(singles)) or float(np.mean(singles))) if len(singles) else 0.0
+    if usual <= 0.0:
+        why = "its times do not change" if len(singles) else "it has no two rows with a time"
+        why = why if len(rows) else "its times are neither seconds nor ISO 8601"
+        raise InputError(f"its sample rate is unknown: {why}; state it with --rate HZ", file=file)
+    milliseconds = times[rows[:1000]] / _MILLISECOND
+    slack = _MILLISECOND if np.all(np.abs(milliseconds - np.round(milliseconds)) < 1e-3) else 0.0
+    late = np.flatnonzero(steps > _LATE * usual + slack)
+    interval = float(np.nanmean(np.delete(steps, late)))
+    lost = np.maximum(np.round(steps[late] / usual), 2).astype(np.int64) - 1
+    far = np.flatnonzero(lost > np.maximum(_LONGEST_GAP, _GAP_SHARE * rows[1 + late]))
+    if len(far):
+        leap = f"the time leaps by {steps[late[far[0]]]:.6g} s at row {rows[1 + late[far[0]]]}"
+        raise InputError(f"{leap}: cut the log there, or state --rate HZ", file=file)
+    pace = Pace(interval, len(times), len(late), int(lost.sum()))
+    if not len(late):
+        return columns, pace
+    return [np.insert(column, np.repeat(rows[1 + late], lost), np.nan) for column in columns], pace
+
+
+def _noise(channel: str, samples: Array, file: str, interval: float, averages: Sequence[int]) -> ChannelNoise:
     """Characterise one channel; refuse one that has no noise to characterise."""
     there = np.isfinite(samples)
     values = samples if there.all() else samples[there]
@@ -173,23 +213,4 @@ def _noise(channel: str, samples: Array, file: str, pace: SamplingInterval, aver
             file=file,
         )
     with np.errstate(over="ignore", invalid="ignore"):  # noise beyond any number is refused by its variance
-        return characterise(samples, pace.interval, averages)
-
-
-def _stated_unit(model: Model | None, calibration: CalibrationRecord | None, unit: str | None) -> str | None:
-    """Return the unit that is stated, once or several times; refuse what contradicts itself."""
-    units = {
-        "--sensor": model.unit if model else None,
-        "--calibration": calibration.sensor.unit if calibration else None,
-        "--unit": unit,
-    }
-    stated = {option: unit for option, unit in units.items() if unit is not None}
-    if len(set(stated.values())) > 1:
-        contradiction = ", but ".join(f"{option} says {unit}" for option, unit in stated.items())
-        raise UsageError(f"the readings have one unit: {contradiction}")
-    if model and calibration and set(calibration.sensor.channels) - set(model.channels):
-        raise UsageError(
-            f"--calibration is of {', '.join(calibration.sensor.channels)}, and {model.name} has "
-            f"{', '.join(model.channels)}"
-        )
-    return next(iter(stated.values()), None)
+        return characterise(samples, interval, averages)

@@ -1,4 +1,4 @@
-"""The summary of a sensor's noise at rest: averages, kinds of noise, and the samples that a position needs."""
+"""The noise of a sensor at rest in words and as data: averages, kinds of noise, and the samples of a position."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from tiltcal.core.noise import FLICKER, RANGE_OF_100, ChannelNoise, Limit, NoiseScale, SampleSize, sample_size
 from tiltcal.core.rows import Span
-from tiltcal.logs.uniform_sampling import SamplingInterval
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_above_zero
 
@@ -22,13 +21,33 @@ _SHOWS = 0.1
 _FEWEST_SAMPLES = 2
 """Of a position, for `measure`."""
 
+_WHY: dict[Limit, str] = {
+    "target": "the smallest number that meets the target",
+    "record": "the longest that this record supports; more samples still help: record longer",
+    "rounding": "more do not help: the noise is too small to average the rounding out",
+    "flicker": "twice as many gain less than a tenth: flicker noise stays, however long the average",
+    "walk": "twice as many gain less than a tenth: random walk",
+    "drift": "twice as many gain less than a tenth: drift",
+    "unknown": "twice as many gain less than a tenth, for none of the usual kinds of noise",
+}
+
+
+@dataclass(frozen=True)
+class Pace:
+    """The interval between the rows of a log in seconds, its rows, its gaps, and the rows that are lost in them."""
+
+    interval: float
+    rows: int
+    gaps: int = 0
+    lost: int = 0
+
 
 @dataclass(frozen=True)
 class NoiseTarget:
-    """How good the mean of a position should be, degrees of an axis near level.
+    """How good the mean of a position should be, degrees of an axis near level; None where it is not stated.
 
     ``uncertainty`` is the standard uncertainty of the mean, ``range`` that of 100 such means, as the source's table I
-    judges them; None where it is not stated.
+    judges them.
     """
 
     uncertainty: float | None = None
@@ -49,39 +68,13 @@ class NoiseTarget:
         return " and ".join(f"{name}{value:g}°" for name, value in parts.items() if value is not None)
 
 
-_WHY: dict[Limit, str] = {
-    "target": "the smallest number that meets the target",
-    "record": "the longest that this record supports; more samples still help: record longer",
-    "rounding": "more do not help: the noise is too small to average the rounding out",
-    "flicker": "twice as many gain less than a tenth: flicker noise stays, however long the average",
-    "walk": "twice as many gain less than a tenth: random walk",
-    "drift": "twice as many gain less than a tenth: drift",
-    "unknown": "twice as many gain less than a tenth, for none of the usual kinds of noise",
-}
-
-
-@dataclass(frozen=True)
-class NoisePositions:
-    """What the channels' advice comes to for a position of so many ``samples``, which ``channel`` settles.
-
-    ``uncertainty`` is that of each channel's mean of them, unit, and ``met`` whether it is as good as the target; empty
-    without one.
-    """
-
-    advice: Mapping[str, SampleSize]
-    channel: str
-    samples: int
-    uncertainty: Mapping[str, float]
-    met: Mapping[str, bool]
-
-
 @dataclass(frozen=True)
 class SensorNoise:
     """The noise of a sensor at rest.
 
     Attributes
     ----------
-    pace : SamplingInterval
+    pace : Pace
         How the readings follow each other.
     channels : mapping of str to ChannelNoise
         Averages, Allan deviation and kinds of noise of each channel, in its unit.
@@ -93,7 +86,7 @@ class SensorNoise:
         How much of the readings' unit a g is, where that is stated, and how good the mean of a position should be.
     """
 
-    pace: SamplingInterval
+    pace: Pace
     channels: Mapping[str, ChannelNoise]
     missing: Mapping[str, int]
     faulty: int
@@ -131,44 +124,85 @@ class SensorNoise:
         """Return the times at which rows begin and end, seconds from the beginning of the log."""
         return [row * self.pace.interval for row in rows]
 
-    @property
-    def _span(self) -> float:
-        """The time from the beginning of the first row to the end of the last, seconds."""
-        return (self.pace.rows + self.pace.lost) * self.pace.interval
+    @cached_property
+    def _targets(self) -> dict[str, float | None]:
+        return {channel: self.scale.from_degrees(channel, self.target.degrees) for channel in self.channels}
 
     @cached_property
-    def positions(self) -> NoisePositions:
+    def advice(self) -> dict[str, SampleSize]:
+        """How many samples each channel needs; one that misses the target comes first, then by their number."""
+        sizes = {
+            channel: sample_size(noise, self.pace.interval, self._targets[channel])
+            for channel, noise in self.channels.items()
+        }
+        settles = max(sizes, key=lambda channel: (sizes[channel].met is False, sizes[channel].samples))
+        return {settles: sizes[settles]} | sizes
+
+    @property
+    def samples(self) -> int:
         """How many samples a position needs."""
-        interval = self.pace.interval
-        targets = {channel: self.scale.from_degrees(channel, self.target.degrees) for channel in self.channels}
-        advice = {channel: sample_size(noise, interval, targets[channel]) for channel, noise in self.channels.items()}
-        # A channel that misses the target is what settles it, whatever the others need.
-        settles = max(advice, key=lambda channel: (advice[channel].met is False, advice[channel].samples))
-        samples = max(_FEWEST_SAMPLES, advice[settles].samples)
-        tau = np.array([samples * interval])
-        u = {channel: float(noise.uncertainty(tau)[0]) for channel, noise in self.channels.items()}
-        met = {channel: u[channel] <= wanted for channel, wanted in targets.items() if wanted is not None}
-        return NoisePositions(advice, settles, samples, u, met)
+        return max(_FEWEST_SAMPLES, next(iter(self.advice.values())).samples)
+
+    @cached_property
+    def uncertainty(self) -> dict[str, float]:
+        """The standard uncertainty of each channel's mean of so many samples, unit."""
+        tau = np.array([self.samples * self.pace.interval])
+        return {channel: float(noise.uncertainty(tau)[0]) for channel, noise in self.channels.items()}
+
+    @property
+    def met(self) -> dict[str, bool]:
+        """Whether that is as good as the target, of each channel that has one."""
+        return {name: self.uncertainty[name] <= wanted for name, wanted in self._targets.items() if wanted is not None}
 
     def __str__(self) -> str:
-        kinds = (line for channel, noise in self.channels.items() for line in _kinds(channel, noise, self.scale))
-        pace = self.pace
+        interval = self.pace.interval
         extent = (
-            f"{pace.rows} samples of {', '.join(self.channels)}, {pace.interval:.4g} s apart "
-            f"({1.0 / pace.interval:.4g} Hz), {self._span:.6g} s"
+            f"{self.pace.rows} samples of {', '.join(self.channels)}, {interval:.4g} s apart "
+            f"({1.0 / interval:.4g} Hz), {(self.pace.rows + self.pace.lost) * interval:.6g} s"
         )
-        return "\n".join([extent, *_table(self.channels, self.scale), "", *kinds, "", *_advice(self)])
+        kinds = (line for channel, noise in self.channels.items() for line in _kinds(channel, noise, self.scale))
+        return "\n".join([extent, *self._averages(), "", *kinds, "", *self._recommendation()])
 
     __repr__ = __str__
 
+    def _averages(self) -> Iterator[str]:
+        """Averages of 1, 10, 100 (the source's Table I)."""
+        unit, scale = self.scale.unit, self.scale
+        angles = "" if not scale.per_g else f"  {'std [°]':>10}  {'range [°]':>10}"
+        yield (
+            f"{'':3} {'samples':>8} {'averages':>9}  {f'std [{unit}]':>14}  {'if white':>10}  {f'range [{unit}]':>14}"
+            + angles
+        )
+        for channel, noise in self.channels.items():
+            for row, one in enumerate(noise.averages):
+                cells = [f"{one.std:>14.4g}", f"{noise.white(one):>10.4g}", f"{one.range:>14.4g}"]
+                sizes = (scale.degrees(channel, value) for value in (one.std, one.range))
+                cells += [f"{angle:>10.3g}" for angle in sizes if angle is not None]
+                yield f"{channel if row == 0 else '':3} {one.samples:>8} {one.count:>9}  " + "  ".join(cells)
+
+    def _recommendation(self) -> Iterator[str]:
+        def listed(factor: float) -> str:
+            return ", ".join(_in_degrees(channel, factor * u, self.scale) for channel, u in self.uncertainty.items())
+
+        interval, (settles, advice) = self.pace.interval, next(iter(self.advice.items()))
+        yield f"measure --samples {self.samples}: a position takes {self.samples * interval:.4g} s at this pace"
+        yield f"  its mean is uncertain by {listed(1.0)}"
+        if self.target.range is not None:
+            yield f"  100 such means range over {listed(RANGE_OF_100)}"
+        yield f"  {settles}: {_WHY[advice.limit]}"
+        for channel in (channel for channel, met in self.met.items() if not met):
+            yield f"  {channel} does not meet {self.target}{_foretold(self.advice[channel], interval)}"
+        if self.scale.source:
+            yield f"  degrees of an axis near level, by the {self.scale.source}"
+
     def as_data(self) -> dict[str, Any]:
         """Everything as plain data, with the whole Allan deviation."""
-        found, scale, target = self.positions, self.scale, self.target
+        scale, pace, (settles, advice), met = self.scale, self.pace, next(iter(self.advice.items())), self.met
         return {
-            "samples": self.pace.rows,
-            "interval": self.pace.interval,
-            "seconds": self._span,
-            "gaps": {"count": self.pace.gaps, "rows": self.pace.lost},
+            "samples": pace.rows,
+            "interval": pace.interval,
+            "seconds": (pace.rows + pace.lost) * pace.interval,
+            "gaps": {"count": pace.gaps, "rows": pace.lost},
             "missing": dict(self.missing),
             "bad_rows": self.faulty,
             "moved": [self._seconds(rows) for rows in self.moved],
@@ -178,42 +212,37 @@ class SensorNoise:
             "sensitivity": {"source": scale.source, **scale.per_g} if scale.per_g else None,
             "channels": {channel: _channel_data(channel, noise, scale) for channel, noise in self.channels.items()},
             "recommendation": {
-                "samples": found.samples,
-                "seconds": found.samples * self.pace.interval,
-                "channel": found.channel,
-                "limit": found.advice[found.channel].limit,
-                "target_degrees": target.uncertainty,
-                "target_range_degrees": target.range,
-                "met": all(found.met.values()) if found.met else None,
+                "samples": self.samples,
+                "seconds": self.samples * pace.interval,
+                "channel": settles,
+                "limit": advice.limit,
+                "target_degrees": self.target.uncertainty,
+                "target_range_degrees": self.target.range,
+                "met": all(met.values()) if met else None,
                 "channels": {
                     channel: {
-                        "samples": advice.samples,
-                        "limit": advice.limit,
-                        **_both("uncertainty", channel, found.uncertainty[channel], scale),
-                        **_both("range_of_100", channel, RANGE_OF_100 * found.uncertainty[channel], scale),
-                        "met": found.met.get(channel),
-                        "useful": advice.useful,
-                        "predicted": advice.predicted,
+                        "samples": self.advice[channel].samples,
+                        "limit": self.advice[channel].limit,
+                        **_both("uncertainty", channel, u, scale),
+                        **_both("range_of_100", channel, RANGE_OF_100 * u, scale),
+                        "met": met.get(channel),
+                        "useful": self.advice[channel].useful,
+                        "predicted": self.advice[channel].predicted,
                     }
-                    for channel, advice in found.advice.items()
+                    for channel, u in self.uncertainty.items()
                 },
             },
         }
 
 
 def _channel_data(channel: str, noise: ChannelNoise, scale: NoiseScale) -> dict[str, Any]:
-    value = noise.terms.value
+    def coefficient(term: str, factor: float = 1.0) -> dict[str, float] | None:
+        value = noise.terms.value
+        return {"value": factor * value[term]} if term in value else None
+
     tau_lowest, lowest = noise.lowest
-    named: dict[str, Any] = {
-        name: {"value": factor * value[term]} if term in value else None
-        for name, term, factor in (
-            ("noise_density", "N", sqrt(2.0)),
-            ("velocity_random_walk", "N", 1.0),
-            ("flicker", "B", 1.0),
-            ("bias_random_walk", "K", 1.0),
-            ("drift", "R", 1.0),
-        )
-    }
+    allan = {"tau": noise.tau, "deviation": noise.deviation, "low": noise.low, "high": noise.high}
+    allan["dof"] = noise.terms.dof
     return {
         "mean": noise.mean,
         "samples": noise.count,
@@ -228,14 +257,12 @@ def _channel_data(channel: str, noise: ChannelNoise, scale: NoiseScale) -> dict[
             }
             for average in noise.averages
         ],
-        "allan": [
-            {"tau": tau, "deviation": deviation, "low": low, "high": high, "dof": dof}
-            for tau, deviation, low, high, dof in zip(
-                *(column.tolist() for column in (noise.tau, noise.deviation, noise.low, noise.high, noise.terms.dof)),
-                strict=True,
-            )
-        ],
-        **named,
+        "allan": [dict(zip(allan, row, strict=True)) for row in np.stack(list(allan.values()), axis=1).tolist()],
+        "noise_density": coefficient("N", sqrt(2.0)),
+        "velocity_random_walk": coefficient("N"),
+        "flicker": coefficient("B"),
+        "bias_random_walk": coefficient("K"),
+        "drift": coefficient("R"),
         "bias_instability": {
             "reached": noise.settled,
             "tau": tau_lowest,
@@ -252,31 +279,19 @@ def _both(name: str, channel: str, value: float, scale: NoiseScale) -> dict[str,
     return {name: value} if angle is None else {name: value, f"{name}_degrees": angle}
 
 
-def _table(noises: Mapping[str, ChannelNoise], scale: NoiseScale) -> Iterator[str]:
-    """Averages of 1, 10, 100 (the source's Table I)."""
-    unit = scale.unit
-    angles = "" if not scale.per_g else f"  {'std [°]':>10}  {'range [°]':>10}"
-    head = f"{'':3} {'samples':>8} {'averages':>9}  {f'std [{unit}]':>14}  {'if white':>10}  {f'range [{unit}]':>14}"
-    yield head + angles
-    for channel, noise in noises.items():
-        for row, average in enumerate(noise.averages):
-            cells = [f"{average.std:>14.4g}", f"{noise.white(average):>10.4g}", f"{average.range:>14.4g}"]
-            for value in (average.std, average.range):
-                angle = scale.degrees(channel, value)
-                cells += [] if angle is None else [f"{angle:>10.3g}"]
-            yield f"{channel if row == 0 else '':3} {average.samples:>8} {average.count:>9}  " + "  ".join(cells)
-
-
 def _kinds(channel: str, noise: ChannelNoise, scale: NoiseScale) -> Iterator[str]:
-    unit, terms, lines = scale.unit, noise.terms, []
+    """Yield the kinds of noise of a channel, and where averaging ends."""
 
     def sized(name: str, value: float, per: str = "") -> str:
-        return f"{name} {value:.3g} {unit}{per}{_in_g(channel, value, scale, per)}"
+        angle = scale.degrees(channel, value)
+        in_g = "" if angle is None else f" ({1e3 * value / scale.per_g[channel]:.3g} mg{per}, {angle:.3g} °{per})"
+        return f"{name} {value:.3g} {scale.unit}{per}{in_g}"
 
+    terms, lines = noise.terms, []
     for term, value in terms.value.items():
         if term == "N":
             density = sized("white noise", sqrt(2.0) * value, "/√Hz")
-            lines.append(f"{density}, which is {value:.3g} {unit} after 1 s")
+            lines.append(f"{density}, which is {value:.3g} {scale.unit} after 1 s")
         elif term == "B":
             lines.append(sized("flicker noise", FLICKER * value) + " at any time")
         else:
@@ -293,34 +308,10 @@ def _kinds(channel: str, noise: ChannelNoise, scale: NoiseScale) -> Iterator[str
         lines.append(f"{below} after {float(noise.tau[-1]):.3g} s")
     if noise.step:
         shows = noise.rounding > _SHOWS * float(noise.deviation.min())
-        left = f"of which averaging leaves {noise.rounding:.2g} {unit}" if shows else "which averaging removes"
-        lines.append(f"step {noise.step:.4g} {unit}, {left}")
+        left = f"of which averaging leaves {noise.rounding:.2g} {scale.unit}" if shows else "which averaging removes"
+        lines.append(f"step {noise.step:.4g} {scale.unit}, {left}")
     for row, line in enumerate(lines):
         yield f"{channel if row == 0 else '':3} {line}"
-
-
-def _in_g(channel: str, value: float, scale: NoiseScale, per: str = "") -> str:
-    if channel not in scale.per_g:
-        return ""
-    return f" ({1e3 * value / scale.per_g[channel]:.3g} mg{per}, {scale.degrees(channel, value):.3g} °{per})"
-
-
-def _advice(noise: SensorNoise) -> Iterator[str]:
-    found, scale, interval = noise.positions, noise.scale, noise.pace.interval
-    uncertain, ranging = (
-        ", ".join(_in_degrees(channel, factor * u, scale) for channel, u in found.uncertainty.items())
-        for factor in (1.0, RANGE_OF_100)
-    )
-    yield f"measure --samples {found.samples}: a position takes {found.samples * interval:.4g} s at this pace"
-    yield f"  its mean is uncertain by {uncertain}"
-    if noise.target.range is not None:
-        yield f"  100 such means range over {ranging}"
-    yield f"  {found.channel}: {_WHY[found.advice[found.channel].limit]}"
-    for channel, met in found.met.items():
-        if not met:
-            yield f"  {channel} does not meet {noise.target}{_foretold(found.advice[channel], interval)}"
-    if scale.source:
-        yield f"  degrees of an axis near level, by the {scale.source}"
 
 
 def _foretold(advice: SampleSize, interval: float) -> str:

@@ -12,243 +12,205 @@ from support import coloured_noise as coloured
 
 import tiltcal
 from tiltcal.core.disturbances import moved_rows, stuck_rows
-from tiltcal.core.noise import (
-    AllanFit,
-    ChannelNoise,
-    Kind,
-    allan_variance,
-    average,
-    characterise,
-    degrees_of_freedom,
-    limits,
-    sample_size,
-)
+from tiltcal.core.noise import ChannelNoise, Kind, allan_variance, characterise, degrees_of_freedom, limits, sample_size
 
 DT = 0.01
 """Seconds between samples."""
+
+FLICKER = sqrt(2.0 * log(2.0) / pi)
 
 
 def rng(seed: int = 1) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
+def white(rows: int, sigma: float = 1.0, seed: int = 1) -> coloured.Samples:
+    return coloured.white(rng(seed), rows, sigma)
+
+
 def noise_of(samples: coloured.Samples, *sizes: int) -> ChannelNoise:
     return characterise(samples, DT, sizes)
 
 
-class TestAllanDeviation:
-    def test_against_allantools(self) -> None:
-        import allantools  # here, for it takes a second of every worker that collects this file
+def test_the_allan_deviation_is_that_of_allantools() -> None:
+    import allantools  # here, for it takes a second of every worker that collects this file
 
-        samples = coloured.flicker(rng(), 20_000, 1.0) + 100.0
-        factor, variance = allan_variance(samples)
-        _, deviation, _, _ = allantools.oadev(samples, data_type="freq", taus=factor.astype(float))
-        ours = np.sqrt(variance)
-        assert factor.tolist() == [2**k for k in range(13)]
-        # Up to 32 samples every start counts; beyond, one in many, which changes less than the statistics leave open.
-        assert ours[:6] == pytest.approx(deviation[:6], rel=1e-9)
-        assert ours[6:] == pytest.approx(deviation[6:], rel=0.02)
-
-    def test_the_published_set_of_1000_numbers(self) -> None:
-        """NIST Special Publication 1065, 12.4: its pseudo-random numbers and their deviation for single samples."""
-        numbers = [1234567890]
-        while len(numbers) < 1000:
-            numbers.append(16807 * numbers[-1] % 2147483647)
-        _, variance = allan_variance(np.array(numbers) / 2147483647)
-        assert sqrt(variance[0]) == pytest.approx(2.922319e-1, rel=1e-6)
-
-    @given(st.integers(64, 900), st.integers(0, 50))
-    def test_every_octave_against_its_definition(self, rows: int, seed: int) -> None:
-        """Half of the mean squared difference of neighbouring means, of every start up to 32 samples."""
-        samples = coloured.walk(rng(seed), rows, 1.0)
-        samples[rng(seed).integers(0, rows, 10)] = np.nan
-        factor, variance = allan_variance(samples)
-        for size, ours in zip(factor.tolist(), variance.tolist(), strict=True):
-            starts = range(0, rows - 2 * size + 1, max(1, size // 32))
-            means = [[mean_of(samples[s + k * size : s + (k + 1) * size]) for k in (0, 1)] for s in starts]
-            expected = np.nanmean([(later - earlier) ** 2 for earlier, later in means]) / 2.0
-            assert ours == pytest.approx(expected, rel=1e-6)
-
-    @pytest.mark.parametrize("rows", [(1 << 16) + 3, (1 << 16) + 70, 200_000])
-    def test_a_record_longer_than_what_is_summed_at_once(self, rows: int) -> None:
-        samples = coloured.white(rng(), rows, 1.0)
-        _, variance = allan_variance(samples)
-        assert variance[0] == pytest.approx(float(np.mean(np.diff(samples) ** 2)) / 2.0, rel=1e-9)
-
-    def test_a_gap_joins_nothing(self) -> None:
-        """Two quiet stretches at different readings: the step between them is in no difference."""
-        samples = coloured.white(rng(), 9000, 1.0)
-        samples[6000:] += 1000.0
-        samples[4000:6000] = np.nan
-        factor, variance = allan_variance(samples)
-        short = factor <= 512
-        assert variance[short] * factor[short] == pytest.approx(1.0, rel=0.5)
-
-    @pytest.mark.parametrize("kind", ["white", "flicker", "walk"])
-    def test_degrees_of_freedom(self, kind: Kind) -> None:
-        """By Greenhall and Riley's sums, in allantools, and by the scatter of 300 records."""
-        import allantools
-
-        exponent = {"white": 0, "flicker": -1, "walk": -2}[kind]
-        made = {"white": coloured.white, "flicker": coloured.flicker, "walk": coloured.walk}[kind]
-        many = np.array([allan_variance(made(rng(seed), 1024, 1.0))[1] for seed in range(300)])
-        shown = 2.0 * many.mean(axis=0) ** 2 / many.var(axis=0)
-        for factor, dof in zip(2 ** np.arange(9), shown.tolist(), strict=True):
-            ours = degrees_of_freedom(kind, 1024, float(factor))
-            greenhall = allantools.edf_greenhall(exponent, 2, int(factor), 1025, overlapping=True)
-            assert ours == pytest.approx(dof, rel=0.35)
-            if factor > 2:  # below, the approximation for many samples per average does not hold
-                assert ours == pytest.approx(greenhall, rel=0.16)
-
-    def test_the_limits_hold_the_truth(self) -> None:
-        """95 % of 400 records, at every averaging time."""
-        inside = np.zeros(8)
-        for seed in range(400):
-            factor, variance = allan_variance(coloured.white(rng(seed), 1024, 1.0))
-            low, high = limits(variance, np.array([degrees_of_freedom("white", 1024, m) for m in factor.tolist()]))
-            truth = 1.0 / np.sqrt(factor)
-            inside += ((low <= truth) & (truth <= high))[:8]
-        # Four standard deviations of a share of 95 % in 400 are 4.4 %.
-        assert (inside / 400).tolist() == pytest.approx([0.95] * 8, abs=0.045)
+    samples = coloured.flicker(rng(), 20_000, 1.0) + 100.0
+    factor, variance = allan_variance(samples)
+    _, deviation, _, _ = allantools.oadev(samples, data_type="freq", taus=factor.astype(float))
+    assert factor.tolist() == [2**k for k in range(13)]
+    # Up to 32 samples every start counts; beyond, one in many, which changes less than the statistics leave open.
+    assert np.sqrt(variance[:6]) == pytest.approx(deviation[:6], rel=1e-9)
+    assert np.sqrt(variance[6:]) == pytest.approx(deviation[6:], rel=0.02)
 
 
-@pytest.fixture(scope="module")
-def fifty() -> list[AllanFit]:
-    """What fifty records of white noise are found to hold."""
-    return [noise_of(coloured.white(rng(seed), 8192, 1.0)).terms for seed in range(50)]
+def test_the_published_set_of_1000_numbers() -> None:
+    """NIST Special Publication 1065, 12.4: its pseudo-random numbers and their deviation for single samples."""
+    numbers = [1234567890]
+    while len(numbers) < 1000:
+        numbers.append(16807 * numbers[-1] % 2147483647)
+    _, variance = allan_variance(np.array(numbers) / 2147483647)
+    assert sqrt(variance[0]) == pytest.approx(2.922319e-1, rel=1e-6)
 
 
-class TestKindsOfNoise:
-    def test_white(self) -> None:
-        """sigma/√m, and the one-sided density is 2 sigma² dt."""
-        terms = noise_of(coloured.white(rng(), 100_000, 0.6)).terms
-        assert set(terms.value) == {"N"}
-        assert terms.value["N"] == pytest.approx(0.6 * sqrt(DT), rel=0.03)
+@given(st.integers(64, 900), st.integers(0, 50))
+def test_every_octave_against_its_definition(rows: int, seed: int) -> None:
+    """Half of the mean squared difference of neighbouring means, of every start up to 32; half may be missing."""
+    samples = coloured.walk(rng(seed), rows, 1.0)
+    samples[rng(seed).integers(0, rows, 10)] = np.nan
+
+    def mean_of(stretch: coloured.Samples) -> float:
+        there = stretch[np.isfinite(stretch)]
+        return float(there.mean()) if 2 * len(there) >= len(stretch) else np.nan
+
+    factor, variance = allan_variance(samples)
+    for size, ours in zip(factor.tolist(), variance.tolist(), strict=True):
+        starts = range(0, rows - 2 * size + 1, max(1, size // 32))
+        means = [[mean_of(samples[s + k * size : s + (k + 1) * size]) for k in (0, 1)] for s in starts]
+        expected = np.nanmean([(later - earlier) ** 2 for earlier, later in means]) / 2.0
+        assert ours == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_record_longer_than_what_is_summed_at_once() -> None:
+    for rows in ((1 << 16) + 3, (1 << 16) + 70, 200_000):
+        _, variance = allan_variance(white(rows))
+        assert variance[0] == pytest.approx(float(np.mean(np.diff(white(rows)) ** 2)) / 2.0, rel=1e-9), rows
+
+
+def test_a_gap_joins_nothing() -> None:
+    """Two quiet stretches at different readings: the step between them is in no difference."""
+    samples = white(9000)
+    samples[6000:] += 1000.0
+    samples[4000:6000] = np.nan
+    factor, variance = allan_variance(samples)
+    short = factor <= 512
+    assert variance[short] * factor[short] == pytest.approx(1.0, rel=0.5)
+
+
+@pytest.mark.parametrize("kind", ["white", "flicker", "walk"])
+def test_degrees_of_freedom(kind: Kind) -> None:
+    """By Greenhall and Riley's sums, in allantools, and by the scatter of 300 records."""
+    import allantools
+
+    exponent = {"white": 0, "flicker": -1, "walk": -2}[kind]
+    made = {"white": coloured.white, "flicker": coloured.flicker, "walk": coloured.walk}[kind]
+    many = np.array([allan_variance(made(rng(seed), 1024, 1.0))[1] for seed in range(300)])
+    shown = 2.0 * many.mean(axis=0) ** 2 / many.var(axis=0)
+    for factor, dof in zip(2 ** np.arange(9), shown.tolist(), strict=True):
+        ours = degrees_of_freedom(kind, 1024, float(factor))
+        greenhall = allantools.edf_greenhall(exponent, 2, int(factor), 1025, overlapping=True)
+        assert ours == pytest.approx(dof, rel=0.35)
+        if factor > 2:  # below, the approximation for many samples per average does not hold
+            assert ours == pytest.approx(greenhall, rel=0.16)
+
+
+def test_the_limits_hold_the_truth() -> None:
+    """95 % of 400 records, at every averaging time."""
+    inside = np.zeros(8)
+    for seed in range(400):
+        factor, variance = allan_variance(white(1024, seed=seed))
+        low, high = limits(variance, np.array([degrees_of_freedom("white", 1024, m) for m in factor.tolist()]))
+        truth = 1.0 / np.sqrt(factor)
+        inside += ((low <= truth) & (truth <= high))[:8]
+    # Four standard deviations of a share of 95 % in 400 are 4.4 %.
+    assert (inside / 400).tolist() == pytest.approx([0.95] * 8, abs=0.045)
+
+
+def test_kinds_of_noise() -> None:
+    """White noise of 0.6 is 0.6 √dt at one second, its one-sided density 2 sigma² dt; the others by their formulas."""
+    n = 400_000
+    for more, term, value, within in (
+        (np.zeros(n), "N", 0.6 * sqrt(DT), 0.03),
+        (coloured.flicker(rng(2), n, 0.05), "B", 0.05, 0.15),
+        (coloured.ramp(n, 1e-4), "R", 1e-4 / DT, 0.03),
+    ):
+        terms = noise_of(white(n, 0.6) + more).terms
+        assert set(terms.value) == {"N", term}
+        assert terms.value[term] == pytest.approx(value, rel=within)
         assert terms.follows
         assert terms.first == 0
 
-    def test_flicker(self) -> None:
-        terms = noise_of(coloured.white(rng(), 400_000, 0.6) + coloured.flicker(rng(2), 400_000, 0.05)).terms
-        assert set(terms.value) == {"N", "B"}
-        # The deviation of both is √(2 ln 2 / π), times sigma and times B.
-        assert terms.value["B"] == pytest.approx(0.05, rel=0.15)
 
-    def test_random_walk(self) -> None:
-        """A single record tells it to a tenth at best, and may look like a drift; many tell the factor 1/3 from 1/2."""
-        records = [
-            noise_of(coloured.white(rng(seed), 200_000, 0.6) + coloured.walk(rng(seed + 99), 200_000, 2e-3)).terms
-            for seed in range(16)
-        ]
-        found = [terms for terms in records if set(terms.value) == {"N", "K"}]
-        assert len(found) >= 13
-        assert np.mean([terms.value["K"] for terms in found]) == pytest.approx(2e-3 / sqrt(DT), rel=0.07)
-
-    def test_drift(self) -> None:
-        terms = noise_of(coloured.white(rng(), 100_000, 0.6) + coloured.ramp(100_000, 1e-4)).terms
-        assert set(terms.value) == {"N", "R"}
-        assert terms.value["R"] == pytest.approx(1e-4 / DT, rel=0.03)
-
-    def test_what_is_not_there_is_seldom_found(self, fifty: list[AllanFit]) -> None:
-        assert sum(set(terms.value) != {"N"} for terms in fifty[:40]) <= 3
-
-    def test_filtered_samples_are_not_taken_for_independent(self) -> None:
-        """A mean over ten samples, running: white from some multiple of it on, with the density of its input."""
-        driven = coloured.white(rng(), 100_009, 1.0)
-        running = np.convolve(driven, np.full(10, 0.1), "valid")
-        noise = noise_of(running)
-        assert noise.tau[noise.terms.first] >= 10 * DT
-        assert noise.terms.value["N"] == pytest.approx(sqrt(DT), rel=0.08)
-        assert noise.terms.follows
-
-    def test_a_vibration_is_none_of_them(self) -> None:
-        n = 50_000
-        swaying = np.sin(2.0 * pi * 0.05 * DT * np.arange(n))
-        assert not noise_of(coloured.white(rng(), n, 0.1) + swaying).terms.follows
+def test_random_walk() -> None:
+    """A single record tells it to a tenth at best, and may look like a drift; many tell the factor 1/3 from 1/2."""
+    records = [
+        noise_of(white(200_000, 0.6, seed) + coloured.walk(rng(seed + 99), 200_000, 2e-3)).terms for seed in range(16)
+    ]
+    walks = [terms.value["K"] for terms in records if set(terms.value) == {"N", "K"}]
+    assert len(walks) >= 13
+    assert np.mean(walks) == pytest.approx(2e-3 / sqrt(DT), rel=0.07)
 
 
-class TestAverages:
-    def test_an_average_of_which_most_is_missing_does_not_count(self) -> None:
-        found = average(np.array([1.0, 3.0, np.nan, np.nan, 8.0, np.nan, 5.0, 7.0]), 2)
-        assert found.count == 3
-        assert found.range == 6.0
+def test_what_is_not_there_is_seldom_found() -> None:
+    assert sum(set(noise_of(white(8192, seed=seed)).terms.value) != {"N"} for seed in range(40)) <= 3
 
 
-class TestUnrest:
-    def test_noise_is_still(self) -> None:
-        for made in (coloured.white, coloured.flicker, coloured.walk):
-            for seed in range(10):
-                assert moved_rows([made(rng(seed), 5000, 1.0)], [0.0]) == []
+def test_filtered_samples_are_not_taken_for_independent() -> None:
+    """A mean over ten samples, running: white from some multiple of it on, with the density of its input."""
+    noise = noise_of(np.convolve(white(100_009), np.full(10, 0.1), "valid"))
+    assert noise.tau[noise.terms.first] >= 10 * DT
+    assert noise.terms.value["N"] == pytest.approx(sqrt(DT), rel=0.08)
+    assert noise.terms.follows
 
-    def test_a_turn_is_motion(self) -> None:
-        samples = coloured.white(rng(), 5000, 1.0)
-        samples[3000:] += 20.0
+
+def test_a_vibration_is_none_of_them() -> None:
+    swaying = np.sin(2.0 * pi * 0.05 * DT * np.arange(50_000))
+    assert not noise_of(white(50_000, 0.1) + swaying).terms.follows
+
+
+def test_noise_is_still_and_a_turn_is_motion() -> None:
+    for made in (coloured.white, coloured.flicker, coloured.walk):
+        for seed in range(10):
+            assert moved_rows([made(rng(seed), 5000, 1.0)], [0.0]) == []
+    assert moved_rows([np.round(white(5000, 0.18))], [1.0]) == []
+    for rows, moved, within in ((5000, 3000, 48), (3_000_000, 2_000_000, 400)):  # more than blocks are kept singly
+        samples = white(rows)
+        samples[moved:] += 20.0
         ((start, end),) = moved_rows([samples], [0.0])
-        assert start <= 3000 < end
-        assert end - start <= 48
-
-    def test_motion_in_a_long_record(self) -> None:
-        """Longer than its blocks are kept singly."""
-        samples = coloured.white(rng(), 3_000_000, 1.0)
-        samples[2_000_000:] += 20.0
-        ((start, end),) = moved_rows([samples], [0.0])
-        assert start - 200 <= 2_000_000 <= end + 200
-
-    def test_a_rounded_reading_that_flips_is_still(self) -> None:
-        samples = np.round(coloured.white(rng(), 5000, 0.18))
-        assert moved_rows([samples], [1.0]) == []
-
-    def test_a_reading_that_hangs(self) -> None:
-        samples = np.round(coloured.white(rng(), 5000, 2.0))
-        samples[1500:1700] = samples[1500]
-        stuck = stuck_rows([samples])
-        assert stuck is not None
-        start, end = stuck
-        assert start <= 1500 < 1700 <= end
-        assert end - start < 210
-
-    def test_coarse_rounding_does_not_hang(self) -> None:
-        assert stuck_rows([np.round(coloured.white(rng(), 50_000, 0.25))]) is None
-        assert stuck_rows([coloured.white(rng(), 5000, 1.0)]) is None
+        assert start - 200 <= moved <= end + 200
+        assert end - start <= within
 
 
-class TestAdvice:
-    def test_beyond_the_record_it_is_foretold_and_not_promised(self) -> None:
-        noise = noise_of(coloured.white(rng(), 10_000, 1.0))
-        advice = sample_size(noise, DT, 0.002)
-        assert advice.met is False
-        assert advice.limit == "record"
-        assert advice.useful is None
-        assert advice.predicted == pytest.approx(1.0 / 0.002**2, rel=0.05)
+def test_a_reading_that_hangs() -> None:
+    samples = np.round(white(5000, 2.0))
+    samples[1500:1700] = samples[1500]
+    stuck = stuck_rows([samples])
+    assert stuck is not None
+    assert stuck[0] <= 1500 < 1700 <= stuck[1] < stuck[0] + 210
+    assert stuck_rows([np.round(white(50_000, 0.25))]) is None  # coarse rounding repeats values too
+    assert stuck_rows([white(5000)]) is None
 
-    def test_flicker_noise_ends_it(self) -> None:
-        """White sigma/√n and flicker f make √(σ²/n + f²): twice n gains a tenth where σ²/n is f² 0.19/0.31."""
-        noise = noise_of(coloured.white(rng(), 400_000, 1.0) + coloured.flicker(rng(2), 400_000, 0.08))
-        floor = 0.08 * sqrt(2.0 * log(2.0) / pi)
-        advice = sample_size(noise, DT, 0.1 * floor)
-        assert advice.met is False
-        assert advice.limit == "flicker"
-        assert advice.predicted is None
-        assert advice.useful == pytest.approx(0.31 / 0.19 / floor**2, rel=0.25)
-        assert advice.uncertainty == pytest.approx(floor * sqrt(1.0 + 0.19 / 0.31), rel=0.1)
 
-    def test_rounding_ends_it(self) -> None:
-        """Noise of 0.28 steps leaves step/√12 exp(-2 (π 0.28)²) however long it is averaged (Widrow)."""
-        left = exp_widrow(0.28)
-        noise = noise_of(np.round(coloured.white(rng(), 200_000, 0.28) + 0.25))
-        assert noise.step == 1.0
-        advice = sample_size(noise, DT, 0.1 * left)
-        assert advice.limit == "rounding"
-        assert advice.met is False
-        assert advice.uncertainty > left * 0.7
+def test_beyond_the_record_it_is_foretold_and_not_promised() -> None:
+    advice = sample_size(noise_of(white(10_000)), DT, 0.002)
+    assert (advice.met, advice.limit, advice.useful) == (False, "record", None)
+    assert advice.predicted == pytest.approx(1.0 / 0.002**2, rel=0.05)
 
-    def test_behind_a_hump_it_must_be_better_than_before(self) -> None:
-        """A restless sensor: means wander off within seconds, and those of minutes are not as good as one sample."""
-        from scipy.signal import lfilter
 
-        samples = lfilter([1.0], [1.0, -0.999], coloured.white(rng(), 50_000, 1.0))
-        advice = sample_size(noise_of(samples), DT)
-        assert advice.useful == 1
-        assert advice.samples == 1
+def test_flicker_noise_ends_what_averaging_gains() -> None:
+    """White sigma/√n and flicker f make √(σ²/n + f²): twice n gains a tenth where σ²/n is f² 0.19/0.31."""
+    floor = 0.08 * FLICKER
+    advice = sample_size(noise_of(white(400_000) + coloured.flicker(rng(2), 400_000, 0.08)), DT, 0.1 * floor)
+    assert (advice.met, advice.limit, advice.predicted) == (False, "flicker", None)
+    assert advice.useful == pytest.approx(0.31 / 0.19 / floor**2, rel=0.25)
+    assert advice.uncertainty == pytest.approx(floor * sqrt(1.0 + 0.19 / 0.31), rel=0.1)
+
+
+def test_rounding_ends_what_averaging_gains() -> None:
+    """Noise of 0.28 steps leaves step/√12 exp(-2 (π 0.28)²) however long it is averaged (Widrow)."""
+    left = float(np.exp(-2.0 * (pi * 0.28) ** 2) / sqrt(12.0))
+    noise = noise_of(np.round(white(200_000, 0.28) + 0.25))
+    advice = sample_size(noise, DT, 0.1 * left)
+    assert (noise.step, advice.limit, advice.met) == (1.0, "rounding", False)
+    assert advice.uncertainty > left * 0.7
+
+
+def test_behind_a_hump_it_must_be_better_than_before() -> None:
+    """A restless sensor: means wander off within seconds, and those of minutes are not as good as one sample."""
+    from scipy.signal import lfilter
+
+    advice = sample_size(noise_of(lfilter([1.0], [1.0, -0.999], white(50_000))), DT)
+    assert advice.useful == advice.samples == 1
 
 
 def test_noise_beyond_any_number_is_refused() -> None:
@@ -259,13 +221,3 @@ def test_noise_beyond_any_number_is_refused() -> None:
         pytest.raises(tiltcal.TiltcalError, match="the Allan variance is beyond any number"),
     ):
         tiltcal.noise(readings, rate=1.0, unit="count")
-
-
-def mean_of(stretch: coloured.Samples) -> float:
-    """The mean of what is there, if that is half of it."""
-    there = stretch[np.isfinite(stretch)]
-    return float(there.mean()) if 2 * len(there) >= len(stretch) else np.nan
-
-
-def exp_widrow(noise: float) -> float:
-    return float(np.exp(-2.0 * (pi * noise) ** 2) / sqrt(12.0))

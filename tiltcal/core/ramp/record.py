@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import StepFinder
+from tiltcal.core.quantisation import even_step
 from tiltcal.errors import EstimateError
 
 MOST = 4096
@@ -69,13 +69,11 @@ def ramp_record(time: Array, temperature: Array, readings: Sequence[Array], firs
     rows = len(columns[0])
     if rows < FEWEST_ROWS:
         raise EstimateError(f"the record has {rows} rows with time, temperature and readings: too few")
-    step = StepFinder()
-    step.add(columns[1])
     times = columns[0]
     bursts = np.flatnonzero(np.diff(times, prepend=-np.inf) >= _BURST * np.ptp(times) / rows)
     means = [averaged(column, bursts[:: max(len(bursts) // MOST, 1)]) for column in columns]
     noise = np.array([np.sqrt(np.mean(np.diff(column) ** 2) / 2.0) for column in columns[2:]])
-    return RampRecord(means[0], means[1], np.stack(means[2:], axis=1), noise, rows, jumps, step.result())
+    return RampRecord(means[0], means[1], np.stack(means[2:], axis=1), noise, rows, jumps, even_step(columns[1]))
 
 
 def averaged(values: Array, starts: NDArray[np.intp]) -> Array:

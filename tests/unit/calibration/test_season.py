@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 from support import FIXTURES
 
-from tiltcal.calibration.interpolation import Interval, Stability, extrapolate
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement
+from tiltcal.calibration.season import DAY, DatedCalibration, SensorHistory
 from tiltcal.core.model import Coefficients
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
@@ -18,6 +19,14 @@ from tiltcal.files.procedure_file import find_procedure
 from tiltcal.files.uncertainty import Uncertainty
 
 BASE = read_calibration(FIXTURES / "plane.yaml")
+
+
+def history(before: CalibrationRecord, after: CalibrationRecord) -> SensorHistory:
+    """Two calibrations of a sensor, the second 100 days after the first, which was made when time began."""
+    dates = [datetime.fromtimestamp(days * DAY, UTC) for days in (0.0, 100.0)]
+    names = ("one.yaml", "other.yaml")
+    dated = zip((before, after), dates, names, strict=True)
+    return SensorHistory(tuple(DatedCalibration(record, date, "", name, name) for record, date, name in dated))
 
 
 def renewed(base: CalibrationRecord, shift: float) -> CalibrationRecord:
@@ -31,7 +40,7 @@ def renewed(base: CalibrationRecord, shift: float) -> CalibrationRecord:
 def test_halfway_to_its_renewed_level_a_sensitivity_is_as_uncertain_as_at_both_ends() -> None:
     """Both ends have one error of S; the offsets' own errors are independent."""
     after = renewed(BASE, 2.0)
-    halfway = Interval.between(BASE, after, 100.0, "two files").at(0.5).uncertainty
+    halfway = history(BASE, after).at(50.0 * DAY).uncertainty
     for name in ("sensitivity.x.x", "sensitivity.x.z", "nonlinearity.y.3"):
         assert halfway[name] == pytest.approx(BASE.uncertainty[name], rel=1e-3)
     assert halfway["offset.x"] < max(BASE.uncertainty["offset.x"], after.uncertainty["offset.x"])
@@ -48,25 +57,23 @@ def test_two_calibrations_of_their_own_have_independent_errors() -> None:
         )
         for offset, u in ((0.0, 0.3), (6.0, 0.4))
     ]
-    interval = Interval.between(ends[0], ends[1], 100.0, "two files")
-    assert interval.at(0.5).uncertainty["offset.x"] == pytest.approx(0.25)
-    assert interval.coefficients(0.5).offset == pytest.approx([3.0])
+    season = history(ends[0], ends[1])
+    assert season.at(50.0 * DAY).coefficients.offset == pytest.approx([3.0])
+    assert season.at(50.0 * DAY, 0.0).uncertainty["offset.x"] == pytest.approx(0.25)
     # Half of the change of 6, rectangular: 3 / sqrt(3).
-    walked = interval.at(0.5, Stability()).uncertainty
-    assert walked["offset.x"] == pytest.approx(np.hypot(0.25, 3.0 / np.sqrt(3.0)))
-    assert interval.at(0.0, Stability()).uncertainty["offset.x"] == pytest.approx(0.3)
-    beyond = extrapolate(ends[1], 5.0, Stability(), interval).uncertainty
-    assert beyond["offset.x"] == pytest.approx(np.hypot(0.4, 3.0 / np.sqrt(3.0)))
-    # Stated: 0.1 unit after a day, 0.5 after 25, and half of that of 100 days in their middle.
-    stated = Stability({"offset.x": 0.01})
-    assert extrapolate(ends[1], 25.0, stated).uncertainty["offset.x"] == pytest.approx(np.hypot(0.4, 0.5))
-    assert interval.at(0.5, stated).uncertainty["offset.x"] == pytest.approx(np.hypot(0.25, 0.5))
-    assert interval.at(0.5, stated).uncertainty["sensitivity.x.x"] == pytest.approx(0.25)
+    assert season.at(50.0 * DAY).uncertainty["offset.x"] == pytest.approx(np.hypot(0.25, 3.0 / np.sqrt(3.0)))
+    assert season.at(0.0).uncertainty["offset.x"] == pytest.approx(0.3)
+    assert season.at(105.0 * DAY).uncertainty["offset.x"] == pytest.approx(np.hypot(0.4, 3.0 / np.sqrt(3.0)))
+    # Stated: 0.1 unit of 806 after a day, 0.5 after 25, and half of that of 100 days in their middle.
+    stated = 1000.0 * 0.1 / 806.0
+    assert season.at(125.0 * DAY, stated).uncertainty["offset.x"] == pytest.approx(np.hypot(0.4, 0.5))
+    assert season.at(50.0 * DAY, stated).uncertainty["offset.x"] == pytest.approx(np.hypot(0.25, 0.5))
+    assert season.at(50.0 * DAY, stated).uncertainty["sensitivity.x.x"] == pytest.approx(0.25)
 
 
 def test_of_two_sessions_only_what_the_data_sheet_states_is_shared() -> None:
     """The column of z is the prior's alone in both; that of y was measured twice."""
     other = replace(BASE, coefficients=replace(BASE.coefficients, sensitivity=BASE.coefficients.sensitivity + 0.01))
-    halfway = Interval.between(BASE, other, 100.0, "two files").at(0.5).uncertainty
+    halfway = history(BASE, other).at(50.0 * DAY, 0.0).uncertainty
     assert halfway["sensitivity.x.z"] == pytest.approx(BASE.uncertainty["sensitivity.x.z"], rel=1e-3)
     assert halfway["sensitivity.x.y"] == pytest.approx(BASE.uncertainty["sensitivity.x.y"] / np.sqrt(2.0), rel=0.02)

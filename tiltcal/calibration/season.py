@@ -1,0 +1,327 @@
+"""The dated calibrations of a sensor in a folder, and its calibration at any time.
+
+Between two, each coefficient lies on the line that joins them, and its error has their weights: an error that both
+share, such as that of a sensitivity that a renewed level took over, stays what it is, the others are independent. What
+a coefficient may have wandered from the line adds to it: a stated wander with the variance of a Brownian bridge, else
+half of its change with a rectangular distribution. Beyond, the nearest calibration holds, and the wander adds to it.
+
+Source: B. Øksendal, *Stochastic Differential Equations*, exercise 5.11 (bridge).
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import date, datetime, timedelta
+from difflib import get_close_matches
+from functools import cached_property
+from itertools import groupby, pairwise
+from operator import attrgetter
+from pathlib import Path
+
+import numpy as np
+
+from tiltcal.calibration.comparison import Comparison, compare_records, shared_errors, uncertain_of
+from tiltcal.calibration.estimate_record import unrounded_section
+from tiltcal.core.model import Array, Coefficients, Limits, overlap
+from tiltcal.core.named_coefficients import referred, values
+from tiltcal.core.uncertain import Uncertain, weighted_sum
+from tiltcal.errors import InputError, UsageError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration, require_same_sensor
+from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
+from tiltcal.files.moments import moment, to_the_second
+from tiltcal.files.results import FitRecord, ProcedureRecord, Provenance
+from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.printable import counted
+from tiltcal.stated_arguments import require_from_zero, require_path, require_text
+
+DAY = 86_400.0
+"""Seconds."""
+
+LARGEST_CHANGE = 0.5
+"""Share by which the sensitivity of a channel may differ between two calibrations."""
+
+WANDERING = ("offset.", "sensitivity.")
+"""What may wander; temperature coefficients follow their line."""
+
+
+@dataclass(frozen=True)
+class DatedCalibration:
+    """A calibration file: when it ended (UTC), when it began, its path, and its name within the folder."""
+
+    record: CalibrationRecord
+    date: datetime
+    started: str
+    path: str
+    name: str
+
+
+@dataclass(frozen=True)
+class SensorHistory:
+    """The calibrations of one sensor in the order of time, and remarks on sessions that overlap and on copies."""
+
+    calibrations: tuple[DatedCalibration, ...]
+    remarks: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, found: Sequence[DatedCalibration]) -> SensorHistory:
+        """Put the calibrations of one sensor in order, copies left out; an InputError where two files contradict."""
+        kept: list[DatedCalibration] = []
+        remarks: list[str] = []
+        for calibration in sorted(found, key=attrgetter("date")):
+            before = kept[-1] if kept else None
+            if before is not None:
+                _require_consistent(before, calibration)
+                if before.date == calibration.date:
+                    remarks.append(f"{calibration.name} is a copy of {before.name}")
+                    continue
+                if moment(calibration.started, calibration.path) < before.date:
+                    remarks.append(f"the sessions of {before.name} and {calibration.name} overlap")
+            kept.append(calibration)
+        return cls(tuple(kept), tuple(remarks))
+
+    def __repr__(self) -> str:
+        dates = " to ".join(dict.fromkeys(f"{self.calibrations[end].date:%Y-%m-%d}" for end in (0, -1)))
+        return f"<SensorHistory of {self.sensor.serial}: {counted(len(self.calibrations), 'calibration')}, {dates}>"
+
+    @property
+    def sensor(self) -> SensorIdentity:
+        """The sensor."""
+        return self.calibrations[-1].record.sensor
+
+    @cached_property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """How each calibration but the first differs from the one before it."""
+        return tuple(compare_records(a.record, b.record) for a, b in pairwise(self.calibrations))
+
+    def due(self, interval: timedelta) -> datetime:
+        """Return when the next calibration is due."""
+        return self.calibrations[-1].date + interval
+
+    def gaps(self, interval: timedelta) -> list[tuple[DatedCalibration, DatedCalibration]]:
+        """Return the neighbours that are further apart than the interval and a tenth of it."""
+        return [(a, b) for a, b in pairwise(self.calibrations) if b.date - a.date > 1.1 * interval]
+
+    def series(self, name: str) -> tuple[Array, Array] | None:
+        """Return values and standard uncertainties of a coefficient that all have, at the last one's reference."""
+        records = [calibration.record for calibration in self.calibrations]
+        last = records[-1].coefficients.thermal
+        reference = None if last is None else last.reference
+        found = []
+        for record in records:
+            errors = uncertain_of(record, reference)
+            if name in errors.names:
+                u = errors.u[errors.names.index(name)]
+                found.append((values(referred(record.coefficients, reference))[name], u))
+        return tuple(np.array(found).T) if len(found) == len(records) else None
+
+    def at(self, time: float, stability: float | None = None) -> CalibrationRecord:
+        """Return the calibration at a time, seconds since 1970: between two of them, or the nearest one.
+
+        ``stability`` is how far the offset wanders in a day, mg; half of each change counts where it is not stated.
+        UsageError: the two calibrations do not lie on a line.
+        """
+        dates = [calibration.date.timestamp() for calibration in self.calibrations]
+        k = max(min(bisect_right(dates, time), len(dates) - 1) - 1, 0)
+        if dates[0] < time < dates[-1]:
+            length = dates[k + 1] - dates[k]
+            share = (time - dates[k]) / length
+            bridge = share * (1.0 - share)
+            walked = self._walked(k, bridge * length / DAY, 4.0 * bridge, stability)
+            return _between(self.calibrations[k].record, self.calibrations[k + 1].record, share, walked)
+        nearest = 0 if time <= dates[0] else -1
+        record, days = self.calibrations[nearest].record, abs(time - dates[nearest]) / DAY
+        uncertainty = record.uncertainty
+        if days:
+            errors = _with_walk(uncertain_of(record, None), self._walked(k, days, 1.0, stability))
+            uncertainty = _section(errors, uncertainty.single_reading, uncertainty.alignment)
+        return _interpolated(record, record.coefficients, record.limits, uncertainty)
+
+    def require_line(self, k: int) -> None:
+        """Refuse a calibration, counted from 0, and the next that do not lie on a line, with a UsageError."""
+        before, after = self.calibrations[k : k + 2]
+        one, other, named = before.record.coefficients, after.record.coefficients, f"{before.name} and {after.name}"
+        for what, differ in (
+            ("other axes", one.axes != other.axes),
+            ("temperature terms", (one.thermal is None) != (other.thermal is None)),
+            ("a mounting", (one.mounting is None) != (other.mounting is None)),
+        ):
+            if differ:
+                raise UsageError(
+                    f"{named}: one has {what} and the other has not: give both the same coefficients, such as with "
+                    "`tiltcal combine`"
+                )
+        change = np.linalg.norm(other.sensitivity - one.sensitivity, axis=1)
+        far = change > LARGEST_CHANGE * np.linalg.norm(one.sensitivity, axis=1)
+        for channel, is_far in zip(other.channels, far.tolist(), strict=True):
+            if is_far:
+                raise UsageError(
+                    f"{named}: the sensitivity of {channel} differs by more than {LARGEST_CHANGE:.0%}, which is no "
+                    "change with time: move the file that is wrong out of the folder"
+                )
+
+    def _walked(self, k: int, days: float, changes: float, stability: float | None) -> dict[str, float]:
+        """Return the variances that a stated wander adds in some days, or some times half of the change, unit²."""
+        if stability is not None:
+            coefficients = self.calibrations[-1].record.coefficients
+            offsets = {f"offset.{c}": coefficients.own_sensitivity(c) / 1000.0 for c in coefficients.channels}
+            return {name: days * (stability * unit) ** 2 for name, unit in offsets.items()}
+        if len(self.calibrations) == 1:
+            return {}
+        self.require_line(k)
+        first, last = (one.record.coefficients for one in self.calibrations[k : k + 2])
+        before, after = values(referred(first, None if last.thermal is None else last.thermal.reference)), values(last)
+        both = [name for name in after if name in before and name.startswith(WANDERING)]
+        return {name: changes * (after[name] - before[name]) ** 2 / 12.0 for name in both}
+
+
+class CalibrationFolder:
+    """The calibrations in a folder, by serial number and date; each file is read when it is needed."""
+
+    def __init__(self, folder: str | Path) -> None:
+        require_path("the folder", folder)
+        self.folder = Path(folder)
+        self._histories: dict[str, SensorHistory] = {}
+
+    @cached_property
+    def index(self) -> FolderIndex:
+        """The files, without their content."""
+        return index_folder(self.folder)
+
+    @cached_property
+    def _files(self) -> dict[str, list[CalibrationFile]]:
+        return {serial: list(files) for serial, files in groupby(self.index.files, key=attrgetter("serial"))}
+
+    @property
+    def serials(self) -> tuple[str, ...]:
+        """The serial numbers, in order."""
+        return tuple(self._files)
+
+    def history(self, serial: str) -> SensorHistory:
+        """Return the calibrations of a sensor.
+
+        UsageError: the folder has none of this serial number.
+        InputError: a file is wrong, or two contradict each other.
+        """
+        require_text("--serial", serial)
+        if serial not in self._histories:
+            if serial not in self._files:
+                raise UsageError(self._unknown(serial))
+            self._histories[serial] = SensorHistory.of([self._dated(file) for file in self._files[serial]])
+        return self._histories[serial]
+
+    def at(self, serial: str, time: str | date, stability: float | None = None) -> CalibrationRecord:
+        """Return the calibration of a sensor at a time, as :meth:`SensorHistory.at`."""
+        require_from_zero("--stability", stability)
+        return self.history(serial).at(moment(time).timestamp(), stability)
+
+    def _dated(self, file: CalibrationFile) -> DatedCalibration:
+        record = read_calibration(file.path)
+        started, ended = date_of(record, file.path)
+        return DatedCalibration(record, ended, started, file.path, Path(file.path).relative_to(self.folder).as_posix())
+
+    def _unknown(self, serial: str) -> str:
+        near = get_close_matches(serial, self._files, n=1)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        listed = ", ".join(self.serials[:12]) + (" ..." if len(self._files) > 12 else "")
+        unusable = f"; left out: {self.index.problems[0]}" if self.index.problems else ""
+        return f"{self.folder} has no calibration of {serial!r}{hint}; it has {listed or 'none at all'}{unusable}"
+
+
+def _require_consistent(before: DatedCalibration, after: DatedCalibration) -> None:
+    """Refuse another model, unit or channels, and one date with other coefficients, with an InputError."""
+    serial = after.record.sensor.serial
+    try:
+        require_same_sensor(before.record, after.record)
+    except UsageError as failure:
+        raise InputError(
+            f"{serial} is {failure}, in {before.path}: give each sensor a serial number of its own, or move one of the "
+            "files",
+            file=after.path,
+        ) from None
+    one, other = before.record.coefficients, after.record.coefficients
+    same = values(one) == values(other) and one.mounting == other.mounting
+    if before.date == after.date and not same:
+        raise InputError(
+            f"{before.path} has the same date, {to_the_second(after.date)}, and other coefficients of {serial}: keep "
+            "one of them in the folder",
+            file=after.path,
+        )
+
+
+def _between(
+    before: CalibrationRecord, after: CalibrationRecord, share: float, walked: Mapping[str, float]
+) -> CalibrationRecord:
+    """Return the calibration at a share of the time between two; ``walked`` are variances to add, unit²."""
+    weights, stated = (1.0 - share, share), (before.uncertainty, after.uncertainty)
+    reference = None if after.coefficients.thermal is None else after.coefficients.thermal.reference
+    ends = [uncertain_of(record, reference) for record in (before, after)]
+    errors = _with_walk(weighted_sum(ends[0], ends[1], weights, shared_errors(before, after)), walked)
+    single = {
+        name: sum(weight * one.single_reading.get(name, u) for weight, one in zip(weights, stated, strict=True))
+        for name, u in {**stated[0].single_reading, **stated[1].single_reading}.items()
+    }
+    alignment = sum(weight * one.alignment for weight, one in zip(weights, stated, strict=True))
+    tilt = {a: overlap(before.limits.tilt.get(a), limits) or limits for a, limits in after.limits.tilt.items()}
+    limits = Limits(tilt, overlap(before.limits.temperature, after.limits.temperature), after.limits.reading)
+    coefficients = _on_line(referred(before.coefficients, reference), after.coefficients, share)
+    return _interpolated(after, coefficients, limits, _section(errors, single, alignment))
+
+
+def _on_line(before: Coefficients, after: Coefficients, share: float) -> Coefficients:
+    """Return the coefficients between two at one reference temperature, in the mounting that is nearer in time."""
+
+    def line(before: Array, after: Array) -> Array:
+        wide = np.zeros((2, *after.shape[:-1], max(before.shape[-1], after.shape[-1])))
+        for terms, row in zip((before, after), wide, strict=True):
+            row[..., : terms.shape[-1]] = terms
+        return np.asarray((1.0 - share) * wide[0] + share * wide[1])
+
+    thermal, straight = after.thermal, np.zeros((len(after.channels), 0))
+    if thermal is not None and before.thermal is not None:
+        thermal = replace(
+            thermal,
+            range=overlap(before.thermal.range, thermal.range),
+            drift=line(before.thermal.drift, thermal.drift),
+            gain=line(before.thermal.gain, thermal.gain),
+            lag=(1.0 - share) * before.thermal.lag + share * thermal.lag,
+        )
+    bends = [straight if one.nonlinearity is None else one.nonlinearity for one in (before, after)]
+    bend = line(*bends)
+    return replace(
+        after,
+        offset=line(before.offset, after.offset),
+        sensitivity=line(before.sensitivity, after.sensitivity),
+        thermal=thermal,
+        nonlinearity=bend if bend.size else None,
+        mounting=before.mounting if share < 0.5 else after.mounting,
+    )
+
+
+def _with_walk(errors: Uncertain, walked: Mapping[str, float]) -> Uncertain:
+    """Add the variance of what each coefficient may have wandered, unit²; none where nothing is uncertain."""
+    if not errors.names or not walked:
+        return errors
+    return weighted_sum(errors, Uncertain.errors(tuple(walked), np.diag(list(walked.values()))), (1.0, 1.0), ())
+
+
+def _section(errors: Uncertain, single: Mapping[str, float], alignment: float) -> Uncertainty:
+    section = unrounded_section(errors) if errors.names else Uncertainty({})
+    return replace(section, single_reading=single, alignment=alignment)
+
+
+def _interpolated(
+    nearest: CalibrationRecord, coefficients: Coefficients, limits: Limits, uncertainty: Uncertainty
+) -> CalibrationRecord:
+    """Return a record without what was measured for one of the calibrations alone."""
+    return CalibrationRecord(
+        nearest.sensor,
+        coefficients,
+        uncertainty,
+        limits=limits,
+        derived=nearest.derived,
+        fit=FitRecord(),
+        procedure=ProcedureRecord(),
+        provenance=Provenance(software=nearest.provenance.software),
+    )
