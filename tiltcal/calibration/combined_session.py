@@ -18,9 +18,10 @@ from tiltcal.core.samples import BLOCKS
 from tiltcal.core.uncertain import ALIGNMENT, READING, TURN
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, dump_calibration, tilt_record
-from tiltcal.files.document import parse_document, read_text
+from tiltcal.files.document import parse_document
 from tiltcal.files.results import PositionRecord, PositionSet
 from tiltcal.files.uncertainty import stated_uncertainty, uncertain_coefficients
+from tiltcal.files.yaml_text import read_text
 
 KINDS = {"sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
 """The coefficients that ``derived.assumed`` names by their first word."""

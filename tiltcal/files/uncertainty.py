@@ -24,8 +24,7 @@ from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, Unce
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.document import Document
-from tiltcal.files.record import ByAxis, Finite, FiniteAboveZero, FiniteFromZero, Record, Text, about, one_of, plain
-from tiltcal.files.refusal import refusal
+from tiltcal.files.record import AboveZero, ByAxis, Finite, Record, Size, Text, about, one_of, plain
 
 SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
 """What has the shape of the ``calibration`` section."""
@@ -35,7 +34,7 @@ TEMPERATURE = "temperature"
 _MOUNTING = "mounting."
 _TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
 _SYMMETRY = 1e-9
-_POLYNOMIALS = ByAxis[Annotated[tuple[FiniteFromZero, ...], Meta(max_length=ORDER_LIMIT)]]
+_POLYNOMIALS = ByAxis[Annotated[tuple[Size, ...], Meta(max_length=ORDER_LIMIT)]]
 _ROUNDED = 0.01  # an eigenvalue of the correlations below zero, or a difference, that is larger is no matter of digits
 
 
@@ -44,10 +43,7 @@ class Covariance(Record, kw_only=True):
 
     parameters: Annotated[
         tuple[Text, ...],
-        about(
-            "the coefficients by their dotted names; `mounting.turn.x` is a small turn of the mounting about the "
-            "application's x axis, degrees"
-        ),
+        about("coefficients by dotted name; `mounting.turn.x` is a turn about the application's x axis, degrees"),
     ]
     matrix: Annotated[tuple[tuple[Finite, ...], ...], about("their covariance matrix")]
 
@@ -100,10 +96,10 @@ class Uncertainty(Mapping[str, float]):
 class ThermalUncertainty(Record, kw_only=True):
     """Standard uncertainties in the shape of ``calibration.temperature``."""
 
-    reference: Annotated[FiniteFromZero | None, about("of the reference temperature, °C")] = None
+    reference: Annotated[Size | None, about("of the reference temperature, °C")] = None
     offset: Annotated[_POLYNOMIALS, about("per channel, unit/°C, unit/°C², …")] = {}
     sensitivity: Annotated[_POLYNOMIALS, about("per channel, 1/°C, 1/°C², …")] = {}
-    lag: Annotated[FiniteFromZero | None, about("of the lag, s")] = None
+    lag: Annotated[Size | None, about("of the lag, s")] = None
 
 
 def _check_covariance(covariance: Covariance, place: Document, known: Sequence[str]) -> None:
@@ -112,8 +108,7 @@ def _check_covariance(covariance: Covariance, place: Document, known: Sequence[s
     if len(set(names)) < size:
         raise place.error("a parameter is named twice", "parameters")
     for number, name in enumerate(names):
-        if name not in known:
-            raise place.error(refusal(name, known), "parameters", number)
+        place.require_known(name, known, "parameters", number)
     if len(matrix) != size or any(len(row) != size for row in matrix):
         raise place.error(f"{size} parameters need a matrix of {size} rows of {size} numbers", "matrix")
     for i, j in combinations_with_replacement(range(size), 2):
@@ -135,30 +130,21 @@ def _check_covariance(covariance: Covariance, place: Document, known: Sequence[s
 class UncertaintySection(Record, kw_only=True):
     """The section as it stands in a file."""
 
-    offset: Annotated[ByAxis[FiniteFromZero], about("per channel, unit")] = {}
-    sensitivity: Annotated[ByAxis[ByAxis[FiniteFromZero]], about("row = channel, column = axis, unit/g")] = {}
+    offset: Annotated[ByAxis[Size], about("per channel, unit")] = {}
+    sensitivity: Annotated[ByAxis[ByAxis[Size]], about("row = channel, column = axis, unit/g")] = {}
     nonlinearity: Annotated[_POLYNOMIALS, about("per channel, pure numbers")] = {}
     temperature: Annotated[ThermalUncertainty | None, about("in the shape of `calibration.temperature`")] = None
-    mounting: Annotated[
-        Mapping[Annotated[str, one_of(*ANGLES)], FiniteFromZero], about("`roll`, `pitch`, `yaw`, degrees")
-    ] = {}
+    mounting: Annotated[Mapping[Annotated[str, one_of(*ANGLES)], Size], about("`roll`, `pitch`, `yaw`, degrees")] = {}
     single_reading: Annotated[
-        Mapping[Annotated[str, one_of(*AXES, TEMPERATURE)], FiniteFromZero],
-        about("of a single reading of a log, per channel, unit, and of its `temperature`, °C", formerly="reading"),
+        Mapping[Annotated[str, one_of(*AXES, TEMPERATURE)], Size],
+        about("of a reading of a log, per channel, unit, and of its `temperature`, °C", formerly="reading"),
     ] = {}
     alignment: Annotated[
-        FiniteFromZero,
-        about(
-            "after `level`: of how the sensor sits since its sensitivity was measured, degrees about each axis; it "
-            "makes no error at level"
-        ),
+        Size, about("after `level`: of how the sensor sits since its sensitivity was measured, degrees about each axis")
     ] = 0.0
     coverage_factor: Annotated[
-        Mapping[str, FiniteAboveZero],
-        about(
-            "per coefficient, by its dotted name such as `sensitivity.x.y`, what its standard uncertainty is "
-            "multiplied with for an interval of 95 %; 1.96 where it is not named"
-        ),
+        Mapping[str, AboveZero],
+        about("per coefficient, such as `sensitivity.x.y`, for an interval of 95 %; 1.96 where it is not named"),
     ] = {}
     covariance: Annotated[Covariance | None, about("the covariance of the coefficients")] = None
 
@@ -178,7 +164,7 @@ def uncertainty_of(section: UncertaintySection, place: Document, coefficients: C
     place.require_keys(section.coverage_factor, [*known, *standard], "coverage_factor")
     covariance = section.covariance
     if covariance is not None:
-        _check_covariance(covariance, place.child("covariance"), known)
+        _check_covariance(covariance, place.at("covariance"), known)
         for name, variance in zip(covariance.parameters, np.diag(covariance.as_array()).tolist(), strict=True):
             u = sqrt(variance)
             if not isclose(standard.get(name, u), u, rel_tol=_ROUNDED):

@@ -15,7 +15,7 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 SENSOR = SensorIdentity("recorded", "S", "V", ("x", "y"))
 PLANE = find_procedure("plane")

@@ -20,7 +20,7 @@ from tiltcal.core.model import Array, Mounting, vector_of, with_vector
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.library.calibration import Calibration
 

@@ -9,7 +9,7 @@ import pytest
 from tiltcal.calibration.suitability import require_suitable
 from tiltcal.drivers import find_model
 from tiltcal.errors import UsageError
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 INCLINOMETER = find_model("sca100t-d01")
 """1024 count and 1638 count/g, and a word below 102 is none."""
