@@ -137,8 +137,11 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncert
     follows = selection(turns, before.names) @ before.following(shared)
     across = every.covariance @ selection(shared, every.names).T @ follows.T
     turned = before.named(turns)
-    matrix = np.block([[every.covariance, across], [across.T, turned.covariance]])
-    joint = replace(every.beside(turned), covariance=matrix)
+    covariance, wide = (
+        np.block([[of_coefficients, across], [across.T, of_turn]])
+        for of_coefficients, of_turn in ((every.covariance, turned.covariance), (every.wide, turned.wide))
+    )
+    joint = replace(every.beside(turned), covariance=covariance, wide=wide)
     angles, factors = (
         {name: value for name, value in named.items() if name.startswith("mounting.")}
         for named in (mounted.uncertainty, mounted.uncertainty.coverage_factor)

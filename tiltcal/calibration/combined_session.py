@@ -200,7 +200,7 @@ class CombinedSession:
         rows = np.array([[float(name == other) for other in design.names] for name in stated.names]).reshape(
             -1, len(design.names)
         )
-        covariance = stated.widened
+        covariance = stated.wide.copy()
         warmer = at[0] - design.reference if at is not None else 0.0
         for k, name in enumerate(stated.names):
             if not name.startswith("offset."):
