@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
-from support import ROOT
 from support.command import tiltcal
 
 from tiltcal import Calibration, measure, plan
@@ -186,14 +185,6 @@ def test_a_session_that_is_stopped_at_the_tip_is_resumed_there(monkeypatch: pyte
         Path("whole.jsonl").write_bytes(b"".join(lines[:end]))
         found = measure(resume="whole.jsonl", operator="sim")
         assert [note.split()[0] for note in found.fit.notes if "was not seen to follow" in note] == ["x"]
-
-
-def test_a_journal_in_which_the_last_position_was_measured_again_is_replayed() -> None:
-    """Recorded when a channel that never changed had the last position measured again."""
-    data = ROOT / "tests" / "data"
-    replayed = tiltcal("replay", data / "measured-again.journal.jsonl")
-    assert replayed.returncode == 0, replayed.stderr
-    assert replayed.stdout == (data / "measured-again.yaml").read_text()
 
 
 def test_a_sound_sensor_whose_drift_is_below_its_step_is_calibrated() -> None:
