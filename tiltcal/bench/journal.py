@@ -137,6 +137,7 @@ class Playback:
         self._journal = journal
         self._clock = VirtualClock()
         self._next = 0
+        self._events = iter(journal.events)
         self._event: Event | None = None
         self._accepted = 0
         self._interrupted = False
@@ -292,8 +293,8 @@ class Playback:
 
     def _peek(self) -> Event | None:
         """Return the next event; None at the end."""
-        if self._event is None and self._next < len(self._journal.events):
-            self._event = self._journal.events[self._next]
+        if self._event is None:
+            self._event = next(self._events, None)
         return self._event
 
     def _take(self) -> None:
