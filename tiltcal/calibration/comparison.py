@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.labels import unit_of
-from tiltcal.core.attitude import LEVEL, gravity_from_tilt, normalised, orientation
+from tiltcal.core.attitude import LEVEL, orientation
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.mounting_rotation import rotation_vector
@@ -336,10 +336,9 @@ def _held_shares(record: CalibrationRecord) -> dict[str, Array]:
     """
     axes, bench = record.coefficients.axes, record.provenance.bench
     own, _, levelled = record.runs
-    stated = [record.procedure.set.get(position.position, PositionSet()) for position in own]
-    attitudes = [gravity_from_tilt(one.tilt) if one.tilt is not None else one.gravity for one in stated]
+    attitudes = [record.procedure.set.get(position.position, PositionSet()).up for position in own]
     seen = orientation(bench.axes if bench is not None and bench.axes else AXES).seen
-    up = np.array([(nan,) * 3 if one is None else seen(normalised(one)) for one in [*attitudes, LEVEL]])
+    up = np.array([(nan,) * 3 if one is None else seen(one) for one in [*attitudes, LEVEL]])
     fitted = [AXES.index(axis) for axis in axes]
     design = np.column_stack([np.ones(len(up)), up[:, fitted]])
     held = np.full((design.shape[1], 3), nan)
