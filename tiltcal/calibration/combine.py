@@ -51,7 +51,7 @@ UNKNOWN_JIG = 5.0
 
 
 @dataclass(frozen=True)
-class Session:
+class CombinedSession:
     """One calibration of a combination: what messages call it, and the SHA-256 of its file.
 
     ``counted`` where another calibration holds the same positions; ``by_values`` where its positions cannot be fitted
@@ -66,7 +66,7 @@ class Session:
     names: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, given: CalibrationRecord | str | Path) -> Session:
+    def of(cls, given: CalibrationRecord | str | Path) -> CombinedSession:
         """Return the session of a calibration or of its file."""
         if isinstance(given, CalibrationRecord):
             return cls(given.procedure.name or "a calibration", _sha(dump_calibration(given)), given)
@@ -210,7 +210,7 @@ def combine_records(
     UsageError: they are not of one sensor, or contradict each other.
     EstimateError: a calibration states no uncertainty, or together they determine no sensor.
     """
-    sessions = _named([Session.of(calibration) for calibration in calibrations])
+    sessions = _named([CombinedSession.of(calibration) for calibration in calibrations])
     stated = stated_mounting(mounting) if mounting else None
     if not sessions or (len(sessions) < 2 and stated is None):
         raise UsageError("name two calibrations or more, or a --mounting")
@@ -239,7 +239,7 @@ def combine_records(
     return _record(sessions, found, design, remarks)
 
 
-def _named(sessions: Sequence[Session]) -> list[Session]:
+def _named(sessions: Sequence[CombinedSession]) -> list[CombinedSession]:
     """Return the sessions with labels and positions that differ; one whose journal came before is counted."""
     labels, journals = Counter(session.label for session in sessions), set()
     named = []
@@ -264,7 +264,7 @@ def _stem(label: str) -> str:
     return label.replace(".yaml", "")
 
 
-def _require_one_sensor(sessions: Sequence[Session]) -> None:
+def _require_one_sensor(sessions: Sequence[CombinedSession]) -> None:
     """Refuse sessions of several sensors, and measurements that would count twice, with a UsageError."""
     for session, other in combinations(sessions, 2):
         one, another = session.record.sensor, other.record.sensor
@@ -280,7 +280,7 @@ def _require_one_sensor(sessions: Sequence[Session]) -> None:
             )
 
 
-def _require_one_mounting(sessions: Sequence[Session]) -> None:
+def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
     """Refuse mountings, and thermal lags, that contradict, with a UsageError."""
     mounted = [(s.label, s.coefficients.mounting) for s in sessions if s.coefficients.mounting is not None]
     for label, mounting in mounted[1:]:
@@ -294,7 +294,7 @@ def _require_one_mounting(sessions: Sequence[Session]) -> None:
         raise UsageError(f"the lags contradict: {' s and '.join(f'{lag:g}' for lag in lags)} s; combine one of them")
 
 
-def _design(sessions: Sequence[Session]) -> Design:
+def _design(sessions: Sequence[CombinedSession]) -> Design:
     """Return the coefficients of all sessions, with what is assumed of those that none has measured."""
     scaled = [s for s in sessions if not s.assumes("sensitivity")]
     scaled = scaled or [min(sessions, key=lambda s: "nominal" in s.assumes("sensitivity"))]
@@ -343,7 +343,7 @@ def _design(sessions: Sequence[Session]) -> Design:
     return replace(design, priors=priors, stated=stated)
 
 
-def _observations(sessions: Sequence[Session], design: Design) -> list[list[Observation]]:
+def _observations(sessions: Sequence[CombinedSession], design: Design) -> list[list[Observation]]:
     """Return the positions of each session that has such, their noise made better known by that of all."""
     groups = [session.observations(design) for session in sessions if session.observed]
     every = [one for group in groups for one in group]
@@ -354,7 +354,7 @@ def _observations(sessions: Sequence[Session], design: Design) -> list[list[Obse
     return [[next(better) for _ in group] for group in groups]
 
 
-def _notes(sessions: Sequence[Session], design: Design) -> Iterator[str]:
+def _notes(sessions: Sequence[CombinedSession], design: Design) -> Iterator[str]:
     for session in sessions:
         if session.counted:
             yield f"{session.label} has the journal of another calibration: its positions count once"
@@ -364,7 +364,9 @@ def _notes(sessions: Sequence[Session], design: Design) -> Iterator[str]:
             yield f"{session.label} does not state how level it was (--jig): its offset hardly counts"
 
 
-def _disagreement(sessions: Sequence[Session], design: Design, seen: Sequence[Sequence[Observation]]) -> list[str]:
+def _disagreement(
+    sessions: Sequence[CombinedSession], design: Design, seen: Sequence[Sequence[Observation]]
+) -> list[str]:
     """Return what to note of a rise of chi-square over the separate fits; a large one is refused with a UsageError."""
     from scipy.special import chdtrc, fdtrc
 
@@ -404,7 +406,7 @@ def _disagreement(sessions: Sequence[Session], design: Design, seen: Sequence[Se
     raise UsageError("\n".join([what, *(f"  {line}" for line in lines), why]))
 
 
-def _differences(sessions: Sequence[Session]) -> Iterator[str]:
+def _differences(sessions: Sequence[CombinedSession]) -> Iterator[str]:
     """Yield what two sessions have measured and differ in by more than the expanded uncertainty of the difference."""
     for one, other in combinations(sessions, 2):
         record = replace(other.record, sensor=one.record.sensor)
@@ -418,7 +420,9 @@ def _differences(sessions: Sequence[Session]) -> Iterator[str]:
                 )
 
 
-def _record(sessions: Sequence[Session], found: Estimate, design: Design, remarks: Sequence[str]) -> CalibrationRecord:
+def _record(
+    sessions: Sequence[CombinedSession], found: Estimate, design: Design, remarks: Sequence[str]
+) -> CalibrationRecord:
     """Return the calibration that a combination gives, with remarks on what it left out."""
     records = [session.record for session in sessions]
     scaled = [session.record for session in sessions if not session.assumes("sensitivity")]
@@ -446,7 +450,7 @@ def _record(sessions: Sequence[Session], found: Estimate, design: Design, remark
     )
 
 
-def _fit(sessions: Sequence[Session], found: Estimate, design: Design, remarks: Sequence[str]) -> FitRecord:
+def _fit(sessions: Sequence[CombinedSession], found: Estimate, design: Design, remarks: Sequence[str]) -> FitRecord:
     """Return how well the positions of all sessions agree."""
     fits = [session.record.fit for session in sessions]
     noise = max(u for session in sessions for one in session.record.positions for u in (one.u or {}).values())
@@ -465,7 +469,7 @@ def _fit(sessions: Sequence[Session], found: Estimate, design: Design, remarks: 
     )
 
 
-def _uncertainty(sessions: Sequence[Session], found: Estimate) -> Uncertainty:
+def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncertainty:
     """Return the uncertainty of all coefficients, and that of a mounting with its covariance."""
     single: dict[str, float] = {}
     for session in sessions:
@@ -511,7 +515,7 @@ def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRe
     return Limits(tilt, (min(low for low, _ in met), max(high for _, high in met)) if met else None, reading)
 
 
-def _provenance(sessions: Sequence[Session]) -> Provenance:
+def _provenance(sessions: Sequence[CombinedSession]) -> Provenance:
     """Return where the calibrations come from, with their SHA-256."""
     each = [session.record.provenance for session in sessions]
     made = dict.fromkeys(provenance.made_by for provenance in each if provenance.made_by)

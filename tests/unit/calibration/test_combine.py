@@ -13,7 +13,7 @@ from support import FIXTURES
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.combine import Session
+from tiltcal.calibration.combine import CombinedSession
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
@@ -291,10 +291,10 @@ def test_a_renewed_offset_holds_where_the_level_lay(warmth: float | None, holds:
     mounted = [scale.positions[0].replaced(position="mounted", temperature=30.0)]
     run = scale.procedure.replaced(mounting=CompletingRun(positions=("mounted",)))
     scale = replace(scale, procedure=run, positions=(*scale.positions, *mounted))
-    assert Session.of(scale).temperature == (20.0, 0.0)
+    assert CombinedSession.of(scale).temperature == (20.0, 0.0)
     at_level = [replace(measured(ZERO_45, 2, at=5.0)[0], position="again", temperature=warmth)]
     renewed = level(scale, at_level, find_procedure("level"), BenchUncertainty(JIG))
-    assert Session.of(renewed).temperature == holds
+    assert CombinedSession.of(renewed).temperature == holds
 
 
 def test_an_offset_without_a_temperature_is_left_out() -> None:
