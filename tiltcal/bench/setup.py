@@ -251,7 +251,7 @@ class Setup(Record, kw_only=True, dict=True):
         if procedure.rotation is not None:
             self.channel_map()
         else:
-            from tiltcal.calibration.suitability import require_suitable
+            from tiltcal.calibration.checks import require_suitable
 
             for device in self.sensors:
                 require_suitable(procedure, device.wired, device.orientation, based=device.serial in self.bases)
