@@ -25,7 +25,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial, reduce
 from operator import xor
 from typing import TYPE_CHECKING, NamedTuple
@@ -34,22 +34,14 @@ from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
 from tiltcal.drivers.columns import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.converters import SCHEMES as CONVERTERS
 from tiltcal.drivers.model import Model, Reading, deviation_within, link_in_words
-from tiltcal.drivers.virtual import (
-    JIG,
-    TIME_CONSTANT,
-    HeldPose,
-    StreamingPart,
-    Truth,
-    VirtualLine,
-    part_errors,
-    uniform,
-)
+from tiltcal.drivers.virtual import StreamingPart, Tolerances, VirtualLine, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
+    from tiltcal.drivers.virtual import HeldPose, Truth
 
 ROUND_NUMBERS = (100, 128, 256, 1000, 1024, 10_000, 65_536, 100_000, 1_000_000, 1 << 24, 1 << 31, 1 << 32)
 """Values at which a counter may wrap to 0: the widths of counters and of printed digits."""
@@ -63,15 +55,8 @@ _SENTENCE = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Sentence:
-    """The content of one sentence.
-
-    number: its place in the sequence.
-    duty: T1/T2 of x and of y, each with its own period.
-    periods: T2 of x and of y, ticks.
-    temperature: °C; None if the sentence has none.
-    """
+class Sentence(NamedTuple):
+    """One sentence: its number, T1/T2 of x and y, T2 of x and y in ticks, and °C where the sentence has it."""
 
     number: int
     duty: tuple[float, float]
@@ -80,10 +65,7 @@ class Sentence:
 
 
 def parse_sentence(line: bytes) -> Sentence | None:
-    """Return the sentence of a line without its end.
-
-    None if its frame, checksum or fields are damaged, or a pulse is longer than its period.
-    """
+    """Return the sentence of a line without its end; None where it is damaged or a pulse is longer than its period."""
     inside = content(line)
     fields = _SENTENCE.fullmatch(inside) if inside is not None else None
     if fields is None:
@@ -95,21 +77,12 @@ def parse_sentence(line: bytes) -> Sentence | None:
     return Sentence(int(number), (t1x / t2x, t1y / t2y), (t2x, t2y), float(temperature) if temperature else None)
 
 
-def checksum(content: bytes) -> int:
-    """Return the XOR of the bytes between ``$`` and ``*``."""
-    return reduce(xor, content, 0)
-
-
 def content(sentence: bytes) -> bytes | None:
     """Return the content between ``$`` and ``*`` of a sentence; None if the frame or the checksum is wrong."""
     body, star, digits = sentence.rpartition(b"*")
-    if not star or not body.startswith(b"$") or len(digits) != 2:
+    if not star or not body.startswith(b"$") or not re.fullmatch(b"[0-9A-Fa-f]{2}", digits):
         return None
-    try:
-        stated = int(digits, 16)
-    except ValueError:
-        return None
-    return body[1:] if stated == checksum(body[1:]) else None
+    return body[1:] if int(digits, 16) == reduce(xor, body[1:], 0) else None
 
 
 def missing(before: int, now: int) -> int | None:
@@ -119,10 +92,8 @@ def missing(before: int, now: int) -> int | None:
     """
     if now > before:
         return now - before - 1
-    for modulus in ROUND_NUMBERS:
-        if before < modulus and modulus - before - 1 + now < FEW:
-            return modulus - before - 1 + now
-    return None
+    wrapped = (modulus - before - 1 + now for modulus in ROUND_NUMBERS if before < modulus)
+    return next((count for count in wrapped if count < FEW), None)
 
 
 ALONE = 8
@@ -133,38 +104,14 @@ MOST_APART = 1 / 8
 
 
 class Pulse(NamedTuple):
-    """One pulse of one line.
-
-    Attributes
-    ----------
-    rise, fall : int
-        Any unit of time.
-    """
+    """The edges of one pulse of one line, in any unit of time."""
 
     rise: int
     fall: int
 
-    @property
-    def length(self) -> int:
-        """T1."""
-        return self.fall - self.rise
-
-    @property
-    def centre(self) -> float:
-        """Midway between the edges."""
-        return (self.rise + self.fall) / 2
-
 
 class Cycle(NamedTuple):
-    """One measurement of both axes.
-
-    Attributes
-    ----------
-    x, y : float
-        T1 of each, in the unit of the edges.
-    period : float
-        T2, likewise.
-    """
+    """One measurement of both axes: T1 of each and T2, in the unit of the edges."""
 
     x: float
     y: float
@@ -176,27 +123,16 @@ class Cycle(NamedTuple):
         return self.x / self.period, self.y / self.period
 
 
-def centred_cycle(x: Pulse, y: Pulse) -> Cycle:
-    """Return the cycle of a pulse of x and the pulse of y in the next period, with common centres."""
-    # Integer arithmetic, so that a timestamp of 2**60 ns keeps all digits.
-    period = (y.rise - x.rise + y.fall - x.fall) / 2
-    return Cycle(x.length, y.length, period)
-
-
-def rising_cycle(x: Pulse, y: Pulse, next_x: Pulse) -> Cycle:
-    """Return the cycle of the pulses of one period and the next pulse of x, with common rises."""
-    return Cycle(x.length, y.length, next_x.rise - x.rise)
+def _between_centres(x: Pulse, y: Pulse) -> float:
+    """Return the time from centre to centre, in integers, so that a timestamp of 2**60 ns keeps all digits."""
+    return (y.rise - x.rise + y.fall - x.fall) / 2
 
 
 class PulseTrains:
     """Converts the edges of both lines to cycles, one per period.
 
-    Attributes
-    ----------
-    lost : int
-        Edges that were captured and never arrived; their periods give no cycle.
-    torn : int
-        Periods without a cycle because a pulse of one line is missing, although no edge was lost.
+    lost: edges that were captured and never arrived; their periods give no cycle.
+    torn: periods without a cycle because a pulse of one line is missing, although no edge was lost.
     """
 
     def __init__(self) -> None:
@@ -214,11 +150,10 @@ class PulseTrains:
 
         DeviceFault: the two trains do not belong together, or one line is dead.
         """
-        if self._number is not None:
-            gap = (edge.number - self._number - 1) & 0xFFFFFFFF
-            if gap:
-                self.lost += gap
-                self._clear()
+        gap = 0 if self._number is None else (edge.number - self._number - 1) & 0xFFFFFFFF
+        if gap:
+            self.lost += gap
+            self._clear()
         self._number = edge.number
         if edge.rising:
             self._rise[edge.line] = edge.time_ns
@@ -233,48 +168,42 @@ class PulseTrains:
         self._rise: list[int | None] = [None, None]
         self._pulses: tuple[deque[Pulse], deque[Pulse]] = (deque(), deque())
 
+    def _fail(self, why: str) -> DeviceFault:
+        self._clear()
+        return DeviceFault(why)
+
     def _cycle(self) -> Cycle | None:
         xs, ys = self._pulses
-        self._require_both()
+        for pulses, others, name, other in ((xs, ys, "x", "y"), (ys, xs, "y", "x")):
+            if not pulses and len(others) >= ALONE:
+                raise self._fail(
+                    f"{other} pulses and {name} does not: check the wire of {name}, and whether the axis is at its rail"
+                )
         while len(xs) > 1 and len(ys) > 1:
-            x, y = xs[0], ys[0]
-            about = xs[1].rise - x.rise
+            x, next_x, y, next_y = xs[0], xs[1], ys[0], ys[1]
+            about = next_x.rise - x.rise
             if about <= 0:
-                self._clear()
-                raise DeviceFault("two pulses of x rise at one time, or in wrong order: check the times of the edges")
-            if y.centre - x.centre > about / 2:
-                xs.popleft()
+                raise self._fail("two pulses of x rise at one time, or in wrong order: check the times of the edges")
+            apart = _between_centres(x, y)
+            if abs(apart) > about / 2:
+                (xs if apart > 0 else ys).popleft()
                 continue
-            if x.centre - y.centre > about / 2:
-                ys.popleft()
-                continue
-            next_x, next_y = xs[1], ys[1]
             xs.popleft()
             ys.popleft()
             if abs(next_y.rise - y.rise - about) > MOST_APART * about:
                 # A pulse of one line is missing, so the next pulses are not the next period.
                 self.torn += 1
                 continue
-            return _arranged(x, y, next_x, next_y, about)
-        return None
-
-    def _require_both(self) -> None:
-        for line, name, other in ((0, "x", "y"), (1, "y", "x")):
-            if not self._pulses[line] and len(self._pulses[1 - line]) >= ALONE:
-                self._clear()
+            rises, centres = abs(y.rise - x.rise), abs(apart)
+            if min(rises, centres) > MOST_APART * about:
                 raise DeviceFault(
-                    f"{other} pulses and {name} does not: check the wire of {name}, and whether the axis is at its rail"
+                    "the pulses of x and y share neither their rising edges nor their centres: are both lines of one "
+                    "sensor?"
                 )
-
-
-def _arranged(x: Pulse, y: Pulse, next_x: Pulse, next_y: Pulse, about: float) -> Cycle:
-    """Return the cycle for the arrangement of the pulses; ``about`` is the approximate period."""
-    rises, centres = abs(y.rise - x.rise), abs(y.rise - x.rise + y.fall - x.fall) / 2
-    if min(rises, centres) > MOST_APART * about:
-        raise DeviceFault(
-            "the pulses of x and y share neither their rising edges nor their centres: are both lines of one sensor?"
-        )
-    return centred_cycle(x, next_y) if centres < rises else rising_cycle(x, y, next_x)
+            if centres < rises:
+                return Cycle(x.fall - x.rise, next_y.fall - next_y.rise, _between_centres(x, next_y))
+            return Cycle(x.fall - x.rise, y.fall - y.rise, about)
+        return None
 
 
 ZERO = 0.5
@@ -294,26 +223,19 @@ class Adxl202Sentences:
         self._lines = LineBuffer(link, clock)
         self._number: int | None = None
         self._damaged_since = 0
-        self._used = self._damaged = self._lost = self._restarts = 0
+        self._counts = {"sentences": 0, "damaged": 0, "lost": 0, "restarts": 0}
 
     def probe(self) -> Mapping[str, str]:
         """Return a new sentence, and the link statistics, as text; the errors are those of :meth:`read`."""
         self.discard()
         sentence = self._next()
-        said = _in_words(sentence.duty)
-        said["period"] = f"{sentence.periods[0]:g} ticks"
+        said = _in_words(sentence.duty, f"{sentence.periods[0]:g} ticks")
         if sentence.temperature is not None:
             said["temperature"] = f"{sentence.temperature:.1f} °C"
-        return said | {"link": link_in_words(self.link_statistics())}
+        return said | {"link": link_in_words(self._counts)}
 
     def read(self) -> Reading:
-        """Return the next undamaged sentence: the duty cycles of x and y, and the temperature where it is sent, °C.
-
-        Raises
-        ------
-        BusError
-            No data, or no valid sentence.
-        """
+        """Return the next undamaged sentence: the duty cycles of x and y, and the temperature where it is sent, °C."""
         sentence = self._next()
         return Reading(sentence.duty, sentence.temperature)
 
@@ -324,7 +246,7 @@ class Adxl202Sentences:
 
     def link_statistics(self) -> Mapping[str, int]:
         """Return the counts of used, damaged and lost sentences (gaps in the sequence), and its restarts."""
-        return {"sentences": self._used, "damaged": self._damaged, "lost": self._lost, "restarts": self._restarts}
+        return dict(self._counts)
 
     def _next(self) -> Sentence:
         for _ in range(UNUSABLE):
@@ -333,10 +255,10 @@ class Adxl202Sentences:
             garbage, _, _ = line.rpartition(b"$")
             sentence = parse_sentence(line[len(garbage) :])
             if (garbage or sentence is None) and (whole or line.startswith(b"$")):
-                self._damaged += 1
+                self._counts["damaged"] += 1
                 self._damaged_since += 1
             if sentence is not None and self._in_sequence(sentence.number):
-                self._used += 1
+                self._counts["sentences"] += 1
                 return sentence
         raise BusError(
             f"{UNUSABLE} lines arrived and none was a sentence $PTCDC,seq,t1x,t1y,t2x,t2y*hh with its checksum; "
@@ -347,16 +269,12 @@ class Adxl202Sentences:
         """Count the missing sentences before this one, and return whether it is new."""
         before, self._number = self._number, number
         damaged, self._damaged_since = self._damaged_since, 0
-        if number == before:
-            return False
-        if before is not None:
+        if before is not None and number != before:
             gap = missing(before, number)
-            if gap is None:
-                self._restarts += 1
-            else:
-                # A damaged sentence leaves a gap too, and is already counted.
-                self._lost += max(gap - damaged, 0)
-        return True
+            self._counts["restarts"] += gap is None
+            # A damaged sentence leaves a gap too, and is already counted.
+            self._counts["lost"] += max((gap or 0) - damaged, 0)
+        return number != before
 
 
 class Adxl202Edges:
@@ -372,18 +290,14 @@ class Adxl202Edges:
         """Return a new period, and the link statistics, as text; the errors are those of :meth:`read`."""
         self.discard()
         cycle = self._next()
-        said = _in_words(cycle.duty)
-        return said | {"period": f"{cycle.period / 1e6:.6g} ms", "link": link_in_words(self.link_statistics())}
+        said = _in_words(cycle.duty, f"{cycle.period / 1e6:.6g} ms")
+        return said | {"link": link_in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """Return the next period: the duty cycles of x and y.
 
-        Raises
-        ------
-        BusError
-            No edges.
-        DeviceFault
-            One line is dead, or the lines do not belong together.
+        BusError: no edges.
+        DeviceFault: one line is dead, or the lines do not belong together.
         """
         return Reading(self._next().duty)
 
@@ -402,10 +316,7 @@ class Adxl202Edges:
             if self._ready:
                 self._used += 1
                 return self._ready.popleft()
-            for edge in self._edges():
-                cycle = self._trains.take(edge)
-                if cycle is not None:
-                    self._ready.append(cycle)
+            self._ready.extend(cycle for edge in self._edges() if (cycle := self._trains.take(edge)))
         raise DeviceFault("edges arrive, but no complete period of both lines: are the wires of x and y loose?")
 
     def _edges(self) -> Iterator[Edge]:
@@ -417,8 +328,8 @@ class Adxl202Edges:
             raise
 
 
-def _in_words(duty: tuple[float, float]) -> dict[str, str]:
-    return {channel: f"{share:.6f} duty" for channel, share in zip("xy", duty, strict=True)}
+def _in_words(duty: tuple[float, float], period: str) -> dict[str, str]:
+    return {"x": f"{duty[0]:.6f} duty", "y": f"{duty[1]:.6f} duty", "period": period}
 
 
 PERIOD = 0.010
@@ -428,41 +339,27 @@ TIMER = 8_000_000
 """Ticks a second of the virtual microcontroller's timer."""
 
 
-class Pulses:
-    """Duty cycles and period of a virtual part, cycle by cycle."""
+def period_of(truth: Truth) -> float:
+    """Return T2 at the reference temperature, seconds: within 5 % of nominal, because resistors and parts vary."""
+    return PERIOD * (1.0 + 0.05 * (2.0 * uniform(truth.seed, "period", 0) - 1.0))
 
-    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
-        self._truth = truth
-        self._fixture = fixture
-        self._clock = clock
 
-    @property
-    def period(self) -> float:
-        """T2 at the reference temperature, seconds: within 5 % of nominal, because resistors and parts vary."""
-        return PERIOD * (1.0 + 0.05 * (2.0 * uniform(self._truth.seed, "period", 0) - 1.0))
-
-    @property
-    def warm_period(self) -> float:
-        """T2 now, seconds: 0.1 % longer per °C, so that T1 alone is wrong."""
-        return self.period * (1.0 + 1e-3 * (self._fixture.temperature() - self._truth.reference))
-
-    def duty(self, channel: str, number: int) -> float:
-        """Return T1/T2 of one axis in one cycle, between 0 and 1."""
-        temperature = self._fixture.temperature(self._truth.lag)
-        reading = self._truth.sample(channel, self._fixture.gravity, temperature, self._clock.now_ns(), number)
-        return min(max(reading, 0.0), 1.0)
+def duty_cycles(truth: Truth, fixture: HeldPose, clock: Clock, number: int) -> tuple[float, ...]:
+    """Return T1/T2 of x and y in one cycle of a virtual part, between 0 and 1."""
+    gravity, temperature, now_ns = fixture.gravity, fixture.temperature(truth.lag), clock.now_ns()
+    return tuple(min(max(truth.sample(axis, gravity, temperature, now_ns, number), 0.0), 1.0) for axis in "xy")
 
 
 def virtual_sentences(truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
     """Return a microcontroller that times both pulses and sends 100 sentences per second."""
-    pulses = Pulses(truth, fixture, clock)
 
     def sentence(number: int) -> bytes:
-        ticks = round(pulses.warm_period * TIMER)
-        x, y = (round(pulses.duty(channel, number) * ticks) for channel in ("x", "y"))
+        # 0.1 % longer per °C, so that T1 alone is wrong.
+        ticks = round(period_of(truth) * (1.0 + 1e-3 * (fixture.temperature() - truth.reference)) * TIMER)
+        x, y = (round(duty * ticks) for duty in duty_cycles(truth, fixture, clock, number))
         temperature = fixture.temperature() + truth.thermometer_error
         inside = f"PTCDC,{number},{x},{y},{ticks},{ticks},{temperature:.2f}".encode()
-        return b"$%s*%02X\r\n" % (inside, checksum(inside))
+        return b"$%s*%02X\r\n" % (inside, reduce(xor, inside, 0))
 
     return StreamingPart(truth, fixture, clock, sentence)
 
@@ -470,55 +367,27 @@ def virtual_sentences(truth: Truth, fixture: HeldPose, clock: Clock) -> Streamin
 class VirtualEdges(VirtualLine):
     """Both outputs of a virtual part on two captured lines, the pulses of x and y with common centres.
 
-    The answer depends on the time alone: the edges of the next whole period. An edge that was not read at once is lost,
-    and leaves a gap in the numbers.
-
-    clock: advances to the end of that period.
+    The answer depends on the time alone: the edges of the next whole period, to whose end the clock advances. An edge
+    that was not read at once is lost, and leaves a gap in the numbers.
     """
 
     letter = "e"
-
-    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
-        super().__init__(truth, fixture, clock)
-        self._pulses = Pulses(truth, fixture, clock)
-        self._period_ns = round(self._pulses.period * 1e9)
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Wait for the edges of a period; see :class:`~tiltcal.drivers.bus.link.Link`."""
         self._require_line(silent=count > 0)
         if not count:
             return b""
-        now_ns = self._clock.now_ns()
-        cycle = -(-now_ns // self._period_ns)
+        period_ns, now_ns = round(period_of(self._truth) * 1e9), self._clock.now_ns()
+        cycle = -(-now_ns // period_ns)
         # To the end of the period, not to its last edge, which moves while the temperature of the chamber changes.
-        self._clock.sleep(((cycle + 1) * self._period_ns - now_ns) / 1e9)
-        edges = self._edges(cycle)[: max(count // RECORD.size, 1)]
-        return pack_edges(edges)
-
-    def _edges(self, cycle: int) -> list[Edge]:
-        """Return the four edges of a period in the order of time."""
-        centre = cycle * self._period_ns + self._period_ns // 2
-        found = []
-        for line, channel in enumerate(("x", "y")):
-            half = round(self._pulses.duty(channel, cycle) * self._period_ns / 2)
-            found += [(centre - half, line, True), (centre + half, line, False)]
-        return [Edge(time, line, rising, 4 * cycle + place) for place, (time, line, rising) in enumerate(sorted(found))]
-
-
-@dataclass(frozen=True, slots=True)
-class Adxl202Variant:
-    """The constants of one part.
-
-    Attributes
-    ----------
-    duty_per_g : float
-        Nominal sensitivity.
-    noise_density : float
-        g/√Hz.
-    """
-
-    duty_per_g: float
-    noise_density: float
+        self._clock.sleep(((cycle + 1) * period_ns - now_ns) / 1e9)
+        centre, edges = cycle * period_ns + period_ns // 2, []
+        for line, duty in enumerate(duty_cycles(self._truth, self._fixture, self._clock, cycle)):
+            half = round(duty * period_ns / 2)
+            edges += [(centre - half, line, True), (centre + half, line, False)]
+        numbered = [Edge(*edge, 4 * cycle + place) for place, edge in enumerate(sorted(edges))]
+        return pack_edges(numbered[: max(count // RECORD.size, 1)])
 
 
 SENSITIVITY_LIMIT = 0.2
@@ -527,43 +396,8 @@ SENSITIVITY_LIMIT = 0.2
 OFFSET_SPREAD = 0.5
 """Standard deviation of the offset between parts, g; our estimate, because the notes state only that it varies."""
 
-
-def draw_truth(variant: Adxl202Variant, seed: int) -> Truth:
-    """Return a plausible part.
-
-    Returns
-    -------
-    Truth
-        Sensitivity within the part's spread; offset within ±0.4 g, a cross-axis sensitivity within 2 %, drifts within
-        the typical 2 mg/°C and 0.02 %/°C, noise at 10 Hz of bandwidth, a jig of 0.01° and a chamber with a time
-        constant of 20 s. Where no note states a number, these are ours.
-    """
-    channels = ("x", "y")
-
-    within = part_errors(seed)
-
-    def row(channel: str) -> dict[str, float]:
-        own = variant.duty_per_g * (1.0 + within(SENSITIVITY_LIMIT, f"sensitivity {channel}"))
-        other = "y" if channel == "x" else "x"
-        return {
-            channel: own,
-            other: own * within(0.02, f"cross {channel}"),
-            "z": own * within(0.02, f"cross {channel} z"),
-        }
-
-    return Truth(
-        channels=channels,
-        offset={channel: ZERO + variant.duty_per_g * within(0.4, f"offset {channel}") for channel in channels},
-        sensitivity={channel: row(channel) for channel in channels},
-        reference=24.0,
-        drift={channel: (variant.duty_per_g * within(0.002, f"drift {channel}"),) for channel in channels},
-        gain={channel: (within(2e-4, f"gain {channel}"),) for channel in channels},
-        noise=dict.fromkeys(channels, variant.duty_per_g * variant.noise_density * (1.57 * 10.0) ** 0.5),
-        thermometer_error=within(0.5, "thermometer"),
-        seed=seed,
-        jig=JIG,
-        time_constant=TIME_CONSTANT,
-    )
+LIMITS = Tolerances(offset=0.4, sensitivity=SENSITIVITY_LIMIT, cross=0.02, drift=2e-3, gain=2e-4, thermometer=0.5)
+"""Of a virtual part: the typical drifts of 2 mg/°C and 0.02 %/°C; where no note states a number, these are ours."""
 
 
 def _configured(model: Model, address: Address) -> Model:
@@ -579,19 +413,17 @@ def _configured(model: Model, address: Address) -> Model:
         address.refuse(f"option wiring={wiring} is neither sentences nor edges")
     if wiring == "sentences" and address.scheme in ("serial", "sim"):
         return model
-    return replace(
-        model,
-        schemes=("gpio", "vcd", "serial"),
-        thermometer=False,
-        driver=Adxl202Edges,
-        twin=VirtualEdges,
-    )
+    schemes = ("gpio", "vcd", "serial")
+    return replace(model, schemes=schemes, thermometer=False, driver=Adxl202Edges, twin=VirtualEdges)
 
 
-def _model(name: str, title: str, variant: Adxl202Variant) -> Model:
+def _model(name: str, extent: str, duty_per_g: float, noise_density: float) -> Model:
+    """Return the model of a part by its nominal sensitivity and its noise, g/√Hz."""
+    # The noise is that of a bandwidth of 10 Hz.
+    noise = duty_per_g * noise_density * (1.57 * 10.0) ** 0.5
     model = Model(
         name=name,
-        title=title,
+        title=f"Analog Devices {name.upper()} accelerometer, {extent}, duty cycle",
         channels=("x", "y"),
         unit="duty",
         schemes=("serial", "gpio", "vcd"),
@@ -602,7 +434,7 @@ def _model(name: str, title: str, variant: Adxl202Variant) -> Model:
             "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2",
         ),
         offset=ZERO,
-        sensitivity=variant.duty_per_g,
+        sensitivity=duty_per_g,
         offset_spread=OFFSET_SPREAD,
         sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
         rails=(0.0, 1.0),
@@ -621,18 +453,18 @@ def _model(name: str, title: str, variant: Adxl202Variant) -> Model:
             "the period's drift with temperature, on edges (sentences have it)",
             "the memory fault (parity) of other parts: this part has no such memory",
         ),
-        default_truth=partial(draw_truth, variant),
+        default_truth=lambda seed: LIMITS.draw(("x", "y"), duty_per_g, noise, seed, ZERO),
         options=("wiring",),
     )
     return replace(model, configure=partial(_configured, model))
 
 
 MODELS = {
-    name: _model(name, f"Analog Devices {name.upper()} accelerometer, {extent}, duty cycle", variant)
-    for name, extent, variant in (
-        ("adxl202", "±2 g", Adxl202Variant(0.125, 500e-6)),
-        ("adxl202e", "±2 g", Adxl202Variant(0.125, 200e-6)),
-        ("adxl210", "±10 g", Adxl202Variant(0.04, 500e-6)),
+    name: _model(name, extent, duty_per_g, noise_density)
+    for name, extent, duty_per_g, noise_density in (
+        ("adxl202", "±2 g", 0.125, 500e-6),
+        ("adxl202e", "±2 g", 0.125, 200e-6),
+        ("adxl210", "±10 g", 0.04, 500e-6),
     )
 }
 """By the name that the user types."""

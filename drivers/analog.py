@@ -35,7 +35,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from math import cbrt, exp, inf, log, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tiltcal.drivers import adxl202, sca100t
 from tiltcal.drivers.bus.address import parse_address
@@ -70,21 +70,71 @@ self-test or its interconnection is broken. The duty cycles of an ADXL202 stay w
 BANDWIDTH = 10.0
 """Assumed bandwidth of the RC filter of an ADXL202, Hz; it sets the noise of the virtual part."""
 
-SCA100T_NOT_MODELLED = (
-    "long-term drift, temperature hysteresis, shock",
-    "self-test pins, and its digital port, which the analog outputs do not need",
-)
-ADXL202_NOT_MODELLED = (
-    "the pulses: their ripple after the RC filter, and the load of the filter",
-    "offsets, cross-axis sensitivity and drift of a part are our estimates: no source states them",
-    "nonlinearity",
-    "the memory fault (parity) of other parts: this part has no such memory",
-)
+
+@dataclass(frozen=True)
+class Wired:
+    """What is wired to the inputs of a converter: the facts of :class:`TiltPart` or :class:`Divider`."""
+
+    part: TiltPart | Divider
+    front_end: FrontEnd
+    numbers: tuple[int, ...]
+    supply: Supply
+
+    def facts(self, configure: Any) -> dict[str, Any]:
+        """Return the facts of a model that do not depend on the part."""
+        return {
+            "schemes": self.front_end.schemes,
+            "spi": self.front_end.spi,
+            "driver": partial(AnalogSensor, self),
+            "twin": self.virtual,
+            "configure": configure,
+        }
+
+    def virtual(self, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+        """Return a virtual converter with the part at its inputs."""
+        return self.front_end.twin(Wiring(truth, fixture, clock, self.supply, self._share))
+
+    def _share(self, wiring: Wiring, number: int) -> float:
+        """Return the voltage at an input as a share of the supply; that of an input without a wire is 0."""
+        return self.part.output(wiring, self.numbers.index(number)) if number in self.numbers else 0.0
+
+
+class AnalogSensor:
+    """The driver of an analog sensor or thermistor behind any converter."""
+
+    def __init__(self, wired: Wired, link: Link, clock: Clock) -> None:
+        self._wired = wired
+        self._converter = wired.front_end.driver(link, clock)
+        self._supply = 0.0
+        """Of the last sample, V."""
+
+    def probe(self) -> Mapping[str, str]:
+        """Return a sample, the supply and the converter as text; the errors are those of :meth:`read`."""
+        reading, wired = self.read(), self._wired
+        said = {
+            channel: f"{value:.4f} V, referred to {NOMINAL:g} V"
+            for channel, value in zip(CHANNELS, reading.values, strict=False)
+        }
+        if reading.temperature is not None:
+            said["temperature"] = f"{reading.temperature:.2f} °C"
+        return {**said, "supply": wired.supply.said(self._supply), "converter": wired.front_end.description}
+
+    def read(self) -> Reading:
+        """Take one sample.
+
+        BusError: the converter does not answer.
+        DeviceFault: a supply outside the range of the sensor, its fault signal, or an open or shorted thermistor.
+        """
+        shares, self._supply = self._wired.supply.shares(self._converter, self._wired.numbers)
+        return self._wired.part.reading(shares)
+
+    def discard(self) -> None:
+        """Do nothing: every read is a new conversion."""
 
 
 @dataclass(frozen=True)
-class AnalogPart:
-    """The constants of one analog sensor.
+class TiltPart:
+    """The facts of a sensor of two axes.
 
     digital: the same part at its digital port, with the same tolerances.
     share_per_g: nominal sensitivity, shares of the supply per g.
@@ -106,19 +156,36 @@ class AnalogPart:
         """Nominal, V/g referred to 5 V."""
         return NOMINAL * self.share_per_g
 
+    def reading(self, shares: tuple[float, ...]) -> Reading:
+        """Return x and y, V referred to a supply of 5 V."""
+        values = tuple(NOMINAL * share for share in shares)
+        if self.parity_signal and max(values) < LOWEST_SANE:
+            raise DeviceFault(
+                f"both outputs are below {LOWEST_SANE:g} V, the part's fault signal (memory parity error), or are not "
+                "connected: check the wiring, then switch its supply off and on; if it stays, replace the part"
+            )
+        return Reading(values)
+
+    def output(self, wiring: Wiring, place: int) -> float:
+        """Return a virtual output as a share of the supply."""
+        truth, now_ns = wiring.truth, wiring.clock.now_ns()
+        channel = truth.channels[place]
+        if self.parity_signal and truth.fault(now_ns / 1e9).kind == "parity":
+            return 0.05 * uniform(truth.seed, f"parity {channel}", now_ns)
+        temperature = wiring.fixture.temperature(truth.lag)
+        return truth.sample(channel, wiring.fixture.gravity, temperature, now_ns, now_ns) / NOMINAL
+
     def at(self, address: Address) -> Model:
         """Return the model of the part as it is connected at an address."""
         front_end = find_front_end(address)
         numbers = {channel: take_input(address, channel, front_end, place) for place, channel in enumerate(CHANNELS)}
         supply = take_supply(address, front_end, *self.supply)
         require_apart(address, {**numbers, "supply": supply.number})
-        wired = WiredAnalog(self, front_end, tuple(numbers.values()), supply)
         return Model(
             name=f"{self.digital.name}-analog",
             title=self.title,
             channels=CHANNELS,
             unit="V",
-            schemes=front_end.schemes,
             addresses=(
                 "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2",
                 "mcp3208+spi:///dev/spidev0.1?x=0&y=1&vref=5.0",
@@ -133,8 +200,6 @@ class AnalogPart:
             resolution=front_end.step * NOMINAL / supply.volts,
             interval=self.interval,
             thermometer=False,
-            driver=partial(AnalogSensor, wired),
-            twin=wired.virtual,
             not_modelled=(
                 *self.not_modelled,
                 "response time: a new position and a new temperature take effect at once, without ringing",
@@ -143,15 +208,13 @@ class AnalogPart:
                 "an input without a wire, which floats on the real part: it reads 0 V",
             ),
             default_truth=self.draw,
-            spi=front_end.spi,
             options=(*CHANNELS, "supply", "vdd", *front_end.options),
-            configure=self.at,
+            **Wired(self, front_end, tuple(numbers.values()), supply).facts(self.at),
         )
 
     def draw(self, seed: int) -> Truth:
         """Draw the part of the digital port, in V referred to a supply of 5 V."""
-        digital = self.digital
-        truth = digital.drawn(seed)
+        digital, truth = self.digital, self.digital.drawn(seed)
         step = self.sensitivity / digital.sensitivity
         return replace(
             truth,
@@ -166,89 +229,37 @@ class AnalogPart:
         )
 
 
-@dataclass(frozen=True)
-class WiredAnalog:
-    """A sensor at the inputs of a converter: those of x and y."""
-
-    part: AnalogPart
-    front_end: FrontEnd
-    numbers: tuple[int, ...]
-    supply: Supply
-
-    def virtual(self, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-        """Return a virtual converter with a sensor at its inputs; the truth is in V referred to 5 V."""
-        return self.front_end.twin(SensorWiring(self, truth, fixture, clock))
-
-
-class AnalogSensor:
-    """The driver of an analog sensor behind any converter."""
-
-    def __init__(self, wired: WiredAnalog, link: Link, clock: Clock) -> None:
-        self._wired = wired
-        self._converter = wired.front_end.driver(link, clock)
-        self._supply = 0.0
-        """Of the last sample, V."""
-
-    def probe(self) -> Mapping[str, str]:
-        """Return a sample, the supply and the converter as text; the errors are those of :meth:`read`."""
-        values = self.read().values
-        said = {
-            channel: f"{value:.4f} V, referred to {NOMINAL:g} V"
-            for channel, value in zip(CHANNELS, values, strict=True)
-        }
-        wired = self._wired
-        return {**said, "supply": wired.supply.said(self._supply), "converter": wired.front_end.description}
-
-    def read(self) -> Reading:
-        """Take one sample: x and y in V, referred to a supply of 5 V.
-
-        BusError: the converter does not answer.
-        DeviceFault: a supply outside the range of the sensor, or its fault signal.
-        """
-        shares, self._supply = self._wired.supply.shares(self._converter, self._wired.numbers)
-        values = tuple(NOMINAL * share for share in shares)
-        if self._wired.part.parity_signal and max(values) < LOWEST_SANE:
-            raise DeviceFault(
-                f"both outputs are below {LOWEST_SANE:g} V, the part's fault signal (memory parity error), or are not "
-                "connected: check the wiring, then switch its supply off and on; if it stays, replace the part"
-            )
-        return Reading(values)
-
-    def discard(self) -> None:
-        """Do nothing: every read is a new conversion."""
+def _sca100t(digital: Model, share_per_g: float) -> TiltPart:
+    return TiltPart(
+        title=digital.title.replace("SPI", "analog outputs behind a converter"),
+        digital=digital,
+        share_per_g=share_per_g,
+        supply=(4.75, 5.25),
+        parity_signal=True,
+        interval=digital.interval,
+        not_modelled=(
+            "long-term drift, temperature hysteresis, shock",
+            "self-test pins, and its digital port, which the analog outputs do not need",
+        ),
+    )
 
 
-class SensorWiring(Wiring):
-    """A virtual sensor of two axes at a converter."""
-
-    def __init__(self, wired: WiredAnalog, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
-        super().__init__(truth, fixture, clock, wired.supply)
-        self._parity_signal = wired.part.parity_signal
-        self._channels = dict(zip(wired.numbers, truth.channels, strict=True))
-
-    def share(self, number: int, now_ns: int) -> float:
-        """Return the voltage at an input, as a share of the supply."""
-        channel = self._channels.get(number)
-        if channel is None:
-            return 0.0
-        if self._parity_signal and self.truth.fault(now_ns / 1e9).kind == "parity":
-            return 0.05 * uniform(self.truth.seed, f"parity {channel}", now_ns)
-        temperature = self.fixture.temperature(self.truth.lag)
-        return self.truth.sample(channel, self.fixture.gravity, temperature, now_ns, now_ns) / NOMINAL
-
-
-def _sca100t(digital: Model, share_per_g: float) -> Model:
-    title = digital.title.replace("SPI", "analog outputs behind a converter")
-    part = AnalogPart(title, digital, share_per_g, (4.75, 5.25), True, digital.interval, SCA100T_NOT_MODELLED)
-    return part.at(parse_address("sim:"))
-
-
-def _adxl202(digital: Model) -> Model:
-    """Return the model of a part whose filter gives the duty cycle, as a share of the supply."""
-    title = f"{digital.title} through an RC filter behind a converter"
-    interval = 0.5 / BANDWIDTH
-    part = AnalogPart(title, digital, digital.sensitivity, (3.0, 5.25), False, interval, ADXL202_NOT_MODELLED)
-    return part.at(parse_address("sim:"))
+def _adxl202(digital: Model) -> TiltPart:
+    """Return the part whose filter gives the duty cycle, as a share of the supply."""
+    return TiltPart(
+        title=f"{digital.title} through an RC filter behind a converter",
+        digital=digital,
+        share_per_g=digital.sensitivity,
+        supply=(3.0, 5.25),
+        parity_signal=False,
+        interval=0.5 / BANDWIDTH,
+        not_modelled=(
+            "the pulses: their ripple after the RC filter, and the load of the filter",
+            "offsets, cross-axis sensitivity and drift of a part are our estimates: no source states them",
+            "nonlinearity",
+            "the memory fault (parity) of other parts: this part has no such memory",
+        ),
+    )
 
 
 # --- Thermistors ---
@@ -256,11 +267,10 @@ def _adxl202(digital: Model) -> Model:
 ZERO_CELSIUS = 273.15
 """K."""
 
-OPTIONS = ("channel", "beta", "r0", "t0", "a", "b", "c", "fixed", "to", "supply", "vdd")
-"""Of an address, without those of the converter."""
-
-SUPPLY = (1.0, 5.5)
+THERMISTOR_SUPPLY = (1.0, 5.5)
 """Limits of the converters, V; a divider works with any supply."""
+
+THERMISTOR_OPTIONS = ("beta", "r0", "t0", "a", "b", "c", "fixed", "to")
 
 SHORTED, OPEN = 0.005, 0.995
 """Shares of the supply that only a broken divider reaches."""
@@ -268,28 +278,14 @@ SHORTED, OPEN = 0.005, 0.995
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """The curve of Steinhart and Hart, 1/T = a + b ln R + c (ln R)³ in K and Ω.
-
-    Attributes
-    ----------
-    a, b, c : float
-        1/K. ``b`` is positive and ``c`` is not negative, so the temperature falls as the resistance rises.
-    """
+    """The curve of Steinhart and Hart, 1/T = a + b ln R + c (ln R)³ in K and Ω; b is positive, c not negative."""
 
     a: float
     b: float
     c: float
 
-    @classmethod
-    def from_beta(cls, beta: float, r0: float, t0: float) -> Curve:
-        """Return the curve of a beta in K through r0 in Ω at t0 in °C."""
-        return cls(1.0 / (t0 + ZERO_CELSIUS) - log(r0) / beta, 1.0 / beta, 0.0)
-
     def celsius(self, ohms: float) -> float:
-        """Return the temperature at a resistance, °C.
-
-        DeviceFault: the curve has no temperature there.
-        """
+        """Return the temperature at a resistance, °C."""
         x = log(ohms)
         inverse = self.a + self.b * x + self.c * x**3
         if inverse <= 0.0:
@@ -312,105 +308,35 @@ class Curve:
 
 @dataclass(frozen=True)
 class Divider:
-    """A thermistor and a fixed resistor across a supply.
-
-    Attributes
-    ----------
-    fixed : float
-        Ω.
-    grounded : bool
-        Whether the thermistor is tied to ground and not to the supply.
-    """
+    """A thermistor and a fixed resistor, Ω, across a supply; ``grounded`` where the thermistor is tied to ground."""
 
     curve: Curve
     fixed: float
     grounded: bool
 
-    def share(self, celsius: float) -> float:
-        """Return the output at a temperature, as a share of the supply."""
-        ohms = self.curve.ohms(celsius)
-        return (ohms if self.grounded else self.fixed) / (ohms + self.fixed)
-
-    def celsius(self, share: float) -> float:
-        """Return the temperature for an output as a share of the supply, °C.
-
-        DeviceFault: the thermistor or its wire is open or shorted.
-        """
+    def reading(self, shares: tuple[float, ...]) -> Reading:
+        """Return the temperature for an output as a share of the supply; there are no other values."""
+        (share,) = shares
         if not SHORTED < share < OPEN:
-            found = "shorted" if (share <= SHORTED) == self.grounded else "open, or not connected"
+            state = "shorted" if (share <= SHORTED) == self.grounded else "open, or not connected"
             raise DeviceFault(
-                f"the divider output is {100 * share:.1f} % of its supply, so the thermistor is {found}: check it, "
+                f"the divider output is {100 * share:.1f} % of its supply, so the thermistor is {state}: check it, "
                 "its wires and the fixed resistor"
             )
         ratio = share / (1.0 - share)
-        return self.curve.celsius(self.fixed * (ratio if self.grounded else 1.0 / ratio))
+        return Reading((), self.curve.celsius(self.fixed * (ratio if self.grounded else 1.0 / ratio)))
 
-
-@dataclass(frozen=True)
-class WiredThermistor:
-    """A thermistor at an input of a converter."""
-
-    front_end: FrontEnd
-    number: int
-    divider: Divider
-    supply: Supply
-
-    def virtual(self, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-        """Return a virtual converter with a thermistor at one of its inputs."""
-        return self.front_end.twin(ThermistorWiring(self, truth, fixture, clock))
-
-
-class Thermistor:
-    """The driver of a thermistor behind any converter."""
-
-    def __init__(self, wired: WiredThermistor, link: Link, clock: Clock) -> None:
-        self._wired = wired
-        self._converter = wired.front_end.driver(link, clock)
-        self._supply = 0.0
-        """Of the last sample, V."""
-
-    def probe(self) -> Mapping[str, str]:
-        """Return temperature, supply and converter as text; the errors are those of :meth:`read`."""
-        celsius = self.read().temperature
-        return {
-            "temperature": f"{celsius:.2f} °C",
-            "supply": self._wired.supply.said(self._supply),
-            "converter": self._wired.front_end.description,
-        }
-
-    def read(self) -> Reading:
-        """Take one sample: only the temperature, no values.
-
-        BusError: the converter does not answer.
-        DeviceFault: an open or shorted thermistor, or no supply.
-        """
-        (share,), self._supply = self._wired.supply.shares(self._converter, (self._wired.number,))
-        return Reading((), self._wired.divider.celsius(share))
-
-    def discard(self) -> None:
-        """Do nothing: every read is a new conversion."""
-
-
-class ThermistorWiring(Wiring):
-    """A virtual thermistor's divider at a converter; of the truth its seed, supply, errors and faults are used."""
-
-    def __init__(self, wired: WiredThermistor, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
-        super().__init__(truth, fixture, clock, wired.supply)
-        self._wired = wired
-
-    def share(self, number: int, now_ns: int) -> float:
-        """Return the voltage at an input, as a share of the supply."""
-        if number != self._wired.number:
-            return 0.0
-        stuck = self.truth.fault(now_ns / 1e9).kind == "stuck"
-        temperature = self.truth.ambient if stuck else self.fixture.temperature()
-        return self._wired.divider.share(temperature + self.truth.thermometer_error)
+    def output(self, wiring: Wiring, place: int) -> float:
+        """Return the virtual output as a share of the supply."""
+        stuck = wiring.truth.fault(wiring.clock.now_ns() / 1e9).kind == "stuck"
+        celsius = wiring.truth.ambient if stuck else wiring.fixture.temperature()
+        ohms = self.curve.ohms(celsius + wiring.truth.thermometer_error)
+        return (ohms if self.grounded else self.fixed) / (ohms + self.fixed)
 
 
 def _curve(address: Address) -> Curve:
     """Return the curve of an address; only a virtual thermistor has a default."""
-    hart = [name for name in ("a", "b", "c") if name in address.options]
-    if hart:
+    if any(name in address.options for name in ("a", "b", "c")):
         if "beta" in address.options:
             address.refuse("options 'beta' and 'a', 'b', 'c' exclude each other: give one curve")
         a, b, c = (address.number(name) for name in ("a", "b", "c"))
@@ -421,36 +347,25 @@ def _curve(address: Address) -> Curve:
         address.refuse("the thermistor's curve is missing (add beta=...&r0=..., or a=...&b=...&c=...)")
     beta = address.number("beta", 3950.0, low=100.0, high=20_000.0)
     r0 = address.number("r0", 10_000.0 if address.simulated else None, low=1.0)
-    return Curve.from_beta(beta, r0, address.number("t0", 25.0, low=-100.0, high=300.0))
+    t0 = address.number("t0", 25.0, low=-100.0, high=300.0)
+    return Curve(1.0 / (t0 + ZERO_CELSIUS) - log(r0) / beta, 1.0 / beta, 0.0)
 
 
-def _wire_thermistor(address: Address) -> WiredThermistor:
-    """Return the wiring of an address."""
+def thermistor_at(address: Address) -> Model:
+    """Return the thermistor as it is connected at an address."""
     front_end = find_front_end(address)
     tied = address.text("to", "ground")
     if tied not in ("ground", "supply"):
         address.refuse(f"option to={tied} is neither ground nor supply")
     fixed = address.number("fixed", 10_000.0 if address.simulated else None, low=1.0)
     number = take_input(address, "channel", front_end, 3)
-    supply = take_supply(address, front_end, *SUPPLY)
+    supply = take_supply(address, front_end, *THERMISTOR_SUPPLY)
     require_apart(address, {"channel": number, "supply": supply.number})
-    return WiredThermistor(front_end, number, Divider(_curve(address), fixed, tied == "ground"), supply)
-
-
-def _ideal_thermistor(seed: int) -> Truth:
-    return Truth(channels=(), offset={}, sensitivity={}, seed=seed, jig=JIG, time_constant=TIME_CONSTANT)
-
-
-def thermistor_at(address: Address) -> Model:
-    """Return the thermistor as it is connected at an address."""
-    wired = _wire_thermistor(address)
-    front_end = wired.front_end
     return Model(
         name="thermistor",
         title="NTC thermistor in a divider behind a converter, temperature only",
         channels=(),
         unit="°C",
-        schemes=front_end.schemes,
         addresses=(
             "ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&supply=2&beta=3950&r0=10000&t0=25&fixed=10000",
             "mcp3208+spi:///dev/spidev0.1?channel=3&vref=5.0&beta=3950&r0=10000&t0=25&fixed=10000",
@@ -464,8 +379,6 @@ def thermistor_at(address: Address) -> Model:
         resolution=0.0,
         interval=0.01,
         thermometer=True,
-        driver=partial(Thermistor, wired),
-        twin=wired.virtual,
         not_modelled=(
             "lag behind the chamber, self-heating, noise",
             "the memory fault (parity) of other parts",
@@ -473,20 +386,13 @@ def thermistor_at(address: Address) -> Model:
             "supply: ripple, drift",
             "converter: offset, gain error, nonlinearity, noise, charge taken from the divider",
         ),
-        default_truth=_ideal_thermistor,
-        spi=front_end.spi,
-        options=(*OPTIONS, *front_end.options),
-        configure=thermistor_at,
+        default_truth=lambda seed: Truth((), {}, {}, seed=seed, jig=JIG, time_constant=TIME_CONSTANT),
+        options=("channel", *THERMISTOR_OPTIONS, "supply", "vdd", *front_end.options),
+        **Wired(Divider(_curve(address), fixed, tied == "ground"), front_end, (number,), supply).facts(thermistor_at),
     )
 
 
-MODELS = {
-    model.name: model
-    for model in (
-        _sca100t(sca100t.D01, 0.8),
-        _sca100t(sca100t.D02, 0.4),
-        *map(_adxl202, adxl202.MODELS.values()),
-        thermistor_at(parse_address("sim:")),
-    )
-}
+_PARTS = (_sca100t(sca100t.D01, 0.8), _sca100t(sca100t.D02, 0.4), *map(_adxl202, adxl202.MODELS.values()))
+
+MODELS = {model.name: model for model in (at(parse_address("sim:")) for at in (*(p.at for p in _PARTS), thermistor_at))}
 """By the name that the user types."""

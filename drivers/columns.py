@@ -25,6 +25,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from tiltcal.drivers.model import Model, Reading, link_in_words
+from tiltcal.drivers.sketch import bare
 from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, StreamingPart, Truth, part_errors
 from tiltcal.errors import BusError
 
@@ -92,10 +93,7 @@ class LineBuffer:
     The first piece after the start, or after :meth:`discard`, may be the tail of a line; it is a whole one where the
     device was silent before it.
 
-    Parameters
-    ----------
-    clock : Clock
-        Times a line, and the silence before it.
+    clock: times a line, and the silence before it.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
@@ -108,11 +106,7 @@ class LineBuffer:
     def next(self) -> tuple[bytes, bool]:
         """Return the next line that is not empty, without its end.
 
-        Returns
-        -------
-        line : bytes
-        whole : bool
-            False if its beginning may be missing.
+        whole: false if its beginning may be missing.
 
         BusError: silence, bytes without a line end, or line ends alone.
         """
@@ -183,12 +177,8 @@ def shown(line: bytes) -> str:
 class ColumnLayout:
     """The meaning of the numbers of a line.
 
-    Attributes
-    ----------
-    names : tuple of str
-        In the order of the line; ``-`` for one that is skipped.
-    separator : bytes
-        A regular expression.
+    names: in the order of the line; ``-`` for one that is skipped.
+    separator: A regular expression.
     """
 
     names: tuple[str, ...]
@@ -205,7 +195,7 @@ class ColumnLayout:
 
     def reading(self, line: bytes) -> Reading | None:
         """Return the reading of a line; None if its number of columns is wrong or a cell is not a number."""
-        cells = re.split(self.separator, line.strip())
+        cells = re.split(self.separator, bare(line).strip())
         if len(cells) != len(self.names):
             return None
         numbers, places = {}, []
@@ -245,10 +235,7 @@ class ColumnsSensor:
     def read(self) -> Reading:
         """Return the next line of numbers.
 
-        Raises
-        ------
-        BusError
-            No data, or no line with the right number of columns.
+        BusError: no data, or no line with the right number of columns.
         """
         for _ in range(UNUSABLE):
             line, whole = self._lines.next()
@@ -275,13 +262,22 @@ class ColumnsSensor:
         return {"lines": self._used, "damaged": self._damaged}
 
 
+def listened(link: Link, clock: Clock, seconds: float = 2.0) -> tuple[list[bytes], float]:
+    """Return the whole lines that a device prints in some seconds, and how many come in one.
+
+    BusError: as :meth:`LineBuffer.next`.
+    """
+    buffer, began_ns, lines = LineBuffer(link, clock), clock.now_ns(), list[bytes]()
+    while not lines or clock.now_ns() - began_ns < seconds * 1e9:
+        line, whole = buffer.next()
+        lines += [line] * whole
+    return lines, 1e9 * len(lines) / max(clock.now_ns() - began_ns, 1)
+
+
 def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
     """Return the column layout of an address.
 
-    Parameters
-    ----------
-    default : str, optional
-        The columns if the address names none; without it they are required.
+    default: the columns if the address names none; without it they are required.
 
     UsageError: an invalid name, a repeated name, or no reading.
     """

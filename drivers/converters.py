@@ -25,7 +25,6 @@ DS21298.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,7 +33,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from tiltcal.drivers.bus.link import require_length
 from tiltcal.drivers.bus.spi import SpiPort
-from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, at_time, uniform
+from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -53,12 +52,7 @@ class Converter(Protocol):
     """The driver of a converter."""
 
     def volts(self, number: int) -> float:
-        """Measure one input against ground, V.
-
-        BusError: the transaction failed.
-        DeviceFault: the input is beyond the converter's range, or the converter misbehaves.
-        """
-        ...
+        """Measure one input against ground, V; a converter that misbehaves is a HardwareError."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +87,7 @@ class FrontEnd:
 
 
 def find_front_end(address: Address) -> FrontEnd:
-    """Return the converter of an address; ``sim:`` selects one with ``adc=``.
-
-    UsageError: an unknown converter, or a setting that it does not have.
-    """
+    """Return the converter of an address; ``sim:`` selects one with ``adc=``."""
     front_ends = {"ads1115": ads1115_front_end, "mcp3208": mcp3208_front_end}
     name = address.text("adc", "ads1115") if address.simulated else address.scheme.partition("+")[0]
     if name not in front_ends:
@@ -107,10 +98,7 @@ def find_front_end(address: Address) -> FrontEnd:
 
 
 def take_input(address: Address, option: str, front_end: FrontEnd, default: int) -> int:
-    """Return the converter input of an option; only a virtual sensor has a default.
-
-    UsageError: it is missing, or the converter has no such input.
-    """
+    """Return the converter input of an option; only a virtual sensor has a default."""
     return address.integer(option, default if address.simulated else None, low=0, high=front_end.inputs - 1)
 
 
@@ -118,18 +106,11 @@ def take_input(address: Address, option: str, front_end: FrontEnd, default: int)
 class Supply:
     """The supply of a ratiometric sensor.
 
-    Attributes
-    ----------
-    number : int or None
-        The input that measures it; None if it is stated.
-    volts : float
-        As stated; if it is measured, the nominal value.
-    low, high : float
-        Within these limits the sensor is ratiometric, V.
-    full_scale : float
-        Of the converter, V.
-    reference : float or None
-        Voltage at the converter's reference pin, V; None if that pin is tied to this supply or does not exist.
+    number: the input that measures it; None if it is stated.
+    volts: as stated; if it is measured, the nominal value.
+    low, high: within these limits the sensor is ratiometric, V.
+    full_scale: of the converter, V.
+    reference: voltage at the converter's reference pin, V; None if that pin is tied to this supply or does not exist.
     """
 
     number: int | None
@@ -140,26 +121,11 @@ class Supply:
     reference: float | None = None
 
     def shares(self, converter: Converter, numbers: Sequence[int]) -> tuple[tuple[float, ...], float]:
-        """Measure inputs as shares of the supply.
+        """Measure inputs as shares of the supply, and the supply, V.
 
         The conversions follow each other, so a change of the supply between them would look like tilt. A measured
         supply is therefore read before and after the others and interpolated: drift cancels, and only ripple faster
         than one sample remains.
-
-        Parameters
-        ----------
-        numbers : sequence of int
-            The inputs, in the order in which they are measured.
-
-        Returns
-        -------
-        shares : tuple of float
-            One per input.
-        supply : float
-            Mean of the measured values, or the stated value, V.
-
-        BusError: the transaction failed.
-        DeviceFault: the supply is outside the range of the sensor.
         """
         if self.number is None:
             return tuple(converter.volts(number) / self.volts for number in numbers), self.volts
@@ -191,16 +157,9 @@ class Supply:
 
 
 def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) -> Supply:
-    """Return the supply of an address: ``supply=N`` if it is measured, ``vdd=VOLTS`` if it is stated.
+    """Return the supply of an address: ``supply=N`` if it is measured, ``vdd=VOLTS`` if it is stated; allowed, V.
 
     A converter whose reference pin is the sensor's supply needs neither.
-
-    Parameters
-    ----------
-    low, high : float
-        Allowed supply of the sensor, V.
-
-    UsageError: it is neither measured nor stated, or both, or outside the range of the converter.
     """
     if "supply" in address.options and "vdd" in address.options:
         address.refuse("options 'supply' and 'vdd' exclude each other: the supply is either measured or stated")
@@ -225,42 +184,35 @@ def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) 
 
 
 def require_apart(address: Address, wiring: dict[str, int | None]) -> None:
-    """Refuse two signals on one input.
-
-    UsageError: two options name the same input.
-    """
+    """Refuse two signals on one input."""
     seen: dict[int, str] = {}
     for option, number in wiring.items():
-        if number is None:
-            continue
         if number in seen:
             address.refuse(f"options {seen[number]!r} and {option!r} name the same input {number}")
-        seen[number] = option
+        if number is not None:
+            seen[number] = option
 
 
-class Wiring(ABC):
-    """The wiring of a virtual converter; its voltages depend on the truth, the pose and the time alone."""
+@dataclass(frozen=True)
+class Wiring:
+    """The wiring of a virtual converter: its voltages, V, at the inputs; ``share`` is that of an input now."""
 
-    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock, supply: Supply) -> None:
-        self.truth = truth
-        self.fixture = fixture
-        self.clock = clock
-        self._supply = supply
+    truth: Truth
+    fixture: HeldPose
+    clock: Clock
+    supply: Supply
+    share: Callable[[Wiring, int], float]
 
     @property
     def reference(self) -> float:
         """The true voltage at the converter's reference pin, V."""
-        return self.truth.supply if self._supply.reference is None else self._supply.reference
+        return self.truth.supply if self.supply.reference is None else self.supply.reference
 
     def volts(self, number: int) -> float:
         """Return the voltage at an input now, V."""
-        if number == self._supply.number:
+        if number == self.supply.number:
             return self.truth.supply
-        return min(max(self.share(number, self.clock.now_ns()), 0.0), 1.0) * self.truth.supply
-
-    @abstractmethod
-    def share(self, number: int, now_ns: int) -> float:
-        """Return the voltage at an input, as a share of the supply."""
+        return min(max(self.share(self, number), 0.0), 1.0) * self.truth.supply
 
 
 class VirtualConverter(VirtualPart):
@@ -307,20 +259,18 @@ class Ads1115:
         self._rate = rate
 
     def volts(self, number: int) -> float:
-        """Convert one input against ground, V.
-
-        BusError: the transaction failed, the bus is stuck, or the conversion does not end.
-        DeviceFault: the converter lost its settings, or the input is beyond the full scale.
-        """
+        """Convert one input against ground, V."""
         config = ads1115_config(number, self._full_scale, self._rate)
         self._link.exchange(bytes([CONFIG]) + config.to_bytes(2, "big"))
         self._clock.sleep((1.0 + TOLERANCE) / self._rate)
         self._wait_until_done(config)
-        code = ads1115_code(self._register(CONVERSION))
+        code = int.from_bytes(self._register(CONVERSION), "big", signed=True)
         if code in (-0x8000, 0x7FFF):
+            larger = [full_scale for full_scale in RANGES if full_scale > self._full_scale]
+            advice = f"take a larger one (range={min(larger):g})" if larger else "its inputs may not exceed its supply"
             raise DeviceFault(
-                f"input {number} is at or beyond ±{self._full_scale:g} V, the full scale of the ADS1115: "
-                f"{self._advice()}, and check the wiring"
+                f"input {number} is at or beyond ±{self._full_scale:g} V, the full scale of the ADS1115: {advice}, and "
+                "check the wiring"
             )
         return code * self._full_scale / 32768
 
@@ -340,10 +290,6 @@ class Ads1115:
     def _register(self, pointer: int) -> bytes:
         return require_length(self._link.exchange(bytes([pointer]), 2), 2)
 
-    def _advice(self) -> str:
-        larger = [full_scale for full_scale in RANGES if full_scale > self._full_scale]
-        return f"take a larger one (range={min(larger):g})" if larger else "its inputs may not exceed its supply"
-
 
 def ads1115_config(number: int, full_scale: float, rate: int) -> int:
     """Return the config register that starts one single-shot conversion of an input, 0 to 3, against ground."""
@@ -355,11 +301,6 @@ def ads1115_config(number: int, full_scale: float, rate: int) -> int:
         | RATES.index(rate) << 5
         | _COMPARATOR_OFF
     )
-
-
-def ads1115_code(answer: bytes) -> int:
-    """Return the content of the conversion register, -32768 to 32767."""
-    return int.from_bytes(answer, "big", signed=True)
 
 
 def _check_config(held: int, config: int) -> None:
@@ -377,10 +318,7 @@ def _check_config(held: int, config: int) -> None:
 
 
 def ads1115_front_end(address: Address) -> FrontEnd:
-    """Return the ADS1115 with the ``range=`` (V) and ``rate=`` (conversions per second) of an address.
-
-    UsageError: a bus address, full scale or rate that it does not have.
-    """
+    """Return the ADS1115 with the ``range=`` (V) and ``rate=`` (conversions per second) of an address."""
     if "address" in address.options and not address.simulated and address.integer("address") not in ADDRESSES:
         address.refuse(
             f"an ADS1115 is at {_listed([hex(known) for known in ADDRESSES])}, not at {address.text('address')}"
@@ -410,12 +348,10 @@ def _listed(choices: tuple[float, ...] | list[str]) -> str:
 
 
 ADS1115_BIT_SECONDS = 1.0 / 100_000
-DIFFERENCES = ((0, 1), (0, 3), (1, 3), (2, 3))
-"""Inputs of the lower codes; from the next one on, one input is measured against ground."""
 
 
 class VirtualAds1115(VirtualConverter):
-    """An ADS1115 on the I2C bus at 100 kHz: the pointer, the config register and the last conversion."""
+    """An ADS1115 on the I2C bus at 100 kHz: the pointer, the config register and the last conversion of one input."""
 
     letter = "i"
 
@@ -431,53 +367,30 @@ class VirtualAds1115(VirtualConverter):
             raise BusError("no device acknowledges, a fault that the virtual sensor's truth sets")
         # Each byte has a ninth bit for its acknowledge, and each direction begins with the device's address.
         self._clock.sleep(9 * (1 + len(out)) * ADS1115_BIT_SECONDS)
-        self._write(out)
-        answer = self._register().to_bytes(2, "big")
-        if count:
-            self._clock.sleep(9 * (1 + count) * ADS1115_BIT_SECONDS)
-        return (answer * (count // 2 + 1))[:count]
-
-    def recall(self, out: bytes, now_ns: int) -> None:
-        """Repeat a write of an earlier time, whose effect a real part would have kept."""
-        with at_time(self._clock, now_ns):
-            self._write(out)
-
-    def _write(self, out: bytes) -> None:
         if out:
             self._pointer = out[0] & 0b11
+        busy = self._clock.now_ns() < self._done_ns
         if len(out) >= 3 and self._pointer == CONFIG:
             written = int.from_bytes(out[1:3], "big")
             self._config = written & ~START
-            if written & START and not self._busy():
-                self._former_code = self._code
+            if written & START and not busy:
                 self._convert()
-
-    def _register(self) -> int:
-        """Return the register of the pointer; the thresholds are not modelled."""
-        if self._pointer == CONFIG:
-            return self._config | (0 if self._busy() else DONE)
-        if self._pointer == CONVERSION:
-            return (self._former_code if self._busy() else self._code) & 0xFFFF
-        return 0
-
-    def _busy(self) -> bool:
-        return self._clock.now_ns() < self._done_ns
+                busy = True
+        conversion = (self._former_code if busy else self._code) & 0xFFFF
+        # The thresholds are not modelled.
+        held = {CONFIG: self._config | (0 if busy else DONE), CONVERSION: conversion}.get(self._pointer, 0)
+        if count:
+            self._clock.sleep(9 * (1 + count) * ADS1115_BIT_SECONDS)
+        return (held.to_bytes(2, "big") * (count // 2 + 1))[:count]
 
     def _convert(self) -> None:
         """Start the conversion of the config register now."""
-        now_ns = self._clock.now_ns()
-        full_scale = (*RANGES, RANGES[-1], RANGES[-1])[self._config >> 9 & 0b111]
         seconds = 1.0 - TOLERANCE + 2.0 * TOLERANCE * uniform(self._truth.seed, "oscillator", 0)
         seconds /= RATES[self._config >> 5 & 0b111]
-        volts = self._volts(self._config >> 12 & 0b111)
-        self._code = min(max(round(volts / full_scale * 32768), -32768), 32767)
-        self._done_ns = now_ns + round(seconds * 1e9)
-
-    def _volts(self, code: int) -> float:
-        if code >= len(DIFFERENCES):
-            return self._wiring.volts(code - len(DIFFERENCES))
-        plus, minus = DIFFERENCES[code]
-        return self._wiring.volts(plus) - self._wiring.volts(minus)
+        full_scale = (*RANGES, RANGES[-1], RANGES[-1])[self._config >> 9 & 0b111]
+        volts = self._wiring.volts(self._config >> 12 & 0b011)
+        self._former_code, self._code = self._code, min(max(round(volts / full_scale * 32768), -32768), 32767)
+        self._done_ns = self._clock.now_ns() + round(seconds * 1e9)
 
 
 # --- Microchip MCP3208 ---
@@ -496,45 +409,26 @@ class Mcp3208:
         self._reference = reference
 
     def volts(self, number: int) -> float:
-        """Convert one input against ground, V.
-
-        BusError: the transaction failed, or every bit of the answer is the same.
-        """
-        command = mcp3208_frame(number)
+        """Convert one input, 0 to 7, against ground, V."""
+        command = bytes([0b110 | number >> 2, (number & 0b11) << 6, 0])
         answer = require_length(self._link.exchange(command), len(command), "frame")
-        _check_mcp3208(number, answer)
-        return mcp3208_code(answer) * self._reference / CODES
-
-
-def mcp3208_frame(number: int) -> bytes:
-    """Return the frame that converts an input, 0 to 7, against ground."""
-    return bytes([0b110 | number >> 2, (number & 0b11) << 6, 0])
-
-
-def mcp3208_code(answer: bytes) -> int:
-    """Return the result of an answer, 0 to 4095; the bits before the lowest 12 have no meaning."""
-    return (answer[1] & 0x0F) << 8 | answer[2]
-
-
-def _check_mcp3208(number: int, answer: bytes) -> None:
-    """Raise an error for a dead wire: the bit before the result is 0, so a working part never sends only ones."""
-    if set(answer) == {0xFF}:
-        raise BusError(
-            f"the data line is stuck high (input {number} reads ones alone): check MISO, chip select and the "
-            "MCP3208's supply"
-        )
-    if set(answer) == {0x00}:
-        raise BusError(
-            f"the data line is stuck low, or input {number} is shorted to ground (it reads zeros alone): check MISO "
-            "and this input"
-        )
+        # The bit before the result is 0, so a working part never sends only ones.
+        if set(answer) == {0xFF}:
+            raise BusError(
+                f"the data line is stuck high (input {number} reads ones alone): check MISO, chip select and the "
+                "MCP3208's supply"
+            )
+        if set(answer) == {0x00}:
+            raise BusError(
+                f"the data line is stuck low, or input {number} is shorted to ground (it reads zeros alone): check "
+                "MISO and this input"
+            )
+        # The bits before the lowest 12 have no meaning.
+        return ((answer[1] & 0x0F) << 8 | answer[2]) * self._reference / CODES
 
 
 def mcp3208_front_end(address: Address) -> FrontEnd:
-    """Return the MCP3208 with the ``vref=`` of an address, the voltage at its reference pin.
-
-    UsageError: the reference voltage is missing or out of range.
-    """
+    """Return the MCP3208 with the ``vref=`` of an address, the voltage at its reference pin."""
     # From 0.25 V up to the part's own supply, which may be 5.5 V.
     reference = address.number("vref", 5.0 if address.simulated else None, low=0.25, high=5.5)
     return FrontEnd(
@@ -552,12 +446,8 @@ def mcp3208_front_end(address: Address) -> FrontEnd:
 
 
 MCP3208_BIT_SECONDS = 1.0 / 1_000_000
-
-COMMAND_BITS = 5
-"""Start, single-ended, and three bits of the input's number."""
-
-SAMPLING_BITS = 1
-"""Clocks between the command and the null bit."""
+COMMAND_BITS, SAMPLING_BITS = 5, 1
+"""Start, single-ended, and three bits of the input's number; and the clocks between these and the null bit."""
 
 
 class VirtualMcp3208(VirtualConverter):
@@ -568,27 +458,16 @@ class VirtualMcp3208(VirtualConverter):
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Answer one frame; see :class:`~tiltcal.drivers.bus.link.Link`."""
         length = 8 * len(out)
-        if self._silent():
-            answer = "1" * length
-        else:
-            answer = self._answered(f"{int.from_bytes(out, 'big'):0{length}b}" if out else "")
+        bits = "1" * length if self._silent() else self._answered(f"{int.from_bytes(out, 'big'):0{length}b}")
         self._clock.sleep(length * MCP3208_BIT_SECONDS)
-        return int(answer or "0", 2).to_bytes(len(out), "big")
+        return int(bits, 2).to_bytes(len(out), "big")
 
     def _answered(self, bits: str) -> str:
         """Return the answer bits; they are random while the part does not drive the line."""
-        chance = int(uniform(self._truth.seed, "filler", self._clock.now_ns()) * 2**48)
-        floating = f"{chance:048b}" * (len(bits) // 48 + 1)
-        start = bits.find("1")
-        command = bits[start : start + COMMAND_BITS]
-        if start < 0 or len(command) < COMMAND_BITS or command[1] == "0":
+        floating = f"{int(uniform(self._truth.seed, 'filler', self._clock.now_ns()) * 2**48):048b}"
+        command = bits[bits.find("1") :][:COMMAND_BITS]
+        if len(command) < COMMAND_BITS or command[:2] != "11":
             return floating[: len(bits)]
-        result = f"{self._code(int(command[2:], 2)):012b}"
-        # With more clocks the part sends its result again, the last bit first, and then zeros.
-        driven = f"0{result}{result[-2::-1]}"
-        behind = start + COMMAND_BITS + SAMPLING_BITS
-        return (floating[:behind] + driven).ljust(len(bits), "0")[: len(bits)]
-
-    def _code(self, number: int) -> int:
-        code = round(self._wiring.volts(number) / self._wiring.reference * CODES)
-        return min(max(code, 0), CODES - 1)
+        code = round(self._wiring.volts(int(command[2:], 2)) / self._wiring.reference * CODES)
+        behind = bits.find("1") + COMMAND_BITS + SAMPLING_BITS
+        return f"{floating[:behind]}0{min(max(code, 0), CODES - 1):012b}".ljust(len(bits), "0")[: len(bits)]

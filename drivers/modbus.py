@@ -84,12 +84,8 @@ _COLUMN = re.compile(r"([^@:*]+)@(0[xX][0-9a-fA-F]{1,8}|[0-9]{1,9})(?::([a-z0-9]
 class RegisterColumn:
     """One number in registers.
 
-    Attributes
-    ----------
-    first : int
-        Register, counted from 0.
-    code : str
-        Of :mod:`struct`.
+    first: register, counted from 0.
+    code: of :mod:`struct`.
     """
 
     name: str
@@ -112,12 +108,8 @@ class RegisterColumn:
 class RegisterLayout:
     """The numbers and their registers.
 
-    Attributes
-    ----------
-    function : int
-        Code that reads them.
-    order : tuple of bool
-        See :data:`ORDERS`.
+    function: code that reads them.
+    order: see :data:`ORDERS`.
     """
 
     columns: tuple[RegisterColumn, ...]
@@ -180,12 +172,8 @@ class ModbusColumns:
     def read(self) -> Reading:
         """Read every number.
 
-        Raises
-        ------
-        BusError
-            No answer, or one of another function or length.
-        DeviceFault
-            The device refuses, or a number is none (a float that is not finite).
+        BusError: no answer, or one of another function or length.
+        DeviceFault: the device refuses, or a number is none (a float that is not finite).
         """
         registers: dict[int, bytes] = {}
         for request in self._layout.requests:
@@ -281,10 +269,7 @@ class VirtualModbus(VirtualPart):
 def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
     """Return the registers of an address.
 
-    Parameters
-    ----------
-    default : str, optional
-        The columns where the address names none; without it they are required.
+    default: the columns where the address names none; without it they are required.
 
     UsageError: a column is wrong, a name is given twice, or there is no reading.
     """

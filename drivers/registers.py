@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 from tiltcal.drivers.bus.link import require_length
 from tiltcal.drivers.bus.spi import SpiPort
 from tiltcal.drivers.model import Model, Reading, deviation_within, typical_nonlinearity
-from tiltcal.drivers.virtual import RecallingPart, Tolerances
+from tiltcal.drivers.virtual import Tolerances, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -331,10 +331,7 @@ class RegisterSensor:
     The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
     set up, so a reset shows as samples that do not come.
 
-    Attributes
-    ----------
-    remembered : any
-        What the functions of the row keep of the part from one set-up to the next.
+    remembered: what the functions of the row keep of the part from one set-up to the next.
     """
 
     part: RegisterPart
@@ -354,12 +351,8 @@ class RegisterSensor:
     def read(self) -> Reading:
         """Take the next sample: counts, and the temperature in °C where the part has a thermometer.
 
-        Raises
-        ------
-        BusError
-            The transaction failed, every bit of the sample is the same, or the part does not keep its settings.
-        DeviceFault
-            Another part answers, it does not measure, or it was reset since it was set up.
+        BusError: the transaction failed, every bit of the sample is the same, or the part does not keep its settings.
+        DeviceFault: another part answers, it does not measure, or it was reset since it was set up.
         """
         part = self.part
         ready, self._ready = self._ready, False
@@ -474,7 +467,7 @@ class RegisterSensor:
         )
 
 
-class VirtualRegisters(RecallingPart):
+class VirtualRegisters(VirtualPart):
     """The virtual part of a row, in its state after power-up; it measures once its registers hold what is set up.
 
     truth: in counts of the range that the driver sets.
@@ -545,16 +538,6 @@ class VirtualRegisters(RecallingPart):
                 if (status if part.cleared_by is None else part.cleared_by) in asked:
                     self._taken = sample
         return bytes(held.get(register, 0) for register in asked)
-
-    def _take_set_up_state(self) -> None:
-        self._held = {**self._after_reset, **self._set_up}
-
-    def _seconds(self, out: bytes) -> float:
-        # How many bytes were read on I2C, and so how long it took, is not known.
-        return 8 * len(out) * BIT_SECONDS["s"] if self.letter == "s" else 0.0
-
-    def _take(self, out: bytes) -> object:
-        return self._answered(out, len(out) - 1 if self.letter == "s" else 1) if out else b""
 
 
 def check_data_line(answers: bytes) -> None:

@@ -20,33 +20,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from math import comb, exp, log, radians, sin, sqrt
+from math import comb, radians, sin, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
 from tiltcal.drivers.bus.link import require_length
 from tiltcal.drivers.bus.spi import SpiPort
 from tiltcal.drivers.model import Model, Population, Reading, deviation_within, typical_nonlinearity
 from tiltcal.drivers.registers import check_data_line
-from tiltcal.drivers.virtual import (
-    LEVEL,
-    REFERENCE,
-    HeldPose,
-    Polynomial,
-    Tolerances,
-    Truth,
-    Vector,
-    VirtualPart,
-    normal,
-    part_errors,
-    uniform,
-)
+from tiltcal.drivers.virtual import REFERENCE, Polynomial, Tolerances, Truth, VirtualPart, normal, part_errors, uniform
 from tiltcal.errors import DeviceFault, UsageError
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.virtual import Fault
+    from tiltcal.drivers.virtual import HeldPose, Vector
 
 MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
 
@@ -75,13 +62,14 @@ SLOPES = (0.008, 0.014)
 
 NOT_MODELLED = (
     "response time: a new position and a new temperature take effect at once, without ringing",
+    "output registers that reload every 150 µs: each read has the word of its moment",
     "bandwidth: the noise of two samples 150 µs apart is independent",
     "thermometer noise, and a lag between thermometer and sensing element",
     "supply: start-up time, ratiometric error, brown-out",
     "long-term drift, temperature hysteresis, shock",
     "chip select released for less than 15 µs, clock above 500 kHz, bytes damaged by noise",
     "status register and reload command (RDSR, RLOAD): answered as invalid commands",
-    "self-test of both axes at once, which the datasheet forbids",
+    "self-test of both axes at once, which the datasheet forbids; how a push builds up, and dies away: it ends at once",
 )
 
 
@@ -119,11 +107,7 @@ class Sca61t:
         """Of the last sample."""
 
     def probe(self) -> Mapping[str, str]:
-        """Take a sample; return its words and the temperature as text.
-
-        BusError: no answer, or a data line that never changes.
-        DeviceFault: the part reports a fault, or a temperature at which it cannot work.
-        """
+        """Take a sample; return its words and the temperature as text, if it is one at which such a part works."""
         temperature = self.read().temperature or 0.0
         # The thermometer is not trimmed, so 10 °C are added to both ends of the part's operating range.
         if not -50.0 <= temperature <= 135.0:
@@ -156,7 +140,7 @@ class Sca61t:
         return {channel: f"{word} count" for channel, word in self._words.items()}
 
     def _values(self) -> tuple[float, ...]:
-        """Return the reading of each channel, count."""
+        """Return the readings, count."""
         return tuple(map(float, self._words.values()))
 
     def _checked(self, channel: str, frame: bytes) -> int:
@@ -267,63 +251,16 @@ def decode_temperature(frame: bytes) -> float:
 
 
 RELOAD_NS = 150_000
-"""Time between two reloads of the output registers."""
+"""Time between two conversions, which number the noise."""
 BIT_SECONDS = 1.0 / 500_000
 POINTS_DOWN = -0.065
 """Below this acceleration, in g, an axis does not count as level for the self-test; the datasheet states no number."""
-SATURATION, RELAXATION = 25e-3, 30e-3
-"""Typical time to 95 % of the deflection of a self-test, and of the recovery, s."""
-
-
-@dataclass(frozen=True, slots=True)
-class Instant:
-    """The input of the converter when the registers were loaded.
-
-    gravity: up in the sensor frame, g.
-    temperature, thermometer: of the sensing element and of the part's thermometer, °C.
-    """
-
-    now_ns: int
-    gravity: Vector
-    temperature: float
-    thermometer: float = 0.0
-
-    @property
-    def conversion(self) -> int:
-        """The number of the conversion, one per 150 µs; it numbers the noise."""
-        return self.now_ns // RELOAD_NS
-
-
-@dataclass(frozen=True, slots=True)
-class Push:
-    """The deflection of the proof mass of one axis by the self-test electrode, from 0 (free) to 1.
-
-    since_ns, start: time of the last switch, and the deflection then.
-    """
-
-    on: bool = False
-    since_ns: int | None = None
-    start: float = 0.0
-
-    def switched(self, on: bool, now_ns: int) -> Push:
-        """Return the deflection after a command; a command without an effect on this axis changes nothing."""
-        return self if on == self.on else Push(on, now_ns, self.at(now_ns))
-
-    def at(self, now_ns: int) -> float:
-        """Return the deflection now."""
-        if self.since_ns is None:
-            return 0.0
-        goal, typical = (1.0, SATURATION) if self.on else (0.0, RELAXATION)
-        elapsed = max(now_ns - self.since_ns, 0) / 1e9
-        return goal + (self.start - goal) * exp(-elapsed * log(20.0) / typical)
+SATURATION = 25e-3
+"""Typical time to 95 % of the deflection of a self-test, s."""
 
 
 class VirtualSca100t(VirtualPart):
-    """An SCA100T on the SPI bus at 500 kHz, bit by bit.
-
-    Its short-term state is the time when chip select last rose, because the registers need 150 µs to reload, and a
-    self-test in progress.
-    """
+    """An SCA100T on the SPI bus at 500 kHz; its state is the self-test that is in progress."""
 
     letter = "s"
 
@@ -332,67 +269,54 @@ class VirtualSca100t(VirtualPart):
 
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         super().__init__(truth, fixture, clock)
-        self._released_ns: int | None = None
-        self._latched = self._instant()
-        self._pushes = {"x": Push(), "y": Push()}
+        self._pushed = ""
+        """The element that the self-test pushes."""
+        self._since_ns = 0
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Answer one frame; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        fault = self._fault()
-        if self._released_ns is None or self._clock.now_ns() - self._released_ns >= RELOAD_NS:
-            self._latched = self._instant()
-        driven = b"" if fault.kind == "silent" else self._driven(out, fault)
+        driven = b"" if self._fault().kind == "silent" else self._driven(out)
         self._clock.sleep(8 * len(out) * BIT_SECONDS)
-        self._released_ns = self._clock.now_ns()
         return (driven + b"\xff" * len(out))[: len(out)]
 
-    def _instant(self) -> Instant:
-        fixture = self._fixture
-        element = fixture.temperature(self._truth.lag)
-        return Instant(self._clock.now_ns(), fixture.gravity, element, fixture.temperature())
-
-    def _driven(self, out: bytes, fault: Fault) -> bytes:
+    def _driven(self, out: bytes) -> bytes:
         """Return the bytes that the part drives; none for an invalid command, where the line floats."""
         command = out[0] if out else None
-        now_ns = self._clock.now_ns()
-        filler = int(uniform(self._truth.seed, "filler", now_ns) * 2**24).to_bytes(3, "big")
-        channel = self.ELEMENTS.get(command)
-        if channel is not None:
-            word = self._output(channel, fault)
+        filler = int(uniform(self._truth.seed, "filler", self._clock.now_ns()) * 2**24).to_bytes(3, "big")
+        if command in self.ELEMENTS:
+            word = self._output(self.ELEMENTS[command])
             return bytes([filler[0], word >> 3, (word & 0b111) << 5 | filler[2] & 0b11111])
         if command == RWTR:
-            seen = self._latched.thermometer + self._truth.thermometer_error
-            return bytes([filler[0], min(max(round(197.0 - 1.083 * seen), 0), 255)])
+            return bytes([filler[0], min(max(round(197.0 - 1.083 * self._celsius()), 0), 255)])
         if command in (STX, STY, MEAS):
-            self._pushes["x"] = self._pushes["x"].switched(command == STX, now_ns)
-            self._pushes["y"] = self._pushes["y"].switched(command == STY, now_ns)
+            pushed = {STX: "x", STY: "y"}.get(command, "")
+            if pushed != self._pushed:
+                self._pushed, self._since_ns = pushed, self._clock.now_ns()
             return filler[:1]
         return b""
 
-    def _output(self, channel: str, fault: Fault) -> int:
-        """Return the output register of a channel, count."""
-        if fault.kind == "parity":
-            return int(uniform(self._truth.seed, f"parity {channel}", self._latched.conversion) * LOWEST_SANE_WORD)
-        instant = self._latched
-        if fault.kind == "stuck":
-            # Held at its level value: a function of the fault alone, so a resumed session reads the same word.
-            instant = Instant(round(fault.start * 1e9), LEVEL, self._truth.ambient)
-        reading, noise = self._element(channel, instant)
-        reading += self._reach(channel, instant) * self._pushes[channel].at(instant.now_ns)
+    def _output(self, element: str) -> int:
+        """Return the output register of an element, count."""
+        if self._fault().kind == "parity":
+            conversion = self._clock.now_ns() // RELOAD_NS
+            return int(uniform(self._truth.seed, f"parity {element}", conversion) * LOWEST_SANE_WORD)
+        up, celsius, now = self._state()
+        reading, noise, upright = self._element(element, up, celsius)
+        if element == self._pushed and self._clock.now_ns() - self._since_ns >= SATURATION * 1e9:
+            # A push moves the element past the rail, or by 1 g if it points down.
+            reading += self._own(element) if upright < POINTS_DOWN else 0.75 * FULL_SCALE
         if noise:
-            reading += noise * normal(self._truth.seed, f"noise {channel}", instant.conversion)
+            reading += noise * normal(self._truth.seed, f"noise {element}", round(now * 1e9) // RELOAD_NS)
         return min(max(round(reading), 0), FULL_SCALE)
 
-    def _element(self, channel: str, instant: Instant) -> tuple[float, float]:
-        """Return what an element reads, and the standard deviation of its noise, count."""
-        reading = self._truth.reading(channel, instant.gravity, instant.temperature)
-        return reading, self._truth.noise.get(channel, 0.0)
+    def _own(self, element: str) -> float:
+        """Return the sensitivity of an element, count/g."""
+        return self._truth.sensitivity[element][element]
 
-    def _reach(self, channel: str, instant: Instant) -> float:
-        """Return the change of the reading by a full push, count: past the rail, or 1 g if the axis points down."""
-        if instant.gravity["xyz".index(channel)] < POINTS_DOWN:
-            return self._truth.sensitivity[channel][channel]
-        return 0.75 * FULL_SCALE
+    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float, float]:
+        """Return what an element reads and the deviation of its noise, count, and the acceleration along it, g."""
+        reading = self._truth.reading(element, up, celsius)
+        return reading, self._truth.noise.get(element, 0.0), up["xy".index(element)]
 
 
 class VirtualSca61t(VirtualSca100t):
@@ -404,13 +328,13 @@ class VirtualSca61t(VirtualSca100t):
 class VirtualSca103t(VirtualSca100t):
     """An SCA103T: each element holds half of the difference about its middle, one with either sign."""
 
-    def _element(self, channel: str, instant: Instant) -> tuple[float, float]:
-        half = self._truth.reading("x", instant.gravity, instant.temperature) / 2.0
-        return ZERO + (half if channel == "x" else -half), self._truth.noise.get("x", 0.0) / sqrt(2.0)
+    def _own(self, element: str) -> float:
+        return self._truth.sensitivity["x"]["x"] / 2.0
 
-    def _reach(self, channel: str, instant: Instant) -> float:
-        up = instant.gravity[0] if channel == "x" else -instant.gravity[0]
-        return self._truth.sensitivity["x"]["x"] / 2.0 if up < POINTS_DOWN else 0.75 * FULL_SCALE
+    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float, float]:
+        sign = 1.0 if element == "x" else -1.0
+        half = self._truth.reading("x", up, celsius) / 2.0
+        return ZERO + sign * half, self._truth.noise.get("x", 0.0) / sqrt(2.0), sign * up[0]
 
 
 def _recentred(coefficients: Polynomial, centre: float) -> Polynomial:
@@ -435,6 +359,8 @@ class InclinometerPart:
 
     name: str
     title: str
+    driver: type[Sca61t]
+    twin: type[VirtualSca100t]
     channels: tuple[str, ...]
     counts_per_g: float
     offset_limit: float
@@ -458,11 +384,18 @@ class InclinometerPart:
             source=self.source,
         )
 
-    def draw(self, noise: float, seed: int) -> Truth:
-        """Draw a part whose drift and sensitivity follow the mean curves, with this noise of a reading, count.
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a reading of a virtual part, count.
 
-        The thermometer within 2 °C (the data sheets call it untrimmed and give no limit) and the noise are ours: the
-        data sheets' 0.0008 °/√Hz is far below the 11-bit step; a bench is not.
+        It is ours: the data sheets' 0.0008 °/√Hz is far below the 11-bit step; a bench is not.
+        """
+        return 0.6 if self.zero else 0.8
+
+    def draw(self, seed: int) -> Truth:
+        """Draw a part whose drift and sensitivity follow the mean curves.
+
+        The thermometer is within 2 °C, which is ours: the data sheets call it untrimmed and give no limit.
         """
         population = self.population
         limits = Tolerances(
@@ -473,9 +406,17 @@ class InclinometerPart:
             gain=population.gain_spread,
             thermometer=2.0,
         )
-        truth = limits.draw(self.channels, self.counts_per_g, noise, seed, self.zero)
+        truth = limits.draw(self.channels, self.counts_per_g, self.noise, seed, self.zero)
         _, slope, *higher = _recentred(population.drift, REFERENCE)
         mean, steepness, *bends = _recentred(population.gain, REFERENCE)
+        within, nonlinearity = part_errors(seed), {}
+        if self.driver is Sca100t:
+            # Each term of the response has half of the tolerance, which their sum then keeps.
+            square, cube = (k / 2.0 for k in self.nonlinearity)
+            nonlinearity = {
+                channel: (within(square, f"quadratic {channel}"), within(cube, f"cubic {channel}"))
+                for channel in self.channels
+            }
         return replace(
             truth,
             drift={channel: (slope + drift, *higher) for channel, (drift,) in truth.drift.items()},
@@ -483,21 +424,11 @@ class InclinometerPart:
                 channel: tuple(k / (1.0 + mean) for k in (steepness + gain, *bends))
                 for channel, (gain,) in truth.gain.items()
             },
+            nonlinearity=nonlinearity,
         )
 
-    def draw_bent(self, seed: int) -> Truth:
-        """Draw an SCA100T; each term of its response has half of the tolerance, which their sum then keeps."""
-        within = part_errors(seed)
-        square, cube = (k / 2.0 for k in self.nonlinearity)
-        bends = {
-            channel: (within(square, f"quadratic {channel}"), within(cube, f"cubic {channel}"))
-            for channel in self.channels
-        }
-        return replace(self.draw(0.6, seed), nonlinearity=bends)
-
-    def model(self, driver: type[Sca61t], twin: type[VirtualSca100t]) -> Model:
+    def model(self) -> Model:
         """Return the sensor model; bus, waits, bandwidth and thermometer are the same in the whole family."""
-        noise = 0.6 if self.zero else 0.8
         return Model(
             name=self.name,
             title=self.title,
@@ -518,10 +449,10 @@ class InclinometerPart:
             population=self.population,
             cross_axis_limit=CROSS_AXIS_LIMIT if self.nonlinearity else 0.0,
             nonlinearity=self.nonlinearity,
-            driver=driver,
-            twin=twin,
+            driver=self.driver,
+            twin=self.twin,
             not_modelled=NOT_MODELLED,
-            default_truth=self.draw_bent if driver is Sca100t else partial(self.draw, noise),
+            default_truth=self.draw,
             spi=SpiPort(modes=(0, 3), fastest=500_000),
         )
 
@@ -529,9 +460,11 @@ class InclinometerPart:
 def _sca100t(
     variant: str, extent: str, counts: float, offset_limit: float, range_g: float, nonlinearity: float
 ) -> Model:
-    part = InclinometerPart(
+    return InclinometerPart(
         name=f"sca100t-{variant.lower()}",
         title=f"Murata SCA100T-{variant} inclinometer, {extent}, SPI",
+        driver=Sca100t,
+        twin=VirtualSca100t,
         channels=("x", "y"),
         counts_per_g=counts,
         offset_limit=offset_limit,
@@ -539,16 +472,17 @@ def _sca100t(
         gain=(0.0408, 0.0022, -0.00011),
         source="SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
         nonlinearity=typical_nonlinearity(sin(radians(nonlinearity)), range_g),
-    )
-    return part.model(Sca100t, VirtualSca100t)
+    ).model()
 
 
 def _sca103t(variant: str, extent: float, counts: float, limit: float) -> Model:
     """Return the model of a part for ±extent, whose offset and nonlinearity have one limit, degrees."""
     reach = float(HIGHEST_SANE_WORD - LOWEST_SANE_WORD + 1)
-    part = InclinometerPart(
+    return InclinometerPart(
         name=f"sca103t-{variant.lower()}",
         title=f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, ±{extent:g}°, SPI",
+        driver=Sca103t,
+        twin=VirtualSca103t,
         channels=("x",),
         counts_per_g=counts,
         offset_limit=limit,
@@ -560,14 +494,15 @@ def _sca103t(variant: str, extent: float, counts: float, limit: float) -> Model:
         nonlinearity=typical_nonlinearity(sin(radians(limit)), sin(radians(extent))),
         zero=0.0,
         rails=(-reach, reach),
-    )
-    return part.model(Sca103t, VirtualSca103t)
+    ).model()
 
 
 def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> Model:
-    part = InclinometerPart(
+    return InclinometerPart(
         name=f"sca61t-{variant.lower()}",
         title=f"VTI (Murata) SCA61T-{variant} one-axis inclinometer, {extent}, SPI",
+        driver=Sca61t,
+        twin=VirtualSca61t,
         channels=("x",),
         counts_per_g=counts,
         offset_limit=offset_limit,
@@ -575,8 +510,7 @@ def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> Mo
         gain=(0.0362, 0.0019, -0.00011),
         source="SCA61T data sheet 8261900, mean temperature curves as a driver quotes them; their spread over parts is "
         "the SCA100T's",
-    )
-    return part.model(Sca61t, VirtualSca61t)
+    ).model()
 
 
 D01 = _sca100t("D01", "±30°", 1638.0, offset_limit=0.11, range_g=0.5, nonlinearity=0.11)

@@ -25,7 +25,7 @@ from tiltcal.drivers.bus.link import require_length
 from tiltcal.drivers.bus.spi import SpiPort
 from tiltcal.drivers.model import Model, Reading, deviation_within, link_in_words, typical_nonlinearity
 from tiltcal.drivers.registers import check_data_line, choose_range, in_counts
-from tiltcal.drivers.virtual import HeldPose, RecallingPart, Tolerances, Truth, uniform
+from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
@@ -133,18 +133,11 @@ def flags_in_words(status: int) -> str:
 class MeasuringRange:
     """One of the part's modes.
 
-    Attributes
-    ----------
-    mode : int
-        Murata's number, 1 to 4.
-    extent : str
-        In words.
-    bandwidth : float
-        -3 dB of the first-order filter, Hz.
-    settling : float
-        Seconds after the mode was set.
-    noise : float
-        Standard deviation of one sample, g.
+    mode: Murata's number, 1 to 4.
+    extent: in words.
+    bandwidth: -3 dB of the first-order filter, Hz.
+    settling: seconds after the mode was set.
+    noise: standard deviation of one sample, g.
     """
 
     mode: int
@@ -162,22 +155,13 @@ class MeasuringRange:
 class Scl3300Part:
     """The constants of one part.
 
-    Attributes
-    ----------
-    name : str
-        As it is printed on the part.
-    identity : int
-        Data of WHOAMI.
-    ranges : tuple of MeasuringRange
-        Mode 1 first.
-    words : mapping of str to int
-        Mode number by the word of the option ``range``, beside ``mode1`` to ``mode4``.
-    offset_limit : float
-        Largest offset of either sign, g.
-    sensitivity_limit : float
-        Largest relative error of the sensitivity.
-    nonlinearity : tuple of float
-        Typical square and cube of the response; empty where no source states them.
+    name: as it is printed on the part.
+    identity: data of WHOAMI.
+    ranges: mode 1 first.
+    words: mode number by the word of the option ``range``, beside ``mode1`` to ``mode4``.
+    offset_limit: largest offset of either sign, g.
+    sensitivity_limit: largest relative error of the sensitivity.
+    nonlinearity: typical square and cube of the response; empty where no source states them.
     """
 
     name: str
@@ -195,10 +179,7 @@ class Scl3300:
     It sets the part up before the first sample and again after any error. A damaged frame is asked for again; a part
     that was reset in between is an error, since the frames before it may be of another mode.
 
-    Parameters
-    ----------
-    measuring : MeasuringRange
-        The mode to set.
+    measuring: the mode to set.
     """
 
     def __init__(self, part: Scl3300Part, measuring: MeasuringRange, link: Link, clock: Clock) -> None:
@@ -212,10 +193,7 @@ class Scl3300:
     def probe(self) -> Mapping[str, str]:
         """Set the part up and take a sample.
 
-        Returns
-        -------
-        mapping of str to str
-            Part, serial number as it is printed on it, range, words, temperature, and what the line damaged.
+        Returns: part, serial number as it is printed on it, range, words, temperature, and what the line damaged.
 
         BusError: no answer, a data line that never moves, too many damaged frames, or MISO joined to MOSI.
         DeviceFault: another part, or a fault that its status shows.
@@ -235,12 +213,8 @@ class Scl3300:
     def read(self) -> Reading:
         """Take one sample: x, y and z in counts, -32768 to 32767, and the temperature in °C.
 
-        Raises
-        ------
-        BusError
-            The transaction failed, or no intact sample arrived.
-        DeviceFault
-            The part was reset or switched off since it was set up, or its status shows a fault.
+        BusError: the transaction failed, or no intact sample arrived.
+        DeviceFault: the part was reset or switched off since it was set up, or its status shows a fault.
         """
         x, y, z, temperature = self._answers_to(SAMPLE)
         self._counts["samples"] += 1
@@ -252,11 +226,8 @@ class Scl3300:
     def link_statistics(self) -> Mapping[str, int]:
         """Return the counts of samples, and of unusable frames.
 
-        Returns
-        -------
-        mapping of str to int
-            Samples; answers with a wrong CRC; requests that arrived damaged at the part; answers to another request;
-            samples of a saturated signal path; resets that were noticed.
+        Returns: samples; answers with a wrong CRC; requests that arrived damaged at the part; answers to another
+            request; samples of a saturated signal path; resets that were noticed.
         """
         return dict(self._counts)
 
@@ -432,7 +403,7 @@ WORDS_PER_SECOND = 2000.0
 BIT_SECONDS = 1.0 / 2_000_000
 
 
-class VirtualScl3300(RecallingPart):
+class VirtualScl3300(VirtualPart):
     """A part on the SPI bus at 2 MHz, in its state after power-up.
 
     measuring: what the driver is going to set; the truth is in counts of this mode.
@@ -460,14 +431,8 @@ class VirtualScl3300(RecallingPart):
                 self._raise(MEMORY)
             answer = self._answer()
             self._take(out)
-        self._clock.sleep(self._seconds(out))
+        self._clock.sleep(8 * len(out) * BIT_SECONDS)
         return answer[: len(out)]
-
-    def _take_set_up_state(self) -> None:
-        self._range, self._standing, self._held = self._truth_range, 0, 0
-
-    def _seconds(self, out: bytes) -> float:
-        return 8 * len(out) * BIT_SECONDS
 
     def _reset(self) -> None:
         """Take the state after power-up: mode 1, bank 0, the flag of the supply set."""

@@ -59,20 +59,12 @@ _WANDER_PERIODS = (617.0, 1471.0)
 class Accelerometer:
     """One of the four.
 
-    Attributes
-    ----------
-    scale : float
-        Unit/g.
-    misalignment : float
-        δP, radians.
-    phase_error : float
-        Error of its angular place on the disk, radians.
-    offset : float
-        Unit.
-    drift : float
-        Of the offset, unit/s.
-    second_order : float
-        K_II, 1/g.
+    scale: unit/g.
+    misalignment: δP, radians.
+    phase_error: error of its angular place on the disk, radians.
+    offset: unit.
+    drift: of the offset, unit/s.
+    second_order: K_II, 1/g.
     """
 
     scale: float
@@ -87,26 +79,15 @@ class Accelerometer:
 class Disk:
     """The stage with its accelerometers; the defaults are the magnitudes of the source.
 
-    Attributes
-    ----------
-    accelerometers : tuple of Accelerometer
-        Four, a1 to a4.
-    inclination : float
-        Of the spin axis, radians; its sine is the common acceleration in g.
-    spin : float
-        Hz; negative for a stage that turns backwards.
-    rate : float
-        Samples per second.
-    wander : float
-        Largest relative change of the common acceleration.
-    gradient : tuple of float
-        R (Γxx - Γyy) and R Γxy, g.
-    noise : float
-        White, one-sided amplitude density, g/√Hz.
-    corner : float
-        Where 1/f noise is as large as the white noise, Hz; 0 for none.
-    encoder_noise : float
-        Standard deviation of the stage angle, degrees.
+    accelerometers: four, a1 to a4.
+    inclination: of the spin axis, radians; its sine is the common acceleration in g.
+    spin: hz; negative for a stage that turns backwards.
+    rate: samples per second.
+    wander: largest relative change of the common acceleration.
+    gradient: R (Γxx - Γyy) and R Γxy, g.
+    noise: white, one-sided amplitude density, g/√Hz.
+    corner: where 1/f noise is as large as the white noise, Hz; 0 for none.
+    encoder_noise: standard deviation of the stage angle, degrees.
     """
 
     accelerometers: tuple[Accelerometer, ...] = field(
@@ -207,10 +188,7 @@ class StageTruth(Truth):
 def virtual_stage(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
     """Return a stage that prints the columns of an address; a skipped or unknown column is 0.
 
-    Parameters
-    ----------
-    truth : StageTruth
-        During its fault ``stuck``, it repeats the first line of the fault.
+    truth: during its fault ``stuck``, it repeats the first line of the fault.
     """
     disk = truth.disk if isinstance(truth, StageTruth) else Disk()
     gradiometer = Gradiometer(disk, truth.seed)

@@ -1,15 +1,13 @@
 """Virtual parts: links that answer the bytes of the real ones, the jig and chamber that hold them, and their truth.
 
-Nothing here has a state that a session could lose: each answer follows from the truth, the pose, the temperature, the
-time and what was written to the part's registers. A random number is a function of a seed, a name and a number, so
-sample number n does not depend on the samples before it.
+Each answer follows from the truth, the pose, the temperature, the time and what was written to the part's registers. A
+random number is a function of a seed, a name and a number, so sample number n does not depend on those before it.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import blake2b
@@ -68,11 +66,8 @@ def part_errors(seed: int) -> Callable[[float, str], float]:
 class Fault:
     """A fault of a virtual sensor, from ``start`` to ``end`` in seconds after the session began.
 
-    Attributes
-    ----------
-    kind : str
-        ``parity`` (memory error of the part), ``stuck`` (the reading does not change), ``silent`` (the data line floats
-        high), ``unplugged`` (every transaction fails); empty for no fault.
+    kind: ``parity`` (memory error of the part), ``stuck`` (the reading does not change), ``silent`` (the data line
+        floats high), ``unplugged`` (every transaction fails); empty for no fault.
     """
 
     kind: str
@@ -85,32 +80,17 @@ NO_FAULT = Fault("", 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Truth:
-    """The true coefficients of one virtual sensor, in the terms of the measurement model.
+    """The true coefficients of one virtual sensor, in the terms of the measurement model, by channel.
 
-    Attributes
-    ----------
-    offset : mapping of str to float
-        Per channel, unit, at the reference temperature.
-    sensitivity : mapping of str to mapping of str to float
-        Per channel and axis x, y, z, unit/g.
-    reference : float
-        Reference temperature, °C.
-    drift, gain : mapping of str to tuple of float
-        Per channel, coefficients of dT, dT², ..., in unit/°C**k and 1/°C**k.
-    nonlinearity : mapping of str to tuple of float
-        Per channel, coefficients of a², a³, ... where a is the signal in g, in g.
-    noise : mapping of str to float
-        Per channel, white, standard deviation of one sample, unit.
-    thermometer_error : float
-        Error of the sensor's own thermometer, positive if it reads too high, °C.
-    lag : float
-        By how much the sensing element is later than the chamber and the thermometer, s.
-    supply : float
-        Supply of an analog sensor, V; its coefficients always refer to 5 V.
-    mounting : tuple of float
-        Rotation of the sensor on the fixture: roll, pitch, yaw, degrees.
-    jig, ambient, time_constant : float
-        Of its fixture: see :class:`Fixture`.
+    offset, sensitivity: unit at the reference temperature (°C); unit/g for each axis x, y, z.
+    drift, gain: coefficients of dT, dT², ..., in unit/°C**k and 1/°C**k.
+    nonlinearity: coefficients of a², a³, ... where a is the signal in g, in g.
+    noise: white, standard deviation of one sample, unit.
+    thermometer_error: of the sensor's own thermometer, positive if it reads too high, °C.
+    lag: by how much the sensing element is later than the chamber and the thermometer, s.
+    supply: of an analog sensor, V; its coefficients always refer to 5 V.
+    mounting: rotation of the sensor on the fixture: roll, pitch, yaw, degrees.
+    jig, ambient, time_constant: of its :class:`Fixture`.
     """
 
     channels: tuple[str, ...]
@@ -159,10 +139,7 @@ class Truth:
         return NO_FAULT
 
     def fault_on_link(self, now_ns: int, device: str = "sensor") -> Fault:
-        """Return the fault that is present at a transaction with what is called ``device`` in the message.
-
-        BusError: the device is unplugged.
-        """
+        """Return the fault that is present at a transaction; of an unplugged device it is a BusError."""
         fault = self.fault(now_ns / 1e9)
         if fault.kind == "unplugged":
             raise BusError(f"the virtual {device} is unplugged, a fault that its truth sets: resume the session later")
@@ -181,11 +158,8 @@ def _powers(coefficients: Polynomial, variable: float, lowest: int) -> float:
 class Tolerances:
     """The limits of a part as delivered, within which a virtual part is drawn; every error is evenly distributed.
 
-    offset: g.
-    sensitivity, cross: relative to the nominal sensitivity, and to the part's own.
-    drift: of the offset, g/°C.
-    gain: of the sensitivity, 1/°C.
-    thermometer: °C.
+    offset (g), sensitivity and cross (relative to the nominal sensitivity and to the part's own), drift of the offset
+    (g/°C), gain of the sensitivity (1/°C), thermometer (°C).
     """
 
     offset: float
@@ -234,11 +208,7 @@ class HeldPose(Protocol):
 
 @dataclass(frozen=True)
 class Change:
-    """A change of the chamber's temperature from ``start`` to ``target``, °C.
-
-    pace: °C/s on a straight way; 0 for an exponential one.
-    time_constant: of the exponential way, s; 0 is an immediate change.
-    """
+    """A change of the chamber's temperature, °C: straight with a pace, °C/s, else exponential (s; 0 is immediate)."""
 
     start_ns: int
     start: float
@@ -277,18 +247,9 @@ class Fixture:
     All virtual sensors of one bench share one fixture. Its random numbers are functions of the seed and of the number
     of positions before, so a resumed session continues with the same fixture.
 
-    Parameters
-    ----------
-    clock : Clock
-        Session time; the chamber approaches its set point along it.
-    seed : int
-        Seed of the angle errors.
-    jig : float
-        Standard deviation of each angle error, degrees.
-    ambient : float
-        Temperature at the start, °C.
-    time_constant : float
-        Time constant of the chamber, s; 0 is an immediate change.
+    jig: standard deviation of each angle error, degrees.
+    ambient: temperature at the start, °C.
+    time_constant: of the chamber, s; 0 is an immediate change.
     """
 
     def __init__(
@@ -304,18 +265,10 @@ class Fixture:
         self.gravity: Vector = LEVEL
 
     def move(self, gravity: Vector, temperature: float | None = None, pace: float = 0.0) -> None:
-        """Take a position with an angle error, and set the chamber.
+        """Take a position (up in the fixture frame) with an angle error, and set the chamber, °C, at a pace in °C/min.
 
-        If the position is the present one, its angle error stays the same.
-
-        Parameters
-        ----------
-        gravity : tuple of float
-            Up in the fixture frame, a unit vector.
-        temperature : float, optional
-            New set point, °C; without it the set point stays the same.
-        pace : float
-            °C/min by which the chamber goes there; 0 for its time constant.
+        If the position is the present one, its angle error stays the same. Without a pace the chamber has its time
+        constant.
         """
         if gravity != self._asked:
             errors = [self._jig * normal(self._seed, f"jig {axis}", self._moves) for axis in "xyz"]
@@ -398,17 +351,22 @@ class VirtualPart(ABC):
         """Return the fault that is present now; of an unplugged part it is a BusError."""
         return self._truth.fault_on_link(self._clock.now_ns())
 
+    def _state(self) -> tuple[Vector, float, float]:
+        """Return up (g), the temperature of the element (°C) and the session time (s) of the present sample.
+
+        A stuck part stays level and at the temperature of the start, with the noise of the beginning of its fault.
+        """
+        fault = self._fault()
+        if fault.kind == "stuck":
+            return LEVEL, self._truth.ambient, fault.start
+        return self._fixture.gravity, self._fixture.temperature(self._truth.lag), self._clock.now_ns() / 1e9
+
     def _word(self, channel: str, rate: float, low: int, high: int, scale: float = 1.0) -> int:
         """Return a channel with the noise of the present conversion, rounded and clipped, count.
 
         ``scale`` is the counts of the measuring range that is set, to those of the truth.
         """
-        gravity, temperature = self._fixture.gravity, self._fixture.temperature(self._truth.lag)
-        now = self._clock.now_ns() / 1e9
-        fault = self._fault()
-        if fault.kind == "stuck":
-            # Held at its level value: a function of the fault alone, so a resumed session reads the same words.
-            gravity, temperature, now = LEVEL, self._truth.ambient, fault.start
+        gravity, temperature, now = self._state()
         reading = self._truth.reading(channel, gravity, temperature)
         noise = self._truth.noise.get(channel, 0.0)
         if noise:
@@ -422,43 +380,6 @@ class VirtualPart(ABC):
     def _filler(self) -> int:
         """Return a random byte, where the data sheet leaves the byte undefined."""
         return int(uniform(self._truth.seed, "filler", self._clock.now_ns()) * 256)
-
-
-class RecallingPart(VirtualPart):
-    """A virtual part that keeps what its driver has set; see :class:`~tiltcal.drivers.bus.link.Recalling`."""
-
-    _recalls = False
-
-    def recall(self, out: bytes, now_ns: int) -> None:
-        """Repeat what was sent at an earlier time; in mid-session the part is already set up."""
-        if not self._recalls:
-            self._recalls = True
-            self._take_set_up_state()
-        with at_time(self._clock, now_ns - round(self._seconds(out) * 1e9)):
-            self._take(out)
-
-    @abstractmethod
-    def _take_set_up_state(self) -> None:
-        """Take the state of a part after the setup by its driver."""
-
-    @abstractmethod
-    def _seconds(self, out: bytes) -> float:
-        """Return how long before its end a transaction takes effect, s."""
-
-    @abstractmethod
-    def _take(self, out: bytes) -> object:
-        """Take what is sent; where that was earlier, its answer is dropped."""
-
-
-@contextmanager
-def at_time(clock: Clock, now_ns: int) -> Iterator[None]:
-    """Set the clock to another session time, in nanoseconds, for the time of the block."""
-    present_ns = clock.now_ns()
-    clock.seek(now_ns)
-    try:
-        yield
-    finally:
-        clock.seek(present_ns)
 
 
 class VirtualLine(VirtualPart):

@@ -18,12 +18,8 @@ __all__ = ["BUSES", "Bus", "Device", "link_letter", "open_link"]
 class Bus(NamedTuple):
     """One kind of bus.
 
-    Attributes
-    ----------
-    letter : str
-        In a journal; it says what a transaction is: see :class:`~tiltcal.drivers.bus.link.Link`.
-    open : str or callable
-        Module and function, which returns the link: ``open(address, model)``; of another package ``open(address)``.
+    letter: in a journal; it says what a transaction is: see :class:`~tiltcal.drivers.bus.link.Link`.
+    open: module and function, which returns the link: ``open(address, model)``; of another package ``open(address)``.
     """
 
     letter: str
@@ -54,6 +50,8 @@ BUSES = {
     "gpio": Bus("e", "tiltcal.drivers.bus.gpio:open_gpio"),
     "vcd": Bus("e", "tiltcal.drivers.bus.vcd:open_vcd"),
     "modbus": Bus("m", "tiltcal.drivers.bus.modbus:open_modbus"),
+    "iio": Bus("n", "tiltcal.drivers.bus.attributes:open_iio"),
+    "python": Bus("n", "tiltcal.drivers.bus.attributes:open_python"),
     "package": Bus("", "the bus of the package that adds the model"),
 }
 """By the last part of a scheme; a converter may stand before it, as in ``ads1115+i2c``."""
@@ -68,14 +66,9 @@ def link_letter(address: Address, model: Device) -> str:
 def open_link(address: Address, model: Device, lines: MutableMapping[str, ModbusLine] | None = None) -> Link:
     """Open the bus of an address for one device, and import only that bus's library.
 
-    Parameters
-    ----------
-    address : Address
-        Of a real bus. The link of a ``sim:`` address is the twin, ``model.twin(truth, fixture, clock)``.
-    model : Model
-        What is connected there; its facts limit the options, and its own options are allowed too.
-    lines : mapping of str to ModbusLine, optional
-        The lines that the caller has open already, by their port: devices on one of them share it. See
+    address: of a real bus. The link of a ``sim:`` address is the twin, ``model.twin(truth, fixture, clock)``.
+    model: what is connected there; its facts limit the options, and its own options are allowed too.
+    lines: the lines that the caller has open already, by their port: devices on one of them share it. See
         :func:`~tiltcal.drivers.bus.modbus.open_modbus`.
 
     UsageError: the model does not have this scheme, or an option is wrong.

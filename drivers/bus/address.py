@@ -10,6 +10,7 @@
     serial:socket://192.168.1.7:4000?columns=x,y
     modbus:tcp://192.168.1.7:502?columns=x@0:int16*0.001
     sim:?twin=truth.yaml&seed=7         or shorter  sim:twin=truth.yaml&seed=7
+    /dev/ttyUSB0?columns=x,y,z          a serial port alone, COM3 as well: serial:///dev/ttyUSB0?columns=x,y,z
 
 A ``%`` with two hexadecimal digits stands for a byte, so a place or value may hold ``?`` (%3F), ``&`` (%26) and ``%``
 (%25) itself.
@@ -19,7 +20,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from math import isfinite
 from typing import NoReturn, TypeVar
@@ -30,6 +31,9 @@ from tiltcal.errors import UsageError
 from tiltcal.stated_arguments import require_text
 
 R = TypeVar("R")
+
+_PORT = re.compile(r"/dev/(?!spi|i2c|gpio)|COM\d+(\?|$)")
+"""A serial port alone, which is an address of its own."""
 
 _SCHEME = re.compile(r"[a-z][a-z0-9]*(\+[a-z][a-z0-9]*)*")
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
@@ -43,16 +47,10 @@ SCHEMES = (*BUSES, "sim")
 class Address:
     """One parsed address.
 
-    Attributes
-    ----------
-    written : str
-        As the user wrote it.
-    scheme : str
-        ``spi``, ``i2c``, ``ads1115+i2c``, ...
-    path : str
-        The device or file; for ``serial`` what pyserial opens; empty if the scheme needs none.
-    options : dict of str to str
-        In the order written, each at most once.
+    written: as the user wrote it.
+    scheme: ``spi``, ``i2c``, ``ads1115+i2c``, ...
+    path: the device or file; for ``serial`` what pyserial opens; empty if the scheme needs none.
+    options: in the order written, each at most once.
     """
 
     written: str
@@ -81,10 +79,7 @@ class Address:
     def text(self, name: str, default: str | None = None) -> str:
         """Return the text of an option.
 
-        Parameters
-        ----------
-        default : str, optional
-            Value if the option is left out; without it the option is required.
+        default: value if the option is left out; without it the option is required.
 
         UsageError: it is missing or empty.
         """
@@ -98,12 +93,8 @@ class Address:
     def integer(self, name: str, default: int | None = None, *, low: int | None = None, high: int | None = None) -> int:
         """Return a whole number, decimal or hexadecimal (``0x1d``).
 
-        Parameters
-        ----------
-        default : int, optional
-            Value if the option is left out; without it the option is required.
-        low, high : int, optional
-            Smallest and largest number that is accepted.
+        default: value if the option is left out; without it the option is required.
+        low, high: smallest and largest number that is accepted.
 
         UsageError: it is missing, not a whole number, or out of bounds.
         """
@@ -121,12 +112,8 @@ class Address:
     ) -> float:
         """Return a finite number such as ``5``, ``4.98`` or ``5e-3``.
 
-        Parameters
-        ----------
-        default : float, optional
-            Value if the option is left out; without it the option is required.
-        low, high : float, optional
-            Smallest and largest number that is accepted.
+        default: value if the option is left out; without it the option is required.
+        low, high: smallest and largest number that is accepted.
 
         UsageError: it is missing, not a finite number, or out of bounds.
         """
@@ -142,10 +129,7 @@ class Address:
     def choice(self, name: str, meanings: Mapping[str, R], default: R) -> R:
         """Return the meaning of the word that an option gives.
 
-        Parameters
-        ----------
-        default
-            Value if the option is left out.
+        default: value if the option is left out.
 
         UsageError: it is empty, or none of the words.
         """
@@ -170,14 +154,13 @@ class Address:
 def parse_address(text: str) -> Address:
     """Parse an address.
 
-    Parameters
-    ----------
-    text : str
-        As the user wrote it.
+    text: as the user wrote it.
 
     UsageError: the address is malformed. The bus that opens it checks the options.
     """
     require_text("--address", text)
+    if _PORT.match(text):
+        return replace(parse_address(f"serial:{text}"), written=text)
     scheme, colon, rest = text.partition(":")
     if not colon:
         advice = f"did you mean 'spi://{text}'?" if text.startswith("/dev/spi") else "such as spi:///dev/spidev0.0"

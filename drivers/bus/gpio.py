@@ -11,13 +11,12 @@ Every edge travels as one record of 14 bytes, little-endian::
 from __future__ import annotations
 
 import errno
-import os
 from collections.abc import Iterable, Iterator
 from struct import Struct
 from time import sleep
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from tiltcal.drivers.bus.nodes import import_library, missing_node, no_permission
+from tiltcal.drivers.bus.nodes import Node, import_library
 from tiltcal.errors import BusError, HardwareError
 
 if TYPE_CHECKING:
@@ -38,21 +37,17 @@ KERNEL_BUFFER = 1024
 MOST_LINES = 65_536
 """No chip has as many lines."""
 
-CONSUMER = "tiltcal"
+NODE = Node("gpio", ("gpiochip*",), "no GPIO chip is present")
+OPENING = ((errno.ENODEV, errno.ENOTTY), "{place} is no GPIO chip, as /dev/gpiochip0 is")
+ERRORS = (
+    ((errno.EBUSY,), "a line of {place} is in use by another program or by the kernel: stop that one first"),
+    ((errno.EINVAL,), "{place} refuses the lines ({cause}): does it have them?"),
+    ((errno.ENODEV, errno.EIO, errno.ENXIO), "{place} is gone: plug it in again, then resume"),
+)
 
 
 class Edge(NamedTuple):
-    """One change of one line.
-
-    Attributes
-    ----------
-    time_ns : int
-        On the capturing clock.
-    line : int
-        0 is x, 1 is y.
-    number : int
-        Counts the edges of both lines in the order of capture.
-    """
+    """One change of one line; the number counts the edges of both lines in the order of capture."""
 
     time_ns: int
     line: int
@@ -66,10 +61,7 @@ def pack_edges(edges: Iterable[Edge]) -> bytes:
 
 
 def unpack_edges(records: bytes) -> Iterator[Edge]:
-    """Iterate over the edges in a link's answer, the inverse of :func:`pack_edges`.
-
-    BusError: a torn record, or one of a line that is neither x nor y.
-    """
+    """Iterate over the edges in a link's answer; a torn record, or one of a third line, is a BusError."""
     if len(records) % RECORD.size:
         raise BusError(f"{len(records)} bytes are no whole number of edge records of {RECORD.size} bytes")
     for time_ns, line, rising, number in RECORD.iter_unpack(records):
@@ -79,13 +71,7 @@ def unpack_edges(records: bytes) -> Iterator[Edge]:
 
 
 def open_gpio(address: Address, model: Device) -> GpioLink:
-    """Open a ``gpio:`` address.
-
-    Parameters
-    ----------
-    address : Address
-        The path is a GPIO chip; options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge that
-        are an error.
+    """Open a GPIO chip: options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge.
 
     UsageError: a line is missing, or both are the same.
     HardwareError: the gpiod package is not installed, or is older than version 2.
@@ -118,18 +104,13 @@ class GpioLink:
         self._rising = gpiod.EdgeEvent.Type.RISING_EDGE
         try:
             self._request = gpiod.request_lines(
-                chip, consumer=CONSUMER, config={(x, y): settings}, event_buffer_size=KERNEL_BUFFER
+                chip, consumer="tiltcal", config={(x, y): settings}, event_buffer_size=KERNEL_BUFFER
             )
         except (OSError, ValueError) as cause:
-            if isinstance(cause, OSError) and cause.errno in (errno.ENODEV, errno.ENOTTY):
-                raise BusError(f"{chip} is no GPIO chip, as /dev/gpiochip0 is") from cause
-            self._fail(cause)
+            raise self._error(cause, OPENING, *ERRORS) from cause
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Take the records of edges that have arrived; see :class:`~tiltcal.drivers.bus.link.Link`.
-
-        BusError: no edge within the timeout, or the chip is unplugged.
-        """
+        """Take the records of edges that have arrived; see :class:`~tiltcal.drivers.bus.link.Link`."""
         try:
             if not count:
                 while self._request.wait_edge_events(0):
@@ -143,7 +124,7 @@ class GpioLink:
             sleep(GATHER)
             return pack_edges(map(self._edge, self._request.read_edge_events(max(count // RECORD.size, 1))))
         except (OSError, ValueError) as cause:
-            self._fail(cause)
+            raise self._error(cause, *ERRORS) from cause
 
     def close(self) -> None:
         """Release the lines; closing twice is allowed."""
@@ -155,8 +136,11 @@ class GpioLink:
         rising = event.event_type is self._rising
         return Edge(event.timestamp_ns, self._place[event.line_offset], rising, event.global_seqno)
 
-    def _fail(self, cause: Exception) -> NoReturn:
-        raise BusError(_why(self._chip, cause)) from cause
+    def _error(self, cause: Exception, *texts: tuple[tuple[int, ...], str]) -> BusError:
+        refused = OSError(errno.EINVAL, str(cause)) if isinstance(cause, ValueError) else cause
+        return BusError(
+            NODE.why(self._chip, refused, texts, "{place} failed ({reason}): check the wiring, then resume")
+        )
 
 
 def _gpiod() -> Any:
@@ -169,20 +153,3 @@ def _gpiod() -> Any:
             f"{install}"
         )
     return gpiod
-
-
-def _why(chip: str, cause: Exception) -> str:
-    """Return the message for an error of the operating system: the cause and what to try."""
-    number = cause.errno if isinstance(cause, OSError) else None
-    if number == errno.ENOENT:
-        return missing_node(chip, ["gpiochip*"], "no GPIO chip is present")
-    if number in (errno.EACCES, errno.EPERM):
-        return no_permission(chip, "gpio")
-    if number == errno.EBUSY:
-        return f"a line of {chip} is in use by another program or by the kernel: stop that one first"
-    if number == errno.EINVAL or isinstance(cause, ValueError):
-        return f"{chip} refuses the lines ({cause}): does it have them?"
-    if number in (errno.ENODEV, errno.EIO, errno.ENXIO):
-        return f"{chip} is gone: plug it in again, then resume"
-    reason = os.strerror(number) if number is not None else str(cause)
-    return f"{chip} failed ({reason}): check the wiring, then resume"

@@ -18,25 +18,20 @@ class Link(Protocol):
     """
 
     letter: str
-    """The bus in a journal line: ``s`` SPI, ``i`` I2C, ``r`` serial, ``e`` edges, ``m`` Modbus."""
+    """The bus in a journal line: ``s`` SPI, ``i`` I2C, ``r`` serial, ``e`` edges, ``m`` Modbus, ``n`` a value by
+    its name."""
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Carry out one bus transaction.
 
-        Parameters
-        ----------
-        out : bytes
-            SPI: the frame shifted out while chip select is low. I2C: the bytes written, may be empty.
-            Serial: the bytes sent, may be empty.
-        count : int
-            I2C: bytes to read after a repeated start. Serial and edges: the largest number of bytes to take,
-            waiting for the first; with 0 and nothing to send, what has arrived is discarded. SPI: unused, a frame reads
-            as many bytes as it writes.
+        out: SPI: the frame shifted out while chip select is low. I2C: the bytes written, may be empty. Serial: the
+            bytes sent, may be empty.
+        count: I2C: bytes to read after a repeated start. Serial and edges: the largest number of bytes to take, waiting
+            for the first; with 0 and nothing to send, what has arrived is discarded. SPI: unused, a frame reads as many
+            bytes as it writes.
 
-        Returns
-        -------
-        bytes
-            The answer of the device; of serial lines and edges at least one byte or record where ``count`` is not 0.
+        Returns: the answer of the device; of serial lines and edges at least one byte or record where ``count`` is not
+            0.
 
         BusError: the transaction failed; the message states the cause and what to try.
         """
@@ -44,19 +39,6 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Release the bus; closing twice is allowed."""
-        ...
-
-
-@runtime_checkable
-class Recalling(Protocol):
-    """A virtual link with registers that keep what was written to them.
-
-    A resumed session has new twins, while a real part keeps its registers; so such a twin receives again what was sent
-    before.
-    """
-
-    def recall(self, out: bytes, now_ns: int) -> None:
-        """Take what was sent at an earlier session time, in nanoseconds, without an answer."""
         ...
 
 

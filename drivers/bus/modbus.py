@@ -9,7 +9,7 @@ from collections.abc import MutableMapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.nodes import import_library, no_permission, no_serial_port
+from tiltcal.drivers.bus.nodes import SERIAL_PORT, import_library
 from tiltcal.drivers.bus.serial import PARITIES, require_line
 from tiltcal.errors import BusError
 
@@ -38,14 +38,10 @@ HOLDING, INPUT, FAILED = 3, 4, 0x80
 def open_modbus(address: Address, model: Device, lines: MutableMapping[str, ModbusLine] | None = None) -> ModbusLink:
     """Open a ``modbus:`` address.
 
-    Parameters
-    ----------
-    address : Address
-        The path is a serial port, or ``tcp://host:port``. Options ``unit`` (1 to 247) and ``timeout`` (seconds); of a
-        serial port ``baudrate``, ``parity`` (N, E, O) and ``stopbits`` (1, 2).
-    lines : mapping of str to ModbusLine, optional
-        The serial lines that were opened before, by their port, which the units of an RS-485 line share; a new one is
-        added.
+    address: the path is a serial port, or ``tcp://host:port``. Options ``unit`` (1 to 247) and ``timeout`` (seconds);
+        of a serial port ``baudrate``, ``parity`` (N, E, O) and ``stopbits`` (1, 2).
+    lines: the serial lines that were opened before, by their port, which the units of an RS-485 line share; a new one
+        is added.
 
     UsageError: an unknown or wrong option, or one that another unit on the line contradicts.
     HardwareError: the pymodbus package is not installed.
@@ -108,14 +104,9 @@ class ModbusLine:
     and before the unit is asked for anything else the line has to be silent for as long as a late answer may take. An
     answer of TCP has the number of its request.
 
-    Parameters
-    ----------
-    place : str
-        What is opened, for messages.
-    client : pymodbus client
-        Not connected yet, without retries.
-    numbered : bool
-        Whether answers have the number of their request.
+    place: what is opened, for messages.
+    client: not connected yet, without retries.
+    numbered: whether answers have the number of their request.
     """
 
     def __init__(self, place: str, client: Any, *, numbered: bool = False) -> None:
@@ -131,12 +122,7 @@ class ModbusLine:
         return self._client.comm_params
 
     def open(self) -> None:
-        """Open the line, unless it is open.
-
-        Raises
-        ------
-        BusError
-        """
+        """Open the line, unless it is open."""
         try:
             opened = self._client.connect()
         except UnicodeError as cause:  # a name that cannot be one of a host
@@ -151,10 +137,7 @@ class ModbusLine:
     def read(self, unit: int, function: int, first: int, number: int) -> Any:
         """Return the answer of a unit: pymodbus' response to this request, or an exception response.
 
-        Raises
-        ------
-        BusError
-            No answer with the right checksum, function and length, or the connection is gone.
+        BusError: no answer with the right checksum, function and length, or the connection is gone.
         """
         from pymodbus.exceptions import ConnectionException, ModbusException
 
@@ -203,10 +186,7 @@ class ModbusLine:
 class ModbusLink:
     """One unit on a Modbus line or server.
 
-    Parameters
-    ----------
-    unit : int
-        The device's address on the line.
+    unit: the device's address on the line.
 
     BusError: the line cannot be opened.
     """
@@ -221,19 +201,12 @@ class ModbusLink:
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Read registers.
 
-        Parameters
-        ----------
-        out : bytes
-            The request without frame and checksum: function code 3 or 4, first register and number of registers, two
+        out: the request without frame and checksum: function code 3 or 4, first register and number of registers, two
             bytes each.
-        count : int
-            Unused.
+        count: unused.
 
-        Returns
-        -------
-        bytes
-            The answer likewise: function code, number of bytes, registers; or function code + 0x80 and an exception
-            code.
+        Returns: the answer likewise: function code, number of bytes, registers; or function code + 0x80 and an
+            exception code.
 
         BusError: as :meth:`ModbusLine.read`.
         """
@@ -262,7 +235,7 @@ def _why_not_opened(place: str) -> str:
     if place.startswith("tcp://"):
         return f"no Modbus server answers at {place}: is it running, and are host and port right?"
     if not Path(place).exists():
-        return no_serial_port(place)
+        return SERIAL_PORT.missing(place)
     if not os.access(place, os.R_OK | os.W_OK):
-        return no_permission(place, "tty")
+        return SERIAL_PORT.no_permission(place)
     return f"{place} cannot be opened: is it a serial port, and does another program use it?"

@@ -4,85 +4,76 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tiltcal.errors import HardwareError
 
 
 def import_library(module: str, needed: str, install: str) -> Any:
-    """Import a module of a package that one bus needs.
-
-    needed: what needs which package, for the message: ``SPI needs the Python package spidev, for Linux only``.
-    install: what pip installs.
-
-    HardwareError: the package is not installed.
-    """
+    """Import a module that one bus needs; without it a HardwareError says what needs which package, and its pip."""
     try:
         return import_module(module)
     except ImportError as cause:
         raise HardwareError(f"{needed}: install it with  pip install {install}") from cause
 
 
-def no_permission(device: str, subsystem: str) -> str:
-    """Return the message for a device node that this user may not open.
+class Node(NamedTuple):
+    """The device nodes of a bus: its subsystem in udev, their names in ``/dev``, and what to say if there is none."""
 
-    device: the node, such as ``/dev/spidev0.0``.
-    subsystem: its name in udev, such as ``spidev``; the usual group has this name without a trailing ``dev``.
-    """
-    import grp
+    subsystem: str
+    patterns: tuple[str, ...]
+    absent: str
 
-    try:
-        group = grp.getgrgid(os.stat(device).st_gid).gr_name
-    except (KeyError, OSError):
-        return f"no permission to use {device}: ask the owner of this machine for it"
-    if group == "root":
-        usual = subsystem.removesuffix("dev").removesuffix("-")
+    def missing(self, place: str) -> str:
+        """Return the message for a node that does not exist, with those of its kind that do."""
+        present = ", ".join(sorted(str(path) for pattern in self.patterns for path in Path("/dev").glob(pattern)))
+        return f"{place} does not exist ({f'present: {present}' if present else self.absent})"
+
+    def no_permission(self, place: str) -> str:
+        """Return the message for a node that this user may not open; nobody is told to join the group root."""
+        import grp
+
+        try:
+            group = grp.getgrgid(os.stat(place).st_gid).gr_name
+        except (KeyError, OSError):
+            return f"no permission to use {place}: ask the owner of this machine for it"
+        if group == "root":
+            # The usual group has the name of the subsystem without a trailing dev.
+            usual = self.subsystem.removesuffix("dev").removesuffix("-")
+            return (
+                f"no permission to use {place}, which belongs to root alone: give it to a group with the udev rule  "
+                f'SUBSYSTEM=="{self.subsystem}", GROUP="{usual}", MODE="0660"  and join that group'
+            )
         return (
-            f"no permission to use {device}, which belongs to root alone: give it to a group with the udev rule  "
-            f'SUBSYSTEM=="{subsystem}", GROUP="{usual}", MODE="0660"  and join that group'
+            f"no permission to use {place}, which belongs to group {group}: add yourself to group {group} with  "
+            f"sudo usermod -aG {group} $USER  and log in again"
         )
-    return (
-        f"no permission to use {device}, which belongs to group {group}: add yourself to group {group} with  "
-        f"sudo usermod -aG {group} $USER  and log in again"
-    )
+
+    def why(
+        self, place: str, cause: Exception, texts: Iterable[tuple[tuple[int, ...], str]], otherwise: str = ""
+    ) -> str:
+        """Return the message for an error: the text that has its number, with the place, the reason and the cause."""
+        number = error_number(cause)
+        if number == errno.ENOENT:
+            return self.missing(place)
+        if number in (errno.EACCES, errno.EPERM):
+            return self.no_permission(place)
+        text = next((text for numbers, text in texts if number in numbers), otherwise)
+        reason = str(cause) if number is None else os.strerror(number)
+        return text.format(place=place, reason=reason, cause=cause)
 
 
-def no_serial_port(place: str) -> str:
-    """Return the message for a serial port that does not exist."""
-    return missing_node(place, ("ttyUSB*", "ttyACM*"), "no USB serial port is present; is the cable plugged in?")
+SERIAL_PORT = Node("tty", ("ttyUSB*", "ttyACM*"), "no USB serial port is present; is the cable plugged in?")
 
 
-def missing_node(device: str, patterns: Sequence[str], otherwise: str) -> str:
-    """Return the message for a device node that does not exist, with those of its kind that do.
-
-    patterns: the names of such nodes in ``/dev``, such as ``spidev*``.
-    otherwise: what the message says if there is no such node.
-    """
-    present = ", ".join(sorted(str(path) for pattern in patterns for path in Path("/dev").glob(pattern)))
-    return f"{device} does not exist ({f'present: {present}' if present else otherwise})"
-
-
-def node_error(device: str, cause: OSError, bus: str, *, subsystem: str, pattern: str, example: str) -> str | None:
-    """Return the message for an error that every bus node has in common; None for another error.
-
-    device: the node, such as ``/dev/spidev0.0``.
-    cause: what the operating system reported.
-    bus: the bus with its article, such as ``an SPI device``.
-    subsystem: its name in udev, for :func:`no_permission`.
-    pattern: the names of such nodes in ``/dev``, such as ``spidev*``.
-    example: a node of this kind.
-    """
-    name = bus.split()[1]
-    if cause.errno == errno.ENOENT:
-        kind = bus.partition(" ")[2]
-        return missing_node(device, [pattern], f"no {kind} is present; switch {name} on in the board's settings")
-    if cause.errno in (errno.EACCES, errno.EPERM):
-        return no_permission(device, subsystem)
-    if cause.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
-        return f"{device} is gone: plug the {name} adapter in again, then resume"
-    if cause.errno in (errno.ENOTTY, errno.EINVAL):
-        return f"{device} refuses an {name} request ({os.strerror(cause.errno)}): is it {bus}, as {example} is?"
+def error_number(cause: BaseException | None) -> int | None:
+    """Return the number of the operating system's error behind an error of a library."""
+    under = cause
+    while under is not None:
+        if under.args and isinstance(under.args[0], int):
+            return under.args[0]
+        under = under.__cause__ or under.__context__
     return None

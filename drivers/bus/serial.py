@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import errno
-import os
 import re
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.nodes import import_library, no_permission, no_serial_port
+from tiltcal.drivers.bus.nodes import SERIAL_PORT, error_number, import_library
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
@@ -37,18 +36,21 @@ HANDLERS = ("socket", "rfc2217", "hwgrep", "loop")
 """pyserial's URL handlers that can be used. Others do more than open a line: ``spy://`` writes to any file."""
 STOP_BITS = {"1": 1.0, "1.5": 1.5, "2": 2.0}
 
+ERRORS = (
+    ((errno.EBUSY, errno.EAGAIN), "{place} is in use by another program: stop that one first"),
+    (
+        (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT),
+        "no server answers at {place} ({reason}): is the server running, and the port number right?",
+    ),
+    ((errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF), "{place} is gone: plug it in again, then resume"),
+    ((errno.ENOTTY, errno.EINVAL), "{place} is no serial port, or does not take these settings ({reason})"),
+)
+
 
 def open_serial(address: Address, model: Device) -> SerialLink:
-    """Open a ``serial:`` address.
-
-    Parameters
-    ----------
-    address : Address
-        The path is a port, or a URL of pyserial's with one of :data:`HANDLERS`. Options ``baudrate``, ``parity`` (N,
-        E, O, M, S), ``stopbits`` (1, 1.5, 2) and ``timeout`` (seconds of silence that are an error).
+    """Open a port, or a URL of pyserial's with one of :data:`HANDLERS`; ``timeout`` is the silence that is an error, s.
 
     UsageError: an unknown or wrong option, or a URL that pyserial does not support.
-    HardwareError: the pyserial package is not installed.
     BusError: no such port, no permission, no server, or in use.
     """
     address.allow(*dict.fromkeys(("baudrate", "parity", "stopbits", "timeout", *model.options)))
@@ -75,27 +77,14 @@ def open_serial(address: Address, model: Device) -> SerialLink:
 
 
 def require_line(address: Address) -> None:
-    """Refuse a URL of pyserial's whose handler does more than open a line.
-
-    UsageError: with the handlers that can be used.
-    """
+    """Refuse a URL of pyserial's whose handler does more than open a line."""
     handler, url, _ = address.path.partition("://")
     if url and handler.lower() not in HANDLERS:
         address.refuse(f"{handler}:// cannot be used: name a port, or {', '.join(f'{known}://' for known in HANDLERS)}")
 
 
 class SerialLink:
-    """One serial line; :func:`open_serial` says what can go wrong.
-
-    Parameters
-    ----------
-    place : str
-        What was opened, for messages.
-    port : serial.SerialBase
-        Not opened yet.
-    timeout : float
-        Seconds of silence that are an error.
-    """
+    """One serial line: what was opened, pyserial's port, not opened yet, and the silence that is an error, s."""
 
     letter = "r"
 
@@ -109,13 +98,10 @@ class SerialLink:
             port.open()
         except _PORT_ERRORS as cause:
             port.close()
-            self._fail(cause)
+            raise BusError(_why(place, cause)) from cause
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Send ``out``, then take what has arrived; see :class:`~tiltcal.drivers.bus.link.Link`.
-
-        BusError: no data within the timeout, or the port is unplugged.
-        """
+        """Send ``out``, then take what has arrived; see :class:`~tiltcal.drivers.bus.link.Link`."""
         try:
             if out:
                 self._port.write(out)
@@ -123,7 +109,7 @@ class SerialLink:
                 self._port.reset_input_buffer()
             return self._received(count) if count else b""
         except _PORT_ERRORS as cause:
-            self._fail(cause)
+            raise BusError(_why(self._place, cause)) from cause
 
     def close(self) -> None:
         """Release the port; closing twice is allowed."""
@@ -139,35 +125,11 @@ class SerialLink:
                 )
         return arrived
 
-    def _fail(self, cause: Exception) -> NoReturn:
-        raise BusError(_why(self._place, cause)) from cause
-
 
 def _why(place: str, cause: Exception) -> str:
     """Return the message for an error of pyserial or the operating system: the cause and what to try."""
-    number = _errno(cause)
-    if number == errno.ENOENT:
-        return no_serial_port(place)
-    if number in (errno.EACCES, errno.EPERM):
-        return no_permission(place, "tty")
-    if number in (errno.EBUSY, errno.EAGAIN):
-        return f"{place} is in use by another program: stop that one first"
-    if number in (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT):
-        return (
-            f"no server answers at {place} ({os.strerror(number)}): is the server running, and the port number right?"
-        )
-    if number in (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF) or "disconnected" in str(cause):
-        return f"{place} is gone: plug it in again, then resume"
-    if number in (errno.ENOTTY, errno.EINVAL):
-        return f"{place} is no serial port, or does not take these settings ({os.strerror(number)})"
-    return f"{place} failed ({cause}): check the cable and the adapter, then resume"
-
-
-def _errno(cause: BaseException) -> int | None:
-    """Return the errno of the operating system's error behind an error of pyserial."""
-    under: BaseException | None = cause
-    while under is not None:
-        if isinstance(under, _PORT_ERRORS) and under.args and isinstance(under.args[0], int):
-            return under.args[0]
-        under = under.__cause__ or under.__context__
-    return errno.EBADF if isinstance(cause, TypeError) else None
+    gone = "disconnected" in str(cause) or (isinstance(cause, TypeError) and error_number(cause) is None)
+    under = OSError(errno.ENODEV, str(cause)) if gone else cause
+    return SERIAL_PORT.why(
+        place, under, ERRORS, "{place} failed ({cause}): check the cable and the adapter, then resume"
+    )

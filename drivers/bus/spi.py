@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.bus.nodes import import_library, node_error
+from tiltcal.drivers.bus.nodes import Node, import_library
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
@@ -19,16 +18,10 @@ if TYPE_CHECKING:
 class SpiPort:
     """The SPI settings that a part accepts.
 
-    Attributes
-    ----------
-    modes : tuple of int
-        Clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
-    fastest : int or None
-        Highest clock, Hz; None where no source states it.
-    speed : int or None
-        Clock if the address states none, Hz; None is the fastest.
-    slowest : int
-        Lowest clock at which the part's words do not change while they are read, Hz.
+    modes: clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
+    fastest: highest clock, Hz; None where no source states it.
+    speed: clock if the address states none, Hz; None is the fastest.
+    slowest: lowest clock at which the part's words do not change while they are read, Hz.
     """
 
     modes: tuple[int, ...]
@@ -40,19 +33,21 @@ class SpiPort:
 FASTEST = 100_000_000
 """Highest clock of a part whose own is not known, Hz; spidev would take 2**32 and more for other clocks."""
 
+NODE = Node("spidev", ("spidev*",), "no SPI device is present; switch SPI on in the board's settings")
+ERRORS = (
+    ((errno.EBUSY,), "{place} is in use by another program: stop that one first"),
+    ((errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN), "{place} is gone: plug the SPI adapter in again, then resume"),
+    (
+        (errno.ENOTTY, errno.EINVAL),
+        "{place} refuses an SPI request ({reason}): is it an SPI device, as /dev/spidev0.0 is?",
+    ),
+)
+
 
 def open_spi(address: Address, model: Device) -> SpiLink:
-    """Open a ``spi:`` address for one device.
-
-    Parameters
-    ----------
-    address : Address
-        Options ``mode`` (0 to 3) and ``speed`` (Hz); the default is what the model prefers.
-    model : Model
-        Its :attr:`~tiltcal.drivers.model.Model.spi` limits them.
+    """Open a ``spi:`` address for one device: options ``mode`` (0 to 3) and ``speed`` (Hz), within those of the model.
 
     UsageError: an unknown option, or a mode or speed that the part does not support.
-    HardwareError: the spidev package is not installed.
     BusError: no such device, no permission, or a clock that is too slow for the part.
     """
     address.allow("mode", "speed", *model.options)
@@ -75,7 +70,7 @@ def open_spi(address: Address, model: Device) -> SpiLink:
 
 
 class SpiLink:
-    """One chip select of one SPI bus; the parameters and errors are those of :func:`open_spi`."""
+    """One chip select of one SPI bus."""
 
     letter = "s"
 
@@ -91,25 +86,19 @@ class SpiLink:
             self._bus.bits_per_word = 8
         except OSError as cause:
             self._bus.close()
-            raise BusError(_why(device, cause)) from cause
+            raise self._error(cause) from cause
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Shift one frame out and in, chip select low throughout; see :class:`~tiltcal.drivers.bus.link.Link`."""
         try:
-            answer: Sequence[int] = self._bus.xfer2(list(out))
+            return bytes(self._bus.xfer2(list(out)))
         except OSError as cause:
-            raise BusError(_why(self._device, cause)) from cause
-        return bytes(answer)
+            raise self._error(cause) from cause
 
     def close(self) -> None:
         """Release the device node, so that a new link can open it."""
         self._bus.close()
 
-
-def _why(device: str, cause: OSError) -> str:
-    """Return the message for an error of the operating system: the cause and what to try."""
-    if cause.errno == errno.EBUSY:
-        return f"{device} is in use by another program: stop that one first"
-    known = node_error(device, cause, "an SPI device", subsystem="spidev", pattern="spidev*", example="/dev/spidev0.0")
-    reason = cause.strerror or str(cause)
-    return known or f"transfer on {device} failed ({reason}): check the wiring and the adapter, then resume"
+    def _error(self, cause: OSError) -> BusError:
+        otherwise = "transfer on {place} failed ({reason}): check the wiring and the adapter, then resume"
+        return BusError(NODE.why(self._device, cause, ERRORS, otherwise))

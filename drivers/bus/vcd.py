@@ -29,11 +29,8 @@ MOST_NS = 1 << 63
 def open_vcd(address: Address, model: Device) -> VcdLink:
     """Open a ``vcd:`` address.
 
-    Parameters
-    ----------
-    address : Address
-        The path is the capture. Options ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several scopes
-        have the name.
+    address: the path is the capture. Options ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several
+        scopes have the name.
 
     UsageError: a signal is missing from the options.
     HardwareError: the pyvcd package is not installed.

@@ -17,7 +17,7 @@ from support.pair_files import read_pair
 
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
-from tiltcal.files.procedure_file import shipped_procedures
+from tiltcal.files.procedure import shipped_procedures
 from tiltcal.files.twin import read_twin
 
 # A number that lies between two roundings is rounded to either, by the linear algebra of the processor.
@@ -108,7 +108,7 @@ def test_the_golden_file_finds_the_truth(procedure: str) -> None:
 
 def test_the_golden_pairs_find_the_truth() -> None:
     """p and q from the twin's accelerometers by what the matched sum must do, within four stated uncertainties."""
-    truth = read_document(FIXTURES / "twins" / "disk.yaml").plain()["truth"]["disk"]["accelerometers"]
+    truth = read_document(FIXTURES / "twins" / "disk.yaml").data["truth"]["disk"]["accelerometers"]
     vectors = []
     for name, phi in zip(("a1", "a2", "a3", "a4"), disk.PHASES, strict=True):
         part = truth[name]

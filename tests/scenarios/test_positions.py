@@ -16,7 +16,7 @@ from tiltcal.drivers.virtual import Fixture, VirtualPart
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.files.results import PositionSet
 from tiltcal.library.measure import measure as measure_here
 

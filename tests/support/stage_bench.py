@@ -24,7 +24,7 @@ from tiltcal.errors import BusError, Stopped
 from tiltcal.files.document import document_of
 from tiltcal.files.journal import read_journal
 from tiltcal.files.pair import PairRecord
-from tiltcal.files.procedure_file import procedure_in
+from tiltcal.files.procedure import procedure_in
 
 A1_A2 = Pair("a1", "a2", "a4")
 A3_A4 = Pair("a3", "a4", "a1")

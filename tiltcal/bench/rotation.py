@@ -30,7 +30,7 @@ from tiltcal.core.pair.matching import Matching, PairCoefficients
 from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.journal import POSITION
-from tiltcal.files.rotation import Rotation
+from tiltcal.files.procedure import Rotation
 
 BLOCK_NS = 200_000_000
 """Time over which samples are collected before they are judged and the operator is polled, ns."""

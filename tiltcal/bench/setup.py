@@ -30,8 +30,7 @@ from tiltcal.files.calibration import tilt_record
 from tiltcal.files.document import Document, document_of, read_document
 from tiltcal.files.journal import Journal
 from tiltcal.files.moments import stamp
-from tiltcal.files.procedure import Procedure
-from tiltcal.files.procedure_file import procedure_from_record
+from tiltcal.files.procedure import Procedure, procedure_from_record
 from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, plain
 from tiltcal.stated_arguments import require_printable
 

@@ -21,7 +21,7 @@ from tiltcal.core.pair.online import Notice, Recursive, TurnStream
 from tiltcal.core.pair.stage import STANDSTILL, stage_record, turning
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.rotation import Rotation
+from tiltcal.files.procedure import Rotation
 
 SHOWN_TURN = 2.25
 """Turns after which a whole one must have been among them."""

@@ -36,9 +36,10 @@ from tiltcal.files.calibration import (
     require_same_sensor,
     tilt_record,
 )
-from tiltcal.files.document import parse_document, read_text
+from tiltcal.files.document import parse_document
 from tiltcal.files.results import NOISE_ALONE, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty, stated_uncertainty, uncertain_coefficients
+from tiltcal.files.yaml_text import read_text
 
 REFUSED, NOTED = 0.001, 0.05
 """Probabilities of a rise of chi-square over the separate fits below which sessions are refused, and it is noted."""
@@ -184,7 +185,7 @@ class CombinedSession:
         names = [n for n in stated.names if n in design.names and n in self.measured and not n.startswith(lost)]
         stated = stated.named(names)
         stated = stated.chosen(np.flatnonzero(stated.u > 0.0))
-        rows, covariance = selection(stated.names, design.names), stated.widened
+        rows, covariance = selection(stated.names, design.names), stated.wide.copy()
         directions = [place.up for place in self.record.procedure.set.values() if place.up]
         same = bool(directions) and np.allclose(directions, directions[0], atol=1e-6) and self.assumes("sensitivity")
         for k, name in enumerate(stated.names):
@@ -488,7 +489,10 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncert
     follows = selection(turns, before.names) @ before.following(shared)
     across = every.covariance @ selection(shared, every.names).T @ follows.T
     turned = before.named(turns)
-    matrix = np.block([[every.covariance, across], [across.T, turned.covariance]])
+    covariance, wide = (
+        np.block([[of_coefficients, across], [across.T, of_turn]])
+        for of_coefficients, of_turn in ((every.covariance, turned.covariance), (every.wide, turned.wide))
+    )
     standard, factors = (
         of | {name: value for name, value in own.items() if name.startswith("mounting.")}
         for of, own in (
@@ -496,8 +500,8 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncert
             (dict(both.coverage_factor), mounted.uncertainty.coverage_factor),
         )
     )
-    covariance = rounded_covariance(replace(every.beside(turned), covariance=matrix))
-    return replace(both, standard=standard, coverage_factor=factors, covariance=covariance)
+    joint = replace(every.beside(turned), covariance=covariance, wide=wide)
+    return replace(both, standard=standard, coverage_factor=factors, covariance=rounded_covariance(joint))
 
 
 def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRecord]) -> Limits:

@@ -80,7 +80,7 @@ def _checked(path: Path) -> tuple[str, list[str], list[str]]:
 
         twin_of(document)
         return kind, [], []
-    from tiltcal.files.procedure_file import procedure_in
+    from tiltcal.files.procedure import procedure_in
 
     procedure_in(document)
     return kind, [], []

@@ -12,7 +12,7 @@ from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.calibration import SensorIdentity, read_calibration
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 if TYPE_CHECKING:
     from tiltcal.bench.session import Session

@@ -23,8 +23,7 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure import Procedure
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.library.calibration import Calibration
 from tiltcal.library.pair_calibration import PairCalibration
 from tiltcal.stated_arguments import (

@@ -23,8 +23,7 @@ from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.moments import stamp_of
-from tiltcal.files.procedure import Procedure
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.record import Record, keys_of
 from tiltcal.files.results import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.tables import Segment, SegmentRow, TabledRow, read_positions, read_segments, tabled_channels

@@ -26,8 +26,7 @@ from tiltcal.core.samples import summarise
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.calibration import SensorIdentity
-from tiltcal.files.procedure import Position
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import Position, find_procedure
 
 TWIN = """\
 tiltcal: 1

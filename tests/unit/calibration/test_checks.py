@@ -17,7 +17,7 @@ from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 SENSOR = SensorIdentity("recorded", "S", "V", ("x", "y"))
 PLANE = find_procedure("plane")

@@ -24,8 +24,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model, Population
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import Determines, Procedure
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import Determines, Procedure, find_procedure
 from tiltcal.files.results import CompletingRun, FileRecord, Provenance
 from tiltcal.files.uncertainty import Covariance, Uncertainty
 from tiltcal.library.calibration import Calibration, combine

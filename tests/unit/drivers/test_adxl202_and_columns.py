@@ -16,9 +16,7 @@ from tiltcal.drivers.adxl202 import (
     Adxl202Edges,
     Adxl202Sentences,
     Cycle,
-    Pulse,
     PulseTrains,
-    centred_cycle,
     content,
     missing,
     parse_sentence,
@@ -234,7 +232,7 @@ def renumbered(edges: list[Edge]) -> list[Edge]:
 
 def test_edges_of_the_fact_sheet() -> None:
     """8 MHz counts, T2 of 4 ms: x +0.5 g, y -0.25 g."""
-    cycle = centred_cycle(Pulse(0, 18000), Pulse(33500, 48500))
+    (cycle,) = cycles(trains(32000, [(18000, 15000)] * 2, centred=True))
     assert cycle == (18000, 15000, 32000)
     assert [(duty - 0.5) / 0.125 for duty in cycle.duty] == pytest.approx([0.5, -0.25])
 

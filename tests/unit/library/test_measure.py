@@ -26,7 +26,7 @@ from tiltcal.errors import InputError, Stopped, UsageError
 from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 SENSOR = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "samples": 4, "settle": 0.2}
 
@@ -253,7 +253,7 @@ def test_measuring_tilt_loads_nothing_of_a_stage() -> None:
 import sys
 from tiltcal.cli.main import run
 assert run({PLANE!r}) == 0
-pair = ("tiltcal.files.rotation", "tiltcal.bench.rotation")
+pair = ("tiltcal.bench.stage", "tiltcal.bench.rotation")
 print([name for name in sys.modules if any(one in name for one in pair)])
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
