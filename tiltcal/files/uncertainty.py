@@ -20,7 +20,7 @@ from tiltcal.core.compensation import LENGTH_TOLERANCE
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, Uncertain, degrees_of_freedom
+from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, Uncertain, widened
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.document import Document
@@ -46,16 +46,32 @@ class Covariance(Record, kw_only=True):
         about("coefficients by dotted name; `mounting.turn.x` is a turn about the application's x axis, degrees"),
     ]
     matrix: Annotated[tuple[tuple[Finite, ...], ...], about("their covariance matrix")]
+    wide: Annotated[
+        tuple[tuple[Finite, ...], ...],
+        about(
+            "the covariance of errors of known size that have the same 95 % intervals, which few degrees of freedom "
+            "widen: half an interval of what follows from the coefficients is 1.96 times the root of its variance by "
+            "this matrix; where it is left out, by `matrix` and the coverage factors"
+        ),
+    ] = ()
 
     def as_array(self) -> Array:
         """Return the matrix as an array, shape (k, k)."""
         return np.array(self.matrix, dtype=float).reshape(2 * (len(self.parameters),))
 
+    def wide_array(self, factors: Array) -> Array:
+        """Return the covariance of errors of known size with the same 95 % intervals, shape (k, k)."""
+        if not self.wide:
+            return widened(self.as_array(), factors)
+        return np.array(self.wide, dtype=float)
+
     def without_turn(self) -> Covariance:
         """Return the covariance of all but the turn of the mounting."""
         kept = [k for k, name in enumerate(self.parameters) if not name.startswith(TURN)]
-        matrix = self.as_array()[np.ix_(kept, kept)]
-        return Covariance(parameters=tuple(self.parameters[k] for k in kept), matrix=tuple(map(tuple, matrix.tolist())))
+        matrix, wide = (
+            tuple(tuple(rows[i][j] for j in kept) for i in kept) if rows else () for rows in (self.matrix, self.wide)
+        )
+        return Covariance(parameters=tuple(self.parameters[k] for k in kept), matrix=matrix, wide=wide)
 
 
 @dataclass(frozen=True)
@@ -104,27 +120,28 @@ class ThermalUncertainty(Record, kw_only=True):
 
 def _check_covariance(covariance: Covariance, place: Document, known: Sequence[str]) -> None:
     """Refuse a covariance of other coefficients, or a matrix that is none."""
-    names, matrix, size = covariance.parameters, covariance.matrix, len(covariance.parameters)
+    names, size = covariance.parameters, len(covariance.parameters)
     if len(set(names)) < size:
         raise place.error("a parameter is named twice", "parameters")
     for number, name in enumerate(names):
         place.require_known(name, known, "parameters", number)
-    if len(matrix) != size or any(len(row) != size for row in matrix):
-        raise place.error(f"{size} parameters need a matrix of {size} rows of {size} numbers", "matrix")
-    for i, j in combinations_with_replacement(range(size), 2):
-        if i == j and matrix[i][i] < 0.0:
-            raise place.error(f"the variance {matrix[i][i]:g} of {names[i]} is negative", "matrix", i)
-        if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * max(abs(matrix[i][j]), abs(matrix[j][i])):
-            raise place.error(f"the matrix is not symmetric in {names[j]} and {names[i]}", "matrix", j)
-    stated = covariance.as_array()
-    deviations = np.sqrt(np.diag(stated))
-    scales = np.where(deviations > 0.0, deviations, 1.0)
-    if np.linalg.eigvalsh(stated / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
-        raise place.error(
-            "this is no covariance: its correlations contradict one another; take it from the file that the "
-            "calibration wrote",
-            "matrix",
-        )
+    for key, matrix in (("matrix", covariance.matrix), *((("wide", covariance.wide),) if covariance.wide else ())):
+        if len(matrix) != size or any(len(row) != size for row in matrix):
+            raise place.error(f"{size} parameters need a matrix of {size} rows of {size} numbers", key)
+        for i, j in combinations_with_replacement(range(size), 2):
+            if i == j and matrix[i][i] < 0.0:
+                raise place.error(f"the variance {matrix[i][i]:g} of {names[i]} is negative", key, i)
+            if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * max(abs(matrix[i][j]), abs(matrix[j][i])):
+                raise place.error(f"the matrix is not symmetric in {names[j]} and {names[i]}", key, j)
+        stated = np.array(matrix, dtype=float).reshape(size, size)
+        deviations = np.sqrt(np.diag(stated))
+        scales = np.where(deviations > 0.0, deviations, 1.0)
+        if np.linalg.eigvalsh(stated / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
+            raise place.error(
+                "this is no covariance: its correlations contradict one another; take it from the file that the "
+                "calibration wrote",
+                key,
+            )
 
 
 class UncertaintySection(Record, kw_only=True):
@@ -246,9 +263,11 @@ def uncertain_coefficients(uncertainty: Uncertainty, coefficients: Coefficients)
         names, covariance = tuple(own), np.diag(np.array(list(own.values())) ** 2)
     else:
         names, covariance = stated.parameters, stated.as_array()
-    scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
     factors = np.array([uncertainty.coverage_factor.get(name, NORMAL_FACTOR) for name in names])
-    found = Uncertain.errors(names, covariance * np.outer(scale, scale), degrees_of_freedom(factors))
+    wide = widened(covariance, factors) if stated is None else stated.wide_array(factors)
+    scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
+    scales = np.outer(scale, scale)
+    found = Uncertain(names, np.zeros(len(names)), covariance * scales, wide * scales)
     angles = {angle: radians(u) for angle in ANGLES if (u := uncertainty.get(f"mounting.{angle}")) is not None}
     if not names or coefficients.mounting is None or not angles or any(name.startswith(TURN) for name in names):
         return found
