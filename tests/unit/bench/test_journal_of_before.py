@@ -57,7 +57,7 @@ def require_calibration_of_its_day(journal: Path, golden: Path) -> None:
 
 
 def test_all_but_three_of_the_journals_of_before_give_the_calibration_of_their_day(tmp_path: Path) -> None:
-    """They are 42 journals of two days."""
+    """They are 47 journals of three days."""
     with tarfile.open(ARCHIVE) as archive:
         archive.extractall(tmp_path, filter="data")
     for folder in sorted(tmp_path.iterdir()):
