@@ -11,8 +11,8 @@ import numpy as np
 
 from tiltcal.calibration.checks import require_tilt
 from tiltcal.calibration.joint_fit import design_of
-from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.measurement import BenchUncertainty
+from tiltcal.calibration.wording import unit_of
 from tiltcal.core.attitude import STRAIGHT, Orientation
 from tiltcal.core.estimation.design import PlannedPosition, Prediction, predict_uncertainty
 from tiltcal.core.estimation.positions import Design

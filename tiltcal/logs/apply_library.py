@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.calibration.record import limits_of
-from tiltcal.calibration.summary import objections
+from tiltcal.calibration.wording import objections
 from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.heading import HEADING, full_circle
 from tiltcal.core.model import Array

@@ -28,7 +28,7 @@ def measurement(name: str, temperature: float | None, x: float, y: float, headin
 
 
 def sweep(drift: tuple[float, ...], seed: int, loop: float = 0.0, noise: float = NOISE) -> list[Measurement]:
-    """Readings along the shipped sweep of a part with this drift; on the way up and back they are higher by ``loop``."""
+    """Readings along the shipped sweep of a part with this drift, higher by ``loop`` on the way up and back."""
     rng = np.random.default_rng(seed)
     measured = []
     for position in SWEEP.positions:
