@@ -23,6 +23,7 @@ from math import cos, inf, isfinite, pi, radians, sin
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.flags import (
     CLIPPED,
     FAIL,
@@ -40,9 +41,7 @@ from tiltcal.core.flags import (
     Reasons,
     mark,
 )
-from tiltcal.core.matrix_product import product
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, polynomial, take_out_nonlinearity
-from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import EstimateError
 from tiltcal.printable import counted
@@ -69,6 +68,7 @@ _CHUNK = 32_768  # rows whose columns stay in the cache from the first step to t
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
 _TILT_SLACK = radians(1e-9)
 _LARGEST_CONDITION = 1e12
+_ONE_THREAD = 1 << 18  # multiplications for which the linear algebra starts no threads: they cost more than they bring
 
 
 @dataclass(frozen=True)
@@ -502,3 +502,13 @@ def _sine_of_limit(angle: float, side: int) -> float:
     if abs(widened) >= pi / 2:
         return float(np.copysign(np.inf, widened))
     return sin(widened)
+
+
+def product(matrix: Array, columns: Array, out: Array | None = None) -> Array:
+    """Return ``matrix @ columns``, shapes (k, m) and (m, n), in one thread however many columns there are."""
+    found = np.empty((len(matrix), columns.shape[1])) if out is None else out
+    step = max(1, _ONE_THREAD // max(1, matrix.size))
+    for start in range(0, columns.shape[1], step):
+        part = slice(start, start + step)
+        np.matmul(matrix, columns[:, part], out=found[:, part])
+    return found

@@ -20,9 +20,9 @@ from math import atan2, degrees, hypot, radians
 
 import numpy as np
 
+from tiltcal.core.attitude import UNKNOWN_ANGLE, is_locked, mounting_angles
 from tiltcal.core.closed_forms import cross_axis_sensitivity
 from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
-from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, is_locked, mounting_angles
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
@@ -67,17 +67,17 @@ def rotation(coefficients: Coefficients, uncertain: Uncertain) -> tuple[Uncertai
 
     An EstimateError refuses channels that form a left-handed frame.
     """
-    angles = mounting_angles(separated(_matrix(coefficients))[1])
-    turned = np.array([angles.mounting.roll, angles.mounting.pitch, angles.mounting.yaw])
+    angles, locked = mounting_angles(separated(_matrix(coefficients))[1])
+    turned = np.array([angles.roll, angles.pitch, angles.yaw])
 
     def off(moved: Coefficients) -> Array:
-        around = mounting_angles(separated(_matrix(moved))[1]).mounting
+        around, _ = mounting_angles(separated(_matrix(moved))[1])
         there = np.array([around.roll, around.pitch, around.yaw])
         return np.asarray(np.degrees(np.mod(there - turned + np.pi, 2 * np.pi) - np.pi))
 
     names = [f"rotation_degrees.{angle}" for angle in ("roll", "pitch", "yaw")]
     found = replace(_following(names, off, coefficients, uncertain), value=np.degrees(turned))
-    locked = angles.gimbal_lock or is_locked(angles.mounting.pitch, radians(float(found.u[1])))
+    locked = locked or is_locked(angles.pitch, radians(float(found.u[1])))
     if locked:
         covariance, wide = (
             np.diag([degrees(UNKNOWN_ANGLE) ** 2, matrix[1, 1], degrees(UNKNOWN_ANGLE) ** 2])

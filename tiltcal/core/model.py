@@ -33,7 +33,7 @@ NEWTON_STEPS = 4
 class Mounting:
     """How the sensor sits in the application: roll first, then pitch, then yaw, in radians.
 
-    See :func:`tiltcal.core.mounting_angles.mounting_matrix` for what the angles mean.
+    See :func:`tiltcal.core.attitude.mounting_matrix` for what the angles mean.
     """
 
     roll: float = 0.0

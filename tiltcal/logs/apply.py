@@ -46,7 +46,7 @@ NO_TIME = (
 )
 
 if TYPE_CHECKING:
-    from tiltcal.core.heading import FieldLength
+    from tiltcal.core.earth_frame import FieldLength
     from tiltcal.logs.means import Means
 
 
@@ -184,7 +184,7 @@ class CompensatedLog:
             options["say"](NO_TIME)
         field_length = None
         if vectors.get("magnetometer"):
-            from tiltcal.core.heading import FieldLength
+            from tiltcal.core.earth_frame import FieldLength
 
             field_length = FieldLength()
         summary = ApplySummary(widths={name: ColumnWidths() for name in prepared.watched})
@@ -195,7 +195,7 @@ class CompensatedLog:
         """The unit of each earth velocity: that of the column of the first component."""
         if "velocity" not in self.vectors:
             return {}
-        from tiltcal.core.heading import VELOCITY
+        from tiltcal.core.earth_frame import VELOCITY
 
         return dict.fromkeys(VELOCITY, self.log.unit(self.vectors["velocity"][0]))
 

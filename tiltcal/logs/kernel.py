@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 import tiltcal
 from tiltcal.calibration.record import compensation_of, mounting_in_words, stated_mounting, with_mounting
 from tiltcal.calibration.summary import objections
+from tiltcal.core.angle_uncertainty import uncertainty_columns, with_shares
 from tiltcal.core.compensation import Compensated, Compensation
 from tiltcal.core.flags import MISSING, NO_DIRECTION, NO_TEMPERATURE, SUSPECT, Mask, mark
 from tiltcal.core.model import Array
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.thermal_lag import ThermalLag
-from tiltcal.core.uncertainty_columns import uncertainty_columns, with_shares
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord
@@ -36,8 +36,7 @@ from tiltcal.printable import counted
 if TYPE_CHECKING:
     from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
     from tiltcal.core.compensation import KernelChunk
-    from tiltcal.core.earth_compensation import EarthFrameCompensation
-    from tiltcal.core.uncertainty_propagation import Propagation
+    from tiltcal.core.earth_frame import EarthFrameCompensation
 
 _USUAL = 0.005  # g, by which the median length of gravity of a log may differ from 1 g without a remark
 
@@ -186,7 +185,7 @@ class TiltKernel:
                 if values.count is not None:
                     chunk = replace(chunk, share=1.0 / np.maximum(values.count[rows], 1))
                 if self._uncertain is not None:
-                    self._add_uncertainties(self._uncertain.propagation, chunk, added[:own, rows])
+                    self._add_uncertainties(self._uncertain, chunk, added[:own, rows])
                 if self._earth is not None:
                     given = (values.magnetometer, values.heading, values.velocity)
                     added[own:, rows] = self._earth(
@@ -196,13 +195,13 @@ class TiltKernel:
             mark(out, lost & (out.flag != MISSING), SUSPECT, NO_TEMPERATURE)
         return table | dict(zip(self.columns[len(table) :], added, strict=True))
 
-    def _add_uncertainties(self, propagation: Propagation, chunk: KernelChunk, out: Array) -> None:
+    def _add_uncertainties(self, uncertain: CompensationWithUncertainty, chunk: KernelChunk, out: Array) -> None:
         if self._averaged:
             out[...] = with_shares(
-                propagation(chunk, rounded=False), propagation(replace(chunk, share=0.0), rounded=False)
+                uncertain.of_angles(chunk, rounded=False), uncertain.of_angles(replace(chunk, share=0.0), rounded=False)
             )
         else:
-            propagation(chunk, out.reshape(2, -1, out.shape[1]))
+            uncertain.of_angles(chunk, out.reshape(2, -1, out.shape[1]))
 
 
 class PairKernel:
@@ -365,8 +364,7 @@ def _earth(
     compensation: Compensation, uncertain: CompensationWithUncertainty | None, options: ApplyOptions
 ) -> EarthFrameCompensation:
     """Return what adds heading and earth velocities; report which north they count from."""
-    from tiltcal.core.earth_compensation import EarthFrameCompensation
-    from tiltcal.core.earth_uncertainty import EarthUncertainty
+    from tiltcal.core.earth_frame import EarthFrameCompensation
 
     say, noise, declination = options["say"], options["magnetometer_noise"], options["declination"]
     if options["magnetometer"] and declination is None:
@@ -381,7 +379,8 @@ def _earth(
         magnetometer=bool(options["magnetometer"]),
         velocity=bool(options["velocity"]),
         declination=declination or 0.0,
-        uncertainty=None if uncertain is None else EarthUncertainty(uncertain.propagation, noise or 0.0),
+        uncertain=uncertain,
+        field_noise=noise or 0.0,
     )
 
 

@@ -19,9 +19,9 @@ from scipy.special import ndtri
 from support.uncertain_readings import uncertain_readings
 
 from tiltcal.core.angle_uncertainty import AngleUncertainty, CompensationWithUncertainty
+from tiltcal.core.attitude import mounting_angles, mounting_matrix
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
-from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
 from tiltcal.core.uncertain import ALIGNMENT, READING, Uncertain
 from tiltcal.errors import EstimateError
 
@@ -107,7 +107,7 @@ def moved(known: Coefficients, names: tuple[str, ...], vector: Array) -> Coeffic
     if known.mounting is None or len(own) == len(names):
         return found
     turned = Rotation.from_rotvec(vector[-3:]).as_matrix() @ mounting_matrix(known.mounting)
-    return replace(found, mounting=mounting_angles(turned).mounting)
+    return replace(found, mounting=mounting_angles(turned)[0])
 
 
 def angles(known: Coefficients, readings: Array, temperature: Array) -> Array:

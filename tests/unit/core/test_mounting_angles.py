@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tiltcal.core.attitude import mounting_angles, mounting_matrix
 from tiltcal.core.model import Mounting
-from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
 from tiltcal.errors import EstimateError
 
 turns = st.floats(-pi, pi)

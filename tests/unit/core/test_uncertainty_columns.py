@@ -7,7 +7,7 @@ from decimal import ROUND_CEILING, Decimal
 import numpy as np
 import pytest
 
-from tiltcal.core.uncertainty_columns import round_up
+from tiltcal.core.angle_uncertainty import round_up
 
 
 @pytest.mark.parametrize(
