@@ -99,11 +99,6 @@ class CompensationWithUncertainty:
         if np.any(np.abs(known.factors / NORMAL_FACTOR - 1.0) > NEGLIGIBLE):
             self._kinds.append(known.covariance)
 
-    @property
-    def expanded(self) -> tuple[str, ...]:
-        """Names of the columns of a log that hold half widths of 95 % intervals, in the order of the angles."""
-        return tuple(f"U95_{angle}" for angle in self._compensation.angles)
-
     def __call__(self, readings: ArrayLike, temperature: ArrayLike | None = None) -> AngleUncertainty:
         """Compensate rows; the arguments are those of :class:`Compensation`."""
         rows = len(np.asarray(readings))
