@@ -32,7 +32,8 @@ from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missi
 from tiltcal.core.attitude import heading_rotations, mounting_matrix
 from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.model import AXES, Array, vector_of, with_vector
+from tiltcal.core.model import AXES, Array
+from tiltcal.core.named_coefficients import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, central_differences, selection, weighted_sum
 from tiltcal.errors import EstimateError

@@ -23,7 +23,8 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.hysteresis import ALIKE
 from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.model import Array, Thermal, vector_of, with_vector
+from tiltcal.core.model import Array, Thermal
+from tiltcal.core.named_coefficients import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import Uncertain, central_differences
 from tiltcal.errors import EstimateError
