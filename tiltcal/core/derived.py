@@ -89,20 +89,9 @@ def rotation(coefficients: Coefficients, uncertain: Uncertain) -> tuple[Uncertai
 
 
 def separated(matrix: Array) -> tuple[Array, Array]:
-    """Return the RQ decomposition of a sensitivity matrix.
+    """Return a sensitivity matrix as an upper triangle with a positive diagonal times a rotation, each (3, 3).
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (3, 3)
-
-    Returns
-    -------
-    triangular : ndarray, shape (3, 3)
-        Upper triangular, positive diagonal.
-    rotation : ndarray, shape (3, 3)
-        ``matrix = triangular @ rotation``.
-
-    EstimateError: the matrix is singular, or its channels form a left-handed frame: no mounting does that.
+    An EstimateError where it is singular, or its channels form a left-handed frame: no mounting does that.
     """
     # The QR decomposition of the rows in reverse order, read backwards.
     q, r = np.linalg.qr(matrix[::-1].T)
