@@ -20,8 +20,7 @@ import tiltcal
 from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, rounded_covariance, stated_section
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
-from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate
-from tiltcal.core.estimation.hysteresis import with_hysteresis
+from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap
 from tiltcal.core.named_coefficients import referred, values, vector_of

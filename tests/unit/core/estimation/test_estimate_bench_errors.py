@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from tiltcal.core.attitude import gravity_from_tilt, mounting_matrix, solve_mounting
 from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
-from tiltcal.core.estimation.estimate import LEAN, Estimate, estimate
-from tiltcal.core.estimation.hysteresis import with_hysteresis
+from tiltcal.core.estimation.estimate import LEAN, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.model import Mounting
 from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means, summarise

@@ -14,12 +14,11 @@ from support.accuracy_study import Regime, planned, simulate, sweep, two_tempera
 from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of
 
 from tiltcal.core.attitude import gravity_from_tilt
-from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
-from tiltcal.core.estimation.solve import solved_at, start_as_set
+from tiltcal.core.estimation.solve import budgets, solved_at, start_as_set
 from tiltcal.core.samples import pooled
 from tiltcal.core.uncertain import coverage_factor
 from tiltcal.errors import EstimateError
