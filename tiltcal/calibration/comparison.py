@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.labels import unit_of
+from tiltcal.calibration.wording import unit_of
 from tiltcal.core.attitude import LEVEL, mounting_matrix, orientation, rotation_vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.named_coefficients import referred, uncertain_at, values

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tiltcal.calibration.record import limits_of, stated_mounting, with_mounting
 from tiltcal.calibration.season import CalibrationFolder, SensorHistory
-from tiltcal.calibration.summary import objections
+from tiltcal.calibration.wording import objections
 from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.earth_frame import HEADING, full_circle
 from tiltcal.core.flags import OUTSIDE_TIME, SUSPECT, mark_columns

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import tiltcal
 from tiltcal.calibration.record import compensation_of, mounting_in_words, stated_mounting, with_mounting
-from tiltcal.calibration.summary import objections
+from tiltcal.calibration.wording import objections
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, uncertainty_columns, with_shares
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.earth_frame import EarthFrameCompensation
@@ -122,21 +122,21 @@ class TiltKernel:
     def __init__(
         self,
         compensation: Compensation,
-        uncertain: CompensationWithUncertainty | None = None,
+        uncertain_angles: CompensationWithUncertainty | None = None,
         earth: EarthFrameCompensation | None = None,
         averaged: bool = False,
         remarks: RowRemarks | None = None,
     ) -> None:
-        self._compensation, self._uncertain, self._earth = compensation, uncertain, earth
+        self._compensation, self._uncertain_angles, self._earth = compensation, uncertain_angles, earth
         self._averaged, self._remarks = averaged, remarks or RowRemarks()
-        columns = () if uncertain is None else uncertainty_columns(compensation.angles, averaged=averaged)
-        self._own = len(columns)
-        self.columns = (*compensation.columns, *columns, *(() if earth is None else earth.columns))
+        uncertain = () if uncertain_angles is None else uncertainty_columns(compensation.angles, averaged=averaged)
+        self._uncertain = len(uncertain)
+        self.columns = (*compensation.columns, *uncertain, *(() if earth is None else earth.columns))
 
     @property
     def expanded(self) -> tuple[str, ...]:
         """Names of the columns that hold half widths of 95 % intervals."""
-        own = () if self._uncertain is None else tuple(f"U95_{angle}" for angle in self._compensation.angles)
+        own = () if self._uncertain_angles is None else tuple(f"U95_{angle}" for angle in self._compensation.angles)
         return (*own, *(() if self._earth is None else self._earth.expanded))
 
     def __call__(self, values: RoleValues) -> Table:
@@ -149,21 +149,21 @@ class TiltKernel:
                 self._remarks.add(chunk, on_edge=self._compensation.on_edge)
                 if values.count is not None:
                     chunk = replace(chunk, share=1.0 / np.maximum(values.count[rows], 1))
-                if self._uncertain is not None:
-                    self._add_uncertainties(self._uncertain, chunk, added[: self._own, rows])
+                if self._uncertain_angles is not None:
+                    self._add_uncertainties(self._uncertain_angles, chunk, added[: self._uncertain, rows])
                 if self._earth is not None:
                     given = (values.magnetometer, values.heading, values.velocity)
-                    added[self._own :, rows] = self._earth(
+                    added[self._uncertain :, rows] = self._earth(
                         chunk, *(None if values is None else values[rows] for values in given)
                     )
         return table | dict(zip(self.columns[len(table) :], added, strict=True))
 
-    def _add_uncertainties(self, uncertain: CompensationWithUncertainty, chunk: KernelChunk, out: Array) -> None:
+    def _add_uncertainties(self, uncertain_angles: CompensationWithUncertainty, chunk: KernelChunk, out: Array) -> None:
         if self._averaged:
-            common = uncertain.of_angles(replace(chunk, share=0.0), rounded=False)
-            out[...] = with_shares(uncertain.of_angles(chunk, rounded=False), common)
+            common = uncertain_angles.of_angles(replace(chunk, share=0.0), rounded=False)
+            out[...] = with_shares(uncertain_angles.of_angles(chunk, rounded=False), common)
         else:
-            uncertain.of_angles(chunk, out.reshape(2, -1, out.shape[1]))
+            uncertain_angles.of_angles(chunk, out.reshape(2, -1, out.shape[1]))
 
 
 class PairKernel:
@@ -313,17 +313,17 @@ def tilt_kernel(calibration: CalibrationRecord, options: ApplyOptions, remarks: 
     if averaged:  # the lengths of readings are judged, not that of their mean
         calibration = replace(calibration, limits=replace(calibration.limits, length=inf))
     compensation = compensation_of(calibration, first_order=options["first_order"])
-    uncertain = None
+    uncertain_angles = None
     if options["uncertainty"]:
         noise = options["reading_noise"]
         stated, assumed = stated_uncertainty(calibration.uncertainty, calibration.coefficients, reading_noise=noise)
         for remark in assumed:
             options["say"](f"note: {remark}")
-        uncertain = CompensationWithUncertainty(compensation, calibration.coefficients, stated)
+        uncertain_angles = CompensationWithUncertainty(compensation, calibration.coefficients, stated)
     earth = None
     if options["magnetometer"] or options["velocity"]:
-        earth = _earth(compensation, uncertain, options, averaged)
-    return TiltKernel(compensation, uncertain, earth, averaged, remarks)
+        earth = _earth(compensation, uncertain_angles, options, averaged)
+    return TiltKernel(compensation, uncertain_angles, earth, averaged, remarks)
 
 
 def _of_pairs(calibration: PairRecord, options: ApplyOptions, origin: Mapping[str, str], file: str) -> PreparedSensor:
@@ -339,7 +339,10 @@ def _of_pairs(calibration: PairRecord, options: ApplyOptions, origin: Mapping[st
 
 
 def _earth(
-    compensation: Compensation, uncertain: CompensationWithUncertainty | None, options: ApplyOptions, averaged: bool
+    compensation: Compensation,
+    uncertain_angles: CompensationWithUncertainty | None,
+    options: ApplyOptions,
+    averaged: bool,
 ) -> EarthFrameCompensation:
     """Return what adds heading and earth velocities; report which north they count from."""
     say, noise, declination = options["say"], options["magnetometer_noise"], options["declination"]
@@ -347,7 +350,7 @@ def _earth(
         say("note: heading counts from magnetic north: there is no --declination")
     if not options["magnetometer"] and declination:
         say(f"note: the declination of {declination:g}° is added to the heading of the log")
-    if uncertain is not None and options["magnetometer"] and noise is None:
+    if uncertain_angles is not None and options["magnetometer"] and noise is None:
         say("note: the magnetometer counts as exact (--magnetometer-noise)")
     return EarthFrameCompensation(
         compensation,
@@ -355,6 +358,6 @@ def _earth(
         magnetometer=bool(options["magnetometer"]),
         velocity=bool(options["velocity"]),
         declination=declination or 0.0,
-        uncertain=uncertain,
+        uncertain=uncertain_angles,
         field_noise=noise or 0.0,
     )
