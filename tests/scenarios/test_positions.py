@@ -8,8 +8,8 @@ import pytest
 from support.command import measure, tiltcal
 
 from tiltcal.bench.journal import SessionResult, calibrations_of
+from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import Message, VirtualJig
-from tiltcal.bench.run import run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.drivers.virtual import Fixture, VirtualPart

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import click
 
-from tiltcal.bench.sensors import open_sensor
+from tiltcal.bench.devices import open_sensor
 from tiltcal.cli import options
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from tiltcal.core.attitude import Vector, gravity_from_tilt, normalised
 from tiltcal.files.record import AboveZero, ByAxis, Count, Finite, FromOne, Range, Record, Size, Text, about
 
 NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
@@ -28,6 +29,13 @@ class PositionSet(Record, kw_only=True):
     heading: Annotated[Finite | None, about("how far the fixture was turned about the vertical, degrees")] = None
     stage: Annotated[Finite | None, about("angle of the rotary stage, degrees")] = None
     temperature: Annotated[Finite | None, about("°C")] = None
+
+    @property
+    def up(self) -> Vector | None:
+        """Up in the frame of the position, a unit vector; None where the file states no attitude."""
+        if self.tilt is not None:
+            return gravity_from_tilt(self.tilt)
+        return None if self.gravity is None else normalised(self.gravity)
 
 
 class CompletingRun(Record, kw_only=True):

@@ -35,7 +35,7 @@ from tiltcal.logs.columns import (
 )
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare
-from tiltcal.logs.log import LogBlock, LogReader, Progress, Table, require_free
+from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.options import ApplyOptions, require_consistent
 from tiltcal.logs.streams import STANDARD, log_sink, sha256_of, with_writeback
 from tiltcal.stated_arguments import require_path
@@ -164,7 +164,9 @@ class CompensatedLog:
         roles = (*prepared.roles, *(role for role in optional if role in named or role in log.names))
         where = locate_columns(log, prepared.channels, named, roles)
         vectors = {role: _locate_vector(log, role, names) for role, names in prepared.vectors.items()}
-        require_free(log, prepared.columns)
+        if taken := [name for name in prepared.columns if name in log.names]:
+            why = f"{log.name} has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
+            raise UsageError(why)
         channels = tuple(where[channel] for channel in prepared.channels)
         for channel, unit in prepared.units.items():
             require_unit(log, [where[channel]], unit)

@@ -10,10 +10,9 @@ from typing import Any, TypeVar
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.free_positions import require_no_jig
+from tiltcal.calibration.checks import require_no_jig, require_tilt
 from tiltcal.calibration.joint_fit import no_sensitivity
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
-from tiltcal.calibration.suitability import require_tilt
 from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import significant

@@ -13,7 +13,7 @@ from support import FIXTURES
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.combined_session import CombinedSession
+from tiltcal.calibration.combine import CombinedSession
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount

@@ -16,7 +16,7 @@ from support import FIXTURES
 
 import tiltcal
 from tiltcal import Calibration, PairCalibration, measure, open_sensor
-from tiltcal.bench import sensors
+from tiltcal.bench import devices
 from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.operators import PythonObject, understood
 from tiltcal.bench.setup import Setup
@@ -221,7 +221,7 @@ def test_a_sensor_is_read_by_itself() -> None:
 def test_at_the_bus_twelve_frames_of_ours_stand_on_the_stack(monkeypatch: pytest.MonkeyPatch) -> None:
     """From the entry point of the command to the link that is recorded; counted where the bytes leave."""
     depths: set[int] = set()
-    connect = sensors.open_device
+    connect = devices.open_device
     ours = (str(Path(tiltcal.__file__).parent), str(Path(tiltcal.__file__).parents[1] / "drivers"))
 
     class Inspected:
@@ -241,7 +241,7 @@ def test_at_the_bus_twelve_frames_of_ours_stand_on_the_stack(monkeypatch: pytest
             depths.add(depth)
             return self._link.exchange(out, count)
 
-    monkeypatch.setattr(sensors, "open_device", Inspected)
+    monkeypatch.setattr(devices, "open_device", Inspected)
     options = [f"--{name}={value}" for name, value in SENSOR.items()]
     assert run(["measure", "plane", "--operator=sim", "--output=S-1.yaml", *options]) == 0
     assert depths
