@@ -40,13 +40,20 @@ Examples:
 )
 @click.option("--scheduler", metavar="ADDRESS", help="Process each log on a worker of this dask scheduler.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON; on stderr if the rows go to stdout.")
+@options.topic
 @options.declared(ApplyOptions)
 def command(
-    files: tuple[str, ...], calibrations: Path | None, output: str, scheduler: str | None, as_json: bool, **how: Any
+    files: tuple[str, ...],
+    calibrations: Path | None,
+    output: str,
+    scheduler: str | None,
+    as_json: bool,
+    topic: str | None,
+    **how: Any,
 ) -> int:
     """Convert the raw readings of LOG to tilt with quality flags.
 
-    LOG is CSV with a header, Parquet, NetCDF-4, or - for CSV on standard input; the name of OUT selects its format.
+    LOG is CSV with a header, Parquet, NetCDF-4, a bag of ROS, or - for CSV on standard input; OUT's name is its format.
     OUT has the columns of LOG, g_x and tilt_x (degrees) of each axis, pitch, roll and inclination of three axes, flag
     (1 pass, 3 suspect, 4 fail, 9 missing) and reason, a sum: 1 arcsine argument beyond ±1, 2 temperature and 8 tilt
     outside the calibrated range, 4 reading at the rail, 16 temperature missing, 32 not a number, 64 outside the time of
@@ -58,6 +65,7 @@ def command(
     from tiltcal.logs.apply import prepare_any
 
     calibration, logs = (Path(files[0]), files[1:]) if calibrations is None else (calibrations, files)
+    logs = tuple(options.of_topic(log, topic) for log in logs)
     if not logs:
         raise UsageError(f"no LOG is given behind {calibration}; see `tiltcal apply --help`")
     if calibrations is not None and len(logs) > 1:
