@@ -42,7 +42,7 @@ def command(
     LOG is CSV, Parquet, NetCDF-4 or a bag of ROS. PROCEDURE free needs no known positions: a three-axis sensor is held
     still in twelve or more attitudes, and gravity is 1 g in each. It does not determine the mounting.
     """
-    from tiltcal.calibration.summary import level_summary, mounting_summary, summary
+    from tiltcal.calibration.wording import level_summary, mounting_summary, summary
     from tiltcal.files.procedure import find_procedure
     from tiltcal.library.fit import fit
     from tiltcal.logs.fit import FOUND_ONLY
