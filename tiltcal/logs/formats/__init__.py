@@ -68,16 +68,9 @@ def open_log(
     live: bool = False,
     progress: Progress | None = None,
 ) -> Iterator[LogReader]:
-    """Open a log of any format, or a frame; the other arguments are those of :class:`LogSource`.
+    """Open a log of any format by its path, ``-`` for CSV on standard input, or a frame, as :class:`LogSource` has it.
 
-    Parameters
-    ----------
-    log : str, Path or frame
-        A file, ``-`` for CSV on standard input, or a frame; see :mod:`tiltcal.logs.frames`.
-    name : str, optional
-        What messages call the log, in place of its own name.
-    live : bool
-        Let Ctrl-C end a stream that has no end of its own.
+    ``name`` is what messages call it, in place of its own name; where ``live``, Ctrl-C ends a stream that has no end.
 
     InputError: the file is not what its name says, is empty or damaged.
     UsageError: the file cannot be opened, or the library that its format takes is not there.
