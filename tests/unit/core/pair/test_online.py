@@ -100,7 +100,8 @@ TWIN_TRUTH = disk.truth(
 
 def test_the_recursive_estimator_needs_at_most_half_the_turns_at_the_papers_noise() -> None:
     """200 turns of the twin: until the matched sum stays as near to zero as the loops end."""
-    samples = list(Gradiometer(TWIN, seed=3).samples(200 * 128))
+    stage = Gradiometer(TWIN, seed=3)
+    samples = [stage.sample(number) for number in range(200 * 128)]
     theta, readings = (np.array([getattr(one, name) for one in samples]) for name in ("theta", "readings"))
     online = Online(PAIR, disk.NAMES)
     online.push(theta, readings.T)
