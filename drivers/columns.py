@@ -25,7 +25,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from tiltcal.drivers.bus.address import Address, parse_address
-from tiltcal.drivers.model import Model, Reading, link_in_words
+from tiltcal.drivers.model import Model, Reading, in_words, link_in_words
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 
@@ -217,7 +217,8 @@ class ColumnsSensor:
         """Return the numbers of a new line, and the link statistics, as text; the errors are those of :meth:`read`."""
         self.discard()
         reading = self.read()
-        return numbers_in_words(self._columns.channels, reading) | {"link": link_in_words(self.link_statistics())}
+        said = in_words(reading, self._columns.channels, "{:g}", trimmed=True)
+        return said | {"link": link_in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """Return the next line of numbers; none with the right number of columns is a BusError."""
@@ -264,12 +265,6 @@ def channels_of(names: Sequence[str]) -> tuple[str, ...]:
     """Return the readings among the names of columns: x, y and z in this order, then the others in theirs."""
     others = (name for name in names if name not in (*AXES, TEMPERATURE, TIME, "-"))
     return (*(axis for axis in AXES if axis in names), *others)
-
-
-def numbers_in_words(channels: Sequence[str], reading: Reading) -> dict[str, str]:
-    """Return the numbers of a reading as text, by their names."""
-    said = {name: f"{value:g}" for name, value in zip(channels, reading.values, strict=True)}
-    return said if reading.temperature is None else {**said, TEMPERATURE: f"{reading.temperature:.1f} °C"}
 
 
 def require_name(address: Address, name: str) -> None:
@@ -322,7 +317,6 @@ def model_of_numbers(
         sensitivity_spread=0.1,
         scaled=default is not None or "sensitivity" in address.options,
         rails=(low, high),
-        resolution=0.0,
         thermometer=thermometer,
         default_truth=lambda seed: LIMITS.draw(channels, sensitivity, abs(sensitivity) * 0.001, seed, offset),
         **facts,
@@ -340,8 +334,6 @@ def serial_columns_at(address: Address) -> Model:
         title="any device that prints numbers on a line",
         schemes=("serial",),
         addresses=("serial:///dev/ttyUSB0?columns=x,y,temperature",),
-        # The device streams: a read waits for the next line.
-        interval=0.0,
         driver=partial(ColumnsSensor, columns),
         twin=partial(virtual_columns, columns),
         not_modelled=(

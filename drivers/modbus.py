@@ -29,10 +29,9 @@ from tiltcal.drivers.columns import (
     TIME,
     channels_of,
     model_of_numbers,
-    numbers_in_words,
     require_name,
 )
-from tiltcal.drivers.model import Model, Reading
+from tiltcal.drivers.model import Model, Reading, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
@@ -148,7 +147,7 @@ class ModbusColumns:
 
     def probe(self) -> Mapping[str, str]:
         """Read every number once, and return them by their names; the errors are those of :meth:`read`."""
-        return numbers_in_words(self._layout.channels, self.read())
+        return in_words(self.read(), self._layout.channels, "{:g}", trimmed=True)
 
     def read(self) -> Reading:
         """Read every number; a device that refuses, or sends a number that is not finite, is a DeviceFault."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import sqrt
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -72,7 +72,7 @@ class Population:
     source: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Model:
     """The facts of one sensor model, with its driver and its twin.
 
@@ -106,24 +106,24 @@ class Model:
     name: str
     title: str
     channels: tuple[str, ...]
-    unit: str
+    unit: str = "count"
     schemes: tuple[str, ...]
     addresses: tuple[str, ...]
-    offset: float
+    offset: float = 0.0
     sensitivity: float
     offset_spread: float
     sensitivity_spread: float
     rails: tuple[float, float]
-    resolution: float
-    interval: float
-    thermometer: bool
+    resolution: float = 0.0
+    interval: float = 0.0
+    thermometer: bool = False
+    thermometer_step: float = 0.0
     driver: Callable[[Link, Clock], Sensor]
     twin: Callable[[Truth, HeldPose, Clock], Link]
-    not_modelled: tuple[str, ...] = field(default=())
+    not_modelled: tuple[str, ...] = ()
     default_truth: Callable[[int], Truth] | None = None
     spi: SpiPort | None = None
     options: tuple[str, ...] = ()
-    thermometer_step: float = 0.0
     population: Population | None = None
     scaled: bool = True
     configure: Callable[[Address], Model] | None = None
@@ -207,3 +207,13 @@ class IdentifiedSensor(Protocol):
 def link_in_words(link_statistics: Mapping[str, int]) -> str:
     """Return link statistics as text: ``120 sentences, 3 damaged, 1 lost``."""
     return ", ".join(f"{number} {what}" for what, number in link_statistics.items())
+
+
+def in_words(
+    reading: Reading, channels: Iterable[str] = "xyz", form: str = "{:.0f} count", *, trimmed: bool = False
+) -> dict[str, str]:
+    """Return a reading as text; ``trimmed`` is whether the maker has calibrated the thermometer."""
+    said = {channel: form.format(value) for channel, value in zip(channels, reading.values, strict=False)}
+    if reading.temperature is not None:
+        said["temperature"] = f"{reading.temperature:.1f} °C{'' if trimmed else ' (not trimmed)'}"
+    return said

@@ -14,9 +14,9 @@ from functools import cached_property, partial
 from math import ceil, inf, sqrt
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
-from tiltcal.drivers.bus.link import require_length
+from tiltcal.drivers.bus.link import check_data_line, require_length
 from tiltcal.drivers.bus.spi import SpiPort
-from tiltcal.drivers.model import Model, Reading, deviation_within, typical_nonlinearity
+from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, typical_nonlinearity
 from tiltcal.drivers.virtual import Tolerances, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
@@ -252,10 +252,8 @@ class RegisterPart:
             name=self.name,
             title=self.title,
             channels=tuple(self.channels),
-            unit="count",
             schemes=self.schemes,
             addresses=self.addresses,
-            offset=0.0,
             sensitivity=self.counts_per_g,
             offset_spread=offset,
             sensitivity_spread=sensitivity,
@@ -442,13 +440,11 @@ class VirtualRegisters(VirtualPart):
 
     @cached_property
     def _commands(self) -> Mapping[int, tuple[int, bool]]:
-        """Register, and whether it is written, by the first byte of a transaction."""
+        """Register, and whether it is written, by the first byte of a transaction; on I2C its length says that."""
         reading, writing = (self._part.read, self._part.write) if self.letter == "s" else (self._part.pointer,) * 2
-        commands: dict[int, tuple[int, bool]] = {}
-        for command, written in ((reading, False), (writing, True)):
-            for register in range(HIGHEST_REGISTER + 1):
-                commands.setdefault(command(register) & 0xFF, (register, written))
-        return commands
+        registers = range(HIGHEST_REGISTER, -1, -1)
+        commands = {writing(register) & 0xFF: (register, True) for register in registers}
+        return commands | {reading(register) & 0xFF: (register, False) for register in registers}
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Answer one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
@@ -495,36 +491,6 @@ class VirtualRegisters(VirtualPart):
                 if (status if part.cleared_by is None else part.cleared_by) in asked:
                     self._taken = sample
         return bytes(held.get(register, 0) for register in asked)
-
-
-def check_data_line(answers: bytes) -> None:
-    """Raise an error for a sample with equal bits: at rest at least one channel measures gravity.
-
-    BusError: every byte is 0xFF, or every byte is 0.
-    """
-    if set(answers) == {0xFF}:
-        raise BusError(
-            "the data line is stuck high (every bit of the sample is 1): check the data line (MISO or SDA), "
-            "chip select and the sensor's supply"
-        )
-    if set(answers) == {0x00}:
-        raise BusError(
-            "the data line is stuck low (every bit of the sample is 0): check the data line (MISO or SDA), "
-            "ground and the sensor's supply"
-        )
-
-
-def in_counts(values: Iterable[float]) -> dict[str, str]:
-    """Return the readings of x, y and z, as far as there are any, as text."""
-    return {channel: f"{value:.0f} count" for channel, value in zip("xyz", values, strict=False)}
-
-
-def in_words(reading: Reading, trimmed: bool = False) -> dict[str, str]:
-    """Return a reading as text; ``trimmed`` is whether the maker has calibrated the thermometer."""
-    said = in_counts(reading.values)
-    if reading.temperature is not None:
-        said["temperature"] = f"{reading.temperature:.1f} °C{'' if trimmed else ' (not trimmed)'}"
-    return said
 
 
 def choose_range(address: Address, ranges: Mapping[str, R], default: R) -> R:

@@ -23,10 +23,9 @@ from dataclasses import dataclass, replace
 from math import comb, radians, sin, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
-from tiltcal.drivers.bus.link import require_length
+from tiltcal.drivers.bus.link import check_data_line, require_length
 from tiltcal.drivers.bus.spi import SpiPort
 from tiltcal.drivers.model import Model, Population, Reading, deviation_within, typical_nonlinearity
-from tiltcal.drivers.registers import check_data_line
 from tiltcal.drivers.virtual import REFERENCE, Polynomial, Tolerances, Truth, VirtualPart, normal, part_errors, uniform
 from tiltcal.errors import DeviceFault, UsageError
 
@@ -425,7 +424,6 @@ class InclinometerPart:
             name=self.name,
             title=self.title,
             channels=self.channels,
-            unit="count",
             schemes=("spi",),
             addresses=("spi:///dev/spidev0.0",),
             offset=self.zero,

@@ -21,10 +21,10 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from tiltcal.drivers.bus.address import Address, parse_address
-from tiltcal.drivers.bus.link import require_length
+from tiltcal.drivers.bus.link import check_data_line, require_length
 from tiltcal.drivers.bus.spi import SpiPort
-from tiltcal.drivers.model import Model, Reading, deviation_within, link_in_words, typical_nonlinearity
-from tiltcal.drivers.registers import check_data_line, choose_range, in_counts
+from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words, typical_nonlinearity
+from tiltcal.drivers.registers import choose_range
 from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
@@ -171,8 +171,7 @@ class Scl3300:
         self._ready = False
         reading = self.read()
         said = {"part": self._part.name, "serial": self.serial_number(), "range": str(self._range)}
-        said |= in_counts(reading.values)
-        return said | {"temperature": f"{reading.temperature:.1f} °C", "link": link_in_words(self.link_statistics())}
+        return said | in_words(reading, trimmed=True) | {"link": link_in_words(self._counts)}
 
     def serial_number(self) -> str:
         """Return the serial number as it is printed on the part."""
@@ -500,10 +499,8 @@ def _model(name: str, part: Scl3300Part, address: Address) -> Model:
         name=name,
         title=f"Murata {part.name} three-axis {part.kind}, {measuring.extent}, SPI",
         channels=("x", "y", "z"),
-        unit="count",
         schemes=("spi",),
         addresses=("spi:///dev/spidev0.0", f"spi:///dev/spidev0.0?range={list(part.words)[-1]}"),
-        offset=0.0,
         sensitivity=measuring.counts_per_g,
         offset_spread=deviation_within(part.offset_limit),
         sensitivity_spread=deviation_within(part.sensitivity_limit),

@@ -52,3 +52,13 @@ def require_length(answer: bytes, length: int, what: str = "transaction") -> byt
     if len(answer) != length:
         raise BusError(f"a {what} of {length} bytes was answered with {len(answer)}: the adapter is at fault")
     return answer
+
+
+def check_data_line(answers: bytes, what: str = "sample") -> None:
+    """Raise a BusError for a sample with equal bits: at rest at least one channel measures gravity."""
+    for level, place, byte in (("high", "chip select", 0xFF), ("low", "ground", 0x00)):
+        if set(answers) == {byte}:
+            raise BusError(
+                f"the data line is stuck {level} (every bit of the {what} is {byte & 1}): check the data line (MISO or "
+                f"SDA), {place} and the sensor's supply"
+            )
