@@ -237,48 +237,54 @@ class Scl3300:
 
         The first start may fail in any way, because the part may be in bank 1 or in power-down.
         """
-        requests = (MODES[self._range.mode - 1], STATUS, STATUS, STATUS, WHOAMI)
-        raw = self._reset(*requests)
-        try:
-            self._require_a_part(requests, raw)
-        except BusError:
-            if first:
-                return UNKNOWN
-            raise
-        answers = self._decoded(requests, raw)
-        echo, _, second, third, whoami = answers
-        if not all(map(Answer.answers, answers, requests)):
-            return UNKNOWN
-        if whoami.status == NORMAL and whoami.data != self._part.identity:
-            if first:
-                return UNKNOWN
-            raise DeviceFault(self._other_part(whoami.data))
-        # Reading STATUS clears what the start has set: the second answer has to be free of errors.
-        if echo.data == self._range.mode - 1 and second.status == third.status == whoami.status == NORMAL:
-            return None
-        if first:
-            return UNKNOWN
-        return third.data if third.status == ERROR else 0
-
-    def _reset(self, mode: bytes, *requests: bytes) -> list[bytes]:
-        """Reset the part and set its mode; return the answers to the mode and to the requests behind it."""
+        mode = MODES[self._range.mode - 1]
         self._exchange(RESET)
         self._clock.sleep(RESET_SECONDS)
         # What answers the reset is not defined.
         self._exchange(mode)
         self._clock.sleep(self._range.settling)
-        return [self._exchange(request) for request in (*requests, requests[-1])]
+        requests = (STATUS, STATUS, STATUS, WHOAMI)
+        echo, answers = self._ask(requests, WHOAMI, checked=not first)
+        _, second, third, whoami = answers
+        if not echo.answers(mode) or not all(map(Answer.answers, answers, requests)):
+            return UNKNOWN
+        right = whoami.data == self._part.identity
+        if not first and whoami.status == NORMAL and not right:
+            raise DeviceFault(self._other_part(whoami.data))
+        # Reading STATUS clears what the start has set: the second answer has to be free of errors.
+        if right and second.status == third.status == whoami.status == NORMAL:
+            return None
+        if first:
+            return UNKNOWN
+        return third.data if third.status == ERROR else 0
+
+    def _ask(self, requests: Sequence[bytes], fetch: bytes, *, checked: bool = True) -> tuple[Answer, list[Answer]]:
+        """Send requests and a frame that fetches the last answer; return the answer to the frame before, and theirs.
+
+        Answers that are damaged or belong to another request are counted; ``checked`` refuses wires that are stuck or
+        shorted.
+        """
+        first, *raw = [self._exchange(request) for request in (*requests, fetch)]
+        if checked:
+            check_data_line(b"".join(raw))
+            # An answer is one frame late: what comes at once is the request itself.
+            if raw[:-1] == list(requests[1:]):
+                raise BusError("each frame comes back as it was sent: MISO is connected to MOSI")
+        late, answers = decode(first), [decode(frame) for frame in raw]
+        self._counts["damaged"] += sum(not answer.intact for answer in (late, *answers))
+        self._counts["out of step"] += sum(
+            answer.intact and answer.status == NORMAL and not answer.answers(request)
+            for answer, request in zip(answers, requests, strict=True)
+        )
+        return late, answers
 
     def _good_answers(self, requests: Sequence[bytes]) -> list[Answer]:
         """Return the answers to requests; repeat the requests until all answers are good."""
         saturated = self._counts["saturated"]
         for _ in range(ATTEMPTS):
-            # The last answer is fetched with the first request again, whose own answer comes with the next sample.
-            late, *raw = [self._exchange(request) for request in (*requests, requests[0])]
-            self._require_a_part(requests, raw)
-            before = self._decoded(None, [late])
-            answers = self._decoded(requests, raw)
-            statuses = {answer.status for answer in (*before, *answers) if answer.intact}
+            # The answer to the frame that fetches the last one comes with the next sample.
+            late, answers = self._ask(requests, requests[0])
+            statuses = {answer.status for answer in (late, *answers) if answer.intact}
             if not statuses <= {NORMAL, ERROR}:
                 self._refuse_restart("it is starting up")
             if ERROR in statuses:
@@ -299,16 +305,6 @@ class Scl3300:
             "speed=500000), shorter wires, and a pull-up on chip select"
         )
 
-    def _decoded(self, requests: Sequence[bytes] | None, raw: Sequence[bytes]) -> list[Answer]:
-        """Decode answers, and count those that are damaged or belong to another request; None is any request."""
-        answers = [decode(frame) for frame in raw]
-        for place, answer in enumerate(answers):
-            if not answer.intact:
-                self._counts["damaged"] += 1
-            elif requests is not None and answer.status == NORMAL and not answer.answers(requests[place]):
-                self._counts["out of step"] += 1
-        return answers
-
     def _flags(self) -> int | None:
         """Return the flags of STATUS before this call; None where the line has damaged too much of them.
 
@@ -316,10 +312,7 @@ class Scl3300:
         third finds none. A fault that stays is there with an error in each. A request that was damaged on the way is
         answered with an error and any data, so an error counts where two answers agree.
         """
-        requests = (STATUS, STATUS, STATUS)
-        late, *raw = [self._exchange(request) for request in (*requests, STATUS)]
-        self._decoded(None, [late])
-        first, second, third = self._decoded(requests, raw)
+        _, (first, second, third) = self._ask((STATUS, STATUS, STATUS), STATUS, checked=False)
         if second.answers(STATUS) and second.status == NORMAL:
             return second.data
         if third.answers(STATUS) and third.status == NORMAL and (third.data or second.intact):
@@ -346,20 +339,11 @@ class Scl3300:
             "its wires; it is set up anew"
         )
 
-    def _require_a_part(self, requests: Sequence[bytes], raw: Sequence[bytes]) -> None:
-        """Raise an error for wires that are stuck or shorted."""
-        check_data_line(b"".join(raw))
-        # An answer is one frame late: what comes at once is the request itself.
-        if list(raw[:-1]) == list(requests[1:]):
-            raise BusError("each frame comes back as it was sent: MISO is connected to MOSI")
-
     def _other_part(self, identity: int) -> str:
         other = next((part.name for part in (_SCL3300, _SCA3300) if part.identity == identity), None)
-        known = f"an {other}: name it with --sensor" if other else "no part that is known: is the wiring right?"
-        return (
-            f"WHOAMI reads 0x{identity:02X}, and an {self._part.name} answers 0x{self._part.identity:02X}: the part is "
-            f"{known}"
-        )
+        advice = f"an {other}: name it with --sensor" if other else "no part that is known: is the wiring right?"
+        said = f"WHOAMI reads 0x{identity:02X}, and an {self._part.name} answers 0x{self._part.identity:02X}"
+        return f"{said}: the part is {advice}"
 
     def _exchange(self, frame: bytes) -> bytes:
         self._clock.sleep(GAP)
