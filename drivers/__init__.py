@@ -38,6 +38,8 @@ _BUILT_IN = {
     "serial-columns": "columns",
     "modbus-columns": "modbus",
     "gradiometer": "stage",
+    "witmotion": "witmotion",
+    **dict.fromkeys(("iio", "python"), "attributes"),
     **dict.fromkeys(("sca3000-d01", "sca3000-e02", "sca3000-e04", "sca3000-e05", "sca3000-i2c"), "parts"),
     **dict.fromkeys(("scl3300", "sca3300-d01"), "scl3300"),
     "adxl355": "parts",

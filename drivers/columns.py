@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.model import Model, Reading, in_words, link_in_words
+from tiltcal.drivers.sketch import bare
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 
@@ -182,7 +183,7 @@ class ColumnLayout:
 
     def reading(self, line: bytes) -> Reading | None:
         """Return the reading of a line; None if its number of columns is wrong or a cell is not a number."""
-        cells = re.split(self.separator, line.strip())
+        cells = re.split(self.separator, bare(line).strip())
         if len(cells) != len(self.names):
             return None
         numbers, places = {}, []
@@ -245,6 +246,15 @@ class ColumnsSensor:
     def link_statistics(self) -> Mapping[str, int]:
         """Return the counts of used lines, and of lines that do not match the columns of the address."""
         return {"lines": self._used, "damaged": self._damaged}
+
+
+def listened(link: Link, clock: Clock, seconds: float = 2.0) -> tuple[list[bytes], float]:
+    """Return the whole lines that a device prints in some seconds, and how many come in one."""
+    buffer, began_ns, lines = LineBuffer(link, clock), clock.now_ns(), list[bytes]()
+    while not lines or clock.now_ns() - began_ns < seconds * 1e9:
+        line, whole = buffer.next()
+        lines += [line] * whole
+    return lines, 1e9 * len(lines) / max(clock.now_ns() - began_ns, 1)
 
 
 def columns_of(address: Address, default: str | None = None) -> ColumnLayout:

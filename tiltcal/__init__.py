@@ -9,8 +9,8 @@ TYPE_CHECKING = False
 """Not that of ``typing``: until ``tiltcal.__main__`` runs, Ctrl-C is Python's, so nothing slow is imported."""
 
 if TYPE_CHECKING:
+    from tiltcal.bench.devices import open_sensor
     from tiltcal.bench.plan import plan
-    from tiltcal.bench.sensors import open_sensor
     from tiltcal.errors import (
         BusError,
         DeviceFault,
@@ -55,7 +55,7 @@ _HOME = {
     "measure": "library.measure",
     "noise": "library.noise",
     "open_calibrations": "library.calibration_library",
-    "open_sensor": "bench.sensors",
+    "open_sensor": "bench.devices",
     "plan": "bench.plan",
     "read": "library.calibration",
 }

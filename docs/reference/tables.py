@@ -16,9 +16,8 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import LimitsSection, SensorIdentity, TiltFile
 from tiltcal.files.coefficients import CoefficientsSection
 from tiltcal.files.pair import PairFile
-from tiltcal.files.procedure import ProcedureFile
+from tiltcal.files.procedure import ProcedureFile, Rotation
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
-from tiltcal.files.rotation import Rotation
 from tiltcal.files.tables import SegmentRow, TabledRow
 from tiltcal.files.twin import DiskSection, TwinFile
 from tiltcal.files.uncertainty import UncertaintySection

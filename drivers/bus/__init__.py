@@ -49,6 +49,8 @@ BUSES = {
     "gpio": Bus("e", "tiltcal.drivers.bus.gpio:open_gpio"),
     "vcd": Bus("e", "tiltcal.drivers.bus.vcd:open_vcd"),
     "modbus": Bus("m", "tiltcal.drivers.bus.modbus:open_modbus"),
+    "iio": Bus("n", "tiltcal.drivers.bus.attributes:open_iio"),
+    "python": Bus("n", "tiltcal.drivers.bus.attributes:open_python"),
     "package": Bus("", "the bus of the package that adds the model"),
 }
 """By the last part of a scheme; a converter may stand before it, as in ``ads1115+i2c``."""

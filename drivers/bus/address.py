@@ -10,6 +10,7 @@
     serial:socket://192.168.1.7:4000?columns=x,y
     modbus:tcp://192.168.1.7:502?columns=x@0:int16*0.001
     sim:?twin=truth.yaml&seed=7         or shorter  sim:twin=truth.yaml&seed=7
+    /dev/ttyUSB0?columns=x,y,z          a serial port alone, COM3 as well: serial:///dev/ttyUSB0?columns=x,y,z
 
 A ``%`` with two hexadecimal digits stands for a byte, so a place or value may hold ``?`` (%3F), ``&`` (%26) and ``%``
 (%25) itself.
@@ -19,7 +20,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from math import isfinite
 from typing import NoReturn, TypeVar
@@ -30,6 +31,9 @@ from tiltcal.errors import UsageError
 from tiltcal.stated_arguments import require_text
 
 R = TypeVar("R")
+
+_PORT = re.compile(r"/dev/(?!spi|i2c|gpio)|COM\d+(\?|$)")
+"""A serial port alone, which is an address of its own."""
 
 _SCHEME = re.compile(r"[a-z][a-z0-9]*(\+[a-z][a-z0-9]*)*")
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|[0-9]+)")
@@ -125,6 +129,8 @@ def parse_address(text: str) -> Address:
     UsageError: the address is malformed.
     """
     require_text("--address", text)
+    if _PORT.match(text):
+        return replace(parse_address(f"serial:{text}"), written=text)
     scheme, colon, rest = text.partition(":")
     if not colon:
         advice = f"did you mean 'spi://{text}'?" if text.startswith("/dev/spi") else "such as spi:///dev/spidev0.0"

@@ -18,7 +18,8 @@ class Link(Protocol):
     """
 
     letter: str
-    """The bus in a journal line: ``s`` SPI, ``i`` I2C, ``r`` serial, ``e`` edges, ``m`` Modbus."""
+    """The bus in a journal line: ``s`` SPI, ``i`` I2C, ``r`` serial, ``e`` edges, ``m`` Modbus, ``n`` a value by
+    its name."""
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Carry out one bus transaction; one that failed is a BusError with the cause and what to try.

@@ -200,8 +200,8 @@ class TestRefusals:
         [
             ("x=VoutX", "log.nc: there is no column 'VoutX'"),
             ("x=note", "variable 'note' holds"),
-            ("x=spectrum", "variable 'spectrum' has 2 dimensions (time, f)"),
-            ("x=site", "variable 'site' has 0 dimensions"),
+            ("x=spectrum", "column 'spectrum' has 2 dimensions (time, f)"),
+            ("x=site", "column 'site' has 0 dimensions"),
         ],
     )
     def test_a_column_that_will_not_do(self, columns: str, said: str, bench: Path) -> None:

@@ -93,7 +93,6 @@ sensors:
         ("0.1", "0,1", ":3: jig: a number is needed here, found '0,1'; write the point as '.'"),
         ("0.1", "0.1°", ":3: jig: a number is needed here, found '0.1°'; write the number alone"),
         ("0.1", "0.1 deg", ":3: jig: a number is needed here, found '0.1 deg'; write the number alone"),
-        ("0.1", "'0.1'", ":3: jig: a number is needed here, found the text '0.1'; take off the quotes"),
         ("jig", "j\u0456g", "(did you mean 'jig', with other letters than 'j\\u0456g'?)"),
     ],
 )

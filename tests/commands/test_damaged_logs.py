@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -92,28 +91,6 @@ def test_rows_that_are_only_declared_take_no_memory(tmp_path: Path) -> None:
     netcdf(tmp_path / "log.nc", rows=10**12)
     with open_log(tmp_path / "log.nc") as log:
         assert len(next(log.rows([0, 1, 2]))) <= 1 << 21
-
-
-def test_a_block_that_claims_four_gigabytes_takes_none(tmp_path: Path) -> None:
-    """HDF5 File Format Specification, II.A and II.B: byte 48 is the address of a driver information block; its size
-    stands behind four bytes. The library filled as many bytes with zeros, and refused the file then."""
-    netcdf(tmp_path / "log.nc")
-    content = bytearray((tmp_path / "log.nc").read_bytes())
-    assert content[8] == 0, "another superblock has no such block"
-    content[48:56] = len(content).to_bytes(8, "little")
-    end = len(content) + 16
-    content += bytes(4) + (0xFF000000).to_bytes(4, "little") + b"NCSAmult"
-    (tmp_path / "log.nc").write_bytes(content)
-    script = (
-        "import resource\nfrom tiltcal.errors import InputError\nfrom tiltcal.logs.formats import open_log\n"
-        "try:\n    with open_log('log.nc'):\n        pass\nexcept InputError as refused:\n    print(refused)\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
-    )
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
-    refused, kilobytes = done.stdout.splitlines()
-    why = f"4278190080 bytes from {end} on do not lie within its {end} bytes"
-    assert refused == f"log.nc: this is no NetCDF-4 file, or a damaged one: {why}"
-    assert int(kilobytes) < 1_000_000
 
 
 def test_an_error_while_writing(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def test_a_sensor_that_is_still_unplugged(
     for name in ("S-1.yaml", journal):
         shutil.copy(sessions / name, tmp_path)
     before = (tmp_path / journal).read_bytes()
-    monkeypatch.setattr("tiltcal.bench.sensors.open_device", unplugged)
+    monkeypatch.setattr("tiltcal.bench.devices.open_device", unplugged)
     go_on = (*command.split(), "--resume", journal)
     done = tiltcal(*go_on, "--operator", "json", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (3, "")
@@ -108,7 +108,7 @@ def test_a_journal_with_its_end_needs_no_sensor(
 ) -> None:
     """The file is made again at a desk: no device is asked, and the journal may be write-protected."""
     shutil.copy(sessions / "S-1.journal.jsonl", tmp_path)
-    monkeypatch.setattr("tiltcal.bench.sensors.open_device", unplugged)
+    monkeypatch.setattr("tiltcal.bench.devices.open_device", unplugged)
     done = tiltcal("measure", "--resume", "S-1.journal.jsonl", "--operator", "sim", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "S-1.yaml").read_bytes() == (sessions / "S-1.yaml").read_bytes()

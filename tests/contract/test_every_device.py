@@ -49,9 +49,9 @@ TILTED = (0.2, -0.25, 0.8975**0.5)
 
 NAMES_THE_REQUEST = ("scl3300", "sca3300-d01", "modbus-columns")
 """Their answers say which request they belong to, or of what length it was."""
-HAS_A_CHECKSUM = ("scl3300", "sca3300-d01", "dfrobot-sca100t", "adxl202", "adxl202e", "adxl210")
+HAS_A_CHECKSUM = ("scl3300", "sca3300-d01", "dfrobot-sca100t", "adxl202", "adxl202e", "adxl210", "witmotion")
 TELLS_A_RESET = ("scl3300", "sca3300-d01", "adxl355", "iis2iclx")
-HAS_A_SHAPE = (*HAS_A_CHECKSUM, "serial-columns", "gradiometer", "modbus-columns")
+HAS_A_SHAPE = (*HAS_A_CHECKSUM, "serial-columns", "gradiometer", "modbus-columns", "iio", "python")
 
 
 class Line:
@@ -333,7 +333,7 @@ def test_a_model_is_described_and_refuses_an_address_of_another(device: str) -> 
     assert model.rails[0] < model.offset < model.rails[1]
     for written in model.addresses:
         address = parse_address(written)
-        assert link_letter(address, model.at(address)) in "sirem"
+        assert link_letter(address, model.at(address)) in "siremn"
         nonsense = parse_address(f"{written}{'&' if '?' in written else '?'}nonsense=1")
         with pytest.raises(UsageError, match="unknown option 'nonsense'"):
             open_link(nonsense, model.at(address))

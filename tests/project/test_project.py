@@ -80,8 +80,8 @@ def test_help_loads_nothing_heavy() -> None:
         ("check S.yaml", {"numpy", "yaml"}),
         ("diff S.yaml S.yaml", {"numpy", "yaml", "scipy"}),  # for Student's t
         ("plan plane --sensor sca100t-d02 --jig 0.1", {"numpy", "yaml"}),
-        ("apply S.yaml log.csv -o tilt.csv", {"numpy", "yaml"}),
-        ("apply S.yaml log.csv --uncertainty -o tilt.csv", {"numpy", "yaml", "scipy"}),
+        ("apply S.yaml log.csv -o tilt.csv", {"numpy", "polars", "yaml"}),
+        ("apply S.yaml log.csv --uncertainty -o tilt.csv", {"numpy", "polars", "yaml"}),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

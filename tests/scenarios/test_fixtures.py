@@ -17,7 +17,7 @@ from support.pair_files import read_pair
 
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
-from tiltcal.files.procedure_file import shipped_procedures
+from tiltcal.files.procedure import shipped_procedures
 from tiltcal.files.twin import read_twin
 
 # A number that lies between two roundings is rounded to either, by the linear algebra of the processor.
@@ -57,7 +57,7 @@ def test_it_says_that_the_virtual_bench_made_it(journal: Path) -> None:
 
 
 def test_the_samples_of_a_session_are_a_log_that_gives_its_means(tmp_path: Path) -> None:
-    """Averaged apart from the session: the last 40 rows before each position was accepted."""
+    """Averaged apart from the session: the last rows before each position was accepted."""
     journal = FIXTURES / "plane.journal.jsonl"
     result = tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
@@ -108,7 +108,7 @@ def test_the_golden_file_finds_the_truth(procedure: str) -> None:
 
 def test_the_golden_pairs_find_the_truth() -> None:
     """p and q from the twin's accelerometers by what the matched sum must do, within four stated uncertainties."""
-    truth = read_document(FIXTURES / "twins" / "disk.yaml").plain()["truth"]["disk"]["accelerometers"]
+    truth = read_document(FIXTURES / "twins" / "disk.yaml").data["truth"]["disk"]["accelerometers"]
     vectors = []
     for name, phi in zip(("a1", "a2", "a3", "a4"), disk.PHASES, strict=True):
         part = truth[name]

@@ -18,7 +18,7 @@ from support.emulated.bench import Sca3000, run_on_spi
 from support.warm_start import WarmStart
 
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 Array = NDArray[np.float64]
 

@@ -9,15 +9,15 @@ from typing import Any
 import pytest
 from support.json_program import Event, ProgramSession, lead
 
-from tiltcal.bench import sensors
+from tiltcal.bench import devices
 from tiltcal.bench.journal import calibrations_of
+from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import LOOK, Message, VirtualJig
-from tiltcal.bench.run import run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.library.measure import measure
 
 TWIN = """\
@@ -145,7 +145,7 @@ def test_a_ramp_keeps_all_its_samples_over_a_break(
 def test_faults_that_pass_cost_their_samples_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six breaks of the bus in an hour, and a reading at the rail of 2047: nobody has to press a key."""
     monkeypatch.chdir(tmp_path)
-    connect, taken = sensors.open_device, count()
+    connect, taken = devices.open_device, count()
 
     def opened(*arguments: Any) -> Any:
         link = connect(*arguments)
@@ -158,7 +158,7 @@ def test_faults_that_pass_cost_their_samples_alone(tmp_path: Path, monkeypatch: 
         link.exchange = railed  # type: ignore[method-assign]
         return link
 
-    monkeypatch.setattr(sensors, "open_device", opened)
+    monkeypatch.setattr(devices, "open_device", opened)
     breaks = [f"{{kind: unplugged, start: {600.0 * k}, end: {600.0 * k + 3.0}}}" for k in range(1, 7)]
     session = ramp_session(TWIN + f"  faults: [{', '.join(breaks)}]\n")
     said: list[str] = []

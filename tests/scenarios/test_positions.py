@@ -8,15 +8,15 @@ import pytest
 from support.command import measure, tiltcal
 
 from tiltcal.bench.journal import SessionResult, calibrations_of
+from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import Message, VirtualJig
-from tiltcal.bench.run import run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.drivers.virtual import Fixture, VirtualPart
 from tiltcal.errors import HardwareError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.files.results import PositionSet
 from tiltcal.library.measure import measure as measure_here
 

@@ -62,7 +62,7 @@ def pair(draw: Random) -> None:
 
 @target(share=80)
 def procedure(draw: Random) -> None:
-    from tiltcal.files.procedure_file import read_procedure
+    from tiltcal.files.procedure import read_procedure
 
     Path("p.yaml").write_bytes(damaged_yaml(draw, draw.choice([*shipped("procedures").values()])))
     read_procedure("p.yaml")

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from support import accelerometer_disk as disk
-from tiltcal.bench import sensors
+from tiltcal.bench import devices
 from tiltcal.bench.journal import SessionResult, calibrations_of
+from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import Message
-from tiltcal.bench.run import run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.core.pair.matching import Matching
@@ -24,7 +24,7 @@ from tiltcal.errors import BusError, Stopped
 from tiltcal.files.document import document_of
 from tiltcal.files.journal import read_journal
 from tiltcal.files.pair import PairRecord
-from tiltcal.files.procedure_file import procedure_in
+from tiltcal.files.procedure import procedure_in
 
 A1_A2 = Pair("a1", "a2", "a4")
 A3_A4 = Pair("a3", "a4", "a1")
@@ -158,12 +158,12 @@ def turned(
         setup = _setup(pairs, turns, converged, path) if before is None else Setup.of(before)
         session = Session(setup, SessionFiles(setup, path), before)
         session.clock = clock = VirtualClock()
-        opening, device = sensors.open_device, Device(printed, clock, interval)
-        sensors.open_device = lambda *_: device
+        opening, device = devices.open_device, Device(printed, clock, interval)
+        devices.open_device = lambda *_: device
         try:
             result = run_session(session, attendant)
         finally:
-            sensors.open_device = opening
+            devices.open_device = opening
         assert calibrations_of(read_journal(path)).texts() == result.texts()
     return Turned(record_of(result))
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.bench.sensors import ConnectedSensor
+from tiltcal.bench.devices import BenchDevice
 from tiltcal.bench.settle import Timed, Unsettled
 from tiltcal.bench.setup import Setup
 from tiltcal.calibration.measurement import Measurement, missing_temperature
@@ -38,20 +38,10 @@ AGREEMENT = 20.0
 
 @dataclass(frozen=True)
 class PositionResult:
-    """A measured position.
+    """A measured position, as it was actually set.
 
-    Attributes
-    ----------
-    position : Position
-        As it was actually set.
-    measurements : mapping of str to Measurement
-        What each sensor gave, by serial number, as the estimator takes it.
-    typed : bool
-        Whether the operator typed the temperature.
-    left_out : int
-        Samples that were far off, and were taken again.
-    asked : float or None
-        The temperature that the procedure asks for, °C.
+    ``measurements`` are what each sensor gave, by serial number; ``typed`` is whether the operator typed the
+    temperature, and ``asked`` the one that the procedure asks for, °C; ``left_out`` samples were far off.
     """
 
     position: Position
@@ -76,20 +66,22 @@ class PositionResult:
         """Return the mean reading of each channel of a sensor, in its unit."""
         return np.array([summary.mean for summary in self.measurements[serial].summaries.values()])
 
-    def values(self, serial: str) -> dict[str, Any]:
-        """Return mean, scatter, number and temperature of one sensor, as the journal and a program get them."""
-        measurement = self.measurements[serial]
+    def values(self) -> dict[str, dict[str, Any]]:
+        """Return mean, scatter, number and temperature by serial number, as the journal and a program get them."""
         return {
-            "mean": {channel: summary.mean for channel, summary in measurement.summaries.items()},
-            "std": {channel: summary.std for channel, summary in measurement.summaries.items()},
-            "n": next(iter(measurement.summaries.values())).n,
-            "temperature": measurement.temperature,
-            **({"left_out": self.left_out} if self.left_out else {}),
+            serial: {
+                "mean": {channel: summary.mean for channel, summary in measurement.summaries.items()},
+                "std": {channel: summary.std for channel, summary in measurement.summaries.items()},
+                "n": next(iter(measurement.summaries.values())).n,
+                "temperature": measurement.temperature,
+                **({"left_out": self.left_out} if self.left_out else {}),
+            }
+            for serial, measurement in self.measurements.items()
         }
 
 
 def measurement_of(
-    sensor: ConnectedSensor,
+    sensor: BenchDevice,
     position: Position,
     readings: Sequence[Reading],
     when: Mapping[str, Any],
@@ -103,14 +95,15 @@ def measurement_of(
     measured = [reading.temperature for reading in readings if reading.temperature is not None]
     if typed is None and measured:
         temperature = summarise(measured).mean
+    model = sensor.wired
     return Measurement(
         position.name,
         sensor.orientation.seen(position.gravity),
         position.tilt if sensor.orientation.straight else None,
         temperature,
         {
-            channel: summarise([reading.values[place] for reading in readings], sensor.model.resolution)
-            for place, channel in enumerate(sensor.model.channels)
+            channel: summarise([reading.values[place] for reading in readings], model.resolution)
+            for place, channel in enumerate(model.channels)
         },
         when,
         heading=position.heading,
@@ -121,22 +114,32 @@ def measurement_of(
 def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: bool) -> dict[int, str]:
     """Return the samples of a position that are no measurement, by their number, with the reason.
 
-    Parameters
-    ----------
-    thermometers : bool
-        Whether temperatures count; not where the operator typed one.
+    ``thermometers`` says whether temperatures count; not where the operator typed one.
     """
-    found: dict[int, str] = {}
+    wrong: dict[int, str] = {}
     for index, model in enumerate(models):
         readings = [sample[index] for _, sample in held]
         for place, channel in enumerate(model.channels):
             values = np.array([reading.values[place] for reading in readings])
             for number in outliers(values, model.resolution or resolution([values])).tolist():
                 middle = float(np.median(values))
-                found[number] = f"{channel} reads {values[number]:.6g} where the other samples read {middle:.6g}"
+                wrong[number] = f"{channel} reads {values[number]:.6g} where the other samples read {middle:.6g}"
         if thermometers:
-            found |= _absurd_temperatures(readings)
-    return found
+            wrong |= _absurd_temperatures(readings)
+    return wrong
+
+
+def _absurd_temperatures(readings: Sequence[Reading]) -> dict[int, str]:
+    """Return the samples whose temperature no bench has, or that none of the others has."""
+    low, high = TEMPERATURES
+    measured = {number: one.temperature for number, one in enumerate(readings) if one.temperature is not None}
+    possible = [temperature for temperature in measured.values() if low <= temperature <= high]
+    middle = median(possible) if possible else None
+    return {
+        number: f"the thermometer reads {temperature:g} °C"
+        for number, temperature in measured.items()
+        if not low <= temperature <= high or (middle is not None and abs(temperature - middle) > TEMPERATURE_JUMP)
+    }
 
 
 def require_few(count: int, wanted: int, why: str) -> None:
@@ -157,18 +160,8 @@ def at_rail(reading: Reading, model: Model) -> str:
     return ""
 
 
-def require_off_rails(readings: Sequence[Reading], model: Model) -> None:
-    """Raise Unsettled, with the channel, for readings at a rail."""
-    for reading in readings:
-        if why := at_rail(reading, model):
-            raise Unsettled(why)
-
-
 def require_plausible_temperature(result: PositionResult, accepted: Sequence[PositionResult]) -> None:
-    """Refuse a thermometer that converts nothing, and a temperature that fits no other of its position.
-
-    Unsettled: with the temperatures.
-    """
+    """Refuse a thermometer that converts nothing, and a temperature that fits no other of its position."""
     source = "was typed" if result.typed else "is what the thermometer reads"
     for serial, measurement in result.measurements.items():
         temperature = measurement.temperature
@@ -184,41 +177,12 @@ def require_plausible_temperature(result: PositionResult, accepted: Sequence[Pos
                 raise Unsettled(f"{temperature:g} °C {source}, and {other:g} °C {whose}: one of them is wrong")
 
 
-def require_not_stuck(sensor: ConnectedSensor, result: PositionResult, accepted: Sequence[PositionResult]) -> None:
-    """Refuse a channel that reads one value, never another, where something else has changed.
-
-    A reading that stands still within a position is coarse, unless its noise in the positions before is more than its
-    step hides. One that stands still over positions of other tilt is stuck.
-
-    Unsettled: with the channel and the value.
-    """
-    now = result.measurements[sensor.serial]
-    for channel, summary in now.summaries.items():
-        before = [result.measurements[sensor.serial] for result in accepted]
-        noise = noise_of_positions([one.summaries[channel] for one in before], summary.resolution) if before else 0.0
-        if summary.std == 0.0 and not identical_by_chance(summary.n, noise, summary.resolution):
-            raise Unsettled(
-                f"{channel} of {sensor.serial} is stuck: all {summary.n} samples read {summary.mean:.6g} "
-                f"{sensor.model.unit}, and those of the positions before scatter by {noise:.3g}; see that the sensor "
-                "converts (if it was shaken in the positions before, go back and repeat them)"
-            )
-        alike = [one for one in before if one.summaries[channel].std == summary.std == 0.0]
-        same = [one for one in alike if one.summaries[channel].mean == summary.mean]
-        axis = "xyz".index(channel)
-        if any(abs(one.gravity[axis] - now.gravity[axis]) > TILTED for one in same):
-            count = sum(one.summaries[channel].n for one in (*same, now))
-            raise Unsettled(
-                f"{channel} of {sensor.serial} is stuck: all {count} samples of {len(same) + 1} positions read "
-                f"{summary.mean:.6g} {sensor.model.unit}; see that the sensor converts, and that its axis is wired"
-            )
-
-
 class ReadingSpans:
     """The lowest and the highest reading of each channel that a session has seen, moves between positions included."""
 
-    def __init__(self, sensors: Sequence[ConnectedSensor]) -> None:
+    def __init__(self, sensors: Sequence[BenchDevice]) -> None:
         self._sensors = sensors
-        self._models = {sensor.serial: sensor.model for sensor in sensors}
+        self._models = {sensor.serial: sensor.wired for sensor in sensors}
         self._spans: dict[str, list[tuple[float, float, float]]] = {}
 
     def add(self, readings: Mapping[str, Reading]) -> None:
@@ -239,61 +203,40 @@ class ReadingSpans:
         for sensor in self._sensors:
             seen = np.array([sensor.orientation.seen(one.gravity) for one in positions])
             flat = [channel for channel, by in zip("xyz", np.ptp(seen, axis=0), strict=True) if by <= TILTED]
-            spans = zip(sensor.model.channels, self._spans.get(sensor.serial, []), strict=False)
+            spans = zip(sensor.wired.channels, self._spans.get(sensor.serial, []), strict=False)
             channels = [name for name, (low, high, step) in spans if high - low <= 1.5 * step and name in flat]
             quiet |= {sensor.serial: channels} if channels else {}
         return quiet
 
 
-def _absurd_temperatures(readings: Sequence[Reading]) -> dict[int, str]:
-    """Return the samples whose temperature no bench has, or that none of the others has."""
-    low, high = TEMPERATURES
-    known = {number: reading.temperature for number, reading in enumerate(readings) if reading.temperature is not None}
-    possible = [temperature for temperature in known.values() if low <= temperature <= high]
-    middle = median(possible) if possible else None
-    return {
-        number: f"the thermometer reads {temperature:g} °C"
-        for number, temperature in known.items()
-        if not low <= temperature <= high or (middle is not None and abs(temperature - middle) > TEMPERATURE_JUMP)
-    }
-
-
 class Expectations:
-    """What the positions so far, and the model, predict of the readings of each sensor.
+    """What the ``accepted`` positions so far, and the models, predict of the readings of each sensor."""
 
-    Parameters
-    ----------
-    sensors : sequence of ConnectedSensor
-        Those that were not given up.
-    accepted : sequence of PositionResult
-        The positions so far.
-    """
-
-    def __init__(self, setup: Setup, sensors: Sequence[ConnectedSensor], accepted: Sequence[PositionResult]) -> None:
+    def __init__(self, setup: Setup, sensors: Sequence[BenchDevice], accepted: Sequence[PositionResult]) -> None:
         self._setup = setup
         self._sensors = sensors
         self._accepted = accepted
+        self._determines = setup.steps.determines
         bases = setup.known.values()
         self._mounted = any(base.calibration.coefficients.mounting is not None for base in bases)
         """Whether the positions are those of an application in which a sensor sits in a way of its own."""
-        self._readings = {sensor.serial: self._learnt(sensor) for sensor in sensors}
+        self._readings = {sensor.serial: self._learnt(sensor.serial, sensor.wired) for sensor in sensors}
 
-    def _learnt(self, sensor: ConnectedSensor) -> ExpectedReadings:
-        model = sensor.model
+    def _learnt(self, serial: str, model: Model) -> ExpectedReadings:
         readings = ExpectedReadings(
             model.channels, model.offset, model.sensitivity, model.offset_spread, model.sensitivity_spread
         )
         for result in self._accepted:
-            before = result.measurements[sensor.serial]
-            readings.learn(before.gravity, result.mean(sensor.serial), before.temperature)
+            before = result.measurements[serial]
+            readings.learn(before.gravity, result.mean(serial), before.temperature)
         return readings
 
     def expected(self, result: PositionResult) -> dict[str, dict[str, float]]:
         """Return the predicted reading of each channel by serial number; empty where nothing predicts it."""
-        determines = self._setup.steps.determines
+        known = not self._determines.free and not self._mounted
         return {
             sensor.serial: self._readings[sensor.serial].expected(result.measurements[sensor.serial].gravity)
-            if sensor.model.scaled and not determines.free and not self._mounted
+            if sensor.wired.scaled and known
             else {}
             for sensor in self._sensors
         }
@@ -301,7 +244,7 @@ class Expectations:
     def require(self, result: PositionResult) -> None:
         """Raise Unsettled where the temperature is absurd, a sensor is stuck, or it is another position."""
         require_plausible_temperature(result, self._accepted)
-        determines = self._setup.steps.determines
+        determines = self._determines
         if determines.level or determines.mounting:
             from tiltcal.calibration import level
 
@@ -310,30 +253,51 @@ class Expectations:
                 if refusal := objection(self._setup.known[serial].calibration, measurement):
                     raise Unsettled(refusal)
         for sensor in self._sensors:
-            require_not_stuck(sensor, result, self._accepted)
+            self._require_not_stuck(sensor.serial, sensor.wired.unit, result.measurements[sensor.serial])
         if determines.mounting or self._mounted:
             return
         for sensor in self._sensors:
-            why = self._repeated(sensor, result) if determines.free else self._objection(sensor, result)
+            why = self._objection(sensor, result) if sensor.wired.scaled else None
             if why:
                 alone = determines.free or len(self._setup.sensors) == 1
                 raise Unsettled(why if alone else f"{sensor.serial}: {why}")
 
-    def _objection(self, sensor: ConnectedSensor, result: PositionResult) -> str | None:
-        """Return why a sensor sees a position as another one."""
-        if not sensor.model.scaled:
-            return None
-        positions = {position.name: position.gravity for position in self._setup.steps.positions}
-        positions |= {one.position.name: one.position.gravity for one in (*self._accepted, result)}
-        seen = {name: sensor.orientation.seen(gravity) for name, gravity in positions.items()}
-        temperature = result.measurements[sensor.serial].temperature
-        return self._readings[sensor.serial].objection(
-            result.position.name, seen, result.mean(sensor.serial), temperature
-        )
+    def _require_not_stuck(self, serial: str, unit: str, now: Measurement) -> None:
+        """Refuse a channel that reads one value, never another, where something else has changed.
 
-    def _repeated(self, sensor: ConnectedSensor, result: PositionResult) -> str | None:
-        """Return why an attitude is there already, as a sensor of three axes sees it."""
-        if not sensor.model.scaled or len(sensor.model.channels) < 3:
-            return None
-        before = {one.position.name: one.mean(sensor.serial) for one in self._accepted}
-        return self._readings[sensor.serial].repeated(before, result.mean(sensor.serial))
+        A reading that stands still within a position is coarse, unless its noise in the positions before is more than
+        its step hides. One that stands still over positions of other tilt is stuck.
+        """
+        before = [result.measurements[serial] for result in self._accepted]
+        for channel, summary in now.summaries.items():
+            if summary.std != 0.0:
+                continue
+            noise = (
+                noise_of_positions([one.summaries[channel] for one in before], summary.resolution) if before else 0.0
+            )
+            if not identical_by_chance(summary.n, noise, summary.resolution):
+                raise Unsettled(
+                    f"{channel} of {serial} is stuck: all {summary.n} samples read {summary.mean:.6g} {unit}, and "
+                    f"those of the positions before scatter by {noise:.3g}; see that the sensor converts (if it was "
+                    "shaken in the positions before, go back and repeat them)"
+                )
+            still = [one for one in before if one.summaries[channel].std == 0.0]
+            same = [one for one in still if one.summaries[channel].mean == summary.mean]
+            axis = "xyz".index(channel)
+            if any(abs(one.gravity[axis] - now.gravity[axis]) > TILTED for one in same):
+                count = sum(one.summaries[channel].n for one in (*same, now))
+                raise Unsettled(
+                    f"{channel} of {serial} is stuck: all {count} samples of {len(same) + 1} positions read "
+                    f"{summary.mean:.6g} {unit}; see that the sensor converts, and that its axis is wired"
+                )
+
+    def _objection(self, sensor: BenchDevice, result: PositionResult) -> str | None:
+        """Return why a sensor sees a position as another one, or an attitude that is there already."""
+        readings, serial = self._readings[sensor.serial], sensor.serial
+        if self._determines.free:
+            before = {one.position.name: one.mean(serial) for one in self._accepted}
+            return readings.repeated(before, result.mean(serial)) if len(sensor.wired.channels) == 3 else None
+        positions = [*self._setup.steps.positions, *(one.position for one in (*self._accepted, result))]
+        seen = {position.name: sensor.orientation.seen(position.gravity) for position in positions}
+        temperature = result.measurements[serial].temperature
+        return readings.objection(result.position.name, seen, result.mean(serial), temperature)

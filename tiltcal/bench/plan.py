@@ -8,11 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tiltcal.bench.stage import map_channels
-from tiltcal.calibration.free_positions import require_no_jig
+from tiltcal.bench.setup import stage_channels
+from tiltcal.calibration.checks import require_no_jig, require_suitable
 from tiltcal.calibration.joint_fit import along_gravity
 from tiltcal.calibration.prediction import PredictedMounting, PredictedUncertainty, predict, predict_mounting
-from tiltcal.calibration.suitability import require_suitable
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
@@ -20,8 +19,7 @@ from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.procedure import Procedure
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.stated_arguments import require_boolean, require_from_zero, require_whole
 
 _NOT_PREDICTED = (
@@ -128,7 +126,7 @@ def plan(
     if own is not None or steps.determines.level:
         bases_of(steps, base, [] if own is None else [own.sensor.serial])
     if steps.rotation is not None:
-        channels = map_channels(steps.rotation, [("", model)])
+        channels = stage_channels(steps.rotation, [("", model)])
         return PlannedRotation(channels.pairs, steps.rotation.turns, channels.left_out)
     require_suitable(steps, model, based=own is not None)
     if steps.determines.mounting:

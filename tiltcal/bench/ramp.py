@@ -6,7 +6,6 @@ is the way there. A leg ends when the thermometer is close to its temperature, o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,32 +20,36 @@ from tiltcal.files.procedure import Position, Ramp
 CHANGE = 0.5
 """°C; a temperature that changes by less within the patience of the procedure has stopped."""
 
-NO_THERMOMETER = "a ramp needs a thermometer that is read: the sensor reports no temperature, and the bench has none"
-NO_WAY_BACK = "a ramp is one continuous record: no leg can be taken again; quit, and begin anew"
-
 
 def take_leg(session: Session, ramp: Ramp, position: Position) -> str:
     """Ask for a turning point, sample until it is reached, and have it accepted; return the answer."""
     answer = session.ask_for(position)
     if answer.word != "ready":
-        raise Unsettled(NO_WAY_BACK)
+        raise Unsettled("a ramp is one continuous record: no leg can be taken again; quit, and begin anew")
     # A temperature that is typed is that of one moment; the thermometer is read all the time.
     actual = replace(answer.as_set(position), temperature=position.temperature)
     if session.accepted and actual.gravity != session.accepted[0].position.gravity:
         raise Unsettled("a ramp has one attitude: leave the sensor as it lies")
     first = session.leg[0].line if session.leg else session.recorder.line + 1
     samples = [tuple(one.readings[sensor.serial] for sensor in session.sensors.sensors) for one in session.leg]
-    samples += _leg(session, ramp, actual, first)
+    samples += _sampled(session, ramp, actual)
     last = session.recorder.line
-    result = _result(session, actual, samples)
+    measurements = {}
+    for index, sensor in enumerate(session.sensors.sensors):
+        readings = [sample[index] for sample in samples]
+        railed = [why for reading in readings if (why := at_rail(reading, sensor.wired))]
+        if railed:
+            require_few(len(railed), len(readings), railed[-1])
+            readings = [reading for reading in readings if not at_rail(reading, sensor.wired)]
+        measurements[sensor.serial] = measurement_of(sensor, actual, readings, {"time": session.now()})
     session.leg = []
     if len(session.accepted) == len(session.setup.steps.positions) - 1:
         session.tip(position)
-    session.accept(result, {"lines": [first, last]})
+    session.accept(PositionResult(actual, measurements, asked=position.temperature), {"lines": [first, last]})
     return answer.word
 
 
-def _leg(session: Session, ramp: Ramp, position: Position, first: int) -> list[Sample]:
+def _sampled(session: Session, ramp: Ramp, position: Position) -> list[Sample]:
     """Sample until the temperature of a position is reached, or changes no more; SensorError as in a position."""
     samples: list[Sample] = []
     wanted, since, before = position.temperature or 0.0, 0, np.nan
@@ -54,15 +57,16 @@ def _leg(session: Session, ramp: Ramp, position: Position, first: int) -> list[S
         try:
             sample = session.sensors.read(fresh=True)
         except SensorError as error:
-            if not session.sensors.count_failure(error, needed=True):
-                raise
+            session.sensors.failed(error, needed=True)
             session.clock.sleep(RECOVERY)
             continue
         session.sensors.succeeded()
-        now_ns = session.recorder.now_ns
+        now_ns = session.recorder.now_ns()
         temperature = sample[0].temperature
         if temperature is None:
-            raise UsageError(NO_THERMOMETER)
+            raise UsageError(
+                "a ramp needs a thermometer that is read: the sensor reports no temperature, and the bench has none"
+            )
         samples.append(sample)
         if abs(temperature - wanted) <= ramp.within and len(samples) > 1:
             return samples
@@ -72,16 +76,3 @@ def _leg(session: Session, ramp: Ramp, position: Position, first: int) -> list[S
             return samples
         session.look(position, sample, f"at {temperature:.1f} °C, on the way to {wanted:g} °C")
         session.clock.sleep(ramp.interval)
-
-
-def _result(session: Session, position: Position, samples: Sequence[Sample]) -> PositionResult:
-    """Return a leg as a position, the means along its way; Unsettled where too many readings are at a rail."""
-    measurements = {}
-    for index, sensor in enumerate(session.sensors.sensors):
-        readings = [sample[index] for sample in samples]
-        railed = [why for reading in readings if (why := at_rail(reading, sensor.model))]
-        if railed:
-            require_few(len(railed), len(readings), railed[-1])
-            readings = [reading for reading in readings if not at_rail(reading, sensor.model)]
-        measurements[sensor.serial] = measurement_of(sensor, position, readings, {"time": session.now()})
-    return PositionResult(position, measurements, asked=position.temperature)

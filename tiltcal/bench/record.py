@@ -15,9 +15,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from tiltcal.bench.sensors import Recorder, SensorSet, VirtualBench, connected, probe_devices
-from tiltcal.bench.setup import devices_of
-from tiltcal.bench.stage import column_name
+from tiltcal.bench.devices import VirtualBench, probe_devices
+from tiltcal.bench.sensors import Recorder, SensorSet, connected
+from tiltcal.bench.setup import column_name, sensors_of, thermometer_of
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
 from tiltcal.drivers.model import Model, Reading, link_in_words
 from tiltcal.errors import UsageError
@@ -35,18 +35,10 @@ SECURE_NS = 1_000_000_000
 
 @dataclass
 class RecordingTally:
-    """The content of a recording so far.
+    """The content of a recording so far: rows, and readings that are missing, with the last reason.
 
-    Attributes
-    ----------
-    missing : int
-        Readings that could not be taken; their cells are empty.
-    why : str
-        The last reason.
-    interrupted : bool
-        Whether it was stopped before its end.
-    link_statistics : mapping of str to mapping of str to int
-        By device: what was used, damaged and lost on its line.
+    ``interrupted`` is whether it was stopped before its end; ``link_statistics`` are by device what was used, damaged
+    and lost on its line.
     """
 
     rows: int = 0
@@ -65,17 +57,9 @@ class RecordingTally:
 
 
 class CsvRecorder:
-    """A CSV log that rows are appended to.
+    """A CSV log that rows are appended to, made anew; ``rows`` are those below its header.
 
-    Parameters
-    ----------
-    path : Path
-        Made anew; an existing file is never touched.
-
-    Attributes
-    ----------
-    rows : int
-        How many it has below its header.
+    UsageError: the file exists, or cannot be made.
     """
 
     def __init__(self, path: Path, header: Sequence[str]) -> None:
@@ -91,10 +75,7 @@ class CsvRecorder:
         self.write(header)
 
     def write(self, cells: Sequence[str]) -> None:
-        """Append one row, whole or not at all.
-
-        UsageError: the disk is full or fails; the rows before are kept.
-        """
+        """Append one row, whole or not at all; a UsageError where the disk is full or fails."""
         row = _row(cells)
         self._appended = len(row)
         try:
@@ -104,10 +85,7 @@ class CsvRecorder:
         self._count_row()
 
     def secure(self) -> None:
-        """Wait until all rows are on the disk.
-
-        UsageError: the disk fails.
-        """
+        """Wait until all rows are on the disk; a UsageError where it fails."""
         try:
             os.fdatasync(self._descriptor)
         except OSError as error:
@@ -139,7 +117,7 @@ class CsvRecorder:
         )
 
 
-def _header(models: Mapping[str, Model], thermometer: bool) -> list[str]:
+def _header(models: Mapping[str, Model], *, thermometer: bool) -> list[str]:
     """Return the columns: ``x``, ``y``, ``temperature`` of a single sensor, ``S-7_x`` and so on of several."""
     names = ["time"]
     for serial, model in models.items():
@@ -152,11 +130,11 @@ def write_samples(stream: BinaryIO, setup: Setup, samples: Iterable[RecordedSamp
     """Write the samples of a session as the rows of a log; a sensor that was given up leaves its cells empty."""
     models = {device.serial: device.wired for device in setup.sensors}
     thermometer = setup.thermometer is not None
-    stream.write(_row(_header(models, thermometer)))
+    stream.write(_row(_header(models, thermometer=thermometer)))
     for sample in samples:
         moment = moment_after(setup.began, sample.now_ns)
         readings = [sample.readings.get(serial) for serial in models]
-        stream.write(_row(_cells(list(models.values()), readings, moment, thermometer)))
+        stream.write(_row(_cells(list(models.values()), readings, moment, thermometer=thermometer)))
 
 
 def record_bench(
@@ -168,21 +146,15 @@ def record_bench(
     seconds: float | None,
     progress: Callable[[RecordingTally], None],
 ) -> RecordingTally:
-    """Record the sensors of a bench to a CSV log, until the limit or Ctrl-C.
+    """Record the sensors of a bench to a CSV log, until the limit or Ctrl-C; ``progress`` is called after each row.
 
-    Parameters
-    ----------
-    rate : float or None
-        Rows per second; None is as fast as the sensors renew themselves.
-    rows, seconds : int or None, float or None
-        Limits. With neither it goes on until Ctrl-C, which then is no interruption.
-    progress : callable
-        Called after each row.
+    ``rate`` is in rows per second; None is as fast as the sensors renew themselves. With neither ``rows`` nor
+    ``seconds`` it goes on until Ctrl-C, which then is no interruption.
 
     UsageError: the log exists, an address is wrong, or there is no end on the virtual bench.
     HardwareError: a sensor does not answer.
     """
-    sensors, thermometer = devices_of(bench)
+    sensors, thermometer = sensors_of(bench), thermometer_of(bench)
     devices = sensors if thermometer is None else (*sensors, thermometer)
     virtual = all(device.simulated for device in devices)
     interval = 1.0 / rate if rate else max(sensor.wired.interval for sensor in sensors)
@@ -196,8 +168,9 @@ def record_bench(
     twins = VirtualBench(clock, devices)
     probe_devices(devices, twins, clock)
     tally = RecordingTally()
-    with connected(devices, thermometer is not None, Recorder(clock), clock, twins) as opened:
-        recorder = CsvRecorder(log, _header({one.serial: one.model for one in opened.sensors}, opened.has_thermometer))
+    with connected(sensors, thermometer, Recorder(clock), twins) as opened:
+        header = _header({one.serial: one.wired for one in sensors}, thermometer=thermometer is not None)
+        recorder = CsvRecorder(log, header)
         try:
             for tally in record(opened, recorder, clock, started, interval=interval, rows=rows, seconds=seconds):
                 progress(tally)
@@ -219,24 +192,7 @@ def record(
     rows: int | None,
     seconds: float | None = None,
 ) -> Iterator[RecordingTally]:
-    """Take samples at a steady pace and append them to a log.
-
-    Parameters
-    ----------
-    started : datetime
-        UTC, when ``clock`` stood at zero.
-    interval : float
-        Seconds between rows; 0 where the sensors send by themselves.
-    rows : int or None
-        How many; None goes on until the caller stops.
-    seconds : float, optional
-        After which no row is begun.
-
-    Yields
-    ------
-    RecordingTally
-        After each row.
-    """
+    """Take samples at a steady pace, an ``interval`` of seconds apart, and append them to a log; yield after each."""
     tally = RecordingTally()
     # A sensor that talks faster than rows are taken would be read later and later.
     slower = interval > 1.5 * min(model.interval for model in sensors.models)
@@ -244,7 +200,8 @@ def record(
     while (rows is None or tally.rows < rows) and (seconds is None or clock.now_ns() - begun_ns < seconds * 1e9):
         readings, why = sensors.read_available(fresh=slower or not tally.rows)
         now_ns = clock.now_ns()
-        log.write(_cells(sensors.models, readings, moment_after(started, now_ns), sensors.has_thermometer))
+        moment, thermometer = moment_after(started, now_ns), sensors.thermometer is not None
+        log.write(_cells(sensors.models, readings, moment, thermometer=thermometer))
         tally.rows += 1
         if why:
             tally.missing, tally.why = tally.missing + len(why), why[-1]
@@ -261,18 +218,15 @@ def _row(cells: Sequence[str]) -> bytes:
 
 
 def _cells(
-    models: Sequence[Model], readings: Sequence[Reading | None], moment: datetime, thermometer: bool
+    models: Sequence[Model], readings: Sequence[Reading | None], moment: datetime, *, thermometer: bool
 ) -> list[str]:
     cells = [stamp(moment)]
-    common = None
     for model, reading in zip(models, readings, strict=True):
         cells += [""] * len(model.channels) if reading is None else [f"{value:.10g}" for value in reading.values]
-        temperature = None if reading is None else reading.temperature
-        common = temperature if common is None else common
         if model.thermometer and not thermometer:
-            cells.append(_temperature(temperature))
-    return cells + ([_temperature(common)] if thermometer else [])
+            cells.append(_celsius(reading))
+    return cells + ([_celsius(next(filter(None, readings), None))] if thermometer else [])
 
 
-def _temperature(value: float | None) -> str:
-    return "" if value is None else f"{value:.3f}"
+def _celsius(reading: Reading | None) -> str:
+    return "" if reading is None or reading.temperature is None else f"{reading.temperature:.3f}"

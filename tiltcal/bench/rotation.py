@@ -1,8 +1,8 @@
 """A turning stage: its accelerometers are sampled until their pairs are matched.
 
 The operator is asked once. Then every sample is taken in blocks of a fraction of a second. What cannot be used is
-reported once with the reason, and once more when samples count again; after each turn the operator gets p and q of the
-recursive estimators. The rotation ends when both are known as the procedure asks, when its turns are made, or when the
+reported once with the reason, and once more when samples count again; after each turn the operator gets p and q of all
+samples so far. The rotation ends when both are known as the procedure asks, when its turns are made, or when the
 operator stops. The result is that of ``match`` on all samples of the journal; a break of the session or of a line is a
 gap in them.
 """
@@ -10,27 +10,22 @@ gap in them.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.bench.journal import RecordedSession
+from tiltcal.bench.journal import RecordedSession, unused
 from tiltcal.bench.sensors import RECOVERY
 from tiltcal.bench.session import Session
-from tiltcal.bench.stage import (
-    ALL_TURNS,
-    CONVERGED,
-    STOPPED,
-    TOO_FEW,
-    ChannelMap,
-    StageSamples,
-    split_at_breaks,
-    unused,
-)
-from tiltcal.core.pair.matching import Matching, PairCoefficients
+from tiltcal.core.model import Array
+from tiltcal.core.pair.matching import Matching, PairCoefficients, solve
 from tiltcal.core.pair.model import FEWEST_TURNS
+from tiltcal.core.pair.online import Notice, TurnStream
+from tiltcal.core.pair.rotation import TOO_FEW, MatchedRotation, rotation_of, split_at_breaks
+from tiltcal.core.pair.stage import STANDSTILL
 from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.journal import POSITION
-from tiltcal.files.rotation import Rotation
+from tiltcal.files.procedure import Rotation
 
 BLOCK_NS = 200_000_000
 """Time over which samples are collected before they are judged and the operator is polled, ns."""
@@ -38,39 +33,102 @@ LARGEST_BLOCK = 16
 """Samples: fewer than a turn has, so that every turn is reported."""
 SOONEST = 5
 """Turns before p and q are called known: fewer do not show how the turns scatter."""
+SHOWN_TURN = 2.25
+"""Turns after which a whole one must have been among them."""
+EACH_OF = 100
+"""Of the first so many turns each has p and q anew; of more it takes so much of them again, for a fit takes longer."""
+
+CONVERGED, ALL_TURNS, STOPPED = "p and q are known as asked", "all turns are made", "the operator stopped"
+
+
+class StageSamples:
+    """The samples of a turning stage so far, rows of seconds, angle in degrees and readings.
+
+    ``turns`` count; ``left_out`` samples do not, since the stage began to turn.
+    """
+
+    def __init__(self, columns: list[str]) -> None:
+        self._columns = columns
+        self._blocks: list[Array] = []
+        self._turns = self._left_out = self._since_break = 0
+        self._stream = TurnStream(len(columns))
+
+    @property
+    def turns(self) -> int:
+        return self._turns + self._stream.turns
+
+    @property
+    def left_out(self) -> int:
+        return self._left_out + self._stream.left_out
+
+    @property
+    def holds(self) -> str:
+        """The reason why samples are held now; empty where they count, or before the stage turns."""
+        return self._stream.why if self._stream.turns else ""
+
+    @property
+    def idle(self) -> str:
+        """The reason why waiting is of no use; empty where samples count."""
+        turned = self._stream.turned
+        if self._stream.turns or STANDSTILL <= turned < SHOWN_TURN:
+            return ""
+        if turned >= SHOWN_TURN:
+            return f"the stage turns, but no sample can be used: {self._stream.why}"
+        if turned <= -STANDSTILL:
+            return "the stage turns backwards: its angle is to count up; swap the tracks of the encoder"
+        return "the stage does not turn: start it, and check that the encoder counts"
+
+    def take(self, block: Array) -> list[str]:
+        """Take a block of rows; return why samples are held from here on, in order, empty where they go on."""
+        if not len(block):
+            return []
+        self._blocks.append(block)
+        self._since_break += len(block)
+        return [item.why for item in self._stream.push(block[:, 1], block[:, 2:].T) if isinstance(item, Notice)]
+
+    def interrupt(self) -> str:
+        """Note a break, and keep the span before it where its turns show its phase; return what becomes of it."""
+        stream, lost = self._stream, self._since_break
+        kept = stream.turns >= FEWEST_TURNS
+        self._turns += stream.turns if kept else 0
+        self._left_out += stream.left_out if kept else lost
+        self._blocks.append(np.full((1, 2 + len(self._columns)), np.nan))
+        self._stream, self._since_break = TurnStream(len(self._columns)), 0
+        if kept or not lost:
+            return "the samples before count"
+        return f"{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out"
+
+    def rotation(self) -> MatchedRotation:
+        """Return what all samples give; EstimateError where the stage has not turned enough."""
+        if not self._blocks:
+            raise EstimateError(f"the stage has made 0 whole turns; {TOO_FEW}")
+        return rotation_of(self._columns, np.concatenate(self._blocks))
 
 
 class TurningStage:
-    """The rotation of a session.
+    """The rotation of a session; ``before`` is what there is from before an interruption."""
 
-    Parameters
-    ----------
-    before : RecordedSession or None
-        What there is from before an interruption.
-    """
-
-    def __init__(
-        self, session: Session, rotation: Rotation, channels: ChannelMap, before: RecordedSession | None
-    ) -> None:
-        rows = np.empty((0, 2 + len(channels.readings))) if before is None else before.rotation_rows()
-        lost = 0
+    def __init__(self, session: Session, rotation: Rotation, before: RecordedSession | None) -> None:
         self._session = session
         self._rotation = rotation
-        self._channels = channels
-        self._samples = StageSamples(channels.pairs, [channel.column for channel in channels.readings])
-        for part in split_at_breaks(rows):
-            for first in range(0, len(part), LARGEST_BLOCK):
-                self._samples.take(part[first : first + LARGEST_BLOCK])
-            lost = self._samples.interrupt()
+        self._channels = session.setup.stage_channels()
+        self._samples = StageSamples(self._channels.columns)
         self._interval = max(model.interval for model in session.sensors.models)
-        self._taken = len(rows)
+        self._taken = self._damaged = self._due = 0
         self._stale = True
         self._reported = ""
-        self._damaged = 0
         self._damage_reported = False
         self._turns = before is not None and before.turning
-        if len(rows):
-            self._report(f"the session was interrupted here; {_kept(lost)}")
+        self._pairs: dict[str, PairCoefficients] = {}
+        self._unknown: dict[str, str] = {}
+        kept = ""
+        for part in [] if before is None else split_at_breaks(before.rotation_rows()):
+            self._taken += len(part)
+            for first in range(0, len(part), LARGEST_BLOCK):
+                self._samples.take(part[first : first + LARGEST_BLOCK])
+            kept = self._samples.interrupt()
+        if kept:
+            self._report(f"the session was interrupted here; {kept}")
 
     def turn(self) -> None:
         """Let the stage turn until a pair is matched, and note it in the journal."""
@@ -78,12 +136,12 @@ class TurningStage:
         while True:
             ended = self._collect()
             try:
-                whole = self._samples.whole()
-                matchings, unmatched = whole.matched(self._channels.pairs)
+                rotation = self._samples.rotation()
+                matchings, unmatched = rotation.matched(self._channels.pairs)
                 break
             except EstimateError as refusal:
                 session.refuse("rotation", str(refusal))
-        for why in (*whole.stuck, *unmatched):
+        for why in (*rotation.stuck, *unmatched):
             self._report(why)
         session.recorder.record(
             POSITION, {"position": "rotation", "lines": [first, session.recorder.line], "ended": ended}
@@ -91,36 +149,38 @@ class TurningStage:
         session.recorder.secure()
         suppression = {matching.pair.name: matching.suppression for matching in matchings}
         pairs = _coefficients({matching.pair.name: matching for matching in matchings})
-        session.tell("accepted", position="rotation", turns=whole.turns, **pairs, suppression=suppression)
+        session.tell("accepted", position="rotation", turns=rotation.turns, **pairs, suppression=suppression)
 
     def _collect(self) -> str:
         """Collect samples until they suffice, and return why they do."""
-        samples, recorder = self._samples, self._session.recorder
+        samples, session, patience = self._samples, self._session, self._rotation.patience
         since_ns, made = self._begin(), samples.turns
         while True:
             why = self._take_block()
-            if self._stops():
-                return STOPPED
+            if session.poll(f"turning {self._taken}") is not None:
+                if samples.turns >= FEWEST_TURNS:
+                    return STOPPED
+                session.refuse("rotation", f"the stage has made {samples.turns} whole turns; {TOO_FEW}")
             if samples.turns > made:
                 made = samples.turns
-                if ended := self._report_turn(made):
-                    return ended
+                known = self._report_turn(made)
+                if known or made >= self._rotation.turns:
+                    return CONVERGED if known else ALL_TURNS
             elif why:
-                since_ns = recorder.now_ns
-            elif not samples.turns and samples.idle and recorder.now_ns - since_ns > self._rotation.patience * 1e9:
-                self._session.refuse("rotation", f"{samples.idle} (waited for {self._rotation.patience:g} s)")
+                since_ns = session.recorder.now_ns()
+            elif not samples.turns and samples.idle and session.recorder.now_ns() - since_ns > patience * 1e9:
+                session.refuse("rotation", f"{samples.idle} (waited for {patience:g} s)")
                 since_ns = self._begin()
 
     def _begin(self) -> int:
         """Ask the operator to let the stage turn, unless it does; return the time of it, ns since the session began."""
-        if self._turns:
-            self._turns = False
-            return self._session.recorder.now_ns
-        pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in self._channels.pairs]
-        rotation = self._rotation
-        self._session.ask({"ask": "rotation", "pairs": pairs, "turns": rotation.turns, "prompt": rotation.prompt})
-        self._stale = True
-        return self._session.recorder.now_ns
+        if not self._turns:
+            chosen, rotation = self._channels.pairs, self._rotation
+            pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in chosen]
+            self._session.ask({"ask": "rotation", "pairs": pairs, "turns": rotation.turns, "prompt": rotation.prompt})
+            self._stale = True
+        self._turns = False
+        return self._session.recorder.now_ns()
 
     def _take_block(self) -> str:
         """Collect a block, and report what of it is held; return why it ended early, empty where it did not."""
@@ -128,7 +188,7 @@ class TurningStage:
         for remark in self._samples.take(np.array(block)):
             self._report(remark)
         if why:
-            self._report(f"{why}; {_kept(self._samples.interrupt())}")
+            self._report(f"{why}; {self._samples.interrupt()}")
         elif block:
             self._report(self._samples.holds)
             self._report_damage()
@@ -138,9 +198,8 @@ class TurningStage:
         """Return the samples of a fraction of a second, and why they ended early, empty where they did not."""
         session, sensors = self._session, self._session.sensors
         block: list[tuple[float, ...]] = []
-        begun_ns = session.recorder.now_ns
-        channels = (self._channels.phase, *self._channels.readings)
-        while len(block) < LARGEST_BLOCK and session.recorder.now_ns - begun_ns < BLOCK_NS:
+        begun_ns = session.recorder.now_ns()
+        while len(block) < LARGEST_BLOCK and session.recorder.now_ns() - begun_ns < BLOCK_NS:
             try:
                 if self._stale:
                     sensors.discard()
@@ -153,31 +212,40 @@ class TurningStage:
                 return block, str(error)
             sensors.succeeded()
             self._taken += 1
-            block.append((session.recorder.now_ns / 1e9, *(channel.value(readings) for channel in channels)))
+            block.append(self._channels.row(session.recorder.now_ns(), readings))
             session.clock.sleep(self._interval)
         return block, ""
 
-    def _stops(self) -> bool:
-        """Return whether the operator said stop, and enough turns are made."""
-        if self._session.poll(f"turning {self._taken}") is None:
-            return False
-        if self._samples.turns >= FEWEST_TURNS:
-            return True
-        self._session.refuse("rotation", f"the stage has made {self._samples.turns} whole turns; {TOO_FEW}")
-        return False
-
-    def _report_turn(self, made: int) -> str:
-        """Report a completed turn; return why it is the last one, empty where it is not."""
-        samples, enough = self._samples, self._rotation.converged
+    def _report_turn(self, made: int) -> bool:
+        """Report a completed turn; return whether p and q of every pair are known as the procedure asks."""
         self._session.recorder.secure()
-        remarks = {"unknown": dict(samples.unknown), "left_out": samples.left_out + self._damaged}
+        known = made >= self._due and self._match(made)
+        self._due = max(self._due, made + made // EACH_OF)
+        remarks = {"unknown": self._unknown, "left_out": self._samples.left_out + self._damaged}
         remarks = {name: remark for name, remark in remarks.items() if remark}
-        pairs = _coefficients(samples.online())
-        self._session.tell("turn", turn=made, of=self._rotation.turns, **pairs, **remarks)
+        self._session.tell("turn", turn=made, of=self._rotation.turns, **_coefficients(self._pairs), **remarks)
         self._damage_reported = False
-        if enough is not None and made >= SOONEST and samples.known_to(enough):
-            return CONVERGED
-        return ALL_TURNS if made >= self._rotation.turns else ""
+        return known
+
+    def _match(self, made: int) -> bool:
+        """Take p and q of all samples so far; return whether the scatter of turns and the noise show them as asked."""
+        self._pairs, self._unknown = {}, {}
+        try:
+            whole = self._samples.rotation().demodulation
+        except EstimateError:
+            return False
+        # A few turns scatter less than their noise allows by chance, so the noise has to agree as well.
+        white = replace(whole, scores=whole.scores[:0], weights=whole.weights[:0])
+        largest = 0.0
+        for pair in self._channels.pairs:
+            try:
+                by_turns, by_noise = solve(whole, pair), solve(white, pair)
+                self._pairs[pair.name] = by_turns
+                largest = max(largest, by_turns.u_p, by_turns.u_q, by_noise.u_p, by_noise.u_q)
+            except EstimateError as refusal:
+                self._unknown[pair.name] = str(refusal)
+        enough = self._rotation.converged
+        return enough is not None and made >= SOONEST and not self._unknown and largest <= enough
 
     def _report(self, why: str) -> None:
         """Report, once, why samples are held; an empty reason reports that they count again."""
@@ -197,11 +265,6 @@ class TurningStage:
             self._report(f"{damaged - self._damaged} damaged or lost on the line, and left out")
             self._report("")
         self._damaged = damaged
-
-
-def _kept(lost: int) -> str:
-    """Return what becomes of the samples before a break."""
-    return f"{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out" if lost else "the samples before count"
 
 
 def _coefficients(pairs: Mapping[str, PairCoefficients | Matching]) -> dict[str, dict[str, float]]:

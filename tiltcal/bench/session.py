@@ -6,8 +6,8 @@ the accepted positions from its journal and asks for the next one; the one in pr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -18,29 +18,22 @@ from tiltcal.bench.checks import (
     Expectations,
     PositionResult,
     ReadingSpans,
+    at_rail,
     far_off,
     measurement_of,
     require_few,
-    require_off_rails,
 )
+from tiltcal.bench.devices import VirtualBench, probe_devices
 from tiltcal.bench.journal import RecordedSample, RecordedSession
 from tiltcal.bench.operators import LOOK, WORDS, Operator, OperatorAnswer, understood
-from tiltcal.bench.sensors import (
-    RecordedClock,
-    Recorder,
-    Sample,
-    SensorSet,
-    VirtualBench,
-    connected,
-    probe_devices,
-)
+from tiltcal.bench.sensors import Recorder, Sample, SensorSet, connected
 from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.core.attitude import normalised
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.model import Reading
-from tiltcal.errors import HardwareError, InputError, Stopped, TiltcalError
+from tiltcal.errors import HardwareError, InputError, Stopped
 from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position
@@ -62,27 +55,15 @@ WAITING_NS = 60_000_000_000
 
 
 class Session:
-    """A setup being carried out.
+    """A setup being carried out; ``journal`` is what was captured before an interruption.
 
-    Parameters
-    ----------
-    files : SessionFiles
-        The journal, and where the calibrations go.
-    journal : Journal, optional
-        What was captured before an interruption.
-
-    Attributes
-    ----------
-    accepted : list of PositionResult
-        The positions so far.
-    leg : list of RecordedSample
-        The samples of a ramp's leg from before an interruption.
-    captured, finished : bool
-        Whether the journal has a begin, and its end.
+    ``accepted`` are the positions so far, ``leg`` the samples of a ramp's leg from before an interruption. The journal
+    is ``captured`` where it has a begin, and ``finished`` where it has its end.
     """
 
     sensors: SensorSet
     recorder: Recorder
+    _operator: Operator
 
     def __init__(self, setup: Setup, files: SessionFiles, journal: Journal | None = None) -> None:
         self.setup = setup
@@ -91,52 +72,24 @@ class Session:
         self.clock = session_clock(setup.began, virtual=setup.simulated)
         self.accepted: list[PositionResult] = []
         self.leg: list[RecordedSample] = []
-        self._operator: Operator | None = None
         self.captured = journal is not None
-        self.finished = False
+        self.finished = journal is not None and journal.end is not None
         self._virtual = VirtualBench(self.clock, setup.devices)
+        self._spans = ReadingSpans(setup.sensors)
         self._steps = {device.serial: ReadingStep() for device in setup.sensors}
         """What the readings have shown of the steps that no model states."""
         self._probed: dict[str, Reading] = {}
-        self._tipped = False
+        self._tipped = self._interrupted = False
         self._answered_ns = self._waiting_ns = 0
         self._soaked: float | None = None
         """The temperature that the sensors have, °C; None on the way."""
-        self._interrupted = False
-
-    @contextmanager
-    def resumable(self, command: str, remark: Callable[[str], None]) -> Iterator[None]:
-        """Say how to go on, where an error ends the block and the journal has a begin and no end.
-
-        Parameters
-        ----------
-        command : str
-            The command that resumes, with its arguments before ``--resume``.
-        remark : callable
-            Gets the line where the error's own message is about something else.
-        """
-        go_on = self.files.go_on(command)
-        try:
-            yield
-        except (KeyboardInterrupt, TiltcalError) as error:
-            if not self.captured:
-                raise
-            if isinstance(error, KeyboardInterrupt):
-                raise Stopped(f"interrupted; {go_on}") from None
-            if isinstance(error, Stopped):
-                raise Stopped(f"{error}; {go_on}") from None
-            if not isinstance(error, HardwareError):
-                remark(go_on)
-            elif not self.finished:
-                raise HardwareError(f"{error}; {go_on}") from None
-            raise
 
     def probe(self) -> None:
         """Check before the operator starts that every device answers; a journal that has its end needs none.
 
         HardwareError: a device that does not answer.
         """
-        if self.journal is not None and self.journal.end is not None:
+        if self.finished:
             return
         clock = session_clock(self.setup.began, virtual=self.setup.simulated)
         devices = self.setup.devices
@@ -144,61 +97,53 @@ class Session:
         self._probed = {device.serial: reading for device, reading in zip(self.setup.sensors, probed, strict=False)}
 
     def open(self, stack: ExitStack, operator: Operator, recorded: RecordedSession | None) -> JournalWriter:
-        """Open the journal and the devices until the end of the stack, and tell the operator what begins."""
-        self._operator = operator
-        if self.journal is not None:
-            writer = JournalWriter.resume(self.journal)
+        """Open the journal and the devices until the end of the stack, and tell the operator what begins.
+
+        Of a session that goes on what it has is taken over.
+        """
+        setup, self._operator = self.setup, operator
+        if self.journal is None:
+            writer = JournalWriter.create(self.files.journal, setup.header())
         else:
-            writer = JournalWriter.create(self.files.journal, self.setup.header())
+            writer = JournalWriter.resume(self.journal)
         self.captured = True
         stack.callback(writer.close)
-        self._begin(stack, writer, recorded)
-        return writer
-
-    def _begin(self, stack: ExitStack, writer: JournalWriter, recorded: RecordedSession | None) -> None:
-        """Connect the devices, and tell the operator what begins; of a session that goes on take what it has."""
-        setup = self.setup
         self.recorder = Recorder(self.clock, writer, 0 if recorded is None else recorded.playback.now_ns)
         if recorded is not None:
             self._take_over(recorded)
         last_answers = None if recorded is None else recorded.playback.last_answers
-        clock = RecordedClock(self.recorder, self.clock)
-        opened = connected(
-            setup.devices, setup.thermometer is not None, self.recorder, clock, self._virtual, last_answers
-        )
+        opened = connected(setup.sensors, setup.thermometer, self.recorder, self._virtual, last_answers)
         self.sensors = stack.enter_context(opened)
-        self._spans = ReadingSpans(self.sensors.sensors) if recorded is None else recorded.spans
         self._spans.add(self._probed)
-        self.sensors.listen(self._spans.add)
-        if recorded is not None:
-            self.sensors.give_up(recorded.lost)
-        stage = setup.steps.rotation is not None
+        self.sensors.listeners.append(self._spans.add)
+        self.sensors.give_up({} if recorded is None else recorded.lost)
         self.tell(
             "begin",
             title=setup.steps.title,
-            length="" if stage else setup.steps.length,
+            length="" if setup.steps.rotation is not None else setup.steps.length,
             positions=[position.name for position in setup.steps.positions],
             sensors={
                 sensor.serial: {
-                    "model": sensor.model.name,
-                    "unit": sensor.model.unit,
-                    "offset": sensor.model.offset,
-                    "sensitivity": sensor.model.sensitivity,
+                    "model": model.name,
+                    "unit": model.unit,
+                    "offset": model.offset,
+                    "sensitivity": model.sensitivity,
                 }
-                for sensor in self.sensors.sensors
+                for sensor, model in zip(self.sensors.sensors, self.sensors.models, strict=True)
             },
         )
+        return writer
 
     def _take_over(self, recorded: RecordedSession) -> None:
         """Take what was measured before the interruption; the virtual jig has taken the positions, too."""
         self.accepted, self.leg, self._tipped = recorded.accepted, recorded.leg, recorded.tipped
-        if self.setup.simulated:
-            for result in self.accepted:
-                self._hold(replace(result.position, temperature=result.asked))
-            if self.leg:
-                (reading, *_) = self.leg[-1].readings.values()
-                position = self.setup.steps.positions[len(self.accepted)]
-                self._hold(replace(position, temperature=reading.temperature))
+        self._spans = recorded.spans
+        for result in self.accepted:
+            self._hold(replace(result.position, temperature=result.asked))
+        if self.leg:
+            (reading, *_) = self.leg[-1].readings.values()
+            position = self.setup.steps.positions[len(self.accepted)]
+            self._hold(replace(position, temperature=reading.temperature))
         self._soaked = self.accepted[-1].asked if self.accepted else None
         self._interrupted = self._soaked is not None
         self.clock.seek(recorded.playback.now_ns)
@@ -217,13 +162,12 @@ class Session:
         samples, without = self._sampled(position, thermometers=answer.temperature is None)
         last = self.recorder.line
         self.sensors.succeeded()
+        result = self._result(position, actual, samples, len(without), answer.temperature)
         expectations = Expectations(self.setup, self.sensors.sensors, self.accepted)
-        result = replace(self._result(actual, samples, len(without), answer.temperature), asked=position.temperature)
         expectations.require(result)
         if len(self.accepted) == len(self.setup.steps.positions) - 1:
             self.tip(position)
-        sensors = {serial: result.values(serial) for serial in result.measurements}
-        review = {"ask": "review", "position": position.name, "sensors": sensors}
+        review = {"ask": "review", "position": position.name, "sensors": result.values()}
         verdict = self.ask({**review, "expected": expectations.expected(result)})
         if verdict.word == "accept":
             self.accept(result, {"lines": [first, last], **({"without": without} if without else {})})
@@ -245,7 +189,7 @@ class Session:
             "prompt": position.prompt,
         }
         answer = self.ask(question, to)
-        self._answered_ns = self.recorder.now_ns
+        self._answered_ns = self.recorder.now_ns()
         self._waiting_ns = WAITING_NS
         return answer
 
@@ -254,23 +198,16 @@ class Session:
 
         Stopped: the operator quits.
         """
-        while True:
-            answer = self._heard(question)
-            if answer is not None:
-                self.recorder.record(ANSWER, {"to": to or question["ask"], **answer.record()})
-                return answer
+        while (answer := self._heard(question, to or question["ask"])) is None:
+            pass
+        return answer
 
     def poll(self, to: str) -> OperatorAnswer | None:
         """Return what the operator said without being asked; None where that is nothing."""
-        answer = self._heard({"ask": "poll"})
-        if answer is not None:
-            self.recorder.record(ANSWER, {"to": to, **answer.record()})
-        return answer
+        return self._heard({"ask": "poll"}, to)
 
-    def _heard(self, question: Mapping[str, Any]) -> OperatorAnswer | None:
+    def _heard(self, question: Mapping[str, Any], to: str) -> OperatorAnswer | None:
         """Return the answer of the operator, None where there is none yet; one that is not understood is refused."""
-        if self._operator is None:
-            raise Stopped("the session has no operator")
         while True:
             try:
                 said = self._operator.ask(question)
@@ -285,12 +222,12 @@ class Session:
                 continue
             if answer.word == "quit":
                 raise Stopped("the operator program answered quit")
+            self.recorder.record(ANSWER, {"to": to, **answer.record()})
             return answer
 
     def tell(self, event: str, **fields: Any) -> None:
         """Tell the operator what has happened."""
-        if self._operator is not None:
-            self._operator.tell({"event": event, **fields})
+        self._operator.tell({"event": event, **fields})
 
     def refuse(self, position: str, why: str) -> None:
         """Tell the operator that an answer, or what was set, is refused; it is asked for again."""
@@ -298,7 +235,7 @@ class Session:
 
     def accept(self, result: PositionResult, samples: Mapping[str, Any]) -> None:
         """Note an accepted position and the lines of its samples, and wait until it is on the disk."""
-        values = {serial: result.values(serial) for serial in result.measurements}
+        values = result.values()
         self.recorder.record(POSITION, {"position": result.position.name, **samples, "sensors": values})
         self.recorder.secure()
         self.accepted.append(result)
@@ -312,61 +249,55 @@ class Session:
         """Take a reading that only the operator looks at."""
         look = {"position": question.get("position", ""), "why": "", "readings": {}}
         try:
-            look["readings"] = self._shown(self.sensors.by_serial(self.sensors.read(fresh=True)))
+            look["readings"] = self._shown(self.sensors.read(fresh=True))
         except HardwareError as error:
             look["why"] = f"no reading: {error}"
         self.tell("look", **look)
 
     def look(self, position: Position, sample: Sample, why: str) -> None:
         """Show readings while the session waits or samples, and once a minute why it takes so long."""
-        readings = self._shown(self.sensors.by_serial(sample))
-        self.tell("look", position=position.name, why=why, readings=readings)
-        waited_ns = self.recorder.now_ns - self._answered_ns
+        self.tell("look", position=position.name, why=why, readings=self._shown(sample))
+        waited_ns = self.recorder.now_ns() - self._answered_ns
         if waited_ns >= self._waiting_ns:
             self._waiting_ns = (waited_ns // WAITING_NS + 1) * WAITING_NS
             temperature = next((one.temperature for one in sample if one.temperature is not None), None)
             seconds = round(waited_ns / 1e9)
             self.tell("waiting", position=position.name, seconds=seconds, why=why, temperature=temperature)
 
-    def _shown(self, readings: Mapping[str, Reading]) -> dict[str, dict[str, Any]]:
-        """Return readings as an event has them, by serial number."""
-        channels = {sensor.serial: sensor.model.channels for sensor in self.sensors.sensors}
+    def _shown(self, sample: Sample) -> dict[str, dict[str, Any]]:
+        """Return readings as the operator gets them, by serial number."""
         return {
-            serial: {
-                "values": dict(zip(channels[serial], reading.values, strict=True)),
+            sensor.serial: {
+                "values": dict(zip(model.channels, reading.values, strict=True)),
                 "temperature": reading.temperature,
             }
-            for serial, reading in readings.items()
+            for sensor, model, reading in zip(self.sensors.sensors, self.sensors.models, sample, strict=True)
         }
 
     def now(self) -> str:
         """Return the time of the last event as a stamp."""
-        return stamp(moment_after(self.setup.began, self.recorder.now_ns))
+        return stamp(moment_after(self.setup.began, self.recorder.now_ns()))
 
     def _hold(self, position: Position) -> None:
         """Bring the virtual jig, where there is one, into a position."""
         if self.setup.simulated:
             ramp = self.setup.steps.ramp
-            pace = 0.0 if ramp is None else ramp.pace
-            self._virtual.fixture.move(position.gravity, position.temperature, pace)
+            self._virtual.fixture.move(position.gravity, position.temperature, 0.0 if ramp is None else ramp.pace)
 
     def _settle(self, position: Position, typed: float | None) -> None:
         """Wait until the readings hold still, and the temperature too, where the sensors do not have it already."""
-        soaked, settings = self._soaked, self.setup.settings
+        soaked, settings, soak = self._soaked, self.setup.settings, self.setup.steps.soak
         if self._interrupted and soaked is not None and not self._still_at(soaked, typed):
             soaked = None
         self._interrupted = False
-        if position.temperature is None or position.temperature == soaked:
-            window = Window(settings.settle)
-        else:
+        window = Window(settings.settle)
+        if position.temperature is not None and position.temperature != soaked:
             # A temperature that the operator types counts, because the thermometer may be far off.
             target = position.temperature if typed is None else None
-            soak = self.setup.steps.soak
             late = None if soak.thermometer is None else soak.thermometer * settings.soak / soak.seconds
             window = Window(settings.soak, soak.drift, target, late)
             self._soaked = None
-        clock = RecordedClock(self.recorder, self.clock)
-        wait_until_still(self.sensors, clock, window, partial(self.look, position))
+        wait_until_still(self.sensors, self.recorder, window, partial(self.look, position))
         self._soaked = position.temperature
 
     def _still_at(self, soaked: float, typed: float | None) -> bool:
@@ -385,14 +316,15 @@ class Session:
     def _sampled(self, position: Position, *, thermometers: bool) -> tuple[list[Timed], list[int]]:
         """Return the samples of a position, and the numbers of those far off; Unsettled where too many are."""
         sensors, wanted = self.sensors, self.setup.settings.samples
+        interval = max(model.interval for model in sensors.models)
         counted: dict[int, Timed] = {}
         without: list[int] = []
         while True:
             while len(counted) < wanted:
                 sample = sensors.read()
-                counted[len(counted) + len(without)] = (self.recorder.now_ns / 1e9, sample)
+                counted[len(counted) + len(without)] = (self.recorder.now_ns() / 1e9, sample)
                 self.look(position, sample, f"sample {len(counted)} of {wanted}")
-                self.clock.sleep(max(model.interval for model in sensors.models))
+                self.clock.sleep(interval)
             numbers = list(counted)
             wrong = far_off(list(counted.values()), sensors.models, thermometers=thermometers)
             if not wrong:
@@ -401,7 +333,9 @@ class Session:
             require_few(len(without), wanted, next(iter(wrong.values())))
             counted = {number: timed for number, timed in counted.items() if number not in without}
 
-    def _result(self, position: Position, samples: list[Timed], left_out: int, typed: float | None) -> PositionResult:
+    def _result(
+        self, asked: Position, actual: Position, samples: list[Timed], left_out: int, typed: float | None
+    ) -> PositionResult:
         """Return what the samples of a position give; Unsettled where they moved, or are at a rail."""
         models = self.sensors.models
         moved = movement(samples, models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(samples) > 2 else None
@@ -409,14 +343,16 @@ class Session:
             raise Unsettled(f"moved while it was sampled: {moved}")
         measurements = {}
         when = {"time": self.now(), **({"left_out": left_out} if left_out else {})}
-        for index, sensor in enumerate(self.sensors.sensors):
+        for index, (sensor, model) in enumerate(zip(self.sensors.sensors, models, strict=True)):
             readings = [sample[index] for _, sample in samples]
-            require_off_rails(readings, sensor.model)
-            if not sensor.model.resolution:
+            if why := next(filter(None, (at_rail(reading, model) for reading in readings)), ""):
+                raise Unsettled(why)
+            if not model.resolution:
                 values = np.array([reading.values for reading in readings]).T
                 self._steps[sensor.serial].add(values, min(reading.step for reading in readings))
-            measurements[sensor.serial] = measurement_of(sensor, position, readings, when, typed)
-        return PositionResult(position, measurements, typed is not None, left_out).with_steps(self._steps)
+            measurements[sensor.serial] = measurement_of(sensor, actual, readings, when, typed)
+        result = PositionResult(actual, measurements, typed is not None, left_out, asked.temperature)
+        return result.with_steps(self._steps)
 
     def tip(self, position: Position) -> None:
         """Have the sensors tipped once where a channel that no position tilts has shown no more than two values."""

@@ -68,18 +68,10 @@ class Unsettled(Exception):
 
 @dataclass(frozen=True)
 class Window:
-    """The time over which readings must stand still.
+    """The time over which readings must stand still, seconds.
 
-    Attributes
-    ----------
-    seconds : float
-        Its length.
-    temperature_drift : float or None
-        The largest change of temperature in it, °C; None where temperature does not matter.
-    target : float or None
-        The temperature that was asked for, °C; None where the thermometer does not count.
-    thermometer : float or None
-        The time over which the temperature must not change by more, seconds; None where it is that of the readings.
+    While a sensor soaks, its temperature may change by ``temperature_drift``, °C, in it, or in the seconds of
+    ``thermometer``; ``target`` is the temperature that was asked for, None where the thermometer does not count.
     """
 
     seconds: float
@@ -91,11 +83,6 @@ class Window:
     def soaking(self) -> bool:
         """Whether temperature matters."""
         return self.temperature_drift is not None
-
-    @property
-    def drift_in_window(self) -> float | None:
-        """The largest change of temperature in the window of the readings, °C; None where it has its own window."""
-        return self.temperature_drift if self.thermometer is None else None
 
     @property
     def patience(self) -> float:
@@ -112,19 +99,13 @@ class Window:
 def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Callable[[Sample, str], None]) -> None:
     """Read until neither the readings nor, where it matters, the temperature change over a whole window.
 
-    Parameters
-    ----------
-    sensors : SensorSet
-        Their nominal sensitivities turn g into their units.
-    look : callable
-        Shown each sample, and what is being waited for.
+    ``look`` is shown each sample, and what is being waited for.
 
     Unsettled: they did not come to rest within the window's patience.
     SensorError: one of them failed.
     """
     models = sensors.models
-    looks = SOAK_LOOKS if window.soaking else LOOKS
-    pause = max(window.seconds / looks, *(model.interval for model in models))
+    pause = max(window.seconds / (SOAK_LOOKS if window.soaking else LOOKS), *(model.interval for model in models))
     held: deque[Timed] = deque()
     began: float | None = None
     judged = 0.0
@@ -152,19 +133,21 @@ def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Cal
 def _unsettled(held: deque[Timed], models: Sequence[Model], window: Window) -> str | None:
     """Return what changes in the last samples, in words; None where nothing does, empty where it is early to judge."""
     now, sample = held[-1]
+    # A thermometer with a window of its own is judged there.
+    drift_in_window = window.temperature_drift if window.thermometer is None else None
+    still = STEADY if window.soaking else STILL
     why = ""
     if len(held) >= FEWEST_SAMPLES and now - held[0][0] >= window.seconds and window.near(sample):
         start = next(index for index in range(len(held) - 1, -1, -1) if now - held[index][0] >= window.seconds)
         recent = list(islice(held, min(start, len(held) - FEWEST_SAMPLES), None))
-        still = STEADY if window.soaking else STILL
-        moving = movement(recent, models, window.drift_in_window, still=still, shown=window.soaking)
+        moving = movement(recent, models, drift_in_window, still=still, shown=window.soaking)
         if moving is None and window.soaking:
             moving = _drifting(held, models, SOAKS * window.seconds) or _warming(held, models, window)
         if moving is None:
             return None
         why = moving
     if window.soaking and now - held[0][0] >= window.seconds * LONG:
-        return movement(list(held), models, window.drift_in_window, still=STEADY) or _warming(held, models, window)
+        return movement(held, models, drift_in_window, still=STEADY) or _warming(held, models, window)
     return why
 
 
@@ -195,22 +178,10 @@ def movement(
     sigmas: float = SIGMAS,
     shown: bool = False,
 ) -> str | None:
-    """Return what changes over a run of samples, in words; None where nothing does.
+    """Return what changes over a run of at least three samples, in words; None where nothing does.
 
-    Parameters
-    ----------
-    held : sequence of (seconds, sample)
-        At least three.
-    models : sequence of Model
-        Of the sensors in each sample.
-    temperature_drift : float, optional
-        The largest change of temperature that is still steady, °C.
-    still : float
-        The largest change of a reading that is still steady, g.
-    sigmas : float
-        A change below this many of its own standard uncertainties is noise.
-    shown : bool
-        Whether a change that noise might hide counts as one: the reading must be shown to be steady.
+    A change up to ``still``, g, or ``temperature_drift``, °C, is steady, and so is one below ``sigmas`` of its own
+    standard uncertainties, unless the reading must be ``shown`` to be steady.
     """
     times = [time for time, _ in held]
     span = times[-1] - times[0]

@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from msgspec import Meta
 
 import tiltcal
-from tiltcal.core.attitude import STRAIGHT, Orientation, orientation
-from tiltcal.drivers import find_model
-from tiltcal.drivers.bus.address import parse_address
+from tiltcal.bench.devices import BenchDevice
 from tiltcal.drivers.bus.clock import VIRTUAL_START
-from tiltcal.drivers.model import Model
+from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.atomic import check_writable
 from tiltcal.files.base_calibration import BaseFile
@@ -30,48 +29,12 @@ from tiltcal.files.calibration import tilt_record
 from tiltcal.files.document import Document, document_of, read_document
 from tiltcal.files.journal import Journal
 from tiltcal.files.moments import stamp
-from tiltcal.files.procedure import Procedure
-from tiltcal.files.procedure_file import procedure_from_record
+from tiltcal.files.procedure import Procedure, Rotation, procedure_from_record
 from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, plain
 from tiltcal.stated_arguments import require_printable
 
 if TYPE_CHECKING:
-    from tiltcal.bench.stage import ChannelMap
-
-
-class BenchDevice(Record, kw_only=True):
-    """A sensor or the thermometer of a session."""
-
-    always_written = ("output",)
-
-    model: Annotated[Text, about("as `--sensor`")]
-    serial: Annotated[str, about("serial number; empty of a thermometer")]
-    address: Annotated[Text, about("as `--address`")]
-    output: Annotated[str, about("calibration file, relative to the journal; empty where none is made")] = ""
-    axes: Annotated[
-        Annotated[tuple[Text, ...], Meta(min_length=3, max_length=3)] | None,
-        about("how it sits, where it does not sit straight"),
-    ] = None
-
-    @property
-    def wired(self) -> Model:
-        """The model as it is wired at the address."""
-        return _wired(self.model, self.address)
-
-    @property
-    def orientation(self) -> Orientation:
-        """How it sits on the fixture."""
-        return STRAIGHT if self.axes is None else orientation(self.axes)
-
-    @property
-    def simulated(self) -> bool:
-        """Whether it is a virtual twin."""
-        return parse_address(self.address).simulated
-
-
-@lru_cache(maxsize=64)
-def _wired(model: str, address: str) -> Model:
-    return find_model(model).at(parse_address(address))
+    from tiltcal.core.pair.model import Pair
 
 
 class Settings(Record, kw_only=True):
@@ -138,11 +101,11 @@ class Setup(Record, kw_only=True, dict=True):
         scale = 1.0 if settle is None else settle / procedure.settle
         for path in filter(None, (journal, *outputs)):
             require_printable(str(path), "the name of a file")
-        sensors, thermometer = devices_of(bench)
         sensors = tuple(
             sensor.replaced(output="" if output is None else os.path.relpath(output, journal.parent))
-            for sensor, output in zip(sensors, outputs, strict=True)
+            for sensor, output in zip(sensors_of(bench), outputs, strict=True)
         )
+        thermometer = thermometer_of(bench)
         virtual = all(device.simulated for device in (*sensors, *filter(None, (thermometer,))))
         setup = cls(
             software=f"tiltcal {tiltcal.__version__}",
@@ -168,7 +131,7 @@ class Setup(Record, kw_only=True, dict=True):
             bases=bases or {},
             typical_temperature=typical,
         )
-        setup.require_suitable()
+        setup._require_suitable()
         return setup
 
     @classmethod
@@ -226,16 +189,11 @@ class Setup(Record, kw_only=True, dict=True):
         """Whether the session is a verification, which makes no calibration file."""
         return not any(sensor.output for sensor in self.sensors)
 
-    def channel_map(self) -> ChannelMap:
-        """Return which readings of the sensors are the channels of a turning stage.
-
-        UsageError: there is no stage angle, or not one pair has its channels.
-        """
-        from tiltcal.bench.stage import map_channels
-
+    def stage_channels(self) -> StageChannels:
+        """Return which readings of the sensors are the channels of a turning stage, as :func:`stage_channels`."""
         if self.steps.rotation is None:
             raise UsageError(f"{self.steps.name} lets no stage turn")
-        return map_channels(self.steps.rotation, [(device.serial, device.wired) for device in self.sensors])
+        return stage_channels(self.steps.rotation, [(device.serial, device.wired) for device in self.sensors])
 
     def header(self) -> dict[str, Any]:
         """Return the header of the session's journal as plain data."""
@@ -245,28 +203,23 @@ class Setup(Record, kw_only=True, dict=True):
         """Return the command that continues the session; a journal does not name the calibration that is verified."""
         return f"tiltcal {'verify CAL' if self.verifies else 'measure'} --resume {quote(str(journal))}"
 
-    def require_suitable(self) -> None:
-        """Refuse a procedure that the devices cannot carry out."""
-        procedure = self.steps
-        if procedure.rotation is not None:
-            self.channel_map()
+    def _require_suitable(self) -> None:
+        """Refuse a procedure that the devices cannot carry out, and curves that have no source or are measured."""
+        steps, determines = self.steps, self.steps.determines
+        if steps.rotation is not None:
+            self.stage_channels()
         else:
-            from tiltcal.calibration.suitability import require_suitable
+            from tiltcal.calibration.checks import require_suitable
 
             for device in self.sensors:
-                require_suitable(procedure, device.wired, device.orientation, based=device.serial in self.bases)
-        if self.typical_temperature:
-            self._require_population()
-
-    def _require_population(self) -> None:
-        """Refuse mean temperature curves that have no source, or that the procedure measures itself."""
-        procedure = self.steps
-        determines = procedure.determines
-        if procedure.rotation is not None:
-            raise UsageError(f"{procedure.name} needs no --typical-temperature: a pair has no temperature terms")
+                require_suitable(steps, device.wired, device.orientation, based=device.serial in self.bases)
+        if not self.typical_temperature:
+            return
+        if steps.rotation is not None:
+            raise UsageError(f"{steps.name} needs no --typical-temperature: a pair has no temperature terms")
         if determines.drift or determines.gain or determines.completes:
             raise UsageError(
-                f"{procedure.name} needs no --typical-temperature: it has no temperature terms, or measures them"
+                f"{steps.name} needs no --typical-temperature: it has no temperature terms, or measures them"
             )
         for device in self.sensors:
             if device.wired.population is None:
@@ -275,37 +228,118 @@ class Setup(Record, kw_only=True, dict=True):
                 )
 
 
+class Channel(NamedTuple):
+    """One value of the reading of one device, and its column as `tiltcal record` calls it."""
+
+    column: str
+    serial: str
+    place: int
+
+
+def column_name(serial: str, channel: str, *, alone: bool) -> str:
+    """Return the column of a channel: its name alone, or of several devices behind the serial number."""
+    return channel if alone else f"{serial}_{channel}"
+
+
+@dataclass(frozen=True)
+class StageChannels:
+    """The stage angle, the readings of all pairs, the pairs by their columns, and why others are not matched."""
+
+    phase: Channel
+    readings: tuple[Channel, ...]
+    pairs: tuple[Pair, ...]
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def columns(self) -> list[str]:
+        """The columns of the readings."""
+        return [channel.column for channel in self.readings]
+
+    def row(self, now_ns: int, readings: Mapping[str, Reading]) -> tuple[float, ...]:
+        """Return a sample as seconds, angle in degrees, and readings."""
+        values = (readings[serial].values[place] for _, serial, place in (self.phase, *self.readings))
+        return (now_ns / 1e9, *values)
+
+
+def stage_channels(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> StageChannels:
+    """Find the channels of a rotation among devices: serial number, and model as it is wired.
+
+    A channel is called as `tiltcal record` names its column; where only one device has a channel of the name, the name
+    alone will do. So a pair file fits the logs of the same bench.
+
+    UsageError: there is no stage angle, or not one pair has its channels.
+    """
+    from tiltcal.core.pair.model import Pair
+
+    channels = [
+        (channel, Channel(column_name(serial, channel, alone=len(devices) == 1), serial, place))
+        for serial, model in devices
+        for place, channel in enumerate(model.channels)
+    ]
+    names = ", ".join(channel.column for _, channel in channels) or "no readings"
+
+    def named(name: str) -> Channel | None:
+        by_column = [channel for _, channel in channels if channel.column == name]
+        chosen = by_column or [channel for short, channel in channels if short == name]
+        if len(chosen) > 1:
+            columns = " or ".join(channel.column for channel in chosen)
+            raise UsageError(f"{len(chosen)} devices have a channel {name!r}: name one in the procedure: {columns}")
+        return chosen[0] if chosen else None
+
+    phase = named(rotation.phase)
+    if phase is None:
+        raise UsageError(
+            f"no device has the stage angle {rotation.phase!r} (there are {names}): where a device prints it, name it "
+            f"in the address, such as columns={rotation.phase},...; of a stage without an encoder record the turning "
+            "with `tiltcal record`, and match the log with `tiltcal match` without --phase, which estimates the spin"
+        )
+    readings: dict[str, Channel] = {}
+    pairs, left_out = [], []
+    for pair in rotation.pairs:
+        by_name = {name: named(name) for name in pair.channels}
+        there = [channel for channel in by_name.values() if channel is not None]
+        if len(there) == len(pair.channels):
+            readings |= {channel.column: channel for channel in there}
+            pairs.append(Pair(*(channel.column for channel in there)))
+        else:
+            missing = " and no ".join(name for name, channel in by_name.items() if channel is None)
+            left_out.append(f"{pair.first} and {pair.second} are not matched: there is no {missing}")
+    if not pairs:
+        raise UsageError(
+            f"no pair has its channels: {'; '.join(left_out)} (there are {names}): name them in the address, or copy "
+            "the procedure and name your own pairs"
+        )
+    return StageChannels(phase, tuple(readings.values()), tuple(pairs), tuple(left_out))
+
+
 class SessionFiles:
     """The files of a session: its journal, and where its calibrations go.
 
-    Parameters
-    ----------
-    output : Path, optional
-        Where the calibration files go, in place of what the setup says: a file, or of several sensors the folder.
+    ``output`` takes the place of what the setup says: a file, or of several sensors the folder.
 
     UsageError: the session has several sensors, and the output is no folder.
     """
 
     def __init__(self, setup: Setup, journal: Path, output: Path | None = None) -> None:
         self.journal = journal
-        self._setup = setup
+        self._identities = [(device.model, device.serial) for device in setup.sensors]
         self._named = output
-        self.outputs = {device.serial: self._output(device) for device in setup.sensors if device.output}
-        if output is not None and len(self.outputs) > 1 and not os.path.isdir(output):
-            raise UsageError(f"the session has {len(self.outputs)} sensors: name a folder instead of {output}")
-
-    def _output(self, device: BenchDevice) -> Path:
-        planned = Path(os.path.normpath(self.journal.parent / device.output))
-        if self._named is None:
-            return planned
-        return self._named / planned.name if os.path.isdir(self._named) else self._named
-
-    @property
-    def _outside(self) -> list[Path]:
-        """The calibration files that lie outside the journal's folder."""
-        folder = os.path.realpath(self.journal.parent)
-        paths = self.outputs.values()
-        return [path for path in paths if os.path.commonpath((folder, os.path.realpath(path))) != folder]
+        planned = {
+            device.serial: Path(os.path.normpath(journal.parent / device.output))
+            for device in setup.sensors
+            if device.output
+        }
+        in_folder = output is not None and os.path.isdir(output)
+        if output is not None and len(planned) > 1 and not in_folder:
+            raise UsageError(f"the session has {len(planned)} sensors: name a folder instead of {output}")
+        self.outputs = {
+            serial: path if output is None else output / path.name if in_folder else output
+            for serial, path in planned.items()
+        }
+        folder = os.path.realpath(journal.parent)
+        self._outside = [
+            path for path in self.outputs.values() if os.path.commonpath((folder, os.path.realpath(path))) != folder
+        ]
 
     def go_on(self, command: str) -> str:
         """Return how to go on after an interruption; ``command`` is the one that resumes, before ``--resume``."""
@@ -336,13 +370,12 @@ class SessionFiles:
 
     def _require_calibration(self, path: Path) -> None:
         """Refuse to replace a file that is no calibration of a sensor of the session."""
-        identities = [(device.model, device.serial) for device in self._setup.sensors]
         try:
             there = _identities_in(read_document(path))
         except InputError:
             there = []
-        if not (there == identities or (len(there) == 1 and there[0] in identities)):
-            serials = ", ".join(serial for _, serial in identities)
+        if not (there == self._identities or (len(there) == 1 and there[0] in self._identities)):
+            serials = ", ".join(serial for _, serial in self._identities)
             raise UsageError(
                 f"cannot write {path}: the file there is no calibration of {serials}; move it away, or name another "
                 "file with -o"
@@ -365,16 +398,15 @@ def known_bench(document: Document) -> BenchFile:
     bench = bench_of(document)
     for number, sensor in enumerate(bench.sensors):
         with document.locating("sensors", number):
-            _wired(sensor.model, sensor.address)
-    if bench.thermometer is not None:
-        with document.locating("thermometer"):
-            devices_of(bench)
+            _ = BenchDevice(model=sensor.model, serial=sensor.serial, address=sensor.address).wired
+    with document.locating("thermometer"):
+        thermometer_of(bench)
     return bench
 
 
-def devices_of(bench: BenchFile) -> tuple[tuple[BenchDevice, ...], BenchDevice | None]:
-    """Return the devices of a bench: its sensors, and its thermometer."""
-    sensors = tuple(
+def sensors_of(bench: BenchFile) -> tuple[BenchDevice, ...]:
+    """Return the sensors of a bench."""
+    return tuple(
         BenchDevice(
             model=sensor.model,
             serial=sensor.serial,
@@ -383,12 +415,16 @@ def devices_of(bench: BenchFile) -> tuple[tuple[BenchDevice, ...], BenchDevice |
         )
         for sensor in bench.sensors
     )
+
+
+def thermometer_of(bench: BenchFile) -> BenchDevice | None:
+    """Return the thermometer of a bench; a UsageError where it reports no temperature."""
     if bench.thermometer is None:
-        return sensors, None
+        return None
     thermometer = BenchDevice(model=bench.thermometer.model, serial="thermometer", address=bench.thermometer.address)
     if not thermometer.wired.thermometer:
         raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
-    return sensors, thermometer
+    return thermometer
 
 
 def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:

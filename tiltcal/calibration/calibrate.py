@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from tiltcal.calibration.channel_checks import require_own_readings
-from tiltcal.calibration.free_positions import calibrate_free, require_no_jig
+from tiltcal.calibration.checks import require_no_jig, require_own_readings
+from tiltcal.calibration.free_positions import calibrate_free
 from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement

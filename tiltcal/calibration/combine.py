@@ -1,36 +1,206 @@
-"""A calibration from several sessions: the positions of all files are fitted again, as those of one session."""
+"""A calibration from several sessions: the positions of all files are fitted again, as those of one session.
+
+Positions of one journal count once. A file without positions that were set enters by its values and their covariance.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import combinations
-from math import sqrt
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from hashlib import sha256
+from itertools import combinations, pairwise
+from math import hypot, inf, sqrt
 from pathlib import Path
 
 import numpy as np
 
-from tiltcal.calibration.combined_record import combined_provenance, combined_record
-from tiltcal.calibration.combined_session import CombinedSession
+import tiltcal
+from tiltcal.calibration.comparison import compare_records
+from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, rounded_covariance, stated_section
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
-from tiltcal.core.estimation.estimate import Estimate, estimate
+from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate
 from tiltcal.core.estimation.hysteresis import with_hysteresis
-from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
-from tiltcal.core.model import AXES, Thermal, polynomial
+from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, vector_of
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.rounding import plus_minus
-from tiltcal.core.samples import pooled
-from tiltcal.core.uncertain import NORMAL_FACTOR
+from tiltcal.core.samples import BLOCKS, pooled
+from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, selection
 from tiltcal.errors import EstimateError, UsageError
-from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, require_same_sensor
-from tiltcal.files.results import NOISE_ALONE
+from tiltcal.files.calibration import (
+    UNKNOWN_MODEL,
+    CalibrationRecord,
+    dump_calibration,
+    require_same_sensor,
+    tilt_record,
+)
+from tiltcal.files.document import parse_document
+from tiltcal.files.results import NOISE_ALONE, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.uncertainty import Uncertainty, stated_uncertainty, uncertain_coefficients
+from tiltcal.files.yaml_text import read_text
 
 REFUSED, NOTED = 0.001, 0.05
 """Probabilities of a rise of chi-square over the separate fits below which sessions are refused, and it is noted."""
 
-MOSTLY = 0.9
-"""The others check a coefficient of a session where they leave less than this share of its uncertainty."""
+KINDS = {"sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
+"""The coefficients that ``derived.assumed`` names by their first word."""
+
+UNKNOWN_JIG = 5.0
+"""Standard uncertainty of a set angle where a session states and shows none and others state theirs, degrees."""
+
+
+@dataclass(frozen=True)
+class CombinedSession:
+    """One calibration of a combination: what messages call it, and the SHA-256 of its file.
+
+    ``counted`` where another calibration holds the same positions; ``by_values`` where its positions cannot be fitted
+    with those of the others. ``names`` are those that its positions have in the combination.
+    """
+
+    label: str
+    sha256: str
+    record: CalibrationRecord
+    counted: bool = False
+    by_values: bool = False
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, given: CalibrationRecord | str | Path) -> CombinedSession:
+        """Return the session of a calibration or of its file."""
+        if isinstance(given, CalibrationRecord):
+            return cls(given.procedure.name or "a calibration", _sha(dump_calibration(given)), given)
+        if not isinstance(given, str | Path):
+            raise UsageError(f"combine takes tilt calibrations or their files, not {given!r:.40}")
+        text = read_text(given)
+        return cls(Path(given).name, _sha(text), tilt_record(parse_document(text, str(given))))
+
+    @property
+    def coefficients(self) -> Coefficients:
+        return self.record.coefficients
+
+    @property
+    def origins(self) -> set[str]:
+        """The checksums of the calibrations whose measurements it holds, its own among them."""
+        provenance = self.record.provenance
+        origins = {self.sha256, *(source.sha256 for source in provenance.sources if source.sha256)}
+        if provenance.base is not None and provenance.base.sha256 and not self.assumes("sensitivity"):
+            origins.add(provenance.base.sha256)
+        return origins
+
+    def assumes(self, kind: str) -> str:
+        """Return what the session has assumed of ``sensitivity`` or ``temperature``; empty where it measured it."""
+        return next((name for name in self.record.derived.assumed if name.startswith(f"{kind}:")), "")
+
+    @cached_property
+    def assumed(self) -> frozenset[str]:
+        """The coefficients that were not measured, those that the data sheet states among them."""
+        starts = tuple(start for kind, all_ in KINDS.items() if self.assumes(kind) for start in all_)
+        names = frozenset(name for name in values(self.coefficients) if starts and name.startswith(starts))
+        return names | set(self.record.fit.priors)
+
+    @property
+    def measured(self) -> frozenset[str]:
+        """The coefficients that it has, and has not assumed."""
+        return frozenset(values(self.coefficients)) - self.assumed
+
+    @cached_property
+    def positions(self) -> tuple[PositionRecord, ...]:
+        """The positions that determined its offset: a level renews it at its own temperature."""
+        own, _, levelled = self.record.runs
+        return levelled or own
+
+    @cached_property
+    def observed(self) -> bool:
+        """Whether it has positions that were set, with their uncertainty, and they give its coefficients."""
+        fit, places = self.record.fit, self.record.procedure.set
+        apart = self.counted or self.by_values or fit.level or fit.ramp or fit.distinct_attitudes is not None
+        stated = [one.u and one.position in places and places[one.position].up for one in self.positions]
+        return not apart and bool(stated) and all(stated)
+
+    @property
+    def jig(self) -> float | None:
+        """The standard uncertainty of a set angle that it states or shows, degrees; None where it does neither."""
+        fit = self.record.fit
+        return fit.jig_estimated_degrees if fit.jig_degrees is None else fit.jig_degrees
+
+    @property
+    def temperature(self) -> tuple[float, float] | None:
+        """Where the offset holds, °C, and the standard uncertainty of that; None where it is not known."""
+        thermal, fit = self.coefficients.thermal, self.record.fit
+        if thermal is not None:
+            return thermal.reference, 0.0
+        met = [position.temperature for position in self.positions if position.temperature is not None]
+        if not met:
+            return None
+        stated = fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0
+        return float(np.mean(met)), hypot(float(np.std(met)), stated)
+
+    def observations(self, design: Design) -> list[Observation]:
+        """Return its positions for the estimator, by their names in the combination."""
+        places = [self.record.procedure.set[one.position] for one in self.positions]
+        settings = [None, *((place.up, place.heading) for place in places)]
+        looser = (self.jig or UNKNOWN_JIG) / design.jig if design.jig and self.jig != 0.0 else 1.0
+        return [
+            Observation(
+                self.names[one.position],
+                np.array(place.up),
+                np.array([one.mean[c] for c in design.channels]),
+                np.array([(one.u or {})[c] for c in design.channels]),
+                one.temperature,
+                place.heading,
+                held=before == setting,
+                dof=np.full(len(design.channels), inf if (one.n or 0) < 2 else min(BLOCKS, one.n or 0) - 1.0),
+                looser=max(looser, 1e-3),
+            )
+            for one, place, (before, setting) in zip(self.positions, places, pairwise(settings), strict=True)
+        ]
+
+    def statement(self, design: Design, slope: Array) -> StatedCoefficients:
+        """Return what the file states of the coefficients of a design that it has measured.
+
+        ``slope`` is the drift that the temperature of a file without one is worth, unit/°C, shape (channels,).
+        EstimateError: it states no uncertainty. UsageError: its drift has another order, or its sensitivity other axes.
+        """
+        try:
+            stated = stated_uncertainty(self.record.uncertainty, self.coefficients)[0].without(TURN, READING, ALIGNMENT)
+        except EstimateError as failure:
+            raise EstimateError(f"{self.label}: {failure}") from failure
+        at, thermal, axes = self.temperature, self.coefficients.thermal, self.coefficients.axes
+        for what in ("drift", "gain") if thermal is not None else ():
+            own, order = getattr(thermal, what).shape[1], getattr(design, what)
+            if own and own != order:
+                raise UsageError(
+                    f"the {what} of {self.label} has order {own} and that of another calibration {order}: a polynomial "
+                    "of one order is not weighed against one of another; combine one of them"
+                )
+        if not self.assumes("sensitivity") and set(axes) != set(design.axes):
+            raise UsageError(
+                f"{self.label} determines the sensitivity to {', '.join(axes)} and another calibration to "
+                f"{', '.join(design.axes)}: an offset of the one is not that of the other; combine sessions of the "
+                "same axes"
+            )
+        lost = "offset." if design.thermal and at is None else "-"
+        names = [n for n in stated.names if n in design.names and n in self.measured and not n.startswith(lost)]
+        stated = stated.named(names)
+        stated = stated.chosen(np.flatnonzero(stated.u > 0.0))
+        rows, covariance = selection(stated.names, design.names), stated.wide.copy()
+        directions = [place.up for place in self.record.procedure.set.values() if place.up]
+        same = bool(directions) and np.allclose(directions, directions[0], atol=1e-6) and self.assumes("sensitivity")
+        for k, name in enumerate(stated.names):
+            kind, _, channel = name.partition(".")
+            if kind != "offset":
+                continue
+            if at is not None:
+                for order in range(1, design.drift + 1):
+                    place = design.names.index(f"temperature.offset.{channel}.{order}")
+                    rows[k, place] = (at[0] - design.reference) ** order
+                if thermal is None:
+                    covariance[k, k] += (slope[design.channels.index(channel)] * at[1]) ** 2
+            for axis in set(design.axes) - set(axes) if same else ():  # a column that it lacks is in its offset
+                rows[k, design.names.index(f"sensitivity.{channel}.{axis}")] = directions[0][AXES.index(axis)]
+        return StatedCoefficients(stated.names, rows, vector_of(self.coefficients, stated.names), covariance)
 
 
 def combine_records(
@@ -46,53 +216,62 @@ def combine_records(
     if not sessions or (len(sessions) < 2 and stated is None):
         raise UsageError("name two calibrations or more, or a --mounting")
     _require_one_sensor(sessions)
-    _require_independent(sessions)
     if stated is not None:
         sessions = [replace(session, record=with_mounting(session.record, stated)) for session in sessions]
     if len(sessions) == 1:
-        return replace(sessions[0].record, provenance=combined_provenance(sessions))
+        return replace(sessions[0].record, provenance=_provenance(sessions))
     _require_one_mounting(sessions)
-    if any(session.coefficients.thermal is not None for session in sessions):
+    thermals = [session.coefficients.thermal for session in sessions if session.coefficients.thermal is not None]
+    if thermals:
         cold = [any(one.temperature is None for one in session.positions) for session in sessions]
         sessions = [replace(session, by_values=lacks) for session, lacks in zip(sessions, cold, strict=True)]
     design = _design(sessions)
-    observations = _observations(sessions, design)
-    remarks = [*_notes(sessions, design), *_disagreement(sessions, design, observations)]
-    found = with_hysteresis(estimate(observations, design), SensorObservations(design, observations))
-    lag = design.thermal and max(s.coefficients.thermal.lag for s in sessions if s.coefficients.thermal)
-    coefficients = found.coefficients
-    thermal = coefficients.thermal and replace(coefficients.thermal, lag=float(lag), range=_covered(sessions))
-    mountings = [session.coefficients.mounting for session in sessions if session.coefficients.mounting]
-    found = replace(
-        found, coefficients=replace(coefficients, thermal=thermal, mounting=mountings[0] if mountings else None)
-    )
-    return combined_record(sessions, found, design, remarks)
+    seen = _observations(sessions, design)
+    remarks = [*_notes(sessions, design), *_disagreement(sessions, design, seen)]
+    together = [one for group in seen for one in group]
+    found = with_hysteresis(estimate(together, design), SensorObservations(design, together))
+    thermal, mountings = found.coefficients.thermal, [s.coefficients.mounting for s in sessions]
+    if thermal is not None:
+        met = [one.range for one in thermals if one.range is not None]
+        covered = (min(low for low, _ in met), max(high for _, high in met)) if met else None
+        thermal = replace(thermal, lag=max(one.lag for one in thermals), range=covered)
+    mounted = next(filter(None, mountings), None)
+    found = replace(found, coefficients=replace(found.coefficients, thermal=thermal, mounting=mounted))
+    return _record(sessions, found, design, remarks)
 
 
 def _named(sessions: Sequence[CombinedSession]) -> list[CombinedSession]:
-    """Return the sessions with labels that differ; a journal that came before is marked as counted."""
-    labels, journals = [session.label for session in sessions], [session.journal for session in sessions]
+    """Return the sessions with labels and positions that differ; one whose journal came before is counted."""
+    labels, journals = Counter(session.label for session in sessions), set()
+    named = []
+    for number, session in enumerate(sessions, start=1):
+        label = session.label if labels[session.label] == 1 else f"{session.label} ({number})"
+        journal = session.record.provenance.journal
+        counted = journal is not None and journal.sha256 in journals
+        journals |= {journal.sha256} if journal is not None else set()
+        named.append(replace(session, label=label, counted=counted))
+    own = [
+        dict.fromkeys([*(one.position for one in session.record.positions), *session.record.procedure.set])
+        for session in named
+    ]
+    times = Counter(name for names, session in zip(own, named, strict=True) if not session.counted for name in names)
     return [
-        replace(
-            session,
-            label=session.label if labels.count(session.label) == 1 else f"{session.label} ({number})",
-            counted=session.journal is not None and session.journal in journals[: number - 1],
-        )
-        for number, session in enumerate(sessions, start=1)
+        replace(session, names={n: n if times[n] == 1 else f"{_stem(session.label)}/{n}" for n in names})
+        for names, session in zip(own, named, strict=True)
     ]
 
 
+def _stem(label: str) -> str:
+    return label.replace(".yaml", "")
+
+
 def _require_one_sensor(sessions: Sequence[CombinedSession]) -> None:
+    """Refuse sessions of several sensors, and measurements that would count twice, with a UsageError."""
     for session, other in combinations(sessions, 2):
         one, another = session.record.sensor, other.record.sensor
         if UNKNOWN_MODEL in (one.model, another.model):
             another = another.replaced(model=one.model)
         require_same_sensor(session.record, replace(other.record, sensor=another), (session.label, other.label))
-
-
-def _require_independent(sessions: Sequence[CombinedSession]) -> None:
-    """Refuse measurements that would count twice, with a UsageError."""
-    for session, other in combinations(sessions, 2):
         if session.sha256 == other.sha256:
             raise UsageError(f"{session.label} and {other.label} are one calibration: name it once")
         if not other.counted and session.origins & other.origins:
@@ -103,6 +282,7 @@ def _require_independent(sessions: Sequence[CombinedSession]) -> None:
 
 
 def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
+    """Refuse mountings, and thermal lags, that contradict, with a UsageError."""
     mounted = [(s.label, s.coefficients.mounting) for s in sessions if s.coefficients.mounting is not None]
     for label, mounting in mounted[1:]:
         if mounting != mounted[0][1]:
@@ -110,51 +290,52 @@ def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
             raise UsageError(
                 f"the mountings contradict: {mountings} {mounting_in_words(mounting)}; state one with --mounting"
             )
+    lags = sorted({s.coefficients.thermal.lag for s in sessions if s.coefficients.thermal is not None} - {0.0})
+    if len(lags) > 1:
+        raise UsageError(f"the lags contradict: {' s and '.join(f'{lag:g}' for lag in lags)} s; combine one of them")
 
 
 def _design(sessions: Sequence[CombinedSession]) -> Design:
     """Return the coefficients of all sessions, with what is assumed of those that none has measured."""
     scaled = [s for s in sessions if not s.assumes("sensitivity")]
-    scaled = scaled or [min(sessions, key=lambda s: "nominal" in (s.assumes("sensitivity") or ""))]
+    scaled = scaled or [min(sessions, key=lambda s: "nominal" in s.assumes("sensitivity"))]
     warm = [s for s in sessions if s.coefficients.thermal is not None]
     warm = [s for s in warm if not s.assumes("temperature")] or warm[:1]
     thermals = [s.coefficients.thermal for s in warm if s.coefficients.thermal is not None]
-    _require_one_lag(thermals)
     fits = [s.record.fit for s in sessions if s.observed]
     if not fits:
         raise UsageError(
             "no calibration has positions that were set, which would be fitted again: measure one of them with a "
             "procedure that sets its positions"
         )
-    thermometers = [fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0 for fit in fits]
-    jigs = [fit.jig_degrees for fit in fits if fit.jig_degrees is not None]
-    tables = [fit.table_degrees for fit in fits if fit.table_degrees is not None]
-    bent = [s.coefficients.nonlinearity.shape[1] for s in scaled if s.coefficients.nonlinearity is not None]
+    bends = [s.coefficients.nonlinearity.shape[1] for s in scaled if s.coefficients.nonlinearity is not None]
     design = Design(
         sessions[0].coefficients.channels,
         tuple(axis for axis in AXES if any(axis in s.coefficients.axes for s in scaled)),
         max((thermal.drift.shape[1] for thermal in thermals), default=0),
         max((thermal.gain.shape[1] for thermal in thermals), default=0),
         thermals[0].reference if thermals else 0.0,
-        max(jigs) if jigs else None,
-        table=max(tables) if tables else None,
+        max((fit.jig_degrees for fit in fits if fit.jig_degrees is not None), default=None),
+        table=max((fit.table_degrees for fit in fits if fit.table_degrees is not None), default=None),
         heading=max(fit.heading_degrees or 0.0 for fit in fits),
-        thermometer=max(thermometers),
-        nonlinearity=max(bent, default=0),
+        thermometer=max(fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0 for fit in fits),
+        nonlinearity=max(bends, default=0),
     )
     measured = {name for session in sessions for name in session.measured}
     priors: dict[str, Prior] = {}
     for session in (*scaled, *warm):
-        lent = {name: session.record.uncertainty.get(name, 0.0) for name in session.assumed}
-        lent |= session.record.fit.priors
-        at = values(referred(session.coefficients, design.reference)) | dict.fromkeys(session.record.fit.priors, 0.0)
-        priors = {name: Prior(at[name], u) for name, u in lent.items()} | priors
-    priors = {name: prior for name, prior in priors.items() if name in design.names and name not in measured}
+        fit, u = session.record.fit, session.record.uncertainty
+        at = values(referred(session.coefficients, design.reference)) | dict.fromkeys(fit.priors, 0.0)
+        for name in session.assumed & set(design.names) - measured - set(priors):
+            priors[name] = Prior(at[name], fit.priors.get(name, u.get(name, 0.0)))
+    priors = {name: priors[name] for name in design.names if name in priors}
     by_values = [session for session in sessions if not (session.observed or session.counted)]
     slope = next((thermal.drift[:, 0] for thermal in thermals if thermal.drift.size), np.zeros(len(design.channels)))
     stated = tuple(session.statement(replace(design, priors=priors), slope) for session in by_values)
     for session in by_values:
-        for name in sorted(session.exact & set(design.names)):
+        known = uncertain_coefficients(session.record.uncertainty, session.coefficients)
+        exact = session.measured - {name for name, u in known.by_name(known.u).items() if u}
+        for name in sorted(exact & set(design.names)):
             if any(name in other.measured for other in sessions if other is not session):
                 raise UsageError(
                     f"{session.label} states no uncertainty of {name}, which another has: it cannot be weighed"
@@ -163,26 +344,15 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
     return replace(design, priors=priors, stated=stated)
 
 
-def _require_one_lag(thermals: Sequence[Thermal]) -> None:
-    lags = sorted({thermal.lag for thermal in thermals if thermal.lag})
-    if len(lags) > 1:
-        raise UsageError(f"the lags contradict: {' s and '.join(f'{lag:g}' for lag in lags)} s; combine one of them")
-
-
-def _covered(sessions: Sequence[CombinedSession]) -> tuple[float, float] | None:
-    """Return the temperatures that the drifts of all sessions cover, °C."""
-    ranges = [s.coefficients.thermal.range for s in sessions if s.coefficients.thermal is not None]
-    met = [covered for covered in ranges if covered is not None]
-    return (min(low for low, _ in met), max(high for _, high in met)) if met else None
-
-
-def _observations(sessions: Sequence[CombinedSession], design: Design) -> list[Observation]:
-    """Return the positions of all sessions, each session's noise made better known by that of the others."""
-    seen = [one for s in sessions if s.observed for one in s.observations(design)]
-    u, freedom = (np.array([getattr(one, name) for one in seen], dtype=float) for name in ("u", "dof"))
+def _observations(sessions: Sequence[CombinedSession], design: Design) -> list[list[Observation]]:
+    """Return the positions of each session that has such, their noise made better known by that of all."""
+    groups = [session.observations(design) for session in sessions if session.observed]
+    every = [one for group in groups for one in group]
+    u, freedom = (np.array([getattr(one, name) for one in every], dtype=float) for name in ("u", "dof"))
     for k in range(len(design.channels)):
         u[:, k], freedom[:, k] = pooled(u[:, k] ** 2, freedom[:, k])
-    return [replace(one, u=np.sqrt(row), dof=dof) for one, row, dof in zip(seen, u, freedom, strict=True)]
+    better = iter([replace(one, u=np.sqrt(row), dof=dof) for one, row, dof in zip(every, u, freedom, strict=True)])
+    return [[next(better) for _ in group] for group in groups]
 
 
 def _notes(sessions: Sequence[CombinedSession], design: Design) -> Iterator[str]:
@@ -195,7 +365,9 @@ def _notes(sessions: Sequence[CombinedSession], design: Design) -> Iterator[str]
             yield f"{session.label} does not state how level it was (--jig): its offset hardly counts"
 
 
-def _disagreement(sessions: Sequence[CombinedSession], design: Design, seen: Sequence[Observation]) -> list[str]:
+def _disagreement(
+    sessions: Sequence[CombinedSession], design: Design, seen: Sequence[Sequence[Observation]]
+) -> list[str]:
     """Return what to note of a rise of chi-square over the separate fits; a large one is refused with a UsageError."""
     from scipy.special import chdtrc, fdtrc
 
@@ -204,13 +376,14 @@ def _disagreement(sessions: Sequence[CombinedSession], design: Design, seen: Seq
         shown = [(session.jig or 0.0, session.record.fit.degrees_of_freedom or 0) for session in observed]
         jig = sqrt(sum(count * size**2 for size, count in shown) / max(sum(count for _, count in shown), 1))
     try:
-        together, alone = estimate(seen, replace(design, jig=jig)), []
+        together = estimate([one for group in seen for one in group], replace(design, jig=jig))
     except EstimateError as failure:
         raise EstimateError(f"the calibrations, fitted together: {failure}") from failure
-    for session in observed:
-        own = replace(_design([session]), jig=jig, table=design.table, heading=design.heading)
-        own = replace(own, reference=design.reference, thermometer=design.thermometer)
-        alone.append(estimate([one for one in seen if one.position.startswith(f"{session.label}/")], own))
+    bench = {name: getattr(design, name) for name in ("table", "heading", "reference", "thermometer")}
+    alone = [
+        estimate(group, replace(_design([session]), jig=jig, **bench))
+        for session, group in zip(observed, seen, strict=True)
+    ]
     dof, chi_square = sum(one.dof for one in alone), sum(one.chi_square or 0.0 for one in alone)
     rise, more = (together.chi_square or 0.0) - chi_square, together.dof - dof
     if more <= 0 or rise <= 0.0:
@@ -219,10 +392,7 @@ def _disagreement(sessions: Sequence[CombinedSession], design: Design, seen: Seq
     p = float(fdtrc(more, dof, rise / more * dof / max(chi_square, 1e-9)) if shared else chdtrc(more, rise))
     if p >= NOTED:
         return []
-    count = Counter(name for session in sessions for name in session.measured)
-    common = {name for name, times in count.items() if times > 1}
-    differing = [pair for one in zip(observed, alone, strict=True) for pair in _differences(*one, together, common)]
-    lines = list(dict(reversed(differing)).values()) or [
+    lines = [*_differences(sessions)] or [
         f"chi-square rises by {rise:.3g} over the separate fits, with {more} degrees of freedom"
     ]
     if p >= REFUSED:
@@ -237,28 +407,131 @@ def _disagreement(sessions: Sequence[CombinedSession], design: Design, seen: Seq
     raise UsageError("\n".join([what, *(f"  {line}" for line in lines), why]))
 
 
-def _differences(
-    session: CombinedSession, alone: Estimate, together: Estimate, common: Collection[str]
-) -> Iterator[tuple[str, str]]:
-    """Yield what a session differs in from the others by more than the expanded uncertainty of the difference."""
-    own, u_own = values(alone.coefficients), alone.uncertainty()
-    every, u_every = values(together.coefficients), together.uncertainty()
-    thermal, level = together.coefficients.thermal, session.temperature
-    for name in every:
-        if name not in session.measured or name not in common or not u_every[name] < u_own[name] * MOSTLY:
-            continue
-        value, share = own[name], (u_every[name] / u_own[name]) ** 2
-        if name.startswith("offset.") and alone.coefficients.thermal is None and thermal is not None:
-            if level is None:
-                continue
-            row = thermal.drift[together.coefficients.channels.index(name.split(".")[1])]
-            value -= float(polynomial(row, np.array(level[0] - thermal.reference)))
-        others = (every[name] - share * value) / (1.0 - share)
-        limit = NORMAL_FACTOR * u_own[name] / sqrt(1.0 - share)
-        if abs(value - others) > limit:
-            apart = plus_minus(abs(value - others), limit)
-            yield (
-                name,
-                f"{name} is {value:.6g} in {session.label} and {others:.6g} by the others, apart by {apart} "
-                f"(E_n {abs(value - others) / limit:.1f})",
-            )
+def _differences(sessions: Sequence[CombinedSession]) -> Iterator[str]:
+    """Yield what two sessions have measured and differ in by more than the expanded uncertainty of the difference."""
+    for one, other in combinations(sessions, 2):
+        record = replace(other.record, sensor=one.record.sensor)
+        for change in compare_records(one.record, record).changes:
+            limit = NORMAL_FACTOR * (change.u or 0.0)
+            apart = abs(change.difference)
+            if change.name in one.measured & other.measured and apart > limit > 0.0:
+                yield (
+                    f"{change.name} is {change.before:.6g} in {one.label} and {change.after:.6g} in {other.label}, "
+                    f"apart by {plus_minus(apart, limit)} (E_n {apart / limit:.1f})"
+                )
+
+
+def _record(
+    sessions: Sequence[CombinedSession], found: Estimate, design: Design, remarks: Sequence[str]
+) -> CalibrationRecord:
+    """Return the calibration that a combination gives, with remarks on what it left out."""
+    records = [session.record for session in sessions]
+    scaled = [session.record for session in sessions if not session.assumes("sensitivity")]
+    new = [session for session in sessions if not session.counted]
+    runs = [[one.replaced(position=s.names[one.position]) for one in run] for s in new for run in s.record.runs]
+    derived = derived_record(found, "", mounted=True) if scaled else records[0].derived
+    kept = [sessions[0].assumes(kind) for kind in KINDS if all(session.assumes(kind) for session in sessions)]
+    procedures = [record.procedure for record in records]
+    return CalibrationRecord(
+        sensor=next((record.sensor for record in records if record.sensor.model != UNKNOWN_MODEL), records[0].sensor),
+        coefficients=replace(rounded(found), mounting=found.coefficients.mounting),
+        uncertainty=_uncertainty(sessions, found),
+        limits=_limits(records, scaled or records),
+        derived=derived.replaced(assumed=tuple(kept)),
+        fit=_fit(sessions, found, design, remarks),
+        procedure=ProcedureRecord(
+            name=" + ".join(session.record.procedure.name or session.label for session in sessions),
+            title=f"Combined of {len(sessions)} calibrations",
+            set={s.names[name]: place for s in new for name, place in s.record.procedure.set.items()},
+            mounting=next((procedure.mounting for procedure in procedures if procedure.mounting), None),
+            level=next((procedure.level for procedure in procedures if procedure.level), None),
+        ),
+        positions=tuple(position for k in range(3) for run in runs[k::3] for position in run),
+        provenance=_provenance(sessions),
+    )
+
+
+def _fit(sessions: Sequence[CombinedSession], found: Estimate, design: Design, remarks: Sequence[str]) -> FitRecord:
+    """Return how well the positions of all sessions agree."""
+    fits = [session.record.fit for session in sessions]
+    noise = max(u for session in sessions for one in session.record.positions for u in (one.u or {}).values())
+    told = []
+    for session in sessions:
+        name, ended = session.record.procedure.name, session.record.provenance.ended
+        more = ", ".join(filter(None, (name, ended and ended[:10])))
+        told.append(f"{session.label} ({more})" if more else session.label)
+    notes = [note for fit in fits for note in fit.notes if note != NO_FREEDOM]
+    return fit_record(found, design, noise).replaced(
+        notes=tuple(dict.fromkeys([f"combined of {' and '.join(told)}", *remarks, *found.notes, *notes])),
+        priors={name: prior.u for name, prior in design.priors.items() if any(name in fit.priors for fit in fits)},
+        not_covered=tuple(dict.fromkeys(error for fit in fits for error in fit.not_covered)),
+        mounting=next((fit.mounting for fit in fits if fit.mounting), None),
+        level=next((fit.level for fit in fits if fit.level), None),
+    )
+
+
+def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncertainty:
+    """Return the uncertainty of all coefficients, and that of a mounting with its covariance."""
+    single: dict[str, float] = {}
+    for session in sessions:
+        for name, u in session.record.uncertainty.single_reading.items():
+            single[name] = max(u, single.get(name, 0.0))
+    alignment = max(session.record.uncertainty.alignment for session in sessions)
+    both = replace(stated_section(found.uncertain), single_reading=single, alignment=alignment)
+    mounted = next((session.record for session in sessions if session.coefficients.mounting), sessions[0].record)
+    before = uncertain_coefficients(mounted.uncertainty, mounted.coefficients)
+    turns = [name for name in before.names if name.startswith(TURN)]
+    if not turns:
+        return both
+    # What follows the coefficients of its own session follows those of the combination by as much.
+    every = found.uncertain
+    shared = [name for name, u in before.by_name(before.u).items() if name in every.names and u > 0.0]
+    follows = selection(turns, before.names) @ before.following(shared)
+    across = every.covariance @ selection(shared, every.names).T @ follows.T
+    turned = before.named(turns)
+    covariance, wide = (
+        np.block([[of_coefficients, across], [across.T, of_turn]])
+        for of_coefficients, of_turn in ((every.covariance, turned.covariance), (every.wide, turned.wide))
+    )
+    standard, factors = (
+        of | {name: value for name, value in own.items() if name.startswith("mounting.")}
+        for of, own in (
+            (dict(both.standard), mounted.uncertainty),
+            (dict(both.coverage_factor), mounted.uncertainty.coverage_factor),
+        )
+    )
+    joint = replace(every.beside(turned), covariance=covariance, wide=wide)
+    return replace(both, standard=standard, coverage_factor=factors, covariance=rounded_covariance(joint))
+
+
+def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRecord]) -> Limits:
+    """Return the tilts that the sensitivity was measured in, the temperatures of the drift, the rails of all."""
+    tilt: dict[str, tuple[float, float]] = {}
+    reading: dict[str, tuple[float, float]] = {}
+    for record in scaled:
+        for axis, (low, high) in record.limits.tilt.items():
+            before = tilt.get(axis, (low, high))
+            tilt[axis] = min(low, before[0]), max(high, before[1])
+    for record in records:
+        for channel, rails in record.limits.reading.items():
+            reading[channel] = overlap(reading.get(channel), rails) or rails
+    met = [record.limits.temperature for record in records if record.limits.temperature and record.coefficients.thermal]
+    return Limits(tilt, (min(low for low, _ in met), max(high for _, high in met)) if met else None, reading)
+
+
+def _provenance(sessions: Sequence[CombinedSession]) -> Provenance:
+    """Return where the calibrations come from, with their SHA-256."""
+    each = [session.record.provenance for session in sessions]
+    made = dict.fromkeys(provenance.made_by for provenance in each if provenance.made_by)
+    return Provenance(
+        made_by=f"combination of calibrations by {' and '.join(made)}" if made else "combination of calibrations",
+        operator=" and ".join(dict.fromkeys(provenance.operator for provenance in each if provenance.operator)) or None,
+        sources=tuple(FileRecord(name=session.label, sha256=session.sha256) for session in sessions),
+        software=f"tiltcal {tiltcal.__version__}",
+        started=min((provenance.started for provenance in each if provenance.started), default=None),
+        ended=max((provenance.ended for provenance in each if provenance.ended), default=None),
+    )
+
+
+def _sha(text: str) -> str:
+    return sha256(text.encode()).hexdigest()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.labels import unit_of
-from tiltcal.core.attitude import LEVEL, gravity_from_tilt, normalised, orientation
+from tiltcal.core.attitude import LEVEL, orientation
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.mounting_rotation import rotation_vector
@@ -38,16 +38,9 @@ _INCOMPLETE = (
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """The change of one coefficient between two calibrations.
+    """The change of one coefficient, by its dotted name, with its standard uncertainty and its degrees of freedom.
 
-    Attributes
-    ----------
-    name : str
-        Dotted, such as ``sensitivity.x.y``.
-    u : float or None
-        Standard uncertainty of the difference; None where one of the files states none.
-    dof : float
-        Its effective degrees of freedom.
+    ``u`` is None where one of the files states none.
     """
 
     name: str
@@ -66,11 +59,6 @@ class CoefficientChange:
         """The difference over its standard uncertainty; None where that is not known, or zero."""
         return abs(self.difference) / self.u if self.u else None
 
-    @property
-    def is_unjudged(self) -> bool:
-        """Whether it differs, by more than arithmetic makes, and has no uncertainty."""
-        return not self.u and abs(self.difference) > 1e-9 * max(abs(self.before), abs(self.after))
-
     def threshold(self, confidence: float) -> float:
         """Return the number of standard uncertainties that the difference of an unchanged coefficient stays within."""
         upper = (1.0 + confidence) / 2.0
@@ -87,17 +75,9 @@ class CoefficientChange:
 class Verdict:
     """The verdict on the changes of a sensor.
 
-    Attributes
-    ----------
-    thresholds : mapping of str to float
-        The number of standard uncertainties that each change stays within if the sensor is unchanged; empty where no
-        change has an uncertainty.
-    changed : tuple of str
-        The coefficients that changed by more.
-    unjudged : tuple of str
-        Those that differ and have no uncertainty to judge this by.
-    incomplete : str
-        Why the uncertainties are too small to call anything changed; empty where they are whole.
+    ``thresholds`` are the numbers of standard uncertainties that each change stays within if the sensor is unchanged;
+    ``changed`` are the coefficients beyond theirs, ``unjudged`` those that differ and have no uncertainty.
+    ``incomplete`` is why the uncertainties are too small to call anything changed; empty where they are whole.
     """
 
     thresholds: Mapping[str, float]
@@ -128,25 +108,17 @@ class Verdict:
         return f"no verdict: {more}, but {self.incomplete}" if self.incomplete else f"changed: {more}"
 
 
-def judge(
-    found: Sequence[CoefficientChange], incomplete: str = "", *, among: int = 0, confidence: float = COVERAGE
-) -> Verdict:
+def judge(found: Sequence[CoefficientChange], incomplete: str = "") -> Verdict:
     """Judge whether one of several changes is too large for chance, given their number (Šidák).
 
-    Parameters
-    ----------
-    incomplete : str
-        Why the uncertainties are too small; empty where they are whole.
-    among : int
-        The number of changes of which these are the largest, where it is more than their own.
-    confidence : float
-        The probability that an unchanged sensor is called unchanged.
+    ``incomplete`` is why the uncertainties are too small; empty where they are whole.
     """
     judged = [change for change in found if change.ratio is not None]
-    each = confidence ** (1.0 / max(len(judged), among, 1))
-    thresholds = {change.name: change.threshold(each) for change in judged}
+    thresholds = {change.name: change.threshold(COVERAGE ** (1.0 / max(len(judged), 1))) for change in judged}
     changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
-    return Verdict(thresholds, changed, tuple(change.name for change in found if change.is_unjudged), incomplete)
+    # By more than arithmetic makes.
+    differing = [one for one in found if abs(one.difference) > 1e-9 * max(abs(one.before), abs(one.after))]
+    return Verdict(thresholds, changed, tuple(change.name for change in differing if not change.u), incomplete)
 
 
 def changes(difference: Uncertain, before: Sequence[float] | Array) -> list[CoefficientChange]:
@@ -174,21 +146,20 @@ def changes_between(
     least = [one.by_name(ROUNDED * one.u) for one in errors]
 
     def change(name: str, start: float, end: float, scale: float = 1.0) -> CoefficientChange:
-        known = all(name in names for names in stated)
         smallest = hypot(*(floor.get(name, 0.0) for floor in least))
-        own = scale * max(u.get(name, 0.0), smallest) if known else None
-        return CoefficientChange(name, start, end, own, dof.get(name, inf))
+        known = all(name in names for names in stated)
+        return CoefficientChange(
+            name, start, end, scale * max(u.get(name, 0.0), smallest) if known else None, dof.get(name, inf)
+        )
 
     found = [change(name, old[name], new[name]) for name in new if name in old]
-    thermals = [record.coefficients.thermal for record in records]
-    lags = [0.0 if thermal is None else thermal.lag for thermal in thermals]
+    lags = [0.0 if r.coefficients.thermal is None else r.coefficients.thermal.lag for r in records]
     if all(lags):
         both = [record.uncertainty.get("temperature.lag", 0.0) for record in records]
         found.append(CoefficientChange("temperature.lag", lags[0], lags[1], hypot(*both) if all(both) else None))
-    mounted = [record.coefficients.mounting for record in records]
-    if None not in mounted and mounted[0] != mounted[1]:
-        first, last = (mounting_matrix(mounting) for mounting in mounted if mounting is not None)
-        turn = np.degrees(rotation_vector(last @ first.T)).tolist()
+    first, last = (record.coefficients.mounting for record in records)
+    if first is not None and last is not None and first != last:
+        turn = np.degrees(rotation_vector(mounting_matrix(last) @ mounting_matrix(first).T)).tolist()
         found += [change(f"{TURN}{axis}", 0.0, angle, degrees(1.0)) for axis, angle in zip(AXES, turn, strict=True)]
     return found
 
@@ -226,13 +197,9 @@ def shared_errors(before: CalibrationRecord, after: CalibrationRecord) -> frozen
 class Comparison:
     """The comparison of an older and a newer calibration of one sensor.
 
-    Attributes
-    ----------
-    changes : tuple of CoefficientChange
-        Every coefficient that means the same in both, at the newer one's reference temperature, or where only one has a
-        drift at the temperature of the other.
-    not_comparable : tuple of str
-        All others; where the positions do not determine the column of z, an offset holds a part of it.
+    ``changes`` has every coefficient that means the same in both, at the newer one's reference temperature, or where
+    only one has a drift at the temperature of the other; ``not_comparable`` has all others: where the positions do not
+    determine the column of z, an offset holds a part of it.
     """
 
     sensor: SensorIdentity
@@ -336,10 +303,9 @@ def _held_shares(record: CalibrationRecord) -> dict[str, Array]:
     """
     axes, bench = record.coefficients.axes, record.provenance.bench
     own, _, levelled = record.runs
-    stated = [record.procedure.set.get(position.position, PositionSet()) for position in own]
-    attitudes = [gravity_from_tilt(one.tilt) if one.tilt is not None else one.gravity for one in stated]
+    attitudes = [record.procedure.set.get(position.position, PositionSet()).up for position in own]
     seen = orientation(bench.axes if bench is not None and bench.axes else AXES).seen
-    up = np.array([(nan,) * 3 if one is None else seen(normalised(one)) for one in [*attitudes, LEVEL]])
+    up = np.array([(nan,) * 3 if one is None else seen(one) for one in [*attitudes, LEVEL]])
     fitted = [AXES.index(axis) for axis in axes]
     design = np.column_stack([np.ones(len(up)), up[:, fitted]])
     held = np.full((design.shape[1], 3), nan)

@@ -15,7 +15,7 @@ from tiltcal.core.model import AXES, Array, Coefficients, with_vector
 from tiltcal.core.mounting_angles import UNKNOWN_FACTOR
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import round_to, significant
-from tiltcal.core.uncertain import NORMAL_FACTOR, TURN, Uncertain
+from tiltcal.core.uncertain import NEGLIGIBLE, NORMAL_FACTOR, TURN, Uncertain
 from tiltcal.errors import EstimateError
 from tiltcal.files.results import (
     NOISE_ALONE,
@@ -71,32 +71,44 @@ def stated_section(uncertain: Uncertain, before: Uncertainty | None = None) -> U
 def unrounded_section(uncertain: Uncertain) -> Uncertainty:
     """Return uncertain coefficients as a calibration that is not written states them, without rounding."""
     known = uncertain.chosen(np.flatnonzero(uncertain.u > 0.0))
-    matrix = _in_file_units(known)
+    matrix, wide = _in_file_units(known)
     u = known.by_name(np.sqrt(np.diag(matrix)))
     return Uncertainty(
         {name: value for name, value in u.items() if not name.startswith(TURN)},
         coverage_factor={name: k for name, k in known.by_name(known.factors).items() if k > NORMAL_FACTOR},
-        covariance=Covariance(parameters=known.names, matrix=tuple(map(tuple, matrix.tolist()))),
+        covariance=Covariance(
+            parameters=known.names,
+            matrix=tuple(map(tuple, matrix.tolist())),
+            wide=tuple(map(tuple, wide.tolist())) if _is_wider(known) else (),
+        ),
     )
 
 
 def rounded_covariance(uncertain: Uncertain) -> Covariance:
     """Return the covariance of what is uncertain, without the rounding errors that stand for zero."""
-    covariance = _in_file_units(uncertain)
-    u = np.sqrt(np.diag(covariance))
-    some = np.flatnonzero(u > 0.0).tolist()
-    return Covariance(
-        parameters=tuple(uncertain.names[i] for i in some),
-        matrix=tuple(
-            tuple(round_to(float(covariance[i, j]), float(u[i] * u[j]) / MATRIX_DIGITS) for j in some) for i in some
-        ),
+    known = uncertain.chosen(np.flatnonzero(uncertain.u > 0.0))
+    matrix, wide = (
+        tuple(
+            tuple(round_to(float(value), u * other / MATRIX_DIGITS) for value, other in zip(row, us, strict=True))
+            for row, u in zip(table, us, strict=True)
+        )
+        for table in _in_file_units(known)
+        for us in [np.sqrt(np.diag(table)).tolist()]
     )
+    return Covariance(parameters=known.names, matrix=matrix, wide=wide if _is_wider(known) else ())
 
 
-def _in_file_units(uncertain: Uncertain) -> Array:
-    """Return the covariance with turns of the mounting in degrees, as files have them, and not in radians."""
+def _is_wider(uncertain: Uncertain) -> bool:
+    """Return whether few degrees of freedom widen the intervals of some quantities, and not of all alike."""
+    factors = uncertain.factors
+    return bool(len(factors) and np.ptp(factors) > NEGLIGIBLE * NORMAL_FACTOR)
+
+
+def _in_file_units(uncertain: Uncertain) -> tuple[Array, Array]:
+    """Return both covariances with turns of the mounting in degrees, as files have them, and not in radians."""
     scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in uncertain.names])
-    return np.asarray(uncertain.covariance * np.outer(scale, scale))
+    scales = np.outer(scale, scale)
+    return uncertain.covariance * scales, uncertain.wide * scales
 
 
 def derived_record(found: Estimate, assumed: str, *, mounted: bool) -> DerivedRecord:

@@ -9,7 +9,7 @@ from math import acos, cos, degrees, radians, sqrt
 
 import numpy as np
 
-from tiltcal.calibration.channel_checks import judge_channels
+from tiltcal.calibration.checks import judge_channels
 from tiltcal.calibration.joint_fit import design_of, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
@@ -19,7 +19,7 @@ from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary, noise_of_means
 from tiltcal.core.uncertain import NORMAL_FACTOR
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 
@@ -45,12 +45,6 @@ UNDETERMINED = (
     "undetermined: gravity alone does not show how the sensor sits. The sensitivity is given in the frame whose z axis "
     "is the direction that channel z senses, and whose y axis lies in the plane of those of channels y and z"
 )
-
-
-def require_no_jig(procedure: Procedure, jig: float | None) -> None:
-    """Refuse a stated jig where no position is set by one, with a UsageError."""
-    if procedure.determines.free and jig is not None:
-        raise UsageError("free positions use no jig: leave --jig out, or name a procedure whose positions are set")
 
 
 def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:

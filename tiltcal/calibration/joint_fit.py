@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from math import asin, degrees, fsum, inf, radians, sqrt
 
 import numpy as np
 
-from tiltcal.calibration.channel_checks import judge_channels
+from tiltcal.calibration.checks import judge_channels
 from tiltcal.calibration.estimate_record import DIGITS, derived_record, fit_record, rounded, stated_section
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
@@ -31,8 +32,6 @@ NO_THERMOMETER = "the thermometer's uncertainty is not stated (--thermometer)"
 NO_NOISE = "the table states no uncertainties of its means (ux, uy, uz)"
 FEW = 3.0
 """Degrees of freedom below which a variance is hardly known."""
-EXACT_TEMPERATURES = f"{NO_THERMOMETER}: temperatures count as exact"
-
 
 LARGEST_AGREEMENT, LARGEST_AGREEMENT_REOPENED = 0.5, 0.3
 """Estimated jigs above which it is asked what happened, degrees; the second where a sensor was opened again."""
@@ -46,18 +45,15 @@ def fit_jointly(
 ) -> list[CalibrationRecord]:
     """Calibrate all sensors of a fixture together, by the positions of a procedure with its order of the drift.
 
-    The numbers of each calibration have the digits that their uncertainty warrants.
-
     EstimateError: the positions cannot determine the coefficients.
     """
     observed = [observed_sensor(sensor, procedure, bench) for sensor in sensors]
     calibrations = []
     for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
-        design = seen.design
-        remarks = () if design.assumes_sensitivity else judge_channels(sensor, estimated)
-        estimate = _with_remarks(with_hysteresis(estimated, seen), sensor, design)
-        found = record_of(estimate, design, sensor, procedure)
-        calibrations.append(replace(found, fit=found.fit.replaced(notes=(*found.fit.notes, *remarks))))
+        remarks = () if seen.design.assumes_sensitivity else judge_channels(sensor, estimated)
+        found = with_hysteresis(estimated, seen)
+        notes = (*found.notes, *_remarks(found, sensor, seen.design), *remarks)
+        calibrations.append(record_of(replace(found, notes=notes), seen.design, sensor, procedure))
     return calibrations
 
 
@@ -66,69 +62,64 @@ def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure
 
     The measurements of the sensor are those of the estimate.
     """
+    measurements, assumed = sensor.measurements, ""
+    if design.assumes_sensitivity:
+        assumed = "nominal of the model" if sensor.base is None else OF_BASE
     return CalibrationRecord(
         sensor=sensor.sensor.replaced(channels=design.channels),
         coefficients=rounded(found),
         uncertainty=replace(
             stated_section(found.uncertain),
-            single_reading=_reading(sensor.measurements, design, found.estimated_thermometer),
+            single_reading=_reading(measurements, design, found.estimated_thermometer),
         ),
         limits=_limits(design, sensor, found.coefficients.thermal is not None),
-        derived=derived_record(found, _assumed(design, sensor), mounted=not design.free),
-        fit=fit_record(found, design, max(summary.u for summary in _summaries(sensor.measurements, design.channels))),
-        procedure=_procedure(procedure, sensor.measurements),
-        positions=tuple(measurement.record(design.channels) for measurement in sensor.measurements),
+        derived=derived_record(found, assumed, mounted=not design.free),
+        fit=fit_record(found, design, max(summary.u for summary in _summaries(measurements, design.channels))),
+        procedure=ProcedureRecord(
+            name=procedure.name,
+            title=procedure.title,
+            source=procedure.source or None,
+            set={measurement.position: _set(measurement) for measurement in measurements},
+        ),
+        positions=tuple(measurement.record(design.channels) for measurement in measurements),
     )
 
 
-def _assumed(design: Design, sensor: MeasuredSensor) -> str:
-    """Return the origin of a sensitivity that was not determined; empty where it was."""
-    if not design.assumes_sensitivity:
-        return ""
-    return "nominal of the model" if sensor.base is None else OF_BASE
-
-
-def _with_remarks(found: Estimate, sensor: MeasuredSensor, design: Design) -> Estimate:
-    """Return the estimate with notes on what its uncertainty includes and what it leaves out."""
-    notes, measurements = list(found.notes), sensor.measurements
+def _remarks(found: Estimate, sensor: MeasuredSensor, design: Design) -> Iterator[str]:
+    """Yield what the uncertainty of an estimate includes and what it leaves out."""
+    measurements = sensor.measurements
     if not (design.free or design.assumes_sensitivity):
-        notes += _counted_as_zero(design, sensor.nominal)
+        missing = [
+            f"the sensitivity to {axis}" for axis in AXES if len(design.channels) == 2 and axis not in design.axes
+        ]
+        missing += [] if design.nonlinearity else ["non-linearity"]
+        if missing:
+            sheet = "no data sheet is named (--sensor)"
+            sheet = sheet if sensor.nominal is None else f"no data sheet of {sensor.nominal.name} states it"
+            yield f"{' and '.join(missing)} counts as zero: {sheet}"
     if design.jig is None and along_gravity(design.channels, [measurement.gravity for measurement in measurements]):
-        notes.append(DRIFT_NOT_SHOWN)
-    agreement = found.estimated_jig or 0.0
-    if agreement > (LARGEST_AGREEMENT_REOPENED if sensor.reopened else LARGEST_AGREEMENT):
+        yield DRIFT_NOT_SHOWN
+    if (found.estimated_jig or 0.0) > (LARGEST_AGREEMENT_REOPENED if sensor.reopened else LARGEST_AGREEMENT):
         opened = ": the sensor was opened again in the session" if sensor.reopened else ""
-        notes.append(f"were the positions set by hand, or was something changed between them{opened}? State the --jig")
+        yield f"were the positions set by hand, or was something changed between them{opened}? State the --jig"
     correlated = correlated_noise(_summaries(measurements, design.channels))
     if correlated is not None and correlated.certain:
-        notes.append(correlated.note)
+        yield correlated.note
     for channel in design.channels:
         own = _summaries(measurements, (channel,))
         if len({(summary.mean, summary.std) for summary in own}) == 1 < len(own) and own[0].std == 0.0:
-            notes.append(
+            yield (
                 f"{channel} reads {own[0].mean:.6g} in every sample of every position: what differs between them "
                 "changes it by less than its step, or the channel is stuck"
             )
     if design.thermal and not design.thermometer:
         shown = found.estimated_thermometer
-        notes.append(
-            f"{NO_THERMOMETER}: the residuals show {shown:.2g} °C, which counts" if shown else EXACT_TEMPERATURES
+        yield f"{NO_THERMOMETER}: " + (
+            f"the residuals show {shown:.2g} °C, which counts" if shown else "temperatures count as exact"
         )
     if found.estimated_noise is not None and found.noise_dof is not None:
         hidden = ", which hardly separate it from the jig: intervals are wide" if found.noise_dof < FEW else ""
-        notes.append(
-            f"{NO_NOISE}: the residuals show noise of {found.estimated_noise:.2g} in them, which counts{hidden}"
-        )
-    return replace(found, notes=tuple(notes))
-
-
-def _counted_as_zero(design: Design, model: Model | None) -> Iterator[str]:
-    """Yield what the positions do not determine and no data sheet states, in a sentence."""
-    missing = [f"the sensitivity to {axis}" for axis in AXES if len(design.channels) == 2 and axis not in design.axes]
-    missing += [] if design.nonlinearity else ["non-linearity"]
-    if missing:
-        source = "no data sheet is named (--sensor)" if model is None else f"no data sheet of {model.name} states it"
-        yield f"{' and '.join(missing)} counts as zero: {source}"
+        yield f"{NO_NOISE}: the residuals show noise of {found.estimated_noise:.2g} in them, which counts{hidden}"
 
 
 def along_gravity(channels: Sequence[str], directions: Sequence[Sequence[float]]) -> bool:
@@ -188,9 +179,13 @@ def design_of(
     )
     if determines.axes:
         return design if design.free or nominal is None else _with_data_sheet(design, nominal)
-    return (
-        _with_nominal(design, procedure, nominal) if base is None else _with_base(design, base, whole=determines.level)
-    )
+    if base is not None:
+        return _with_base(design, base, whole=determines.level)
+    if nominal is None:
+        raise EstimateError(no_sensitivity(procedure))
+    own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)
+    priors = {f"sensitivity.{c}.{axis}": own if axis == c else cross for c in channels for axis in design.axes}
+    return replace(design, priors=priors)
 
 
 def _with_data_sheet(design: Design, model: Model) -> Design:
@@ -207,31 +202,20 @@ def _with_data_sheet(design: Design, model: Model) -> Design:
     return replace(design, axes=axes, nonlinearity=order, priors=priors, nominal=scale)
 
 
-def _with_nominal(design: Design, procedure: Procedure, nominal: Model | None) -> Design:
-    """Return the design with the model's nominal sensitivity, which stands in for one that is not determined."""
-    if nominal is None:
-        raise EstimateError(no_sensitivity(procedure))
-    own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)
-    priors = {
-        f"sensitivity.{channel}.{axis}": own if axis == channel else cross
-        for channel in design.channels
-        for axis in design.axes
-    }
-    return replace(design, priors=priors)
-
-
 def _with_base(design: Design, base: CalibrationRecord, *, whole: bool) -> Design:
     """Return the design with sensitivity and nonlinearity of the sensor's own calibration, and their uncertainty.
 
     Their correlations are left out: a procedure that determines no sensitivity moves them little. The ``whole`` of the
     calibration but its offset has its temperature terms too.
     """
-    known, u = base.coefficients, base.uncertainty
-    order = 0 if known.nonlinearity is None else known.nonlinearity.shape[1]
+    coefficients, u = base.coefficients, base.uncertainty
+    order = 0 if coefficients.nonlinearity is None else coefficients.nonlinearity.shape[1]
     kept = ("sensitivity.", "nonlinearity.", *(["temperature."] if whole else []))
-    priors = {name: Prior(value, u.get(name, 0.0)) for name, value in values(known).items() if name.startswith(kept)}
-    design = replace(design, axes=known.axes, nonlinearity=order, priors=priors)
-    thermal = known.thermal if whole else None
+    priors = {
+        name: Prior(value, u.get(name, 0.0)) for name, value in values(coefficients).items() if name.startswith(kept)
+    }
+    design = replace(design, axes=coefficients.axes, nonlinearity=order, priors=priors)
+    thermal = coefficients.thermal if whole else None
     if thermal is None:
         return design
     return replace(design, drift=thermal.drift.shape[1], gain=thermal.gain.shape[1], reference=thermal.reference)
@@ -252,9 +236,9 @@ def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]
         noise_of_means([measurement.summaries[channel] for measurement in measurements], correlated)
         for channel in channels
     ]
+    settings = [None, *((measurement.gravity, measurement.heading) for measurement in measurements)]
     observations = []
-    before: Measurement | None = None
-    for number, measurement in enumerate(measurements):
+    for number, (measurement, (before, setting)) in enumerate(zip(measurements, pairwise(settings), strict=True)):
         summaries = [measurement.summaries[channel] for channel in channels]
         adc = np.array([rounding[number] for _, _, rounding in noise])
         observations.append(
@@ -265,23 +249,17 @@ def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]
                 np.sqrt(np.array([variance[number] for variance, _, _ in noise]) + adc**2),
                 measurement.temperature,
                 measurement.heading,
-                held=before is not None and _setting(before) == _setting(measurement),
+                held=before == setting,
                 dof=np.array([dof[number] for _, dof, _ in noise]),
                 adc=adc,
                 noise_unknown=all(summary.noise_unknown for summary in summaries),
             )
         )
-        before = measurement
     return observations
 
 
 def _summaries(measurements: Sequence[Measurement], channels: Sequence[str]) -> list[SampleSummary]:
     return [measurement.summaries[channel] for measurement in measurements for channel in channels]
-
-
-def _setting(measurement: Measurement) -> tuple[object, ...]:
-    """Return how the fixture was set; it was not touched where the position before had the same setting."""
-    return measurement.gravity, measurement.heading
 
 
 def _reading(measurements: Sequence[Measurement], design: Design, shown: float | None) -> dict[str, float]:
@@ -315,15 +293,6 @@ def _limits(design: Design, sensor: MeasuredSensor, thermal: bool) -> Limits:
         tilt=tilt,
         temperature=(min(met), max(met)) if thermal else None,
         reading=dict(rails_of(design.channels, sensor.nominal, sensor.base)),
-    )
-
-
-def _procedure(procedure: Procedure, measurements: Sequence[Measurement]) -> ProcedureRecord:
-    return ProcedureRecord(
-        name=procedure.name,
-        title=procedure.title,
-        source=procedure.source or None,
-        set={measurement.position: _set(measurement) for measurement in measurements},
     )
 
 

@@ -18,69 +18,32 @@ from tiltcal.stated_arguments import require_from_zero
 
 @dataclass(frozen=True)
 class BenchUncertainty:
-    """The standard uncertainties that a user states of the bench; None where one is not stated.
+    """The standard uncertainties that a user states of the bench; a UsageError where one is negative or no number."""
 
-    Attributes
-    ----------
-    jig : float or None
-        Of a set angle, degrees. Not stated, the scatter of the positions shows it. A procedure of free positions takes
-        none: there the directions of the measurements are a first guess, and unit gravity determines the rest.
-    table : float or None
-        Of the lean of the table that all positions share, degrees per axis. Not stated, positions at several headings
-        show it.
-    heading : float or None
-        Of a heading, degrees. Not stated, headings count as exact.
-    thermometer : float or None
-        Of a temperature, °C. Not stated, it is the step of the sensors' own thermometers, or nothing.
-
-    UsageError: one is negative or no number.
-    """
-
-    jig: float | None = None
-    thermometer: float | None = None
-    table: float | None = None
-    heading: float | None = None
+    jig: float | None = None  # of a set angle, degrees; not stated, the scatter of the positions shows it
+    thermometer: float | None = None  # °C; not stated, the step of the sensors' own thermometers
+    table: float | None = None  # of the lean that all share, degrees per axis; not stated, several headings show it
+    heading: float | None = None  # degrees; not stated, headings count as exact
 
     def __post_init__(self) -> None:
-        for option, value in (
-            ("--jig", self.jig),
-            ("--thermometer", self.thermometer),
-            ("--table-lean", self.table),
-            ("--heading-uncertainty", self.heading),
-        ):
-            require_from_zero(option, value)
+        require_from_zero("--jig", self.jig)
+        require_from_zero("--thermometer", self.thermometer)
+        require_from_zero("--table-lean", self.table)
+        require_from_zero("--heading-uncertainty", self.heading)
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One position of one sensor, ready for the estimator.
-
-    Attributes
-    ----------
-    gravity : tuple of float
-        Up in the sensor frame as set, g.
-    tilt : mapping of str to float or None
-        As set, degrees; None where the position is given by its direction.
-    temperature : float or None
-        °C.
-    summaries : mapping of str to SampleSummary
-        Per channel of the sensor.
-    when : mapping of str to Any
-        How the position is found again: its time, or its rows of a log.
-    heading : float or None
-        How far the fixture was turned about the vertical, degrees.
-    stage : float or None
-        Angle of the rotary stage, degrees; recorded, and used by no estimate.
-    """
+    """One position of one sensor, ready for the estimator."""
 
     position: str
-    gravity: tuple[float, float, float]
-    tilt: Mapping[str, float] | None
-    temperature: float | None
-    summaries: Mapping[str, SampleSummary]
-    when: Mapping[str, Any] = field(default_factory=dict)
-    heading: float | None = None
-    stage: float | None = None
+    gravity: tuple[float, float, float]  # up in the sensor frame as set, g
+    tilt: Mapping[str, float] | None  # as set, degrees; None where the position is given by its direction
+    temperature: float | None  # °C
+    summaries: Mapping[str, SampleSummary]  # per channel
+    when: Mapping[str, Any] = field(default_factory=dict)  # how it is found again: its time, or its rows of a log
+    heading: float | None = None  # how far the fixture was turned about the vertical, degrees
+    stage: float | None = None  # angle of the rotary stage, degrees; used by no estimate
 
     def record(self, channels: Sequence[str]) -> PositionRecord:
         """Return what was measured, for the calibration file, with the digits that its uncertainty warrants."""
@@ -94,6 +57,20 @@ class Measurement:
             temperature=None if self.temperature is None else round(self.temperature, 3),
             **self.when,
         )
+
+
+@dataclass(frozen=True)
+class MeasuredSensor:
+    """One sensor of a fixture with what was measured of it."""
+
+    sensor: SensorIdentity
+    measurements: Sequence[Measurement]
+    nominal: Model | None = None  # its facts stand in for what a procedure does not determine; None: not known
+    orientation: Sequence[Sequence[float]] = STRAIGHT.matrix  # takes a vector of the fixture's frame to the sensor's
+    thermometer: float | None = None  # u of the step of its own thermometer, °C; None where another was read
+    base: CalibrationRecord | None = None  # its calibration, which is completed, or lends its sensitivity
+    ramp: RampRecord | None = None  # the record of a ramp, whose one measurement is the attitude
+    reopened: bool = False  # its bus failed in the session and was opened again
 
 
 def missing_temperature(base: CalibrationRecord, measurement: Measurement) -> str:
@@ -122,36 +99,3 @@ def at_rail(channel: str, reading: str, rails: tuple[float, float]) -> str:
         f"{channel} reads {reading}, at its rail or beyond ({rails[0]:g} to {rails[1]:g}): is this the sensor, are "
         "these its readings in its unit, and is the angle within its range?"
     )
-
-
-@dataclass(frozen=True)
-class MeasuredSensor:
-    """One sensor of a fixture with what was measured of it.
-
-    Attributes
-    ----------
-    nominal : Model or None
-        The sensor's model, whose facts stand in where a procedure does not determine them; None where it is not known,
-        or reads another unit.
-    orientation : sequence of sequence of float
-        3 by 3; takes a vector of the fixture's frame to the sensor's.
-    thermometer : float or None
-        Standard uncertainty from the step of the sensor's own thermometer, °C; None where it did not take the
-        temperatures.
-    ramp : RampRecord or None
-        Of a ramp, the continuous record; its one measurement is the attitude.
-    base : CalibrationRecord or None
-        The sensor's own calibration: a mounting or a new level completes it, and its sensitivity stands in where a
-        procedure determines none.
-    reopened : bool
-        Whether its bus failed in the session and was opened again.
-    """
-
-    sensor: SensorIdentity
-    measurements: Sequence[Measurement]
-    nominal: Model | None = None
-    orientation: Sequence[Sequence[float]] = STRAIGHT.matrix
-    thermometer: float | None = None
-    base: CalibrationRecord | None = None
-    ramp: RampRecord | None = None
-    reopened: bool = False

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.calibration.checks import require_tilt
 from tiltcal.calibration.joint_fit import design_of
 from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.measurement import BenchUncertainty
-from tiltcal.calibration.suitability import require_tilt
 from tiltcal.core.attitude import STRAIGHT, Orientation
 from tiltcal.core.estimation.design import PlannedPosition, Prediction, predict_uncertainty
 from tiltcal.core.estimation.positions import Design

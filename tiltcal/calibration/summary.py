@@ -7,7 +7,6 @@ from math import asin, degrees, radians, sin, sqrt
 
 import numpy as np
 
-from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.model import AXES
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import plus_minus
@@ -186,11 +185,8 @@ def remarks_on_chance(fit: FitRecord) -> Iterator[str]:
 def looks_bent(calibration: CalibrationRecord) -> bool:
     """Return whether the residuals of all channels follow the square and the cube of what these sense."""
     coefficients, fit = calibration.coefficients, calibration.fit
-    up = {
-        name: position.gravity or gravity_from_tilt(position.tilt or {})
-        for name, position in calibration.procedure.set.items()
-        if name in fit.residuals and (position.gravity is not None or position.tilt is not None)
-    }
+    places = calibration.procedure.set
+    up = {name: places[name].up for name in places if name in fit.residuals and places[name].up}
     gravity = np.array(list(up.values())).reshape(-1, 3)
     linear, sizes, _ = np.linalg.svd(np.column_stack([np.ones(len(up)), gravity]), full_matrices=False)
     linear = linear[:, sizes > 1e-6]

@@ -58,9 +58,7 @@ def tilt_uncertainty(calibration: CalibrationRecord) -> dict[str, TiltUncertaint
         place = compensation.axes.index(axis)
         alone, reading = (kernel(readings, temperature).expanded[:, place] for kernel in kernels)
         before = None if nominal is None else nominal(readings).tilt[:, nominal.axes.index(axis)] - tilt
-        # What holds an error with noise in 95 % of all cases holds the error without it: the coverage factor of few
-        # degrees of freedom, which the noise of a reading exceeds, need not be taken.
-        by_axis[axis] = TiltUncertainty(tilt, before, np.fmin(alone, reading), reading)
+        by_axis[axis] = TiltUncertainty(tilt, before, alone, reading)
     return by_axis
 
 

@@ -80,7 +80,7 @@ def _checked(path: Path) -> tuple[str, list[str], list[str]]:
 
         twin_of(document)
         return kind, [], []
-    from tiltcal.files.procedure_file import procedure_in
+    from tiltcal.files.procedure import procedure_in
 
     procedure_in(document)
     return kind, [], []
@@ -109,7 +109,7 @@ def _of_journal(path: Path) -> list[str]:
 
 
 def _of_calibration(path: Path, document: Document) -> tuple[str, list[str], list[str]]:
-    from tiltcal.calibration.channel_checks import remarks_on_wiring
+    from tiltcal.calibration.checks import remarks_on_wiring
     from tiltcal.calibration.record import record_in
     from tiltcal.calibration.summary import objections, remarks_on_chance
     from tiltcal.files.calibration import CalibrationRecord

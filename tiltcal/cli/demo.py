@@ -94,8 +94,7 @@ def command(folder: Path, seed: int) -> None:
 
 def _record(path: Path, address: Address, model: Model) -> None:
     """Write the log for the calibration, a row each second, with its true tilt beside the readings."""
-    from tiltcal.bench.sensors import VirtualBench
-    from tiltcal.bench.setup import BenchDevice
+    from tiltcal.bench.devices import BenchDevice, VirtualBench
     from tiltcal.core.attitude import gravity_from_tilt
     from tiltcal.drivers.bus.clock import VirtualClock
 

@@ -40,7 +40,7 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
     is 1 g in each. It does not determine the mounting.
     """
     from tiltcal.calibration.summary import level_summary, mounting_summary, summary
-    from tiltcal.files.procedure_file import find_procedure
+    from tiltcal.files.procedure import find_procedure
     from tiltcal.library.fit import fit
     from tiltcal.logs.fit import FOUND_ONLY
 

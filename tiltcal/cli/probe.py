@@ -2,29 +2,45 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+from datetime import UTC, datetime
+
 import click
 
-from tiltcal.bench.sensors import open_sensor
+from tiltcal.bench.devices import open_sensor
 from tiltcal.cli import options
 from tiltcal.drivers import find_model
-from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus import open_link
+from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.bus.clock import session_clock
+from tiltcal.drivers.columns import listened, shown
 from tiltcal.drivers.model import SelfTesting
-from tiltcal.errors import NEGATIVE_VERDICT, UsageError
+from tiltcal.drivers.sketch import guess
+from tiltcal.errors import NEGATIVE_VERDICT, BusError, UsageError
 
 
 @options.command(epilog="Example: tiltcal probe --sensor sca100t-d02 --address spi:///dev/spidev0.0 --self-test")
-@click.option("--sensor", required=True, metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
 @click.option(
-    "--address", required=True, help="Its address, such as spi:///dev/spidev0.0, or sim: for its virtual twin."
+    "--sensor",
+    metavar="MODEL",
+    help="The sensor's model; `tiltcal devices` lists them. Without it, a serial port is listened to for two seconds.",
+)
+@click.option(
+    "--address", required=True, help="Its address, such as spi:///dev/spidev0.0, /dev/ttyUSB0, or sim: for its twin."
 )
 @click.option("--self-test", "self_test", is_flag=True, help="Start the self-test of the part; lay it level and still.")
 @options.as_json
-def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
+def command(sensor: str | None, address: str, self_test: bool, as_json: bool) -> int:
     """Test the connection of a sensor, and print its answer.
 
     Exit code 3 if it does not answer, 1 if its self-test fails.
     """
-    model = find_model(sensor).at(parse_address(address))
+    parsed = parse_address(address)
+    if parsed.scheme == "serial" and (not sensor or (sensor == "serial-columns" and "columns" not in parsed.options)):
+        return _listen(parsed, as_json)
+    if not sensor:
+        raise UsageError("--sensor is missing: the model that is connected there ('tiltcal devices' lists them)")
+    model = find_model(sensor).at(parsed)
     with open_sensor(sensor, address) as driver:
         said = dict(driver.probe())
         tests = {}
@@ -45,3 +61,29 @@ def command(sensor: str, address: str, self_test: bool, as_json: bool) -> int:
         for channel, test in tests.items():
             options.print_judged(f"  self-test {channel}  {'passed' if test.passed else 'FAILED'}: {test}")
     return 0 if passed else NEGATIVE_VERDICT
+
+
+def _listen(address: Address, as_json: bool) -> int:
+    """Print what a device on a serial port sends, and the address that reads its numbers."""
+    with closing(open_link(address, find_model("serial-columns"))) as link:
+        lines, rate = listened(link, session_clock(datetime.now(UTC), virtual=False))
+    found = guess(lines)
+    if not found.numbers:
+        raise BusError(
+            f"{address} sends text without numbers, such as {shown(lines[-1])}: is the baud rate right (baudrate=), "
+            "and does the sketch print its readings?"
+        )
+    options_of = {**address.options, "columns": found.columns, **({"unit": found.unit} if found.unit else {})}
+    place = address.written.partition("?")[0]
+    advised = f"{place}?{'&'.join(f'{name}={value}' for name, value in options_of.items())}"
+    if as_json:
+        said = {**found._asdict(), "lines_per_second": round(rate, 1), "address": advised}
+        options.print_judged(options.json_text(said))
+        return 0
+    plural = "" if found.numbers == 1 else "s"
+    options.print_judged(f"{place} prints {found.numbers} number{plural} a line, {rate:.0f} lines a second:")
+    options.print_judged(f"  {found.example}")
+    unit = "" if found.unit else ", and unit= is not known"
+    options.print_judged(f"as columns={found.columns}{unit}. If that is right:")
+    options.print_judged(f'  tiltcal probe --sensor serial-columns --address "{advised}"')
+    return 0

@@ -7,9 +7,7 @@ from pathlib import Path
 import click
 
 from tiltcal.cli import options
-from tiltcal.files.procedure import Determines, Procedure
-from tiltcal.files.procedure_file import find_procedure, shipped_procedures
-from tiltcal.files.rotation import Rotation
+from tiltcal.files.procedure import Determines, Procedure, Rotation, find_procedure, shipped_procedures
 
 
 @options.command(

@@ -12,7 +12,7 @@ from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.calibration import SensorIdentity, read_calibration
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 if TYPE_CHECKING:
     from tiltcal.bench.session import Session
@@ -61,7 +61,7 @@ def command(
     not decided. Exit code 1 unless passed.
     """
     from tiltcal.bench.journal import positions_of
-    from tiltcal.bench.run import open_operator, run_session
+    from tiltcal.bench.measure import led_by, run_session
     from tiltcal.bench.session import Session
     from tiltcal.bench.setup import SessionFiles, Setup, free_journal, single
     from tiltcal.calibration.verification import PASSED, Verification, verify_positions
@@ -89,17 +89,14 @@ def command(
     again = f"verify {quote(str(calibration))}"
     again += "" if options.left_at_default("limit") else f" --limit {limit}"
     again += " --json" if as_json else ""
-    session.files.require_writable(session.journal)
-    with session.resumable(again, remark):
-        session.probe()
-        with open_operator(operator, turns=False, virtual=session.setup.simulated, say=remark, plain=plain) as opened:
-            run_session(session, opened)
-            recorded = positions_of(read_journal(session.files.journal))
-            measurements = [result.measurements[judged.sensor.serial] for result in recorded.results()]
-            stated_jig = session.setup.settings.jig
-            tilts = verify_positions(judged, measurements, stated_jig)
-            verification = Verification(judged.sensor, tilts, limit, stated_jig)
-            opened.tell({"event": "done", "calibrations": [], "journal": str(session.files.journal)})
+    with led_by(operator, session, again, remark, plain=plain) as opened:
+        run_session(session, opened)
+        recorded = positions_of(read_journal(session.files.journal))
+        measurements = [result.measurements[judged.sensor.serial] for result in recorded.results()]
+        stated_jig = session.setup.settings.jig
+        tilts = verify_positions(judged, measurements, stated_jig)
+        verification = Verification(judged.sensor, tilts, limit, stated_jig)
+        opened.tell({"event": "done", "calibrations": [], "journal": str(session.files.journal)})
     if stated_jig is None:
         remark("no --jig is stated: the positions count as exact")
     # What a program reads is JSON to the last line.

@@ -74,7 +74,6 @@ def length_half_width(coefficients: Coefficients, limits: Limits, uncertain: Unc
     It is that of the coefficients and of a single reading; 0 where no attitude was covered.
     """
     uncertain = uncertain.without(TURN)  # a turn changes no length
-    uncertain = Uncertain.errors(uncertain.names, uncertain.widened)
     ends = (limits.tilt.get(axis, (-pi / 2, pi / 2)) for axis in AXES)
     x, y, z = (np.sin(np.linspace(low, high, _ATTITUDES)) for low, high in ends)
     g_x, g_y, side = np.meshgrid(x, y, np.array([1.0, -1.0]))

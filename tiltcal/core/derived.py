@@ -79,8 +79,11 @@ def rotation(coefficients: Coefficients, uncertain: Uncertain) -> tuple[Uncertai
     found = replace(_following(names, off, coefficients, uncertain), value=np.degrees(turned))
     locked = angles.gimbal_lock or is_locked(angles.mounting.pitch, radians(float(found.u[1])))
     if locked:
-        u = np.array([degrees(UNKNOWN_ANGLE), found.u[1], degrees(UNKNOWN_ANGLE)])
-        found = replace(found, covariance=np.diag(u**2), dof=np.where([True, False, True], np.inf, found.dof))
+        covariance, wide = (
+            np.diag([degrees(UNKNOWN_ANGLE) ** 2, matrix[1, 1], degrees(UNKNOWN_ANGLE) ** 2])
+            for matrix in (found.covariance, found.wide)
+        )
+        found = replace(found, covariance=covariance, wide=wide)
     return found, locked
 
 

@@ -32,6 +32,7 @@ from tiltcal.core.flags import MISSING, NO_TEMPERATURE
 from tiltcal.core.heading import EarthFrame, cross, length_of
 from tiltcal.core.model import Array
 from tiltcal.core.mounting_angles import UNKNOWN_ANGLE
+from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.core.uncertainty_propagation import HALF_TURN, Propagation, UpGradient
 
 
@@ -64,7 +65,7 @@ class EarthUncertainty:
         field, velocity : ndarray, shape (3, n), or None
             In the application's frame.
         """
-        expanded, factors = self._propagation.half_widths(
+        halves = self._propagation.half_widths(
             chunk,
             [
                 self._through(gradient, frame, field, chunk.share)
@@ -72,8 +73,9 @@ class EarthUncertainty:
             ],
         )
         if velocity is not None:
-            _add_second_order(expanded[-3:], velocity)
-        standard = expanded / factors
+            for kind in halves:
+                _add_second_order(kind[-3:], velocity)
+        standard, expanded = halves[0] / NORMAL_FACTOR, halves[1]
         if field is not None:
             standard[0] = np.degrees(np.minimum(standard[0], UNKNOWN_ANGLE))
             expanded[0] = np.degrees(np.minimum(expanded[0], HALF_TURN))

@@ -1,7 +1,9 @@
-"""Uncertain quantities: values with their covariance, the degrees of freedom behind it, and its sources.
+"""Uncertain quantities: values with their covariance, their 95 % intervals, and the sources of both.
 
-What follows from uncertain quantities is uncertain by the law of propagation J C Jᵀ; independent errors of the same
-quantities add. The coverage factor of a 95 % interval is Student's t of the effective degrees of freedom.
+What follows from uncertain quantities is uncertain by the law of propagation J C Jᵀ, and independent errors of the same
+quantities add. Intervals follow by the same rule from ``wide``: the covariance of errors of known size that have the
+same 95 % intervals. So few degrees of freedom widen what they are of, by Student's t, and nothing else; the squares of
+intervals add as variances do, which is wider than by effective degrees of freedom.
 
 Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2, 5.1, 6.2 and annex G.
 """
@@ -9,7 +11,7 @@ Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2, 5.1,
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +25,7 @@ NORMAL_FACTOR = 1.959963984540054
 """The coverage factor of a variance that is known: the normal distribution is within so many deviations in 95 %."""
 
 NEGLIGIBLE = 1e-3
-"""The share of a variance below which a part of it changes no coverage factor visibly."""
+"""A coverage factor that exceeds the normal one by less than this share counts as the normal one."""
 
 TURN = "mounting.turn."
 """A small rotation error of the mounting about one of the application's axes, radians, by its dotted name."""
@@ -37,34 +39,27 @@ _FOLLOWS = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Uncertain:
-    """Quantities with their joint uncertainty.
+    """k quantities with their joint uncertainty; a value is 0 where the errors alone count.
 
-    Attributes
-    ----------
-    names : tuple of str
-    value : ndarray, shape (k,)
-        0 where the errors alone count.
-    covariance : ndarray, shape (k, k)
-    dof : ndarray, shape (k,)
-        Effective degrees of freedom; infinite where nothing was estimated from a scatter.
-    sources : mapping of str to ndarray, shape (k,)
-        The part of each variance that comes from a source, where that is known; their sum is the diagonal.
+    ``wide``, shape (k, k), is the covariance of errors of known size that have the same 95 % intervals. ``sources``
+    have the part of each variance that comes from a source, shape (k,), where that is known; their sum is the diagonal.
     """
 
     names: tuple[str, ...]
     value: Array
     covariance: Array
-    dof: Array
+    wide: Array
     sources: Mapping[str, Array] = field(default_factory=dict)
 
     @classmethod
     def errors(
         cls, names: Sequence[str], covariance: Array, dof: Array | float = np.inf, *, source: str = ""
     ) -> Uncertain:
-        """Return errors from one source; ``dof`` has the shape (k,), or is one number for all."""
+        """Return errors from one source; its degrees of freedom are one number, or have the shape (k,)."""
         size = len(covariance)
         own = {source: np.diag(covariance)} if source else {}
-        return cls(tuple(names), np.zeros(size), covariance, np.broadcast_to(np.asarray(dof, float), (size,)), own)
+        factors = coverage_factor(np.broadcast_to(np.asarray(dof, float), (size,)))
+        return cls(tuple(names), np.zeros(size), covariance, widened(covariance, factors), own)
 
     @property
     def u(self) -> Array:
@@ -74,13 +69,13 @@ class Uncertain:
     @property
     def factors(self) -> Array:
         """What each standard uncertainty is multiplied with for an interval of 95 %, shape (k,)."""
-        return coverage_factor(self.dof)
+        u = np.where(self.u > 0.0, self.u, 1.0)
+        return np.asarray(np.where(self.u > 0.0, NORMAL_FACTOR * np.sqrt(np.diag(self.wide)) / u, NORMAL_FACTOR))
 
     @property
-    def widened(self) -> Array:
-        """The covariance of known errors that have the same 95 % intervals, shape (k, k)."""
-        wider = self.factors / NORMAL_FACTOR
-        return np.asarray(self.covariance * np.outer(wider, wider))
+    def dof(self) -> Array:
+        """Effective degrees of freedom, shape (k,): those that have the same coverage factor."""
+        return degrees_of_freedom(self.factors)
 
     @property
     def shares(self) -> dict[str, Array]:
@@ -100,7 +95,7 @@ class Uncertain:
             tuple(self.names[k] for k in some),
             self.value[some],
             self.covariance[np.ix_(some, some)],
-            self.dof[some],
+            self.wide[np.ix_(some, some)],
             {source: variance[some] for source, variance in self.sources.items()},
         )
 
@@ -114,54 +109,37 @@ class Uncertain:
 
     def beside(self, other: Uncertain) -> Uncertain:
         """Return these and other quantities, whose errors are independent of these."""
-        one, two = len(self.names), len(other.names)
-        across = np.zeros((one, two))
-        return Uncertain(
-            (*self.names, *other.names),
-            np.concatenate([self.value, other.value]),
-            np.block([[self.covariance, across], [across.T, other.covariance]]),
-            np.concatenate([self.dof, other.dof]),
+        across = np.zeros((len(self.names), len(other.names)))
+        covariance, wide = (
+            np.block([[one, across], [across.T, two]])
+            for one, two in ((self.covariance, other.covariance), (self.wide, other.wide))
         )
+        return Uncertain((*self.names, *other.names), np.concatenate([self.value, other.value]), covariance, wide)
 
     def through(
         self, jacobian: Array, names: Sequence[str], value: Array | None = None, *, source: str = ""
     ) -> Uncertain:
-        """Return quantities that follow linearly from these, near their values.
+        """Return m quantities that follow linearly from these, by derivatives of shape (m, k).
 
-        The squares of 95 % intervals add as variances do, which is wider than the sum of independent errors, ``+``.
-
-        Parameters
-        ----------
-        jacobian : ndarray, shape (m, k)
-            Derivatives of the m quantities by these.
-        value : ndarray, shape (m,), optional
-            Of the quantities; 0 where their errors alone count.
-        source : str
-            What their whole variance counts as; where it is left out, the one source of these if they have one alone.
+        ``source`` is what their whole variance counts as; without it that is the one source of these, if they have one.
         """
-        covariance = jacobian @ self.covariance @ jacobian.T
-        wide = np.einsum("ik,kl,il->i", jacobian, self.widened, jacobian)
+        covariance, wide = (jacobian @ matrix @ jacobian.T for matrix in (self.covariance, self.wide))
         source = source or (next(iter(self.sources)) if len(self.sources) == 1 else "")
-        found = Uncertain.errors(names, covariance, _dof_of(np.diag(covariance), wide), source=source)
-        return found if value is None else replace(found, value=value)
+        sources = {source: np.diag(covariance)} if source else {}
+        return Uncertain(tuple(names), np.zeros(len(covariance)) if value is None else value, covariance, wide, sources)
 
     def through_function(self, names: Sequence[str], function: Callable[[Array], Array]) -> Uncertain:
         """Return quantities by a function of these, from shape (k,) to (m,), that may have corners.
 
-        Notes
-        -----
         The function is evaluated one standard deviation to either side along each column of the covariance's Cholesky
         factor, as the unscented transform does. That is :meth:`through` where the function is linear, and stays finite
         where it has a corner, such as the angle between two directions that are nearly parallel. Principal axes turn
-        with the last digit of a covariance where two of them are equally long, and such a result with them. The
-        uncertainty is NaN where the function is NaN near the values.
+        with the last digit of a covariance where two of them are equally long, and such a result with them.
 
         Source: S. Julier and J. Uhlmann, *Unscented filtering and nonlinear estimation*, Proc. IEEE 92 (2004) 401.
         """
-        middle = function(self.value)
-        covariance = _around(function, self.value, self.covariance)
-        wide = _around(function, self.value, self.widened) if np.isfinite(self.dof).any() else covariance
-        return Uncertain(tuple(names), middle, covariance, _dof_of(np.diag(covariance), np.diag(wide)))
+        covariance, wide = (_around(function, self.value, matrix) for matrix in (self.covariance, self.wide))
+        return Uncertain(tuple(names), function(self.value), covariance, wide)
 
     def following(self, names: Sequence[str]) -> Array:
         """Return by how much the errors of all follow those of some of the quantities, shape (k, m)."""
@@ -173,13 +151,17 @@ class Uncertain:
 
     def __add__(self, other: Uncertain) -> Uncertain:
         """Return the sum of independent errors of the same quantities."""
-        covariance = self.covariance + other.covariance
-        parts = [(np.diag(one.covariance), one.dof) for one in (self, other)]
-        none = np.zeros(len(covariance))
+        none = np.zeros(len(self.names))
         every = dict.fromkeys((*self.sources, *other.sources))
         sources = {source: self.sources.get(source, none) + other.sources.get(source, none) for source in every}
-        dof = welch_satterthwaite(np.diag(covariance), parts)
-        return Uncertain(self.names, self.value + other.value, covariance, dof, sources)
+        covariance, wide = self.covariance + other.covariance, self.wide + other.wide
+        return Uncertain(self.names, self.value + other.value, covariance, wide, sources)
+
+
+def widened(covariance: Array, factors: Array) -> Array:
+    """Return the covariance of errors of known size that have the 95 % intervals of coverage factors, shape (k,)."""
+    wider = factors / NORMAL_FACTOR
+    return np.asarray(covariance * np.outer(wider, wider))
 
 
 def weighted_sum(
@@ -187,13 +169,8 @@ def weighted_sum(
 ) -> Uncertain:
     """Return a weighted sum of the errors of two sets of quantities; one that only one set has is exact in the other.
 
-    Parameters
-    ----------
-    weights : tuple of float
-        Of the two: -1 and 1 give their difference.
-    shared : collection of str
-        The quantities whose errors are one error in both. What follows from these in each set counts as common, and
-        all else as independent.
+    Weights of -1 and 1 give their difference. The errors of the ``shared`` quantities are one error in both: what
+    follows from these in each set counts as common, and all else as independent.
     """
     names = tuple(dict.fromkeys((*first.names, *second.names)))
     common = second.named([name for name in names if name in shared])
@@ -207,8 +184,9 @@ def weighted_sum(
         kept = np.array([name not in common.names for name in names])
         rest = np.where(np.outer(kept, kept), rest, 0.0) * weight**2
         np.fill_diagonal(rest, np.maximum(np.diag(rest), 0.0))
-        dof = np.array([dict(zip(one.names, one.dof.tolist(), strict=True)).get(name, np.inf) for name in names])
-        apart.append(Uncertain.errors(names, rest, dof))
+        factors = one.by_name(one.factors)
+        wide = widened(rest, np.array([factors.get(name, NORMAL_FACTOR) for name in names]))
+        apart.append(Uncertain(names, np.zeros(len(names)), rest, wide))
     return common.through(by_common, names) + apart[0] + apart[1]
 
 
@@ -218,13 +196,7 @@ def selection(names: Sequence[str], among: Sequence[str]) -> Array:
 
 
 def coverage_factor(dof: Array) -> Array:
-    """Return the coverage factors of 95 % intervals: Student's t, 1.96 where the degrees of freedom are infinite.
-
-    Parameters
-    ----------
-    dof : ndarray, shape (k,)
-        Effective degrees of freedom; below 1 they count as 1.
-    """
+    """Return coverage factors, shape (k,): Student's t, for infinite degrees of freedom 1.96; below 1 count as 1."""
     factors, estimated = np.full(dof.shape, NORMAL_FACTOR), np.isfinite(dof)
     if estimated.any():
         from scipy.special import stdtrit
@@ -243,34 +215,10 @@ def degrees_of_freedom(factors: Array) -> Array:
     return dof
 
 
-def welch_satterthwaite(variance: Array, parts: Sequence[tuple[Array, float | Array]]) -> Array:
-    """Return effective degrees of freedom of sums of variances (GUM, eq. G.2b); infinite where no part was estimated.
-
-    Parameters
-    ----------
-    variance : ndarray, shape (k,)
-        The sums.
-    parts : sequence of (ndarray of shape (k,), float or ndarray of shape (k,))
-        The parts, each with its degrees of freedom; infinite where it was not estimated.
-    """
-    weighted = np.zeros_like(variance)
-    for part, dof in parts:
-        weighted += part**2 / dof
-    # A part so small that the quotient is no number is none.
-    counts = weighted > variance**2 * np.finfo(float).tiny
-    return np.divide(variance**2, weighted, out=np.full_like(weighted, np.inf), where=counts)
-
-
 def central_differences(function: Callable[[Array], Array], at: Array, steps: Array) -> Array:
-    """Return the derivatives of a function by its parameters, from its values on both sides; shape (m, k).
+    """Return the derivatives of a function by its parameters, from its values on both sides, shape (m, k).
 
-    Parameters
-    ----------
-    function : callable
-        From the parameters, shape (k,), to values, shape (m,).
-    at : ndarray, shape (k,)
-    steps : ndarray, shape (k,)
-        How far to either side; a parameter whose step is 0 counts as certain, and its column is 0.
+    A parameter whose step, shape (k,), is 0 counts as certain, and its column is 0.
     """
     moves = np.diag(np.where(steps > 0.0, steps, 0.0))
     columns = [(function(at + move) - function(at - move)) / (2.0 * (move.sum() or 1.0)) for move in moves]
@@ -285,11 +233,6 @@ def _around(function: Callable[[Array], Array], at: Array, covariance: Array) ->
         for change in (function(at + step) - middle, function(at - step) - middle):
             found += np.outer(change, change) / 2.0
     return found
-
-
-def _dof_of(variance: Array, wide: Array) -> Array:
-    """Return the degrees of freedom of variances, from those that known errors of the same intervals have."""
-    return degrees_of_freedom(NORMAL_FACTOR * np.sqrt(wide / np.where(variance > 0.0, variance, np.inf)))
 
 
 def _independent_steps(covariance: Array) -> Iterator[Array]:

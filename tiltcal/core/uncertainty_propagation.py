@@ -10,8 +10,8 @@ A component that is not measured follows the two that are; see :mod:`tiltcal.cor
 the angles it is a gradient again, except at an edge: at ±90° of a tilt the interval of the argument is taken through
 the arcsine, and where an angle of three axes comes from a length near zero, an error across it counts too.
 
-A file has one coverage factor: the largest, by the effective degrees of freedom (GUM, eq. G.2b), that a component of
-gravity has in 18 attitudes within the calibrated range and at its temperatures; for means that without noise.
+An interval of 95 % is propagated like a standard uncertainty, from the covariance of known errors that have the 95 %
+intervals of the coefficients: few degrees of freedom widen what they are of, and nothing else.
 """
 
 from __future__ import annotations
@@ -30,13 +30,11 @@ from tiltcal.core.mounting_angles import UNKNOWN_ANGLE
 from tiltcal.core.tilt_angles import DIRECTIONS
 from tiltcal.core.uncertain import (
     ALIGNMENT,
+    NEGLIGIBLE,
     NORMAL_FACTOR,
     READING,
     TURN,
     Uncertain,
-    coverage_factor,
-    degrees_of_freedom,
-    welch_satterthwaite,
 )
 from tiltcal.core.uncertainty_columns import round_up
 from tiltcal.errors import EstimateError
@@ -47,7 +45,6 @@ HALF_TURN = pi
 CIRCLE = 1.2489
 """Radius of the circle that holds 95 % of the errors in two directions, over the half width that holds them in one."""
 
-_ATTITUDES = np.array([v for v in np.ndindex(3, 3, 3) if 1 <= np.count_nonzero(np.array(v) - 1) <= 2]).T - 1.0
 _EXACT = 1e-9  # part of a square below which its error changes nothing else
 _DEGREES = 180.0 / pi
 _ROWS = 4096  # of a step: its derivatives stay in the cache
@@ -75,11 +72,10 @@ class UpGradient:
 
 @dataclass(frozen=True)
 class _Errors:
-    """Some rows with the covariance of their signals, behind them of the turns, by pair; and the coverage factor."""
+    """Some rows with the covariance of their signals, behind them of the turns, by pair."""
 
     chunk: KernelChunk
     covariances: dict[tuple[int, int], Array]
-    factor: float
 
 
 class Propagation:
@@ -110,8 +106,9 @@ class Propagation:
         known = known.named([name for names in parts for name in names])
         ends = np.cumsum([0, *(len(names) for names in parts)])
         self._parts = [slice(start, end) for start, end in pairwise(ends)]
-        self._covariance = known.covariance
-        self._single, self._of_means = (self._largest_factor(known.widened, share) for share in (1.0, 0.0))
+        self._covariances = [known.wide]
+        if np.any(np.abs(known.factors / NORMAL_FACTOR - 1.0) > NEGLIGIBLE):
+            self._covariances.append(known.covariance)
 
     def __call__(self, chunk: KernelChunk, out: Array | None = None, *, rounded: bool = True) -> Array:
         """Return standard and expanded uncertainty of every angle, rounded up or not, shape (2, angles, n), degrees."""
@@ -119,7 +116,12 @@ class Propagation:
         room = np.empty((2, self._angles, count)) if out is None else out
         for start in range(0, count, _ROWS):
             rows = slice(start, start + _ROWS)
-            self._fill(self._errors(chunk.part(rows)), room[:, :, rows])
+            kinds = self._errors(chunk.part(rows))
+            self._fill(kinds[0], room[1, :, rows])
+            if len(kinds) > 1:
+                self._fill(kinds[1], room[0, :, rows])
+            room[0, :, rows] = np.minimum(room[-len(kinds), :, rows] / NORMAL_FACTOR, UNKNOWN_ANGLE)
+            np.minimum(room[1, :, rows], HALF_TURN, out=room[1, :, rows])
             if rounded:
                 round_up(room[:, :, rows], _DEGREES)
             else:
@@ -131,22 +133,24 @@ class Propagation:
 
     def length_half_width(self, chunk: KernelChunk) -> Array:
         """Return half of the 95 % interval of the length of gravity of three axes, shape (n,), g."""
-        return self._half(self._errors(chunk), chunk.own / np.sqrt(np.sum(chunk.own**2, axis=0)))
+        return self._half(self._errors(chunk)[0], chunk.own / np.sqrt(np.sum(chunk.own**2, axis=0)))
 
-    def half_widths(self, chunk: KernelChunk, gradients: Sequence[UpGradient]) -> tuple[Array, Array]:
-        """Return half of the 95 % interval of quantities that follow from up, in their units, and the coverage factors.
+    def half_widths(self, chunk: KernelChunk, gradients: Sequence[UpGradient]) -> Array:
+        """Return of quantities that follow from up 1.96 standard uncertainties, and half of the 95 % interval.
 
-        Both have the shape (quantities, n).
+        In their units, shape (2, quantities, n).
         """
-        halves, factors = np.ones((2, len(gradients), len(chunk.out.flag)))
-        for start in range(0, halves.shape[1], _ROWS):
+        halves = np.empty((2, len(gradients), len(chunk.out.flag)))
+        for start in range(0, halves.shape[2], _ROWS):
             rows = slice(start, start + _ROWS)
-            errors = self._errors(chunk.part(rows))
+            kinds = self._errors(chunk.part(rows))
             for row, gradient in enumerate(gradients):
-                by_own = self._by_measured(errors, gradient.by_up[:, rows])
-                factors[row, rows] = errors.factor
-                halves[row, rows] = self._half(errors, by_own, gradient.by_turn[:, rows], gradient.variance[rows])
-        return halves, factors
+                for kind in (0, -1):
+                    by_own = self._by_measured(kinds[kind], gradient.by_up[:, rows])
+                    halves[kind + 1, row, rows] = self._half(
+                        kinds[kind], by_own, gradient.by_turn[:, rows], gradient.variance[rows]
+                    )
+        return halves
 
     # ------------------------------------------------------------------------------------------ errors of the signals
 
@@ -162,44 +166,13 @@ class Propagation:
         rows += [np.ones((1, len(dt)))] * (3 * self._rotated)
         return rows, np.array(by_reading), np.array(by_temperature)
 
-    def _covariances(self, rows: list[Array], covariance: Array) -> dict[tuple[int, int], Array]:
+    def _pairs(self, rows: list[Array], covariance: Array) -> dict[tuple[int, int], Array]:
         found = {}
         for b, second in enumerate(self._parts):
             weighted = covariance[: second.stop, second] @ rows[b]
             for a, first in enumerate(self._parts[: b + 1]):
                 found[a, b] = np.einsum("kn,kn->n", rows[a], weighted[first])
         return found
-
-    def _largest_factor(self, widened: Array, share: float) -> float:
-        """Return the largest coverage factor of a signal, from the covariance widened by that of each input."""
-        reference = 0.0 if self._thermal is None else self._thermal.reference
-        ends = np.array([reference, *(self._compensation.temperatures or ())]) - reference
-        gravity = _ATTITUDES / np.linalg.norm(_ATTITUDES, axis=0)
-        axes = self._compensation.axes
-        for axis, (low, high) in self._compensation.reach.items():
-            row = gravity[AXES.index(axes[axis])]
-            np.clip(row, low, high, out=row)
-        if axes == ("x", "y"):
-            gravity[2] = np.copysign(
-                np.sqrt(np.maximum(1.0 - gravity[0] ** 2 - gravity[1] ** 2, 0.0)), self._rotation[2, 2]
-            )
-        gravity = np.tile(gravity, len(ends))
-        rows, by_reading, by_temperature = self._derivatives(gravity, np.repeat(ends, len(gravity[0]) // len(ends)))
-        usual, wide = self._covariances(rows, self._covariance), self._covariances(rows, widened)
-        stated = self._stated(by_reading, by_temperature, share)
-        largest = NORMAL_FACTOR
-        inverse = self._compensation.inverse
-        for axis in range(len(inverse)):
-            turn = np.cross(self._rotation @ gravity, np.eye(3)[axis][:, None], axis=0)
-            by_signal = self._rotation[axis, : len(inverse)] @ inverse
-            gradient = [*np.repeat(by_signal[:, None], gravity.shape[1], axis=1), *turn][: len(rows)]
-            estimated = _form(gradient, usual)
-            uncertain = estimated > 0.0
-            known, estimated = _form(gradient, stated)[uncertain], estimated[uncertain]
-            dof = degrees_of_freedom(NORMAL_FACTOR * np.sqrt(_form(gradient, wide)[uncertain] / estimated))
-            factors = coverage_factor(welch_satterthwaite(estimated + known, [(estimated, dof)]))
-            largest = max(largest, float(np.max(factors, initial=0.0)))
-        return largest
 
     def _stated(self, by_reading: Array, by_temperature: Array, share: Array | float) -> dict[tuple[int, int], Array]:
         """Return the covariances of the signals by the noise of readings and the thermometer."""
@@ -211,15 +184,15 @@ class Propagation:
                     stated[a, b] = stated.get((a, b), 0.0) + warm
         return stated
 
-    def _errors(self, chunk: KernelChunk) -> _Errors:
-        """Return the covariance of the signals and turns of some rows."""
+    def _errors(self, chunk: KernelChunk) -> list[_Errors]:
+        """Return the covariance of the signals and turns of some rows: widened, and where that differs as it is."""
         dt = np.zeros(len(chunk.out.flag)) if chunk.dt is None else chunk.dt
         rows, by_reading, by_temperature = self._derivatives(self._compensation.sensed(chunk), dt)
-        covariances = self._covariances(rows, self._covariance)
-        for pair, stated in self._stated(by_reading, by_temperature, chunk.share).items():
-            covariances[pair] = covariances.get(pair, 0.0) + stated
-        single = isinstance(chunk.share, float) and chunk.share == 1.0
-        return _Errors(chunk, covariances, self._single if single else self._of_means)
+        stated, kinds = self._stated(by_reading, by_temperature, chunk.share), []
+        for covariance in self._covariances:
+            pairs = self._pairs(rows, covariance)
+            kinds.append(_Errors(chunk, {**stated, **{p: found + stated.get(p, 0.0) for p, found in pairs.items()}}))
+        return kinds
 
     # ------------------------------------------------------------------------------------ from errors to quantities
 
@@ -234,7 +207,7 @@ class Propagation:
         self, errors: _Errors, by_measured: Array, by_turn: Array | None = None, more: Array | float = 0.0
     ) -> Array:
         """Return the half width of the 95 % interval of a quantity."""
-        return np.asarray(errors.factor * np.sqrt(self._variance(errors, by_measured, by_turn, more)))
+        return np.asarray(NORMAL_FACTOR * np.sqrt(self._variance(errors, by_measured, by_turn, more)))
 
     def _by_measured(self, errors: _Errors, by_up: Array) -> Array:
         """Return a gradient by the components that are measured from one by up, shape (axes, n)."""
@@ -286,8 +259,7 @@ class Propagation:
                 row = self._rotation[axis]
                 by_own = row[:2, None] + (row[:2] @ self._coupling - row[2]) / slope * chunk.own
             by_turn = self._by_turn(self._compensation.up(chunk), np.eye(3)[axis][:, None]) if self._rotated else None
-            _through_arcsine(argument, self._variance(errors, by_own, by_turn), errors.factor, room[1, axis])
-            np.divide(room[1, axis], errors.factor, out=room[0, axis])
+            _through_arcsine(argument, self._variance(errors, by_own, by_turn), room[axis])
 
     def _angles_of_three(self, errors: _Errors, room: Array) -> None:
         """Fill in the angles of three axes: arctangents of one component and the length of the two others."""
@@ -306,7 +278,7 @@ class Propagation:
             gradient[first], gradient[second] = -sine, cosine
             across = half_along(gradient)
             if alone == 0:
-                _within_a_turn(across / length, errors.factor, room[:, 3 + DIRECTIONS.index("roll")])
+                np.divide(across, length, out=room[3 + DIRECTIONS.index("roll")])
             size = length * length + gravity[alone] * gravity[alone]
             share = gravity[alone] / -size
             gradient[alone], gradient[first], gradient[second] = length / size, share * cosine, share * sine
@@ -317,14 +289,8 @@ class Propagation:
             from_edge = length / np.abs(gravity[alone])
             within = from_edge <= CIRCLE * np.maximum(half, across / np.sqrt(size))
             np.copyto(width, np.maximum(width, from_edge), where=within)
-            _within_a_turn(width, errors.factor, room[:, alone])
-        room[:, 3 + DIRECTIONS.index("pitch")], room[:, 3 + DIRECTIONS.index("inclination")] = room[:, 0], room[:, 2]
-
-
-def _within_a_turn(half: Array, factor: float, room: Array) -> None:
-    """Fill in the standard and the expanded uncertainty of an angle from half of its interval, radians."""
-    np.minimum(half, HALF_TURN, out=room[1])
-    np.minimum(half / factor, UNKNOWN_ANGLE, out=room[0])
+            room[alone] = width
+        room[3 + DIRECTIONS.index("pitch")], room[3 + DIRECTIONS.index("inclination")] = room[0], room[2]
 
 
 def _form(gradient: Sequence[Array], covariances: dict[tuple[int, int], Array]) -> Array:
@@ -349,18 +315,18 @@ def _length(a: Array, b: Array) -> Array:
     return np.asarray(np.sqrt(a * a + b * b))
 
 
-def _through_arcsine(argument: Array, variance: Array, factor: float, width: Array) -> None:
+def _through_arcsine(argument: Array, variance: Array, width: Array) -> None:
     """Compute half the interval of an arcsine, radians, from its argument's variance; NaN where that is beyond ±1."""
     room = argument * argument
     np.subtract(1.0, room, out=room)
-    half = factor * sqrt(np.max(variance))
+    half = NORMAL_FACTOR * sqrt(np.max(variance))
     all_straight = bool(half <= _CURVED * np.min(room))  # not with a NaN among them
     np.divide(variance, room if all_straight else np.maximum(room, 1e-300), out=width)
     np.sqrt(width, out=width)
-    width *= factor
+    width *= NORMAL_FACTOR
     if all_straight:
         return
-    halves = factor * np.sqrt(variance)
+    halves = NORMAL_FACTOR * np.sqrt(variance)
     curved = np.flatnonzero(halves * np.abs(argument) > _CURVED * room)
     near, reach = argument[curved], halves[curved]
     middle, low, high = (np.arcsin(np.clip(near + side * reach, -1.0, 1.0)) for side in (0.0, -1.0, 1.0))

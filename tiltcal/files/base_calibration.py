@@ -10,10 +10,11 @@ from typing import Annotated
 
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, tilt_record
-from tiltcal.files.document import parse_document, read_text
+from tiltcal.files.document import parse_document
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.record import Record, Text, about
 from tiltcal.files.results import FileRecord
+from tiltcal.files.yaml_text import read_text
 from tiltcal.stated_arguments import require_path
 
 

@@ -29,11 +29,7 @@ class BenchSensor(Record):
     axes: Annotated[
         tuple[SignedAxis, ...],
         Meta(min_length=2, max_length=3),
-        about(
-            "which axis of the fixture each sensor axis points along, such as `[-y, x]` or three of them; a third one "
-            "that is left out completes a right-handed frame",
-            usual="`[x, y, z]`",
-        ),
+        about("the fixture's axis along each sensor axis, such as `[-y, x]` or three of them", usual="`[x, y, z]`"),
     ] = STRAIGHT.names
 
     @property
@@ -56,19 +52,9 @@ class BenchFile(Record):
     sensors: Annotated[tuple[BenchSensor, ...], Meta(min_length=1), about("a list, at least one")]
     thermometer: Annotated[BenchThermometer | None, about("the thermometer beside the sensors")] = None
     operator: Annotated[Text | None, about("the name of who stands there, for the files")] = None
-    jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees; `--jig` takes its place")] = (
-        None
-    )
-    table: Annotated[
-        FromZero | None,
-        about(
-            "standard uncertainty of the table's lean, which all positions share, degrees; `--table-lean` takes its "
-            "place"
-        ),
-    ] = None
-    heading: Annotated[
-        FromZero | None, about("standard uncertainty of a heading, degrees; `--heading-uncertainty` takes its place")
-    ] = None
+    jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees; or `--jig`")] = None
+    table: Annotated[FromZero | None, about("of the table's lean in all positions, degrees; or `--table-lean`")] = None
+    heading: Annotated[FromZero | None, about("of a heading, degrees; or `--heading-uncertainty`")] = None
 
 
 def bench_of(document: Document) -> BenchFile:

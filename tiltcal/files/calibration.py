@@ -19,7 +19,6 @@ from tiltcal.core.named_coefficients import values
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import CoefficientsSection, coefficients_of, coefficients_section, in_degrees
 from tiltcal.files.document import Document, read_document
-from tiltcal.files.emitter import yaml_text
 from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import (
@@ -28,6 +27,7 @@ from tiltcal.files.uncertainty import (
     uncertainty_of,
     uncertainty_section,
 )
+from tiltcal.files.yaml_text import yaml_text
 
 UNKNOWN_MODEL = "recorded"
 """The model in a file of `fit`, where the user named none."""
@@ -114,8 +114,8 @@ def tilt_record(document: Document) -> CalibrationRecord:
     channels = file.sensor.channels
     if not channels or len(set(channels)) < len(channels):
         raise document.error("channels are one to three different ones of x, y, z", "sensor", "channels")
-    coefficients = coefficients_of(file.calibration, document.child("calibration"), channels)
-    uncertainty = uncertainty_of(file.uncertainty, document.child("uncertainty"), coefficients)
+    coefficients = coefficients_of(file.calibration, document.at("calibration"), channels)
+    uncertainty = uncertainty_of(file.uncertainty, document.at("uncertainty"), coefficients)
     for key in ("budget", "priors"):
         document.require_keys(getattr(file.fit, key), list(values(coefficients)), "fit", key)
     for number, leg in enumerate(file.fit.ramp.legs if file.fit.ramp else ()):
@@ -129,7 +129,7 @@ def tilt_record(document: Document) -> CalibrationRecord:
         sensor=file.sensor,
         coefficients=coefficients,
         uncertainty=uncertainty,
-        limits=_limits_of(file.limits, document.child("limits"), coefficients),
+        limits=_limits_of(file.limits, document.at("limits"), coefficients),
         **{name: getattr(file, name) for name in ("derived", "fit", "procedure", "positions", "provenance")},
     )
 

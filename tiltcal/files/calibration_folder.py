@@ -19,8 +19,9 @@ from typing import NamedTuple
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, tilt_record
-from tiltcal.files.document import SIZE_LIMIT, read_document
+from tiltcal.files.document import read_document
 from tiltcal.files.moments import moment
+from tiltcal.files.yaml_text import SIZE_LIMIT
 
 SUFFIXES = (".yaml", ".yml")
 

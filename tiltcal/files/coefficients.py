@@ -42,9 +42,7 @@ class ThermalSection(Record, kw_only=True):
     range: Annotated[Range | None, about("`[low, high]`, the temperatures that were measured, °C")] = None
     offset: Annotated[Polynomials, about("per channel the coefficients of dT, dT², …, unit/°C, unit/°C², …")] = {}
     sensitivity: Annotated[Polynomials, about("per channel the coefficients of dT, dT², …, 1/°C, 1/°C², …")] = {}
-    lag: Annotated[
-        Finite, about("by how much the sensing element is later than the thermometer, s; negative where it is earlier")
-    ] = 0.0
+    lag: Annotated[Finite, about("of the sensing element behind the thermometer, s; negative if ahead")] = 0.0
 
 
 class MountingSection(Record, kw_only=True):
@@ -63,17 +61,10 @@ class CoefficientsSection(Record, kw_only=True):
     offset: Annotated[ByAxis[Finite], about("per channel, unit, at the reference temperature")]
     sensitivity: Annotated[
         ByAxis[ByAxis[Finite]],
-        about(
-            "row = channel, column = axis, unit/g; as many columns as channels, or x, y, z for two channels; a "
-            "singular matrix is an error"
-        ),
+        about("row = channel, column = axis, unit/g; as many columns as channels, or x, y, z for two; not singular"),
     ]
     nonlinearity: Annotated[
-        Polynomials | None,
-        about(
-            "per channel one or two numbers n₂, n₃: a channel whose straight part would be S_ii a reads "
-            "S_ii (a + n₂a² + n₃a³)"
-        ),
+        Polynomials | None, about("per channel n₂ or n₂, n₃: it reads S_ii (a + n₂a² + n₃a³) in place of S_ii a")
     ] = None
     temperature: Annotated[ThermalSection | None, about("absent where it was not measured")] = None
     mounting: Annotated[MountingSection | None, about("how the sensor sits in its application")] = None

@@ -1,49 +1,39 @@
-"""YAML 1.2 with locations: a document is plain data whose scalars stay text, and the line of every value.
+"""A document: plain data whose scalars stay text, the line of every value, and the records that it is read as.
 
-PyYAML alone reads ``1e-8`` as text, ``0042`` as 34, ``12:30`` as 750 and the second of two equal keys in silence. Here
-its parser gives only the events; the type of a record decides what a scalar means. Anchors, aliases and tags are
-refused: no file of ours needs them, and a bomb is made of them.
-
-msgspec converts a sound document at once. Where it refuses one, the data are taken part by part, which finds the
-place, also in a mapping with free keys, and converts what YAML allows and msgspec does not: numbers such as ``.5`` or
-``0x1d``, keys by their former names, and optional keys that hold nothing.
+The type of a record decides what a scalar means. msgspec converts a sound document at once. Where it refuses one, the
+data are taken part by part, which finds the place, also in a mapping with free keys, and converts what YAML allows and
+msgspec does not: numbers such as ``.5`` or ``0x1d``, keys by their former names, and optional keys that hold nothing.
 """
 
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from itertools import takewhile
-from math import isfinite
+from difflib import get_close_matches
+from math import inf, isfinite
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from unicodedata import normalize
 
 import msgspec
-import yaml
 
 from tiltcal.errors import InputError, TiltcalError
 from tiltcal.files.moments import moment
 from tiltcal.files.record import FORMAT_VERSION, KINDS
-from tiltcal.files.refusal import FLOAT, NOT_FINITE, WHOLE, Quoted, beyond, numeral, refusal, unknown
-from tiltcal.stated_arguments import require_path, require_printable
+from tiltcal.files.yaml_text import DEPTH_LIMIT, Place, dotted, parse, read_text
+from tiltcal.stated_arguments import LEAST, require_printable
 
 T = TypeVar("T")
-Alternative = tuple[Any, tuple[msgspec.Meta, ...]]
-"""A type without its annotations, and these."""
-Place = tuple[str | int, ...]
 
-SIZE_LIMIT = 4_000_000
-"""Bytes; the largest calibration file seen is a hundredth of it."""
-NODE_LIMIT = 200_000
-DEPTH_LIMIT = 32
-
-CONTROL_OR_NO_TEXT = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
-_NULL = re.compile(r"null|Null|NULL|~|")
-_TRUTH = {word: word.lower() == "true" for word in ("true", "True", "TRUE", "false", "False", "FALSE")}
-_OTHER_THAN_TEXT = re.compile("|".join([_NULL.pattern, *_TRUTH, WHOLE.pattern, FLOAT.pattern, NOT_FINITE.pattern]))
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_WHOLE = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_DIGIT_LIMIT = 200
+_NEEDED = {float: "a number", int: "a whole number", bool: "true or false", list: "a list", dict: "a mapping"}
 
 
 @dataclass(frozen=True)
@@ -59,21 +49,26 @@ class Document:
     place: Place = ()
 
     def at(self, *place: str | int) -> Document:
-        """Return a part of the document."""
+        """Return a part of the document; its data are None where it is absent."""
         data = self.data
         for step in place:
-            data = data[step]
+            with suppress(LookupError, TypeError):
+                data = data[step]
+                continue
+            data = None
         return Document(data, self.lines, self.file, (*self.place, *place))
-
-    def child(self, *place: str | int) -> Document:
-        """Return a part for its location alone."""
-        return Document(None, self.lines, self.file, (*self.place, *place))
 
     def items(self) -> list[Document]:
         """Return the members of a list; an InputError where it is none."""
         if not isinstance(self.data, list):
-            raise self.error(refusal(self.data, list))
+            raise self.error(_refusal(self.data, list))
         return [self.at(number) for number in range(len(self.data))]
+
+    def members(self) -> dict[str, Any]:
+        """Return the data of a mapping; an InputError where it is none."""
+        if not isinstance(self.data, dict):
+            raise self.error(_refusal(self.data, dict))
+        return self.data
 
     @property
     def line(self) -> int | None:
@@ -81,28 +76,10 @@ class Document:
         around = (self.place[:k] for k in range(len(self.place), -1, -1))
         return next((self.lines[place] for place in around if place in self.lines), None)
 
-    @property
-    def key(self) -> str | None:
-        """The dotted path of the part; None of a whole document."""
-        steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in self.place)
-        return "".join(steps).removeprefix(".") or None
-
-    def members(self) -> dict[str, Any]:
-        """Return the data of a mapping; an InputError where it is none."""
-        if not isinstance(self.data, dict):
-            raise self.error(refusal(self.data, dict))
-        return self.data
-
-    @property
-    def kind(self) -> str | None:
-        """The kind that a whole file states; an InputError where it is no mapping."""
-        kind = self.members().get("kind")
-        return str(kind) if isinstance(kind, str) else None
-
     def error(self, message: str, *place: str | int) -> InputError:
         """Return an error with file, line and key of a place in it, to be raised."""
-        part = self.child(*place)
-        return InputError(message, file=part.file, line=part.line, key=part.key)
+        part = self.at(*place)
+        return InputError(message, file=part.file, line=part.line, key=dotted(part.place))
 
     @contextmanager
     def locating(self, *place: str | int) -> Iterator[None]:
@@ -118,10 +95,16 @@ class Document:
         """Refuse names of keys of a place that are not known and, where they are complete, one that is missing."""
         for name in names:
             if name not in known:
-                raise self.error(unknown(name, known), *place, name)
+                listed = ", ".join(known) or "none"
+                raise self.error(f"unknown key {name!r}{_hint(name, known)}; known here: {listed}", *place, name)
         missing = [name for name in known if name not in names] if complete else []
         if missing:
             raise self.error(f"the key {missing[0]!r} is missing; it is required here", *place)
+
+    def require_known(self, word: str, words: Collection[str], *place: str | int) -> None:
+        """Refuse a word at a place that is none of these."""
+        if word not in words:
+            raise self.error(_refusal(word, words), *place)
 
     def require_order(self, interval: tuple[float, float] | None, *place: str | int) -> None:
         """Refuse a range ``[low, high]`` at a place that is the wrong way round."""
@@ -138,10 +121,15 @@ class Document:
 
     def read(self, record: type[T]) -> T:
         """Return the document as a record; an InputError names file, line and key of what is wrong."""
-        if not self._has_quoted_values(self.data, self.place):
-            with suppress(msgspec.ValidationError):
-                return msgspec.convert(self.data, record, strict=False)
+        with suppress(msgspec.ValidationError):
+            return msgspec.convert(self.data, record, strict=False)
         return msgspec.convert(_repaired(self, record), record, strict=False)
+
+    @property
+    def kind(self) -> str | None:
+        """The kind that a whole file states; an InputError where it is no mapping."""
+        kind = self.members().get("kind")
+        return kind if isinstance(kind, str) else None
 
     def body(self, kind: str) -> Document:
         """Return a file without the keys ``tiltcal`` and ``kind``, which are checked."""
@@ -151,42 +139,14 @@ class Document:
                 raise self.error(f"the key {name!r} is missing; {KINDS[kind]} has 'tiltcal: 1' and 'kind: {kind}'")
         version = self.data["tiltcal"]
         if version not in (FORMAT_VERSION, str(FORMAT_VERSION)):
-            if numeral(version, int) is None:
-                raise self.error(refusal(version, int), "tiltcal")
+            if _numeral(version, int) is None:
+                raise self.error(_refusal(version, int), "tiltcal")
             raise self.error(f"format version {version} is not known; this program reads {FORMAT_VERSION}", "tiltcal")
         if stated not in KINDS:
-            raise self.error(refusal(self.data["kind"], KINDS), "kind")
+            raise self.error(_refusal(self.data["kind"], KINDS), "kind")
         if stated != kind:
             raise self.error(f"this file is {KINDS[stated]}; {KINDS[kind]} is needed here (kind: {kind})", "kind")
-        data = {name: value for name, value in self.data.items() if name not in ("tiltcal", "kind")}
-        return Document(data, self.lines, self.file, self.place)
-
-    def plain(self) -> Any:
-        """Return the document as plain data, by the core schema of YAML 1.2; an InputError where it has NaN."""
-        data = self.data
-        if isinstance(data, dict):
-            return {name: self.at(name).plain() for name in data}
-        if isinstance(data, list):
-            return [item.plain() for item in self.items()]
-        if not isinstance(data, str) or isinstance(data, Quoted):
-            return str(data) if isinstance(data, Quoted) else data
-        number = numeral(data, int if WHOLE.fullmatch(data) else float)
-        if NOT_FINITE.fullmatch(data) or (number is not None and not isfinite(number)):
-            raise self.error(f"{data[:40]} is no finite number")
-        return _TRUTH.get(data, data) if number is None else number
-
-    def _has_quoted_values(self, data: Any, place: Place) -> bool:
-        """Return whether a text in quotes looks like a number or a truth; refuse control characters."""
-        if isinstance(data, str):
-            if CONTROL_OR_NO_TEXT.search(data):
-                part = Document(data, self.lines, self.file, place)
-                require_printable(data, part.key, part.file, part.line)
-            return isinstance(data, Quoted) and _OTHER_THAN_TEXT.fullmatch(data.lower()) is not None
-        if isinstance(data, dict | list):
-            members = data.items() if isinstance(data, dict) else enumerate(data)
-            # Every member is looked at.
-            return sum(self._has_quoted_values(member, (*place, step)) for step, member in members) > 0
-        return False
+        return replace(self, data={name: self.data[name] for name in self.data if name not in ("tiltcal", "kind")})
 
 
 def read_document(path: str | Path) -> Document:
@@ -194,126 +154,9 @@ def read_document(path: str | Path) -> Document:
     return parse_document(read_text(path), file=str(path))
 
 
-def read_text(path: str | Path) -> str:
-    """Return the text of a file of at most ``SIZE_LIMIT`` bytes of UTF-8; an InputError where it cannot be read."""
-    require_path("a file", path)
-    try:
-        with open(path, "rb") as stream:
-            size = Path(path).stat().st_size
-            # A pipe or device has no size of its own, so what is read is bounded too.
-            data = b"" if size > SIZE_LIMIT else stream.read(SIZE_LIMIT + 1)
-    except FileNotFoundError:
-        raise InputError("no such file", file=path) from None
-    except IsADirectoryError:
-        raise InputError("this is a folder; name a file in it", file=path) from None
-    except (OSError, ValueError) as failure:
-        raise InputError(f"cannot be read: {getattr(failure, 'strerror', None) or failure}", file=path) from None
-    if size > SIZE_LIMIT or len(data) > SIZE_LIMIT:
-        found = f"{size:,} bytes" if size > SIZE_LIMIT else "more bytes than that"
-        raise InputError(f"the file is too large: at most {SIZE_LIMIT:,} bytes are read, found {found}", file=path)
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as failure:
-        line = data.count(b"\n", 0, failure.start) + 1
-        byte = data[failure.start]
-        raise InputError(f"not UTF-8 (byte 0x{byte:02x}); save the file as UTF-8", file=path, line=line) from None
-
-
 def parse_document(text: str, file: str | None = None, language: str = "YAML") -> Document:
     """Parse one YAML document, or JSON, which is YAML; an InputError names ``file`` and line of what is refused."""
-    return _Composer(file, language).compose(str(text))
-
-
-class _Composer:
-    """Builds the data from the parser's events; how deep and how many they are is limited."""
-
-    def __init__(self, file: str | None, language: str) -> None:
-        self._file = file
-        self._language = language
-        self._lines: dict[Place, int] = {}
-        self._count = 0
-
-    def compose(self, text: str) -> Document:
-        roots: list[Any] = []
-        try:
-            # The C library, where PyYAML was built with it.
-            events = yaml.parse(text, Loader=getattr(yaml, "CBaseLoader", yaml.BaseLoader))
-            for event in events:
-                if isinstance(event, yaml.DocumentStartEvent) and roots:
-                    raise self._error("a second document begins; keep one document per file", _line(event))
-                if isinstance(event, yaml.NodeEvent):
-                    roots.append(self._value(event, events, ()))
-        except yaml.MarkedYAMLError as failure:
-            mark = failure.problem_mark or failure.context_mark
-            problem = failure.problem or failure.context or "the parser gives no reason"
-            # What is missing at the end is reported for the last line, not for the one after it.
-            line = None if mark is None else min(mark.line + 1, len(text.splitlines()))
-            raise self._error(f"not {self._language}: {problem}", line) from None
-        except yaml.reader.ReaderError as failure:
-            line = text.encode().count(b"\n", 0, failure.position) + 1
-            raise self._error(f"not {self._language}: {failure.reason}", line) from None
-        except (yaml.YAMLError, UnicodeError) as failure:
-            raise self._error(f"not {self._language}: {failure}", None) from None
-        if not roots:
-            raise self._error("the file is empty", None)
-        return Document(roots[0], self._lines, self._file)
-
-    def _value(self, event: yaml.Event, events: Iterator[yaml.Event], place: Place) -> Any:
-        """Return the value that begins with an event, and take the events up to its end."""
-        line = self._checked(event)
-        self._lines.setdefault(place, line)
-        if isinstance(event, yaml.ScalarEvent):
-            return None if not event.style and _NULL.fullmatch(event.value) else _text(event)
-        if len(place) >= DEPTH_LIMIT:
-            raise self._error(f"nested deeper than {DEPTH_LIMIT}", line)
-        parts = takewhile(lambda part: not isinstance(part, yaml.CollectionEndEvent), events)
-        if isinstance(event, yaml.SequenceStartEvent):
-            return [self._value(part, events, (*place, number)) for number, part in enumerate(parts)]
-        data: dict[str, Any] = {}
-        for part in parts:
-            name = self._key(part, data, place)
-            data[name] = self._value(next(events), events, (*place, name))
-        return data
-
-    def _key(self, event: yaml.Event, members: Mapping[str, Any], parent: Place) -> str:
-        line = self._checked(event)
-        if not isinstance(event, yaml.ScalarEvent):
-            raise self._error("a key is a list or a mapping; keys are text", line, parent)
-        text = str(event.value)
-        place = (*parent, text)
-        require_printable(text, Document(None, {}, place=parent).key, self._file, line)
-        if not event.style and _OTHER_THAN_TEXT.fullmatch(text):
-            raise self._error(f"the key {text or 'null'} is not text; put it in quotes", line, parent)
-        if text in members:
-            first = self._lines[place]
-            raise self._error(f"the key {text!r} is given twice, on lines {first} and {line}", line, place)
-        self._lines[place] = line
-        return text
-
-    def _checked(self, event: Any) -> int:
-        """Return the line of a value or a key; anchors, aliases, tags and bombs are refused."""
-        line = _line(event)
-        if isinstance(event, yaml.AliasEvent):
-            raise self._error(f"the alias *{event.anchor} is not allowed; write the value out", line)
-        if event.anchor is not None:
-            raise self._error(f"the anchor &{event.anchor} is not allowed; write the value out", line)
-        if event.tag is not None:
-            raise self._error(f"the tag {event.tag} is not allowed; write the value alone", line)
-        self._count += 1
-        if self._count > NODE_LIMIT:
-            raise self._error(f"more than {NODE_LIMIT:,} values in one file", line)
-        return line
-
-    def _error(self, message: str, line: int | None, place: Place = ()) -> InputError:
-        return InputError(message, file=self._file, line=line, key=Document(None, {}, place=place).key)
-
-
-def _line(event: yaml.Event) -> int:
-    return 1 if event.start_mark is None else int(event.start_mark.line) + 1
-
-
-def _text(event: yaml.ScalarEvent) -> str:
-    return Quoted(event.value) if event.style else str(event.value)
+    return Document(*parse(text, file, language), file)
 
 
 def document_of(data: Any, file: str | None = None, line: int | None = None) -> Document:
@@ -326,20 +169,26 @@ def document_of(data: Any, file: str | None = None, line: int | None = None) -> 
 
 
 def _taken(data: Any, part: Document) -> Any:
-    """Return plain data as those of a document: texts of a program are in quotes."""
+    """Return plain data as those of a document."""
     if len(part.place) > DEPTH_LIMIT:
         raise part.error(f"nested deeper than {DEPTH_LIMIT}")
     if isinstance(data, Mapping):
         for name in data:
-            require_printable(str(name), part.key, part.file, part.line)
-        return {str(name): _taken(value, part.child(str(name))) for name, value in data.items()}
+            require_printable(str(name), dotted(part.place), part.file, part.line)
+        return {str(name): _taken(value, part.at(str(name))) for name, value in data.items()}
     if isinstance(data, list | tuple):
-        return [_taken(value, part.child(number)) for number, value in enumerate(data)]
+        return [_taken(value, part.at(number)) for number, value in enumerate(data)]
     if isinstance(data, str):
-        return Quoted(data)
-    if data is None or isinstance(data, bool | int | float):
-        return data
-    raise part.error(f"a number or a text is needed, not a {type(data).__name__}")
+        require_printable(data, dotted(part.place), part.file, part.line)
+    elif data is not None and not isinstance(data, bool | int | float):
+        raise part.error(f"a number or a text is needed, not a {type(data).__name__}")
+    return data
+
+
+# ------------------------------------------------------------------------------------- what msgspec refuses at first
+
+Alternative = tuple[Any, tuple[msgspec.Meta, ...]]
+"""A type without its annotations, and these."""
 
 
 def _repaired(part: Document, kind: Any) -> Any:
@@ -350,7 +199,7 @@ def _repaired(part: Document, kind: Any) -> Any:
     if base is Any:
         return value
     if _shape(base) != shape:
-        raise part.error(refusal(value, _shape(base) or base))
+        raise part.error(_refusal(value, _shape(base) or base))
     if shape is dict:
         return _mapping(part, base)
     if shape is list:
@@ -362,7 +211,7 @@ def _repaired(part: Document, kind: Any) -> Any:
 def _mapping(part: Document, base: Any) -> dict[str, Any]:
     if get_origin(base) is not None:
         name_kind, kind = get_args(base)
-        names = _words(_alternatives(name_kind)[0][1])
+        names = _extra(_alternatives(name_kind)[0][1], "words") or ()
         kinds, needed = dict.fromkeys(names or part.data, kind), set() if names else set(part.data)
     else:
         fields = msgspec.structs.fields(base)
@@ -380,12 +229,11 @@ def _mapping(part: Document, base: Any) -> dict[str, Any]:
 
 def _renamed(part: Document, kinds: Mapping[str, Any]) -> dict[str, Any]:
     """Return a section by the present names of its keys."""
-    metas = ((meta, name) for name, kind in kinds.items() for meta in getattr(kind, "__metadata__", ()))
-    former = {meta.extra["formerly"]: name for meta, name in metas if meta.extra and meta.extra.get("formerly")}
+    formerly = {_extra(getattr(kind, "__metadata__", ()), "formerly"): name for name, kind in kinds.items()}
     for name in part.data:
-        if (present := former.get(name)) in part.data:
+        if (present := formerly.get(name)) in part.data:
             raise part.error(f"this is the key {present!r} by its present and its former name: leave one out", name)
-    return {former.get(name, name): member for name, member in part.data.items()}
+    return {formerly.get(name, name): member for name, member in part.data.items()}
 
 
 def _list(part: Document, base: Any, metas: tuple[msgspec.Meta, ...]) -> list[Any]:
@@ -403,20 +251,18 @@ def _list(part: Document, base: Any, metas: tuple[msgspec.Meta, ...]) -> list[An
 
 def _scalar(part: Document, base: Any, metas: tuple[msgspec.Meta, ...]) -> Any:
     value = part.data
-    number = numeral(value, base) if base in (float, int) else value
+    number = _numeral(value, base) if base in (float, int) else value
     if number is None:
-        raise part.error(refusal(value, base))
+        raise part.error(_refusal(value, base))
     try:
-        if base is bool and isinstance(value, Quoted):
-            raise msgspec.ValidationError
         msgspec.convert(number, Annotated[(base, *metas)] if metas else base, strict=False)
     except msgspec.ValidationError:
         if base in (float, int):
-            raise part.error(beyond(value, number, metas)) from None
-        says = next((meta.extra["says"] for meta in metas if meta.extra and "says" in meta.extra), "")
+            raise part.error(_beyond(value, number, metas)) from None
+        says = _extra(metas, "says")
         if says and isinstance(value, str) and value.strip():
             raise part.error(f"{value!r} is not {says}") from None
-        raise part.error(refusal(value, _words(metas) or get_args(base) or base)) from None
+        raise part.error(_refusal(value, _extra(metas, "words") or get_args(base) or base)) from None
     return number
 
 
@@ -437,5 +283,75 @@ def _shape(base: Any) -> type[Any] | None:
     return list if origin in (tuple, list) else None
 
 
-def _words(metas: tuple[msgspec.Meta, ...]) -> tuple[str, ...]:
-    return next((meta.extra["words"] for meta in metas if meta.extra and "words" in meta.extra), ())
+def _extra(metas: tuple[msgspec.Meta, ...], name: str) -> Any:
+    return next((meta.extra[name] for meta in metas if meta.extra and meta.extra.get(name)), None)
+
+
+def _numeral(value: Any, base: Any) -> float | None:
+    """Return the number that a value is, a whole one where the type is int; infinity above 200 digits; None if none."""
+    number: float | None = None
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        number = value
+    elif isinstance(value, str) and _WHOLE.fullmatch(value) and len(value) <= _DIGIT_LIMIT:
+        number = int(value, 0 if value[1:2] in ("o", "x") else 10)
+    elif isinstance(value, str) and (_WHOLE.fullmatch(value) or _FLOAT.fullmatch(value)):
+        number = inf if value[1:2] in ("o", "x") else float(value)
+    if number is None or not abs(number) <= sys.float_info.max:
+        return None if number is None else inf
+    return float(number) if base is float else int(number) if number == int(number) else None
+
+
+# ------------------------------------------------------------------------------------------------- the words of it
+
+
+def _refusal(value: Any, needed: Any) -> str:
+    """Return why a value is refused: a type is needed, or one of a few words."""
+    if isinstance(needed, Collection) and isinstance(value, str):
+        return f"unknown value {value!r}{_hint(value, needed)}; it is one of {', '.join(map(str, needed))}"
+    if isinstance(value, str) and not value.strip() and needed is str:
+        return "the text is empty; write a text"
+    advice = ""
+    if isinstance(value, str) and needed in (float, int):
+        advice = "; it must be finite" if _NOT_FINITE.fullmatch(value) else _advice(value.strip())
+    kind = _NEEDED.get(needed, "text") if isinstance(needed, type) else "text"
+    return f"{kind} is needed here, found {_shown(value)}{advice}"
+
+
+def _hint(word: str, words: Collection[str]) -> str:
+    """Return the word that is meant, where one is near."""
+    near = get_close_matches(word, list(words), n=1)
+    alike = "" if word.isascii() else f", with other letters than {word!a}"
+    return f" (did you mean {near[0]!r}{alike}?)" if near else ""
+
+
+def _beyond(value: Any, number: float, metas: tuple[msgspec.Meta, ...]) -> str:
+    """Return why a number is refused that is beyond a bound."""
+    for meta in metas if isfinite(number) else ():
+        if meta.ge is not None and number < meta.ge:
+            least = f"more than 0, at least {meta.ge:.10g}" if meta.ge == LEAST else f"at least {meta.ge:.10g}"
+            return f"{_shown(value)} is too small; it must be {least}"
+        if meta.gt is not None and number <= meta.gt:
+            return f"{_shown(value)} is too small; it must be more than {meta.gt:.10g}"
+        if meta.le is not None and number > meta.le:
+            return f"{_shown(value)} is too large; it must be at most {meta.le:.10g}"
+    return f"{_shown(value)} is too large a number"
+
+
+def _advice(text: str) -> str:
+    """Return how a text that looks like a number becomes one."""
+    if not text.isascii() and _FLOAT.fullmatch(normalize("NFKC", text)):
+        return "; these are other characters than the digits 0 to 9"
+    if "," in text and _FLOAT.fullmatch(text.replace(",", ".")):
+        return "; write the point as '.'"
+    return "; write the number alone" if re.match(_FLOAT.pattern + r" ?[°%a-zA-Z]", text) else ""
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "nothing"
+    if isinstance(value, dict | list):
+        return "a mapping" if isinstance(value, dict) else "a list"
+    if not isinstance(value, str):
+        return str(value)
+    text = value if len(value) <= 40 else value[:37] + "..."
+    return text if _FLOAT.fullmatch(value) or _NOT_FINITE.fullmatch(value) else repr(text)

@@ -9,9 +9,8 @@ from msgspec.json import decode, encode, schema_components
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import TiltFile
 from tiltcal.files.pair import PairFile
-from tiltcal.files.procedure import ProcedureFile
+from tiltcal.files.procedure import ProcedureFile, RotationFile
 from tiltcal.files.record import FORMAT_VERSION, Record
-from tiltcal.files.rotation import RotationFile
 from tiltcal.files.twin import StageFile, TwinFile
 
 FILES: dict[str, tuple[type[Record], ...]] = {

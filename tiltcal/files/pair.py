@@ -12,9 +12,9 @@ from tiltcal.core.pair.matching import STAGES, SUM, Component, Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.files.document import Document
-from tiltcal.files.emitter import yaml_text
-from tiltcal.files.record import AboveZero, Finite, FiniteFromZero, Record, Text, about, file_data, one_of
+from tiltcal.files.record import AboveZero, Finite, Record, Size, Text, about, file_data, one_of
 from tiltcal.files.results import PairProvenance
+from tiltcal.files.yaml_text import yaml_text
 
 T = TypeVar("T")
 ByStage = Annotated[
@@ -32,26 +32,22 @@ class SpinRecord(Record, kw_only=True):
     turns: Annotated[AboveZero, about("turns of the stage in the record")]
     frequency: Annotated[AboveZero | None, about("Hz; absent where the record has no time")] = None
     phase: Annotated[
-        Text | None,
-        about(
-            "the column of the stage angle, degrees; absent where the spin was estimated. `apply` demodulates the "
-            "gradient with it"
-        ),
+        Text | None, about("the column of the stage angle, degrees, by which `apply` demodulates; absent if estimated")
     ] = None
 
 
 class CoefficientUncertainty(Record, kw_only=True):
     """Standard uncertainties of p and q."""
 
-    p: Annotated[FiniteFromZero, about("of p")]
-    q: Annotated[FiniteFromZero, about("of q")]
+    p: Annotated[Size, about("of p")]
+    q: Annotated[Size, about("of q")]
 
 
 class Suppression(Record, kw_only=True):
     """The suppression of the common acceleration."""
 
-    p: Annotated[FiniteFromZero, about("after p")]
-    pq: Annotated[FiniteFromZero, about("after p and q")]
+    p: Annotated[Size, about("after p")]
+    pq: Annotated[Size, about("after p and q")]
 
 
 class PairEntry(Record, kw_only=True):
@@ -63,22 +59,13 @@ class PairEntry(Record, kw_only=True):
     q: Annotated[Finite, about("a pure number")]
     uncertainty: Annotated[CoefficientUncertainty, about("`{p, q}`, standard uncertainties (k = 1)")]
     suppression: Annotated[
-        Suppression | None,
-        about(
-            "`{p, pq}`: common acceleration in the first channel over what is left in the sum, or over the noise where "
-            "that is more"
-        ),
+        Suppression | None, about("common acceleration in the first channel over that in the sum, or over the noise")
     ] = None
     components: Annotated[
         ByStage[tuple[Finite, Finite]],
-        about(
-            "`before`, `after_p`, `after_pq`: per channel and for their `sum` the components `[sin, cos]` at the "
-            "turning, unit of the readings"
-        ),
+        about("`before`, `after_p`, `after_pq`: `[sin, cos]` at the turning per channel and for their `sum`, unit"),
     ]
-    component_uncertainty: Annotated[
-        ByStage[tuple[FiniteFromZero, FiniteFromZero]], about("the same for their standard uncertainties")
-    ]
+    component_uncertainty: Annotated[ByStage[tuple[Size, Size]], about("their standard uncertainties")]
 
 
 class PairFile(Record, kw_only=True):
@@ -106,7 +93,7 @@ def pair_record(document: Document) -> PairRecord:
     """Return the content of a pair file, checked; an InputError names file, line and key."""
     document = document.body("pair")
     file = document.read(PairFile)
-    matchings = tuple(_matching_of(entry, document.child("pairs", number)) for number, entry in enumerate(file.pairs))
+    matchings = tuple(_matching_of(entry, document.at("pairs", number)) for number, entry in enumerate(file.pairs))
     if len({matching.pair.name for matching in matchings}) < len(matchings):
         raise document.error("the same pair is there twice", "pairs")
     document.require_moments(file.provenance, "started", "ended", place=("provenance",))

@@ -1,24 +1,31 @@
-"""A procedure: positions in order, the operator's sentence for each, and the coefficients that they determine."""
+"""A procedure and its file: positions in order, or the pairs that are matched while a stage turns.
+
+Each position has the operator's sentence; together they determine coefficients. The shipped procedures and those of a
+user are read by name or path.
+"""
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from difflib import get_close_matches
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
+import msgspec
 from msgspec import Meta
 
 from tiltcal.core.attitude import LEVEL, Vector, gravity_from_tilt, normalised
+from tiltcal.core.pair.model import FEWEST_TURNS, Pair
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import ORDER_LIMIT
-from tiltcal.files.document import Document
-from tiltcal.files.record import AboveZero, Axis, FromZero, Identifier, Number, Record, Text, about, one_of
+from tiltcal.files.document import Document, document_of, read_document
+from tiltcal.files.record import AboveZero, Axis, FromZero, Identifier, Number, Record, Text, about, file_data, one_of
 from tiltcal.printable import counted
-from tiltcal.stated_arguments import is_number, require_whole, shown
-
-if TYPE_CHECKING:
-    from tiltcal.files.rotation import Rotation
+from tiltcal.stated_arguments import is_number, require_path, require_whole, shown
 
 ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
 """Limits of a temperature, °C; no sensor is hotter, and the square of a far larger number is infinite."""
@@ -28,6 +35,8 @@ MOST_ASKEW = 10.0
 Temperature = Annotated[float, Meta(ge=ABSOLUTE_ZERO, le=HOTTEST)]
 """°C, of a position."""
 Order = Annotated[int, Meta(ge=0, le=ORDER_LIMIT)]
+
+FEWEST_WHOLE_TURNS, MOST_TURNS = int(FEWEST_TURNS), 1_000_000
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 
@@ -42,30 +51,19 @@ class Determines(Record):
     ]
     drift: Annotated[Order, about("order of the temperature polynomial of the offset, up to 6")] = 0
     gain: Annotated[Order, about("order of the temperature polynomial of the sensitivity, up to 6")] = 0
-    nonlinearity: Annotated[Annotated[int, Meta(ge=0, le=2)], about("1 for the square, 2 for square and cube")] = 0
+    nonlinearity: Annotated[int, Meta(ge=0, le=2), about("1 for the square, 2 for square and cube")] = 0
     mounting: Annotated[
-        bool,
-        about(
-            "whether the positions are the application's, with `axes: []`; `measure` takes the sensor's calibration as "
-            "`--base` then"
-        ),
+        bool, about("the positions are the application's, with `axes: []`; `measure` takes the calibration as `--base`")
     ] = False
-    level: Annotated[
-        bool,
-        about(
-            "whether the position is level and renews the offset of the sensor's calibration `--base`, with `axes: []`"
-        ),
-    ] = False
-    cross_validated: Annotated[
-        bool, about("whether the order of the drift is chosen by cross-validation, up to that of `drift`")
-    ] = False
-    free: Annotated[
-        bool,
-        about(
-            "whether nobody sets the positions, with `axes: [x, y, z]`: their directions are proposals, and unit "
-            "gravity alone determines"
-        ),
-    ] = False
+    level: Annotated[bool, about("the position is level and renews the offset of the `--base`, with `axes: []`")] = (
+        False
+    )
+    cross_validated: Annotated[bool, about("the order of the drift is chosen by cross-validation, up to `drift`")] = (
+        False
+    )
+    free: Annotated[bool, about("nobody sets the positions, with `axes: [x, y, z]`: unit gravity alone determines")] = (
+        False
+    )
 
     @property
     def completes(self) -> bool:
@@ -99,15 +97,11 @@ class PositionSection(Record, kw_only=True):
         about("degrees per axis, or `angle` and `-angle`; or else `gravity`"),
     ] = None
     gravity: Annotated[
-        tuple[Number, Number, Number] | None,
-        about("`[gx, gy, gz]`, the direction that points up in the sensor frame; it is normalised"),
+        tuple[Number, Number, Number] | None, about("`[gx, gy, gz]`, up in the sensor frame; it is normalised")
     ] = None
     heading: Annotated[
         Number | None,
-        about(
-            "how far the fixture is turned about the vertical, degrees; where headings differ, the table's own lean is "
-            "estimated too and does not end up in the offset"
-        ),
+        about("turn about the vertical, degrees; where headings differ, the table's own lean is estimated too"),
     ] = None
     temperature: Annotated[Temperature | None, about("°C")] = None
     stage: Annotated[Number | None, about("angle of the rotary stage, degrees; no estimate uses it")] = None
@@ -118,9 +112,7 @@ class Soak(Record, kw_only=True):
 
     seconds: Annotated[AboveZero, about("the window, seconds")]
     drift: Annotated[AboveZero, about("the largest drift of the temperature in it, or in that of the thermometer, °C")]
-    thermometer: Annotated[
-        AboveZero | None, about("the window of a thermometer that is read and may be late, seconds")
-    ] = None
+    thermometer: Annotated[AboveZero | None, about("the window of a thermometer that may be late, seconds")] = None
 
 
 class Ramp(Record, kw_only=True):
@@ -129,9 +121,54 @@ class Ramp(Record, kw_only=True):
     pace: Annotated[AboveZero, about("of the virtual chamber, and a proposal for a real one, °C/min")]
     within: Annotated[AboveZero, about("how close to its temperature a leg ends, °C; a turn need not be exact")] = 1.0
     interval: Annotated[AboveZero, about("seconds between two samples")] = 5.0
-    patience: Annotated[
-        AboveZero, about("seconds without a change of temperature after which a leg is ended as it is")
-    ] = 1800.0
+    patience: Annotated[AboveZero, about("seconds without a change of temperature that end a leg as it is")] = 1800.0
+
+
+class PairSelection(Record):
+    """One of ``rotation.pairs`` as it stands in a file."""
+
+    pair: Annotated[tuple[Text, Text], about("two channels opposite each other; the second is trimmed to the first")]
+    orthogonal: Annotated[Text, about("a channel a quarter turn away")]
+
+
+class Rotation(Record):
+    """The pairs that are matched while a stage turns, and when it ends."""
+
+    phase: Annotated[Text, about("the channel of the stage angle, degrees")]
+    selected: Annotated[
+        tuple[PairSelection, ...],
+        Meta(min_length=1, max_length=2),
+        about("one or two of `{pair: [first, second], orthogonal: third}`"),
+    ] = msgspec.field(name="pairs")
+    prompt: Annotated[Text, about("the operator's sentence")] = "Let the stage turn steadily, with its axis inclined."
+    turns: Annotated[
+        int,
+        Meta(ge=FEWEST_WHOLE_TURNS, le=MOST_TURNS),
+        about("the most that are made; `--turns` takes its place"),
+    ] = 100
+    converged: Annotated[
+        AboveZero | None, about("uncertainty of p and q, relative to a scale factor, that ends it after five turns")
+    ] = None
+    patience: Annotated[AboveZero, about("seconds in which the stage must begin to turn")] = 60.0
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """The pairs in order."""
+        return tuple(Pair(*one.pair, one.orthogonal) for one in self.selected)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels of all pairs, each once."""
+        return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
+
+    def with_turns(self, turns: int) -> Rotation:
+        """Return the rotation with another limit of turns; a UsageError where it is too small or too large."""
+        if not FEWEST_WHOLE_TURNS <= turns <= MOST_TURNS:
+            raise UsageError(
+                f"{turns} turns are impossible: at least {FEWEST_WHOLE_TURNS} are needed, and at most {MOST_TURNS} "
+                "counted"
+            )
+        return self.replaced(turns=turns)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,6 +257,15 @@ class Procedure:
         return replace(self, positions=(*self.positions, last), record={**self.record, "positions": entries})
 
 
+class RotationFile(Record, kw_only=True):
+    """The procedure file of a stage that turns."""
+
+    name: Annotated[Identifier, about("a letter, then letters, digits, `-`, `_`, `.`")]
+    title: Annotated[Text, about("what it is for, in one line")]
+    source: Annotated[Text, about("the document it comes from")] = ""
+    rotation: Annotated[Rotation, about("which pairs are matched while the stage turns")]
+
+
 class ProcedureFile(Record, kw_only=True):
     """The procedure file of positions."""
 
@@ -230,42 +276,28 @@ class ProcedureFile(Record, kw_only=True):
     reference: Annotated[Temperature | None, about("reference temperature, °C; needed with drift or gain")] = None
     angle: Annotated[
         Annotated[float, Meta(gt=0.0, le=90.0)] | None,
-        about("the angle that positions may call `angle` or `-angle`, degrees; `--tilt` takes its place"),
+        about("of positions that say `angle` or `-angle`, degrees; `--tilt` takes its place"),
     ] = None
     alignment: Annotated[
-        FromZero,
-        about(
-            "with `level`: by how much at most the sensor may sit askew since its calibration, degrees about each "
-            "axis; `--alignment` takes its place"
-        ),
+        FromZero, about("with `level`: how far askew the sensor may sit, degrees; `--alignment` takes its place")
     ] = 0.0
-    samples: Annotated[Annotated[int, Meta(ge=2)], about("samples a position")] = Procedure.samples
+    samples: Annotated[int, Meta(ge=2), about("samples a position")] = Procedure.samples
     settle: Annotated[AboveZero, about("seconds over which the reading must hold still")] = 2.0
-    soak: Annotated[
-        Soak,
-        about(
-            "at a new temperature: the window, seconds, and the largest drift in it, °C",
-            usual="`{seconds: 20, drift: 0.06, thermometer: 360}`",
-        ),
-    ] = Procedure.soak
-    ramp: Annotated[
-        Ramp | None,
-        about(
-            "the sensor is sampled without a break, in one attitude, while the temperature goes from position to "
-            "position"
-        ),
-    ] = None
+    soak: Annotated[Soak, about("at a new temperature", usual="`{seconds: 20, drift: 0.06, thermometer: 360}`")] = (
+        Procedure.soak
+    )
+    ramp: Annotated[Ramp | None, about("the temperature goes on from position to position, in one attitude")] = None
     positions: Annotated[tuple[PositionSection, ...], Meta(min_length=1), about("in order")]
 
 
-def procedure_of(file: ProcedureFile, document: Document, given: float | None) -> Procedure:
+def _procedure_of(file: ProcedureFile, document: Document, given: float | None) -> Procedure:
     """Return the procedure of a file, with an angle that the user gives in place of the file's, degrees.
 
     An InputError where one key contradicts another.
     """
-    _check_determines(file.determines, document.child("determines"))
-    angle = chosen_angle(file.name, file.angle, given)
-    places = [document.child("positions", number) for number in range(len(file.positions))]
+    _check_determines(file.determines, document.at("determines"))
+    angle = _chosen_angle(file.name, file.angle, given)
+    places = [document.at("positions", number) for number in range(len(file.positions))]
     positions = tuple(_position_of(one, place, angle) for one, place in zip(file.positions, places, strict=True))
     names = [position.name for position in positions]
     for number, name in enumerate(names):
@@ -304,7 +336,7 @@ def _position_of(section: PositionSection, place: Document, angle: float | None)
         raise place.error("a position has either tilt: {x: degrees, y: degrees} or gravity: [gx, gy, gz]")
     tilt = None
     if section.tilt is not None:
-        tilt = {axis: _set_angle(stated, place.child("tilt", axis), angle) for axis, stated in section.tilt.items()}
+        tilt = {axis: _set_angle(stated, place.at("tilt", axis), angle) for axis, stated in section.tilt.items()}
     prompt = _filled_in(section.prompt, place, {"angle": angle, "temperature": section.temperature})
     with place.locating("gravity" if tilt is None else "tilt"):
         gravity = normalised(section.gravity or ()) if tilt is None else gravity_from_tilt(tilt)
@@ -338,7 +370,7 @@ def _setting(position: Position) -> tuple[object, ...]:
     return position.gravity, position.heading, position.temperature, position.stage
 
 
-def chosen_angle(name: str, free: float | None, angle: float | None) -> float | None:
+def _chosen_angle(name: str, free: float | None, angle: float | None) -> float | None:
     """Return the angle that a procedure leaves free, or the one that the user gives in its place, degrees.
 
     A UsageError where it leaves none free, or the angle is beyond 90°.
@@ -350,3 +382,66 @@ def chosen_angle(name: str, free: float | None, angle: float | None) -> float | 
     if not (is_number(angle) and 0.0 < angle <= 90.0):
         raise UsageError(f"an angle of {shown(angle)}° is not above 0° and at most 90°")
     return float(angle)
+
+
+def shipped_procedures() -> dict[str, Path]:
+    """Return the files of the procedures that come with tiltcal, by name."""
+    folder = Path(str(files("tiltcal.procedures")))
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def find_procedure(name_or_path: str | Path, angle: float | None = None) -> Procedure:
+    """Return a shipped procedure by its name, which comes first, or a user's by its path, such as ``./plane``.
+
+    ``angle`` takes the place of the angle that the procedure leaves free, degrees.
+
+    UsageError: no such procedure, or an angle that it cannot take.
+    InputError: the file is wrong; the message names file, line and key.
+    """
+    require_path("PROCEDURE", name_or_path)
+    shipped = shipped_procedures()
+    if name_or_path in shipped:
+        return read_procedure(shipped[name_or_path], angle)
+    if os.path.exists(name_or_path):
+        return read_procedure(name_or_path, angle)
+    near = get_close_matches(str(name_or_path), shipped, n=3, cutoff=0.4)
+    hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"there are {', '.join(shipped)}"
+    raise UsageError(f"unknown procedure {str(name_or_path)!r}, and no such file; {hint}")
+
+
+def read_procedure(path: str | Path, angle: float | None = None) -> Procedure:
+    """Read and check a procedure file; ``angle`` is as in :func:`find_procedure`, and so are the errors."""
+    return procedure_in(read_document(path), angle)
+
+
+def procedure_from_record(
+    record: Mapping[str, Any], angle: float | None = None, *, file: str | None = None, line: int | None = None
+) -> Procedure:
+    """Return the procedure of a journal's header, from its :attr:`Procedure.record` and the angle that was given.
+
+    Errors name ``file`` and ``line``, where the record stands.
+    """
+    return procedure_in(document_of(record, file, line), angle)
+
+
+def procedure_in(document: Document, angle: float | None = None) -> Procedure:
+    """Return the procedure of a document; an InputError names file, line and key."""
+    body = document.body("procedure")
+    if "rotation" not in body.data:
+        file = body.read(ProcedureFile)
+        procedure = _procedure_of(file, body, angle)
+        return replace(procedure, record=file_data("procedure", file))
+    turning = body.read(RotationFile)
+    _check_rotation(turning.rotation, body.at("rotation"))
+    stated = {name: getattr(turning, name) for name in turning.__struct_fields__}
+    angle = _chosen_angle(turning.name, None, angle)
+    record = file_data("procedure", turning)
+    return Procedure(determines=Determines(()), positions=(), angle=angle, record=record, **stated)
+
+
+def _check_rotation(rotation: Rotation, place: Document) -> None:
+    for number, pair in enumerate(rotation.pairs):
+        if len({*pair.channels, rotation.phase}) < len(pair.channels) + 1:
+            raise place.error("pair, orthogonal and phase are four different channels", "pairs", number)
+    if len({pair.name for pair in rotation.pairs}) < len(rotation.pairs):
+        raise place.error("the same pair is there twice", "pairs")

@@ -7,7 +7,7 @@
         frequency: Annotated[AboveZero | None, about("of the spin, Hz")] = None
 
 :meth:`~tiltcal.files.document.Document.read` checks a document by the types and returns the record; :func:`plain` gives
-it back as data for the emitter. The JSON Schema and the tables of the reference are made from the types too. What one
+it back as data for a file. The JSON Schema and the tables of the reference are made from the types too. What one
 key says of another is checked by one function for each kind of file.
 """
 
@@ -41,8 +41,7 @@ Number = Annotated[float, Meta(ge=-MOST, le=MOST)]
 FromZero = Annotated[float, Meta(ge=0.0, le=MOST)]
 AboveZero = Annotated[float, Meta(ge=LEAST, le=MOST)]
 Finite = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
-FiniteAboveZero = Annotated[float, Meta(gt=0.0, le=_LARGEST)]
-FiniteFromZero = Annotated[float, Meta(ge=0.0, le=_LARGEST)]
+Size = Annotated[float, Meta(ge=0.0, le=_LARGEST)]
 Count = Annotated[int, Meta(ge=0)]
 FromOne = Annotated[int, Meta(ge=1)]
 Text = Annotated[str, Meta(pattern=r"\S")]
@@ -52,10 +51,7 @@ Identifier = Annotated[
 
 
 def about(text: str, *, formerly: str = "", usual: str = "") -> Meta:
-    """Return what a key means, for the JSON Schema and the reference.
-
-    ``formerly`` is its name in files of earlier versions, ``usual`` its default as the reference shows it.
-    """
+    """Return what a key means, its name in files of earlier versions, and its default as the reference shows it."""
     return Meta(description=text, extra={"formerly": formerly, "usual": usual})
 
 
@@ -97,11 +93,11 @@ def plain(value: Any) -> Any:
     """Return a record as plain data, without the keys that have their default."""
     if isinstance(value, Record):
         usual = _defaults(type(value))
-        members = {name: getattr(value, name) for name in value.__struct_fields__}
+        names = zip(value.__struct_fields__, value.__struct_encode_fields__, strict=True)
         return {
-            name: plain(content)
-            for name, content in members.items()
-            if content != usual[name] or name in value.always_written
+            written: plain(content)
+            for name, written in names
+            if (content := getattr(value, name)) != usual[name] or name in value.always_written
         }
     if isinstance(value, Mapping):
         return {name: plain(member) for name, member in value.items()}

@@ -8,33 +8,42 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from tiltcal.files.record import AboveZero, ByAxis, Count, Finite, FiniteFromZero, FromOne, Range, Record, Text, about
+from tiltcal.core.attitude import Vector, gravity_from_tilt, normalised
+from tiltcal.files.record import AboveZero, ByAxis, Count, Finite, FromOne, Range, Record, Size, Text, about
 
 NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
 """Where an uncertainty comes from that leaves out how well the positions were set."""
 VIRTUAL = "the virtual bench: no real sensor was measured"
 """``made_by`` of a file that no real sensor made."""
 
+Names = tuple[Text, ...]
+BySerial = Mapping[str, Mapping[str, Count]]
+Direction = Annotated[tuple[Finite, ...], Meta(min_length=3, max_length=3)]
+
 
 class PositionSet(Record, kw_only=True):
     """The attitude of a position as it was set."""
 
     tilt: Annotated[ByAxis[Finite] | None, about("angles, degrees")] = None
-    gravity: Annotated[
-        Annotated[tuple[Finite, ...], Meta(min_length=3, max_length=3)] | None,
-        about("the direction that points up, in the sensor frame"),
-    ] = None
+    gravity: Annotated[Direction | None, about("the direction that points up, in the sensor frame")] = None
     heading: Annotated[Finite | None, about("how far the fixture was turned about the vertical, degrees")] = None
     stage: Annotated[Finite | None, about("angle of the rotary stage, degrees")] = None
     temperature: Annotated[Finite | None, about("°C")] = None
+
+    @property
+    def up(self) -> Vector | None:
+        """Up in the frame of the position, a unit vector; None where the file states no attitude."""
+        if self.tilt is not None:
+            return gravity_from_tilt(self.tilt)
+        return None if self.gravity is None else normalised(self.gravity)
 
 
 class CompletingRun(Record, kw_only=True):
     """A procedure that completes a calibration, as run."""
 
     samples: Annotated[FromOne | None, about("per position")] = None
-    settle_seconds: Annotated[FiniteFromZero | None, about("over which the reading held still")] = None
-    positions: Annotated[tuple[Text, ...], about("their names")] = ()
+    settle_seconds: Annotated[Size | None, about("over which the reading held still")] = None
+    positions: Annotated[Names, about("their names")] = ()
 
 
 class ProcedureRecord(Record, kw_only=True):
@@ -44,12 +53,10 @@ class ProcedureRecord(Record, kw_only=True):
     title: Annotated[Text | None, about("its title")] = None
     source: Annotated[Text | None, about("the document it comes from")] = None
     samples: Annotated[FromOne | None, about("samples per position")] = None
-    settle_seconds: Annotated[FiniteFromZero | None, about("seconds over which the reading held still")] = None
+    settle_seconds: Annotated[Size | None, about("seconds over which the reading held still")] = None
     set: Annotated[Mapping[str, PositionSet], about("per position `tilt` or `gravity` as it was set")] = {}
-    mounting: Annotated[
-        CompletingRun | None, about("`samples`, `settle_seconds` and `positions` of the mounting procedure")
-    ] = None
-    level: Annotated[CompletingRun | None, about("likewise of `level`")] = None
+    mounting: Annotated[CompletingRun | None, about("the mounting procedure")] = None
+    level: Annotated[CompletingRun | None, about("likewise `level`")] = None
 
 
 # A constrained number beside a tuple of two in a union makes msgspec 0.22 crash: the rows are not bounded here.
@@ -58,12 +65,10 @@ class PositionRecord(Record, kw_only=True):
 
     position: Annotated[Text, about("its name")]
     mean: Annotated[ByAxis[Finite], about("mean readings, unit")] = {}
-    std: Annotated[ByAxis[FiniteFromZero] | None, about("standard deviations of the samples, unit")] = None
-    u: Annotated[ByAxis[FiniteFromZero] | None, about("standard uncertainties of the means, unit")] = None
+    std: Annotated[ByAxis[Size] | None, about("standard deviations of the samples, unit")] = None
+    u: Annotated[ByAxis[Size] | None, about("standard uncertainties of the means, unit")] = None
     n: Annotated[Count | None, about("number of samples")] = None
-    left_out: Annotated[
-        Count | None, about("samples that were far off the others, and were left out or taken again")
-    ] = None
+    left_out: Annotated[Count | None, about("samples far off the others, left out or taken again")] = None
     temperature: Annotated[Finite | None, about("°C")] = None
     time: Annotated[Text | None, about("when it was measured, UTC")] = None
     rows: Annotated[
@@ -92,19 +97,16 @@ class WorstResidual(Record, kw_only=True):
 class SuspectPosition(Record, kw_only=True):
     """A position that is further off than the stated jig allows."""
 
-    off_degrees: Annotated[FiniteFromZero, about("how far it is off, degrees")]
-    chi_square: Annotated[FiniteFromZero | None, about("its share of chi-square")] = None
+    off_degrees: Annotated[Size, about("how far it is off, degrees")]
+    chi_square: Annotated[Size | None, about("its share of chi-square")] = None
 
 
 class CrossValidation(Record, kw_only=True):
-    """The choice of the order of the drift."""
+    """The choice of the order of the drift: terms above it are 0, uncertain by the highest that was tried."""
 
-    order: Annotated[
-        FromOne,
-        about("the order that was chosen; terms above it are 0, with the uncertainty of the highest that was tried"),
-    ]
+    order: Annotated[FromOne, about("that was chosen; higher terms are 0, uncertain as the highest that was tried")]
     error_by_order: Annotated[
-        Mapping[str, FiniteFromZero],
+        Mapping[str, Size],
         about("per order the mean square error of predicting a left-out position, over its variance"),
     ] = {}
 
@@ -121,24 +123,19 @@ class RampLeg(Record, kw_only=True):
 
     way: Annotated[Text, about("`up` or `down`")]
     temperature: Annotated[Range, about("`[low, high]`, °C")]
-    seconds: Annotated[FiniteFromZero, about("how long it lasts")]
-    pace: Annotated[FiniteFromZero, about("°C/min")]
-    polynomial: Annotated[
-        ByAxis[FiniteFromZero],
-        about("per channel the rms error of the polynomial alone, fitted to the other legs, unit"),
-    ]
-    lagged: Annotated[ByAxis[FiniteFromZero], about("the same with a lag")]
+    seconds: Annotated[Size, about("how long it lasts")]
+    pace: Annotated[Size, about("°C/min")]
+    polynomial: Annotated[ByAxis[Size], about("rms error of the polynomial fitted to the other legs, unit")]
+    lagged: Annotated[ByAxis[Size], about("the same with a lag")]
 
 
 class RampFitRecord(Record, kw_only=True):
     """The thermal lag that a ramp shows."""
 
     lag: Annotated[Finite, about("that was found, s")]
-    u_lag: Annotated[FiniteFromZero, about("its standard uncertainty, s")]
+    u_lag: Annotated[Size, about("its standard uncertainty, s")]
     used: Annotated[bool, about("whether each leg is predicted better with it, and it is in the calibration")]
-    explained_percent: Annotated[
-        ByAxis[Finite], about("per channel which part of the square of the loop it explains, %")
-    ]
+    explained_percent: Annotated[ByAxis[Finite], about("per channel its part of the square of the loop, %")]
     legs: Annotated[tuple[RampLeg, ...], about("the legs of the record")]
 
 
@@ -148,83 +145,54 @@ class MountingFit(Record, kw_only=True):
     residuals_degrees: Annotated[Mapping[str, Finite], about("per position, degrees")] = {}
     degrees_of_freedom: Annotated[Count | None, about("readings left over")] = None
     uncertainty_from: Annotated[Text | None, about("`stated jig` or `residuals`")] = None
-    chi_square: Annotated[FiniteFromZero | None, about("where the jig was stated")] = None
-    p_value: Annotated[
-        FiniteFromZero | None,
-        about("the probability of so large a chi-square or a larger one, the uncertainty of the base among its causes"),
-    ] = None
+    chi_square: Annotated[Size | None, about("where the jig was stated")] = None
+    p_value: Annotated[Size | None, about("of so large a chi-square, the base's uncertainty among its causes")] = None
 
 
 class LevelFit(Record, kw_only=True):
     """The offset that a level position has renewed, against the one before."""
 
     change: Annotated[ByAxis[Finite], about("per channel, the new offset less the one before, unit")] = {}
-    change_uncertainty: Annotated[ByAxis[FiniteFromZero], about("per channel, its standard uncertainty, unit")] = {}
-    change_coverage_factor: Annotated[
-        ByAxis[FiniteFromZero], about("per channel, what that is multiplied with for an interval of 95 %")
-    ] = {}
+    change_uncertainty: Annotated[ByAxis[Size], about("per channel, its standard uncertainty, unit")] = {}
+    change_coverage_factor: Annotated[ByAxis[Size], about("per channel, its coverage factor for 95 %")] = {}
     verdict: Annotated[Text | None, about("whether the change is more than its uncertainty")] = None
     temperature: Annotated[Finite | None, about("of the position, °C")] = None
-    jig_degrees: Annotated[
-        FiniteFromZero | None, about("the stated standard uncertainty of how level it was, degrees")
-    ] = None
+    jig_degrees: Annotated[Size | None, about("the stated standard uncertainty of how level it was, degrees")] = None
 
 
 class FitRecord(Record, kw_only=True):
     """The quality of a fit, and the sources of its uncertainty."""
 
     residuals: Annotated[
-        Mapping[str, ByAxis[Finite]],
-        about("per position and channel, measured − modelled with the position as it was set, unit"),
+        Mapping[str, ByAxis[Finite]], about("per position and channel, measured − modelled as it was set, unit")
     ] = {}
     worst: Annotated[WorstResidual | None, about("the largest of them, where any position is left over")] = None
-    degrees_of_freedom: Annotated[Count | None, about("readings left over, of all sensors of the bench together")] = (
+    degrees_of_freedom: Annotated[Count | None, about("readings left over, of all sensors of the bench")] = None
+    chi_square: Annotated[Size | None, about("where the jig was stated: squares of all errors over what is stated")] = (
         None
     )
-    chi_square: Annotated[
-        FiniteFromZero | None,
-        about("where the jig was stated: the sum of squares of everything over its stated uncertainty"),
-    ] = None
-    p_value: Annotated[FiniteFromZero | None, about("the probability of so large a chi-square or a larger one")] = None
+    p_value: Annotated[Size | None, about("the probability of so large a chi-square or a larger one")] = None
     suspect_positions: Annotated[
-        Mapping[str, SuspectPosition],
-        about(
-            "positions that are further off than the stated jig allows: `off_degrees` and their `chi_square`",
-            formerly="worse_than_stated",
-        ),
+        Mapping[str, SuspectPosition], about("further off than the stated jig allows", formerly="worse_than_stated")
     ] = {}
     uncertainty_from: Annotated[
         Text | None,
         about("`stated noise and jig`, `stated jig, residuals for the noise`, `residuals`, or `noise alone` and why"),
     ] = None
-    jig_degrees: Annotated[FiniteFromZero | None, about("the stated standard uncertainty of a set angle, degrees")] = (
-        None
-    )
-    table_degrees: Annotated[
-        FiniteFromZero | None, about("the stated standard uncertainty of the lean of the table, degrees")
-    ] = None
-    heading_degrees: Annotated[FiniteFromZero | None, about("that of a heading, degrees")] = None
+    jig_degrees: Annotated[Size | None, about("stated standard uncertainty of a set angle, degrees")] = None
+    table_degrees: Annotated[Size | None, about("that of the lean of the table, degrees")] = None
+    heading_degrees: Annotated[Size | None, about("that of a heading, degrees")] = None
     jig_estimated_degrees: Annotated[
-        FiniteFromZero | None,
-        about(
-            "where the jig was not stated: the standard deviation of a set angle that the residuals show, degrees",
-            formerly="jig_that_shows_degrees",
-        ),
+        Size | None,
+        about("standard deviation of a set angle by the residuals, degrees", formerly="jig_that_shows_degrees"),
     ] = None
     thermometer_estimated_celsius: Annotated[
-        FiniteFromZero | None,
-        about(
-            "where a jig but no thermometer was stated: the standard deviation of a temperature that residuals show, °C"
-        ),
+        Size | None, about("standard deviation of a temperature by the residuals, where a jig was stated, °C")
     ] = None
     noise_estimated: Annotated[
-        FiniteFromZero | None,
-        about(
-            "where a table states no uncertainties of its means: the standard deviation of their noise that the "
-            "residuals show, unit"
-        ),
+        Size | None, about("standard deviation of a table's means by the residuals, where it states none, unit")
     ] = None
-    thermometer_celsius: Annotated[FiniteFromZero | None, about("the standard uncertainty of a temperature, °C")] = None
+    thermometer_celsius: Annotated[Size | None, about("the standard uncertainty of a temperature, °C")] = None
     budget: Annotated[
         Mapping[str, Mapping[str, Finite]],
         about(
@@ -232,98 +200,66 @@ class FitRecord(Record, kw_only=True):
             "`thermometer`, `hysteresis`, `base`, `assumed`, `other sessions`"
         ),
     ] = {}
-    notes: Annotated[tuple[Text, ...], about("what limits the numbers")] = ()
+    notes: Annotated[Names, about("what limits the numbers")] = ()
     priors: Annotated[
-        Mapping[str, FiniteFromZero],
+        Mapping[str, Size],
         about(
-            "per coefficient that the procedure does not determine, its standard uncertainty by the data sheet; its "
-            "value before the session is 0, and its error is common to all calibrations of the sensor"
+            "standard uncertainty by the data sheet of each coefficient that the procedure does not determine: it is 0 "
+            "before the session, and its error is common to all calibrations of the sensor"
         ),
     ] = {}
     not_covered: Annotated[
-        tuple[Text, ...],
-        about(
-            "errors of the bench that no position shows and that are not in the uncertainty, such as `lean` of the "
-            "table"
-        ),
+        Names, about("errors that no position shows and that are not in the uncertainty, such as `lean` of the table")
     ] = ()
-    cross_validation: Annotated[
-        CrossValidation | None, about("after a sweep: how the order of the drift was chosen")
-    ] = None
-    hysteresis: Annotated[
-        ByAxis[Hysteresis],
-        about("after a sweep: per channel the largest difference between two visits to one temperature"),
-    ] = {}
-    ramp: Annotated[RampFitRecord | None, about("after a ramp: the thermal lag, and what each leg says of it")] = None
+    cross_validation: Annotated[CrossValidation | None, about("of a sweep: the choice of the order")] = None
+    hysteresis: Annotated[ByAxis[Hysteresis], about("of a sweep: the largest difference between two visits")] = {}
+    ramp: Annotated[RampFitRecord | None, about("of a ramp: the thermal lag, and what each leg says of it")] = None
     distinct_attitudes: Annotated[Count | None, about("from free positions: how many attitudes differ")] = None
     left_out_mg: Annotated[
         Mapping[str, Finite],
-        about(
-            "from free positions: attitudes that do not agree with the others and are not in the fit, and by how much "
-            "the length of gravity is off in each, mg"
-        ),
+        about("from free positions: attitudes that are not in the fit, and how far off gravity is in each, mg"),
     ] = {}
-    misfit_rms_mg: Annotated[
-        FiniteFromZero | None, about("from free positions: how well the length of gravity is met, mg rms")
-    ] = None
+    misfit_rms_mg: Annotated[Size | None, about("from free positions: misfit of the length of gravity, mg rms")] = None
     warning: Annotated[Text | None, about("what speaks against the result")] = None
     mounting: Annotated[MountingFit | None, about("after the mounting procedure: how well its positions agree")] = None
     level: Annotated[LevelFit | None, about("after `level`: by how much the offset has changed")] = None
 
 
 class DerivedCoverage(Record, kw_only=True):
-    """Coverage factors of derived quantities, for intervals of 95 %."""
+    """Coverage factors of derived quantities, for intervals of 95 %; or other numbers of theirs."""
 
-    cross_axis_percent: Annotated[ByAxis[FiniteFromZero], about("per channel")] = {}
-    misalignment_degrees: Annotated[ByAxis[FiniteFromZero], about("per channel")] = {}
+    cross_axis_percent: Annotated[ByAxis[Size], about("per channel")] = {}
+    misalignment_degrees: Annotated[ByAxis[Size], about("per channel")] = {}
 
 
-class DerivedUncertainty(Record, kw_only=True):
+class DerivedUncertainty(DerivedCoverage, kw_only=True):
     """Standard uncertainties of derived quantities."""
 
-    cross_axis_percent: Annotated[ByAxis[FiniteFromZero], about("per channel, %")] = {}
-    misalignment_degrees: Annotated[ByAxis[FiniteFromZero], about("per channel, degrees")] = {}
-    coverage_factor: Annotated[
-        DerivedCoverage | None, about("what each is multiplied with for an interval of 95 %")
-    ] = None
+    coverage_factor: Annotated[DerivedCoverage | None, about("of each, for an interval of 95 %")] = None
 
 
 class IntrinsicCoverage(Record, kw_only=True):
-    """Coverage factors of the intrinsic parameters, for intervals of 95 %."""
+    """Coverage factors of the intrinsic parameters, for intervals of 95 %; or other numbers of theirs."""
 
-    offset: Annotated[ByAxis[FiniteFromZero], about("per channel")] = {}
-    sensitivity: Annotated[ByAxis[FiniteFromZero], about("per channel")] = {}
-    angle_degrees: Annotated[Mapping[str, FiniteFromZero], about("per pair of channels")] = {}
-    rotation_degrees: Annotated[Mapping[str, FiniteFromZero], about("roll, pitch, yaw")] = {}
+    offset: Annotated[ByAxis[Finite], about("per channel")] = {}
+    sensitivity: Annotated[ByAxis[Finite], about("per channel along its own direction")] = {}
+    angle_degrees: Annotated[Mapping[str, Finite], about("between two channels, `xy`, `xz`, `yz`")] = {}
+    rotation_degrees: Annotated[Mapping[str, Finite], about("roll, pitch, yaw in the frame of set positions")] = {}
 
 
-class IntrinsicUncertainty(Record, kw_only=True):
+class IntrinsicUncertainty(IntrinsicCoverage, kw_only=True):
     """Standard uncertainties of the intrinsic parameters."""
 
-    offset: Annotated[ByAxis[FiniteFromZero], about("per channel, unit")] = {}
-    sensitivity: Annotated[ByAxis[FiniteFromZero], about("per channel, unit/g")] = {}
-    angle_degrees: Annotated[Mapping[str, FiniteFromZero], about("per pair of channels, degrees")] = {}
-    rotation_degrees: Annotated[Mapping[str, FiniteFromZero], about("roll, pitch, yaw, degrees")] = {}
-    coverage_factor: Annotated[
-        IntrinsicCoverage | None, about("what each is multiplied with for an interval of 95 %")
-    ] = None
+    coverage_factor: Annotated[IntrinsicCoverage | None, about("of each, for an interval of 95 %")] = None
 
 
-class IntrinsicRecord(Record, kw_only=True):
+class IntrinsicRecord(IntrinsicCoverage, kw_only=True):
     """The parameters of a three-channel sensor that do not change with its mounting."""
 
-    offset: Annotated[ByAxis[Finite], about("per channel, unit")] = {}
-    sensitivity: Annotated[ByAxis[Finite], about("per channel along its own direction, unit/g")] = {}
-    angle_degrees: Annotated[
-        Mapping[str, Finite], about("between the directions of two channels, `xy`, `xz`, `yz`, degrees")
-    ] = {}
-    rotation_degrees: Annotated[
-        Mapping[str, Finite], about("where positions were set: roll, pitch, yaw of the sensor in their frame, degrees")
-    ] = {}
     uncertainty: Annotated[IntrinsicUncertainty | None, about("standard uncertainties (k = 1) of the above")] = None
     gimbal_lock: Annotated[bool, about("`true` where roll and yaw cannot be separated")] = False
     left_handed: Annotated[
-        Text | None, about("why there is no rotation: the channels form a left-handed frame", formerly="not_separated")
+        Text | None, about("why there is no rotation: the frame is left-handed", formerly="not_separated")
     ] = None
 
 
@@ -331,23 +267,15 @@ class DerivedRecord(Record, kw_only=True):
     """Quantities derived from the coefficients."""
 
     cross_axis_percent: Annotated[ByAxis[Finite], about("per channel, % (Cross-axis Compensation, eq. 1)")] = {}
-    misalignment_degrees: Annotated[
-        ByAxis[Finite], about("per channel, between its direction and its axis, degrees")
-    ] = {}
+    misalignment_degrees: Annotated[ByAxis[Finite], about("per channel, of its direction from its axis, degrees")] = {}
     uncertainty: Annotated[DerivedUncertainty | None, about("standard uncertainties (k = 1) of the above")] = None
-    intrinsic: Annotated[IntrinsicRecord | None, about("of three channels, what does not change with the mounting")] = (
-        None
-    )
-    assumed: Annotated[tuple[Text, ...], about("which coefficients were not measured")] = ()
+    intrinsic: Annotated[IntrinsicRecord | None, about("what does not change with the mounting: unit, unit/g")] = None
+    assumed: Annotated[Names, about("which coefficients were not measured")] = ()
     mounting: Annotated[Text | None, about("from free positions: what can be said of the mounting")] = None
     gimbal_lock: Annotated[bool, about("`true` where roll and yaw of the mounting cannot be separated")] = False
-    gravity_m_s2: Annotated[
-        AboveZero | None, about("with `fit --gravity`: gravity where the calibration was made, m/s²")
-    ] = None
+    gravity_m_s2: Annotated[AboveZero | None, about("with `fit --gravity`: gravity at the calibration, m/s²")] = None
     sensitivity_per_m_s2: Annotated[ByAxis[Finite], about("with `fit --gravity`: per channel, unit/(m/s²)")] = {}
-    scale_error_percent: Annotated[
-        ByAxis[Finite], about("with `fit --gravity`, of readings in m/s²: per channel, %")
-    ] = {}
+    scale_error_percent: Annotated[ByAxis[Finite], about("with `fit --gravity`, of readings in m/s²: %")] = {}
 
 
 class FileRecord(Record, kw_only=True):
@@ -376,8 +304,8 @@ class SegmentsRecord(Record, kw_only=True):
     sha256: Annotated[Text | None, about("the SHA-256 of their file")] = None
     found: Annotated[Text | None, about("by what they were found")] = None
     window_rows: Annotated[FromOne | None, about("rows in which the sensor held still")] = None
-    threshold: Annotated[FiniteFromZero | None, about("the largest standard deviation, unit")] = None
-    times_noise: Annotated[FiniteFromZero | None, about("the threshold over the noise")] = None
+    threshold: Annotated[Size | None, about("the largest standard deviation, unit")] = None
+    times_noise: Annotated[Size | None, about("the threshold over the noise")] = None
 
 
 class BenchSensorRecord(Record, kw_only=True):
@@ -392,9 +320,7 @@ class BenchRecord(Record, kw_only=True):
     """The bench that measured."""
 
     address: Annotated[Text | None, about("of the sensor")] = None
-    axes: Annotated[
-        tuple[Text, ...], about("of the fixture that the sensor's axes point along, where it does not sit straight")
-    ] = ()
+    axes: Annotated[Names, about("of the fixture along the sensor's axes, where it does not sit straight")] = ()
     thermometer: Annotated[Text | None, about("address of the thermometer")] = None
     sensors: Annotated[tuple[BenchSensorRecord, ...], about("of a pair: the sensors on the stage")] = ()
 
@@ -402,22 +328,18 @@ class BenchRecord(Record, kw_only=True):
 class Provenance(Record, kw_only=True):
     """The provenance of a tilt calibration."""
 
-    made_by: Annotated[Text | None, about("`measurement`, `the virtual bench …`, `fit of …`")] = None
+    made_by: Annotated[Text | None, about("`measurement`, `the virtual bench …`, `fit of …`, `match of …`")] = None
     operator: Annotated[Text | None, about("who led the session")] = None
-    bench: Annotated[BenchRecord | None, about("`address`, `axes` and `thermometer`")] = None
-    base: Annotated[FileRecord | None, about("the calibration that it builds on (`--base`): `name`, `sha256`")] = None
-    sources: Annotated[
-        tuple[FileRecord, ...], about("the calibrations that `combine` put together: `name`, `sha256`")
-    ] = ()
-    log: Annotated[LogRecord | None, about("the log: `name`, `rows`, `missing`, `sha256`")] = None
-    table: Annotated[FileRecord | None, about("the table of positions: `name`, `sha256`")] = None
-    segments: Annotated[SegmentsRecord | None, about("the segments: `name` and `sha256`, or how they were `found`")] = (
-        None
-    )
+    bench: Annotated[BenchRecord | None, about("`address`, `axes` and `thermometer`; of a pair `sensors`")] = None
+    base: Annotated[FileRecord | None, about("the calibration that it builds on (`--base`)")] = None
+    sources: Annotated[tuple[FileRecord, ...], about("the calibrations that `combine` put together")] = ()
+    log: Annotated[LogRecord | None, about("the log")] = None
+    table: Annotated[FileRecord | None, about("the table of positions")] = None
+    segments: Annotated[SegmentsRecord | None, about("the segments: their file, or how they were found")] = None
     software: Annotated[Text | None, about("program and version")] = None
     started: Annotated[Text | None, about("when the session began, UTC")] = None
     ended: Annotated[Text | None, about("when the session ended, UTC")] = None
-    journal: Annotated[FileRecord | None, about("the journal: `name`, `sha256`")] = None
+    journal: Annotated[FileRecord | None, about("the journal")] = None
     link_statistics: Annotated[
         Mapping[str, Count] | None,
         about("[what became of what a sensor said](../explanation.md#lost-and-damaged)", formerly="reception"),
@@ -431,26 +353,12 @@ class SamplesRecord(Record, kw_only=True):
     left_out: Annotated[Count, about("samples that were left out")]
 
 
-class PairProvenance(Record, kw_only=True):
+class PairProvenance(Provenance, kw_only=True):
     """The provenance of a pair calibration."""
 
-    made_by: Annotated[Text | None, about("`measurement`, `the virtual bench …`, `match of …`")] = None
-    operator: Annotated[Text | None, about("who led the session")] = None
-    bench: Annotated[BenchRecord | None, about("`sensors`: `serial`, `model` and `address` of each")] = None
-    software: Annotated[Text | None, about("program and version")] = None
-    log: Annotated[LogRecord | None, about("the log: `name`, `rows`, `missing`, `sha256`")] = None
+    link_statistics: Annotated[BySerial | None, about("by serial number, likewise", formerly="reception")] = None  # type: ignore[assignment]
     stage_angle: Annotated[Text | None, about("how the stage angle was found, where it was estimated")] = None
-    started: Annotated[Text | None, about("when the session began, UTC")] = None
-    ended: Annotated[Text | None, about("when the session ended, UTC")] = None
-    journal: Annotated[FileRecord | None, about("the journal: `name`, `sha256`")] = None
-    link_statistics: Annotated[
-        Mapping[str, Mapping[str, Count]] | None,
-        about(
-            "per serial number, [what became of what the sensors said](../explanation.md#lost-and-damaged)",
-            formerly="reception",
-        ),
-    ] = None
     procedure: Annotated[Text | None, about("the name of the rotation procedure")] = None
     samples: Annotated[SamplesRecord | None, about("`used` and `left_out`")] = None
     stopped: Annotated[Text | None, about("why the rotation ended")] = None
-    not_matched: Annotated[tuple[Text, ...], about("pairs that could not be matched, and why")] = ()
+    not_matched: Annotated[Names, about("pairs that could not be matched, and why")] = ()

@@ -6,7 +6,6 @@ An error names file, line and column.
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
@@ -17,12 +16,11 @@ from typing import Annotated, Any
 from tiltcal.core.attitude import Vector, normalised
 from tiltcal.core.model import AXES
 from tiltcal.errors import InputError
-from tiltcal.files.document import Document, document_of, parse_document, read_text
+from tiltcal.files.document import Document, document_of, parse_document
 from tiltcal.files.procedure import Temperature
 from tiltcal.files.record import AboveZero, Count, FromOne, Number, Record, Text, about, keys_of
-from tiltcal.files.refusal import Quoted
-
-_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]+)?)([eE][-+]?[0-9]+)?")
+from tiltcal.files.yaml_text import read_text
+from tiltcal.stated_arguments import require_printable
 
 Table = str | Path | Sequence[Mapping[str, Any]]
 """A file of CSV, or of a JSON list of objects; or such rows."""
@@ -61,9 +59,9 @@ def _csv_rows(text: str, file: str, keys: Mapping[str, bool]) -> Iterator[Docume
             if row and len(row) != len(header):
                 raise InputError(f"the row has {len(row)} fields, the header {len(header)}", file=file, line=line)
             if row:
+                require_printable("".join(row), None, file, line)
                 fields = {name: field.strip() for name, field in zip(header, row, strict=True) if field.strip()}
-                data = {name: field if _NUMBER.fullmatch(field) else Quoted(field) for name, field in fields.items()}
-                yield Document(data, {(): line}, file)
+                yield Document(fields, {(): line}, file)
             line = rows.line_num + 1
     except csv.Error as failure:
         raise InputError(f"not CSV: {failure}", file=file, line=rows.line_num) from None
@@ -98,10 +96,7 @@ class Segment:
 class Direction(Record, kw_only=True):
     """The direction that points up, as a row of a table gives it."""
 
-    gx: Annotated[
-        Number | None,
-        about("with `gy` and `gz` the direction that points up, where the position is not the procedure's"),
-    ] = None
+    gx: Annotated[Number | None, about("with `gy` and `gz` up, where the position is not the procedure's")] = None
     gy: Annotated[Number | None, about("likewise")] = None
     gz: Annotated[Number | None, about("likewise")] = None
 
@@ -179,9 +174,7 @@ class TabledRow(Direction, kw_only=True):
     z: Annotated[Number | None, about("likewise")] = None
     ux: Annotated[
         AboveZero | None,
-        about(
-            "standard uncertainty of the mean, unit; in every row or in none, where rounding to the last digit counts"
-        ),
+        about("standard uncertainty of the mean, unit, in every row or none; else its rounding counts"),
     ] = None
     uy: Annotated[AboveZero | None, about("likewise")] = None
     uz: Annotated[AboveZero | None, about("likewise")] = None

@@ -35,11 +35,9 @@ class FaultSection(Record, kw_only=True):
     """One of ``faults`` as it stands in a file."""
 
     kind: Annotated[
-        Annotated[str, one_of(*FAULTS)],
-        about(
-            "`parity` (memory error), `stuck` (the reading holds), `silent` (the data line floats) or `unplugged`; of "
-            "a `gradiometer` not `parity`, and `stuck` is one line again and again: the stage stands"
-        ),
+        str,
+        one_of(*FAULTS),
+        about("`parity` (of a memory, no `gradiometer`), `stuck` (the reading), `silent` (the line) or `unplugged`"),
     ]
     start: Annotated[FromZero, about("seconds after the session began")]
     end: Annotated[Number, about("seconds after the session began")]
@@ -58,28 +56,18 @@ class TruthSection(Record, kw_only=True):
 
     offset: Annotated[ByAxis[Number], about("as in a calibration file")]
     sensitivity: Annotated[ByAxis[ByAxis[Number]], about("as in a calibration file")]
-    temperature: Annotated[
-        ThermalTruth | None, about("`reference`, `offset`, `sensitivity`, as in a calibration file")
-    ] = None
+    temperature: Annotated[ThermalTruth | None, about("as in a calibration file")] = None
     mounting: Annotated[MountingSection, about("how it sits on the fixture, degrees")] = MountingSection()
     supply: Annotated[FromZero, about("of an analog sensor or a thermistor, V")] = Truth.supply
-    nonlinearity: Annotated[
-        Polynomials, about("per channel the coefficients of a², a³, … in g, where a is the signal in g")
-    ] = {}
-    noise: Annotated[ByAxis[FromZero], about("per channel, standard deviation of one sample, unit", usual="0")] = {}
+    nonlinearity: Annotated[Polynomials, about("per channel the coefficients of a², a³, … of the signal a in g")] = {}
+    noise: Annotated[ByAxis[FromZero], about("per channel, standard deviation of a sample, unit", usual="0")] = {}
     thermometer_error: Annotated[Number, about("what the sensor's thermometer reads too high, °C")] = (
         Truth.thermometer_error
     )
-    lag: Annotated[FromZero, about("by how much the sensing element is later than chamber and thermometer, s")] = (
-        Truth.lag
+    lag: Annotated[FromZero, about("of the sensing element behind chamber and thermometer, s")] = Truth.lag
+    jig: Annotated[FromZero, about("standard deviation of a set angle, degrees; of the bench's first sensor")] = (
+        Truth.jig
     )
-    jig: Annotated[
-        FromZero,
-        about(
-            "standard deviation of each set angle, degrees; jig and chamber are those of the bench's first virtual "
-            "sensor"
-        ),
-    ] = Truth.jig
     ambient: Annotated[Number, about("temperature at the start, °C")] = Truth.ambient
     time_constant: Annotated[FromZero, about("of the chamber, seconds")] = Truth.time_constant
     faults: Annotated[tuple[FaultSection, ...], about("a list of `{kind, start, end}`")] = ()
@@ -106,13 +94,11 @@ class AccelerometerSection(Record, kw_only=True):
 class DiskSection(Record, kw_only=True):
     """``truth.disk`` as it stands in a file."""
 
-    inclination: Annotated[
-        Number | None, about("of the spin axis, degrees; its sine is the common acceleration in g", usual="0.086")
-    ] = None
+    inclination: Annotated[Number | None, about("of the spin axis, degrees", usual="0.086")] = None
     spin: Annotated[Number, about("turns a second")] = Disk.spin
     rate: Annotated[Annotated[float, Meta(ge=SLOWEST, le=FASTEST)], about("lines a second")] = Disk.rate
     wander: Annotated[FromZero, about("of the common acceleration, its largest excursion, relative")] = Disk.wander
-    gradient: Annotated[Gradient | None, about("`{differential, cross}`: R (Γxx − Γyy) and R Γxy, g", usual="0")] = None
+    gradient: Annotated[Gradient | None, about("`{differential, cross}`, g", usual="0")] = None
     noise: Annotated[FromZero, about("one-sided amplitude density, g/√Hz")] = Disk.noise
     corner: Annotated[FromZero, about("where 1/f noise is as large, Hz")] = Disk.corner
     encoder_noise: Annotated[FromZero, about("standard deviation of the angle, degrees")] = Disk.encoder_noise
@@ -122,20 +108,14 @@ class DiskSection(Record, kw_only=True):
             Meta(extra_json_schema={"required": list(CHANNELS)}),
         ]
         | None,
-        about(
-            "`a1` to `a4`, each with `scale` (unit/g) and, 0 where left out, `misalignment` and `phase_error` "
-            "(degrees), `offset` (unit), `drift` (unit/s), `second_order` (1/g)",
-            usual="the source's",
-        ),
+        about("`a1` to `a4`", usual="the source's"),
     ] = None
 
 
 class StageSection(Record, kw_only=True):
     """The section ``truth`` of a ``gradiometer`` as it stands in a file."""
 
-    disk: Annotated[
-        DiskSection, about("of a `gradiometer`, in place of `offset`, `sensitivity` and what belongs to them")
-    ]
+    disk: Annotated[DiskSection, about("of a `gradiometer`, in place of all that a tilt sensor has")]
     faults: Annotated[tuple[FaultSection, ...], about("a list of `{kind, start, end}`")] = ()
 
 
@@ -164,10 +144,10 @@ def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Tr
 def twin_of(document: Document, seed: int | None = None) -> tuple[str | None, Truth]:
     """Return the sensor model that a twin file is for, and the truth; errors are those of :func:`read_twin`."""
     body = document.body("twin")
-    section, place = body.data.get("truth"), body.child("truth")
+    section, place = body.data.get("truth"), body.at("truth")
     file = body.read(StageFile if isinstance(section, dict) and "disk" in section else TwinFile)
     truth = _stage_of(file.truth, place) if isinstance(file.truth, StageSection) else _truth_of(file.truth, place)
-    faults = tuple(_fault_of(fault, place.child("faults", n)) for n, fault in enumerate(file.truth.faults))
+    faults = tuple(_fault_of(fault, place.at("faults", n)) for n, fault in enumerate(file.truth.faults))
     return file.model, replace(truth, faults=faults, seed=file.seed if seed is None else seed)
 
 

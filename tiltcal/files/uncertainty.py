@@ -20,12 +20,11 @@ from tiltcal.core.compensation import LENGTH_TOLERANCE
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
 from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, Uncertain, degrees_of_freedom
+from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, Uncertain, widened
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.document import Document
-from tiltcal.files.record import ByAxis, Finite, FiniteAboveZero, FiniteFromZero, Record, Text, about, one_of, plain
-from tiltcal.files.refusal import refusal
+from tiltcal.files.record import AboveZero, ByAxis, Finite, Record, Size, Text, about, one_of, plain
 
 SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
 """What has the shape of the ``calibration`` section."""
@@ -35,7 +34,7 @@ TEMPERATURE = "temperature"
 _MOUNTING = "mounting."
 _TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
 _SYMMETRY = 1e-9
-_POLYNOMIALS = ByAxis[Annotated[tuple[FiniteFromZero, ...], Meta(max_length=ORDER_LIMIT)]]
+_POLYNOMIALS = ByAxis[Annotated[tuple[Size, ...], Meta(max_length=ORDER_LIMIT)]]
 _ROUNDED = 0.01  # an eigenvalue of the correlations below zero, or a difference, that is larger is no matter of digits
 
 
@@ -44,22 +43,35 @@ class Covariance(Record, kw_only=True):
 
     parameters: Annotated[
         tuple[Text, ...],
-        about(
-            "the coefficients by their dotted names; `mounting.turn.x` is a small turn of the mounting about the "
-            "application's x axis, degrees"
-        ),
+        about("coefficients by dotted name; `mounting.turn.x` is a turn about the application's x axis, degrees"),
     ]
     matrix: Annotated[tuple[tuple[Finite, ...], ...], about("their covariance matrix")]
+    wide: Annotated[
+        tuple[tuple[Finite, ...], ...],
+        about(
+            "the covariance of errors of known size that have the same 95 % intervals, which few degrees of freedom "
+            "widen: half an interval of what follows from the coefficients is 1.96 times the root of its variance by "
+            "this matrix; where it is left out, by `matrix` and the coverage factors"
+        ),
+    ] = ()
 
     def as_array(self) -> Array:
         """Return the matrix as an array, shape (k, k)."""
         return np.array(self.matrix, dtype=float).reshape(2 * (len(self.parameters),))
 
+    def wide_array(self, factors: Array) -> Array:
+        """Return the covariance of errors of known size with the same 95 % intervals, shape (k, k)."""
+        if not self.wide:
+            return widened(self.as_array(), factors)
+        return np.array(self.wide, dtype=float)
+
     def without_turn(self) -> Covariance:
         """Return the covariance of all but the turn of the mounting."""
         kept = [k for k, name in enumerate(self.parameters) if not name.startswith(TURN)]
-        matrix = self.as_array()[np.ix_(kept, kept)]
-        return Covariance(parameters=tuple(self.parameters[k] for k in kept), matrix=tuple(map(tuple, matrix.tolist())))
+        matrix, wide = (
+            tuple(tuple(rows[i][j] for j in kept) for i in kept) if rows else () for rows in (self.matrix, self.wide)
+        )
+        return Covariance(parameters=tuple(self.parameters[k] for k in kept), matrix=matrix, wide=wide)
 
 
 @dataclass(frozen=True)
@@ -100,65 +112,56 @@ class Uncertainty(Mapping[str, float]):
 class ThermalUncertainty(Record, kw_only=True):
     """Standard uncertainties in the shape of ``calibration.temperature``."""
 
-    reference: Annotated[FiniteFromZero | None, about("of the reference temperature, °C")] = None
+    reference: Annotated[Size | None, about("of the reference temperature, °C")] = None
     offset: Annotated[_POLYNOMIALS, about("per channel, unit/°C, unit/°C², …")] = {}
     sensitivity: Annotated[_POLYNOMIALS, about("per channel, 1/°C, 1/°C², …")] = {}
-    lag: Annotated[FiniteFromZero | None, about("of the lag, s")] = None
+    lag: Annotated[Size | None, about("of the lag, s")] = None
 
 
 def _check_covariance(covariance: Covariance, place: Document, known: Sequence[str]) -> None:
     """Refuse a covariance of other coefficients, or a matrix that is none."""
-    names, matrix, size = covariance.parameters, covariance.matrix, len(covariance.parameters)
+    names, size = covariance.parameters, len(covariance.parameters)
     if len(set(names)) < size:
         raise place.error("a parameter is named twice", "parameters")
     for number, name in enumerate(names):
-        if name not in known:
-            raise place.error(refusal(name, known), "parameters", number)
-    if len(matrix) != size or any(len(row) != size for row in matrix):
-        raise place.error(f"{size} parameters need a matrix of {size} rows of {size} numbers", "matrix")
-    for i, j in combinations_with_replacement(range(size), 2):
-        if i == j and matrix[i][i] < 0.0:
-            raise place.error(f"the variance {matrix[i][i]:g} of {names[i]} is negative", "matrix", i)
-        if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * max(abs(matrix[i][j]), abs(matrix[j][i])):
-            raise place.error(f"the matrix is not symmetric in {names[j]} and {names[i]}", "matrix", j)
-    stated = covariance.as_array()
-    deviations = np.sqrt(np.diag(stated))
-    scales = np.where(deviations > 0.0, deviations, 1.0)
-    if np.linalg.eigvalsh(stated / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
-        raise place.error(
-            "this is no covariance: its correlations contradict one another; take it from the file that the "
-            "calibration wrote",
-            "matrix",
-        )
+        place.require_known(name, known, "parameters", number)
+    for key, matrix in (("matrix", covariance.matrix), *((("wide", covariance.wide),) if covariance.wide else ())):
+        if len(matrix) != size or any(len(row) != size for row in matrix):
+            raise place.error(f"{size} parameters need a matrix of {size} rows of {size} numbers", key)
+        for i, j in combinations_with_replacement(range(size), 2):
+            if i == j and matrix[i][i] < 0.0:
+                raise place.error(f"the variance {matrix[i][i]:g} of {names[i]} is negative", key, i)
+            if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * max(abs(matrix[i][j]), abs(matrix[j][i])):
+                raise place.error(f"the matrix is not symmetric in {names[j]} and {names[i]}", key, j)
+        stated = np.array(matrix, dtype=float).reshape(size, size)
+        deviations = np.sqrt(np.diag(stated))
+        scales = np.where(deviations > 0.0, deviations, 1.0)
+        if np.linalg.eigvalsh(stated / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
+            raise place.error(
+                "this is no covariance: its correlations contradict one another; take it from the file that the "
+                "calibration wrote",
+                key,
+            )
 
 
 class UncertaintySection(Record, kw_only=True):
     """The section as it stands in a file."""
 
-    offset: Annotated[ByAxis[FiniteFromZero], about("per channel, unit")] = {}
-    sensitivity: Annotated[ByAxis[ByAxis[FiniteFromZero]], about("row = channel, column = axis, unit/g")] = {}
+    offset: Annotated[ByAxis[Size], about("per channel, unit")] = {}
+    sensitivity: Annotated[ByAxis[ByAxis[Size]], about("row = channel, column = axis, unit/g")] = {}
     nonlinearity: Annotated[_POLYNOMIALS, about("per channel, pure numbers")] = {}
     temperature: Annotated[ThermalUncertainty | None, about("in the shape of `calibration.temperature`")] = None
-    mounting: Annotated[
-        Mapping[Annotated[str, one_of(*ANGLES)], FiniteFromZero], about("`roll`, `pitch`, `yaw`, degrees")
-    ] = {}
+    mounting: Annotated[Mapping[Annotated[str, one_of(*ANGLES)], Size], about("`roll`, `pitch`, `yaw`, degrees")] = {}
     single_reading: Annotated[
-        Mapping[Annotated[str, one_of(*AXES, TEMPERATURE)], FiniteFromZero],
-        about("of a single reading of a log, per channel, unit, and of its `temperature`, °C", formerly="reading"),
+        Mapping[Annotated[str, one_of(*AXES, TEMPERATURE)], Size],
+        about("of a reading of a log, per channel, unit, and of its `temperature`, °C", formerly="reading"),
     ] = {}
     alignment: Annotated[
-        FiniteFromZero,
-        about(
-            "after `level`: of how the sensor sits since its sensitivity was measured, degrees about each axis; it "
-            "makes no error at level"
-        ),
+        Size, about("after `level`: of how the sensor sits since its sensitivity was measured, degrees about each axis")
     ] = 0.0
     coverage_factor: Annotated[
-        Mapping[str, FiniteAboveZero],
-        about(
-            "per coefficient, by its dotted name such as `sensitivity.x.y`, what its standard uncertainty is "
-            "multiplied with for an interval of 95 %; 1.96 where it is not named"
-        ),
+        Mapping[str, AboveZero],
+        about("per coefficient, such as `sensitivity.x.y`, for an interval of 95 %; 1.96 where it is not named"),
     ] = {}
     covariance: Annotated[Covariance | None, about("the covariance of the coefficients")] = None
 
@@ -178,7 +181,7 @@ def uncertainty_of(section: UncertaintySection, place: Document, coefficients: C
     place.require_keys(section.coverage_factor, [*known, *standard], "coverage_factor")
     covariance = section.covariance
     if covariance is not None:
-        _check_covariance(covariance, place.child("covariance"), known)
+        _check_covariance(covariance, place.at("covariance"), known)
         for name, variance in zip(covariance.parameters, np.diag(covariance.as_array()).tolist(), strict=True):
             u = sqrt(variance)
             if not isclose(standard.get(name, u), u, rel_tol=_ROUNDED):
@@ -260,9 +263,11 @@ def uncertain_coefficients(uncertainty: Uncertainty, coefficients: Coefficients)
         names, covariance = tuple(own), np.diag(np.array(list(own.values())) ** 2)
     else:
         names, covariance = stated.parameters, stated.as_array()
-    scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
     factors = np.array([uncertainty.coverage_factor.get(name, NORMAL_FACTOR) for name in names])
-    found = Uncertain.errors(names, covariance * np.outer(scale, scale), degrees_of_freedom(factors))
+    wide = widened(covariance, factors) if stated is None else stated.wide_array(factors)
+    scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
+    scales = np.outer(scale, scale)
+    found = Uncertain(names, np.zeros(len(names)), covariance * scales, wide * scales)
     angles = {angle: radians(u) for angle in ANGLES if (u := uncertainty.get(f"mounting.{angle}")) is not None}
     if not names or coefficients.mounting is None or not angles or any(name.startswith(TURN) for name in names):
         return found

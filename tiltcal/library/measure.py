@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from math import hypot
 from pathlib import Path
 from typing import Any
 
-from tiltcal.bench.journal import SessionResult, changes_in_words
-from tiltcal.bench.run import open_operator, run_session
+from tiltcal.bench.journal import SessionResult
+from tiltcal.bench.measure import led_by, run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
-from tiltcal.calibration.free_positions import require_no_jig
+from tiltcal.calibration.checks import require_no_jig, unchecked
 from tiltcal.calibration.level import NO_LEVEL
 from tiltcal.calibration.prediction import predict
-from tiltcal.calibration.suitability import unchecked
 from tiltcal.calibration.summary import NOT_FOLLOWED, level_summary, summary, verdict
+from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.model import link_in_words
-from tiltcal.errors import JournalError, UsageError
+from tiltcal.errors import HardwareError, JournalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure import Procedure
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.library.calibration import Calibration
 from tiltcal.library.pair_calibration import PairCalibration
 from tiltcal.stated_arguments import (
@@ -158,19 +158,16 @@ def measure(
     else:
         missing = None if resume is None else Path(resume)
         session = _begun(stated, named, operator, missing, remark)
-    session.files.require_writable(session.journal)
     operator = operator or session.setup.operator
-    turns_stage, virtual = session.setup.steps.rotation is not None, session.setup.simulated
-    with session.resumable("measure", remark):
-        session.probe()
-        with open_operator(operator, turns=turns_stage, virtual=virtual, say=remark, plain=bool(plain)) as opened:
-            outcome = run_session(session, opened)
-            paths = {session.files.outputs[serial]: text for serial, text in outcome.texts().items()}
-            for path, text in paths.items():
-                write_whole(path, text)
-            files = [str(path) for path in paths]
-            opened.tell({"event": "done", "calibrations": files, "journal": str(session.files.journal)})
-            outcome.require_all()
+    with led_by(operator, session, "measure", remark, plain=bool(plain)) as opened:
+        outcome = run_session(session, opened)
+        paths = {session.files.outputs[serial]: text for serial, text in outcome.texts().items()}
+        for path, text in paths.items():
+            write_whole(path, text)
+        files = [str(path) for path in paths]
+        opened.tell({"event": "done", "calibrations": files, "journal": str(session.files.journal)})
+        if outcome.lost:
+            raise HardwareError("no calibration file for " + "; ".join(outcome.lost.values()))
     return _results(session.setup, outcome, remark, None if operator == "json" else result)
 
 
@@ -282,7 +279,7 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
     if setup.steps.determines.completes:
         return
     if setup.steps.rotation is not None:
-        for why in setup.channel_map().left_out:
+        for why in setup.stage_channels().left_out:
             remark(why)
         if len(setup.sensors) > 1:
             remark("several devices are read one after the other: the delay of one, times 2 pi f, goes into q")
@@ -386,3 +383,16 @@ def _results(
         if setup.steps.closes:
             remark(changes_in_words(calibration.record))
     return calibrations[0] if len(setup.sensors) == 1 else calibrations
+
+
+def changes_in_words(calibration: CalibrationRecord) -> str:
+    """Return how the readings of the last position differ from those of the first, where both are one position."""
+    first, last = calibration.positions[0], calibration.positions[-1]
+    coefficients, unit = calibration.coefficients, calibration.sensor.unit
+    parts = []
+    for channel in coefficients.channels:
+        change = last.mean[channel] - first.mean[channel]
+        u = hypot((first.u or {}).get(channel, 0.0), (last.u or {}).get(channel, 0.0))
+        milligravity = 1000 * change / abs(coefficients.own_sensitivity(channel))
+        parts.append(f"{channel} {plus_minus(change, 2 * u, signed=True)} {unit} ({milligravity:+.2g} mg)")
+    return f"{calibration.sensor.serial}: back in {first.position} the readings have changed by {', '.join(parts)}"

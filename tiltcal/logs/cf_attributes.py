@@ -29,8 +29,19 @@ _JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
         "flag_meanings": " ".join("_".join(re.findall(r"\w+", why.replace("the ", ""))) for why in REASONS.values()),
     },
 }
-_STANDARD, _EXPANDED = "u_", "U95_"
-_SHARES = {"u_random_": "random", "u_common_": "systematic"}
+_SHARES = {"u_random_": ("random", ", random"), "u_common_": ("systematic", ", common to all rows")}
+"""The shares of an uncertainty, as obsarray and punpy call them (obsarray, user guide, templater) and in words."""
+
+_LONG_NAMES = {
+    "g": "share of gravity along {}, up",
+    "tilt": "tilt of the {} axis, positive where it points up",
+    "pitch": "pitch, positive where the x axis points up",
+    "roll": "roll, positive where the y axis points up",
+    "inclination": "inclination of the z axis from the vertical",
+    "heading": "heading of the x axis, clockwise from north",
+    "v": "velocity, component {}",
+    "matched": "matched sum of the pair {}",
+}
 COUNT = "count"
 _SECONDS = {
     name: seconds
@@ -135,80 +146,47 @@ def describe(
     units: Mapping[str, str | None] | None = None,
     dimension: str = "",
 ) -> dict[str, Any]:
-    """Return the attributes of a new column.
+    """Return the attributes of one of the ``added`` columns.
 
-    Parameters
-    ----------
-    added : sequence of str
-        All new columns.
-    like : mapping of str to Any
-        The attributes of a reading, whose unit the matched sum of a pair has.
-    units : mapping of str to str or None, optional
-        The unit of new columns that have that of another column; None where that one states none.
-    dimension : str
-        Along which errors are random or systematic.
+    ``like`` are those of a reading, whose unit the matched sum of a pair has; ``units`` are those of columns that have
+    the unit of another column of the log; errors are random or systematic along ``dimension``.
     """
-    place = {"coordinates": like["coordinates"]} if "coordinates" in like else {}
-    sensors = [column.removesuffix("flag") for column in added if column.endswith("_flag")]
-    if lead := next((sensor for sensor in sensors if name.startswith(sensor)), ""):
+    lead = next((one[:-4] for one in added if one.endswith("_flag") and name.startswith(one[:-4])), "")
+    if lead:
         of_sensor = [column.removeprefix(lead) for column in added if column.startswith(lead)]
-        own = describe(name.removeprefix(lead), of_sensor, like, units, dimension)
-        own["long_name"] += f", of {lead.removesuffix('_')}"
-        if "ancillary_variables" in own:
-            own["ancillary_variables"] = " ".join(lead + column for column in own["ancillary_variables"].split())
-        return own
+        attributes = describe(name.removeprefix(lead), of_sensor, like, units, dimension)
+        attributes["long_name"] += f", of {lead.removesuffix('_')}"
+        if "ancillary_variables" in attributes:
+            beside = attributes["ancillary_variables"].split()
+            attributes["ancillary_variables"] = " ".join(lead + column for column in beside)
+        return attributes
+    place = {"coordinates": like["coordinates"]} if "coordinates" in like else {}
     if name in _JUDGEMENTS:
         return {**_JUDGEMENTS[name], **place}
-    beside = [column for column in ("flag", "reason", _STANDARD + name, _EXPANDED + name) if column in added]
     if name == COUNT:
         return {"long_name": "number of rows of which each row is the mean", "units": "1", **place}
     share = next((lead for lead in _SHARES if name.startswith(lead)), "")
-    quantity = name.removeprefix(share or _STANDARD).removeprefix(_EXPANDED)
-    unit = units[quantity] if units and quantity in units else _unit(name, like)
-    return {
-        "long_name": _long_name(name, quantity, share),
-        **({} if unit is None else {"units": unit}),
-        **({} if name.startswith((_STANDARD, _EXPANDED)) else {"ancillary_variables": " ".join(beside)}),
-        **_error_correlation(name, quantity, share, added, dimension),
-        **place,
-    }
-
-
-def _error_correlation(name: str, quantity: str, share: str, added: Sequence[str], dimension: str) -> dict[str, Any]:
-    """Return what obsarray and punpy take random and systematic errors from (obsarray, user guide, templater)."""
+    lead = share or next((lead for lead in ("u_", "U95_") if name.startswith(lead)), "")
+    quantity = name.removeprefix(lead)
+    kind, _, of = quantity.partition("_")
+    attributes = {"long_name": _LONG_NAMES.get(kind, "gradient signal").format(of)}
+    if kind == "gradient" and of:
+        attributes["long_name"] = f"{of} component of the gradient signal at twice the turning"
+    unit: str | None = "1" if kind == "g" else DEGREE
+    if (units and quantity in units) or kind in ("matched", "gradient"):
+        unit = (units or {}).get(quantity, like.get("units"))
+    if unit is not None:
+        attributes["units"] = unit
+    if lead == "U95_":
+        attributes["long_name"] = f"half width of the 95 % interval of {quantity}"
+    elif lead:
+        attributes["long_name"] = f"standard uncertainty of {quantity}{_SHARES[share][1] if share else ''}"
+    else:
+        beside = ("flag", "reason", f"u_{quantity}", f"U95_{quantity}")
+        attributes["ancillary_variables"] = " ".join(column for column in beside if column in added)
+        if shares := [lead + quantity for lead in _SHARES if lead + quantity in added]:
+            attributes["unc_comps"] = shares
     if share:
-        return {
-            "err_corr_1_dim": dimension,
-            "err_corr_1_form": _SHARES[share],
-            "err_corr_1_units": [],
-            "err_corr_1_params": [],
-            "pdf_shape": "gaussian",
-        }
-    shares = [lead + quantity for lead in _SHARES if lead + quantity in added]
-    return {"unc_comps": shares} if name == quantity and shares else {}
-
-
-def _unit(name: str, like: Mapping[str, Any]) -> Any:
-    if name.startswith(("matched_", "gradient")):
-        return like.get("units")
-    return "1" if name.startswith("g_") else "degree"
-
-
-def _long_name(name: str, quantity: str, share: str) -> str:
-    if name.startswith(_STANDARD):
-        kind = {"": "", "u_random_": ", random", "u_common_": ", common to all rows"}[share]
-        return f"standard uncertainty of {quantity}{kind}"
-    if name.startswith(_EXPANDED):
-        return f"half width of the 95 % interval of {quantity}"
-    kind, _, of = name.partition("_")
-    return {
-        "g": f"share of gravity along {of}, up",
-        "tilt": f"tilt of the {of} axis, positive where it points up",
-        "pitch": "pitch, positive where the x axis points up",
-        "roll": "roll, positive where the y axis points up",
-        "inclination": "inclination of the z axis from the vertical",
-        "heading": "heading of the x axis, clockwise from north",
-        "v": f"velocity, component {of}",
-        "matched": f"matched sum of the pair {of}",
-        "gradient": "gradient signal" if not of else f"{of} component of the gradient signal at twice the turning",
-    }.get(kind, name)
+        attributes |= {"err_corr_1_dim": dimension, "err_corr_1_form": _SHARES[share][0], "pdf_shape": "gaussian"}
+        attributes |= {"err_corr_1_units": [], "err_corr_1_params": []}
+    return attributes | place

@@ -20,15 +20,7 @@ HEADING = "heading"
 
 @dataclass(frozen=True)
 class SensorColumns:
-    """Where the columns of a sensor stand among others.
-
-    Attributes
-    ----------
-    lead : str
-        What the names of its columns begin with.
-    thermometer : int or None
-        Its own; None where it has none.
-    """
+    """Where columns of a sensor, readings and its own thermometer, stand among others; ``lead`` begins its names."""
 
     lead: str
     readings: tuple[int, ...]
@@ -48,14 +40,9 @@ class SensorColumns:
 def named_columns(
     columns: Mapping[str, str] | str, channels: Sequence[str], others: Sequence[str] = ()
 ) -> dict[str, str]:
-    """Return the column of each role that was named.
+    """Return the column of each role that was named, by a mapping or by text such as ``x=VoutX,temperature=T``.
 
-    Parameters
-    ----------
-    columns : mapping of str to str, or str
-        Column name by role; as the text of ``--columns`` pairs such as ``x=VoutX,y=VoutY,temperature=T``.
-    channels, others : sequence of str
-        The roles that a log may have besides temperature and time.
+    A log may have ``channels`` and ``others`` besides temperature and time.
 
     UsageError: a pair without ``=``, a role that there is not, or one that is named twice.
     """
@@ -91,24 +78,10 @@ def locate_columns(
     *,
     option: str = "--columns {role}=",
 ) -> dict[str, int]:
-    """Find the columns of the readings in a log.
+    """Return where the columns of channels and other roles stand in a log, and that of the temperature if it is there.
 
-    A role that was not named has the column of its own name. Temperature may be absent where it was not named. A unit
-    behind a column's name in the header, such as ``x (m/s^2)``, may be left out.
-
-    Parameters
-    ----------
-    named : mapping of str to str
-        Column name by role, from :func:`named_columns`.
-    others : sequence of str
-        Further roles that are needed, such as time.
-    option : str
-        What on the command line names the column of a ``{role}``, for the message.
-
-    Returns
-    -------
-    dict of str to int
-        Index by role, for every channel, every other role and, where there is one, the temperature.
+    A role that was not named has the column of its own name. A unit behind a column's name in the header, such as
+    ``x (m/s^2)``, may be left out. ``option`` names a column on the command line, for the message.
 
     InputError: a column is not there; the message lists those that are.
     """
@@ -175,6 +148,23 @@ def require_one_unit(log: LogReader, columns: Sequence[int]) -> None:
                 f"column {name!r} is in {unit}, and {stated[0][0]!r} in {stated[0][1]}: convert one of them",
                 file=log.name,
             )
+
+
+def common_dimension(dimensions: Mapping[str, Sequence[object]], file: str) -> str:
+    """Return along what named columns have their rows; an InputError where one has none or several, or they differ."""
+    along: dict[str, str] = {}
+    for name, each in dimensions.items():
+        if len(each) != 1:
+            listed = ", ".join(map(str, each)) or "a single value"
+            raise InputError(
+                f"column {name!r} has {len(each)} dimensions ({listed}): a log's columns have one, such as time",
+                file=file,
+            )
+        along[str(each[0])] = name
+    if len(along) > 1:
+        kinds = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
+        raise InputError(f"the columns have rows of different kinds: {kinds}", file=file)
+    return next(iter(along), "")
 
 
 def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:

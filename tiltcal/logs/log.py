@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import InputError
 from tiltcal.logs.cf_attributes import split_unit
-from tiltcal.logs.streams import ByteReader, HashingReader, keep_freed_memory, read_ahead, sha256_of
+from tiltcal.logs.streams import keep_freed_memory, read_ahead, sha256_of
 
 if TYPE_CHECKING:
     import polars as pl
@@ -70,22 +70,10 @@ class LogBlock:
 
 @dataclass(frozen=True)
 class LogSource:
-    """The source of a log: where it is read from, and how.
+    """The source of a log: an open file or standard input, its path or ``-``, its name for messages, its size in bytes.
 
-    Attributes
-    ----------
-    stream : BinaryIO
-        The file, open, or standard input.
-    path : str
-        The file, or ``-``.
-    name : str
-        The log as the user named it, for messages.
-    size : int or None
-        Bytes, where that is known.
-    skip_bad_rows : bool
-        Keep rows that cannot be parsed, named in :attr:`LogBlock.faults`, instead of raising; CSV alone has such rows.
-    digest : bool
-        Keep the checksum of what is read, for :attr:`LogReader.sha256`.
+    With ``skip_bad_rows`` rows of CSV that cannot be parsed are kept and named in :attr:`LogBlock.faults`, instead of
+    raising; with ``digest`` the checksum of CSV is that of what was read, which a pipe gives only once.
     """
 
     stream: BinaryIO
@@ -117,8 +105,6 @@ class LogReader(ABC):
         self.source = source
         self.notes: Mapping[str, str] = {}
         self.bytes_read = 0
-        self._hashing = HashingReader(source.stream) if source.digest else None
-        self._stream: ByteReader = self._hashing or source.stream
 
     @property
     def name(self) -> str:
@@ -127,8 +113,8 @@ class LogReader(ABC):
 
     @property
     def sha256(self) -> str:
-        """The checksum of the log, hexadecimal; with ``digest``, of what was read of it."""
-        return sha256_of(self.source.path) if self._hashing is None else self._hashing.sha256
+        """The checksum of the log, hexadecimal."""
+        return sha256_of(self.source.path)
 
     @property
     def interrupted(self) -> bool:
@@ -171,18 +157,22 @@ class LogReader(ABC):
     @abstractmethod
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]: ...
 
+    def _values(self, column: pl.Series, index: int, time: int | None) -> Array:
+        """Return a column that has a type as numbers, or as seconds where it is that of the time."""
+        from tiltcal.logs.text_to_numbers import column_numbers, column_seconds
+
+        values = column_seconds(column) if index == time else column_numbers(column)
+        if values is None:
+            why = f"column {self.names[index]!r} holds {column.dtype}, not numbers: name another, or make numbers of it"
+            raise InputError(why, file=self.name)
+        return values
+
     def _wrong_time(self, cells: pl.Series, column: int, first: int) -> InputError | None:
         """Return what is wrong with a column of times none of which can be read; ``first`` is the row of its first."""
         from tiltcal.logs.text_to_numbers import unread_time
 
-        found = unread_time(cells, self.names[column])
-        return None if found is None else InputError(f"row {first + found[0]}: {found[1]}", file=self.name)
-
-    def _library_has_read(self, rows: int, total: int) -> None:
-        """Note how far the format's library has read the file, which is read as far for its checksum."""
-        self.bytes_read = (self.source.size or 0) * rows // total
-        if self._hashing is not None:
-            self._hashing.read(self.bytes_read - self._hashing.bytes_read)
+        wrong = unread_time(cells, self.names[column])
+        return None if wrong is None else InputError(f"row {first + wrong[0]}: {wrong[1]}", file=self.name)
 
     def has_times(self, name: str, beside: int) -> bool:
         """Return whether there is a column of this name that may be read as times of the rows of another column."""
@@ -211,6 +201,9 @@ class LogWriter(ABC):
         The unit of added columns that have that of a column of the log; None where that one states none.
     """
 
+    frames = False
+    """Whether the blocks must have their columns with types."""
+
     def __init__(
         self,
         sink: BinaryIO,
@@ -219,16 +212,8 @@ class LogWriter(ABC):
         origin: Mapping[str, str] | None = None,
         units: Mapping[str, str | None] | None = None,
     ) -> None:
-        self._sink = sink
-        self._log = log
-        self._added = tuple(added)
-        self._origin = dict(origin or {})
-        self._units = dict(units or {})
-
-    @property
-    def frames(self) -> bool:
-        """Whether the blocks must have their columns with types."""
-        return False
+        self._sink, self._log, self._added = sink, log, tuple(added)
+        self._origin, self._units = dict(origin or {}), dict(units or {})
 
     @abstractmethod
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
@@ -237,12 +222,3 @@ class LogWriter(ABC):
         UsageError: the format has no place for what a column holds.
         OSError: the disk is full.
         """
-
-
-def require_free(log: LogReader, added: Sequence[str]) -> None:
-    """Raise UsageError for columns of a name that the log has already."""
-    taken = [name for name in added if name in log.names]
-    if taken:
-        raise UsageError(
-            f"{log.name} has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
-        )

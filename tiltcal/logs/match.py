@@ -17,12 +17,10 @@ import numpy as np
 import tiltcal
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import CHUNK, Demodulation, demodulate
-from tiltcal.core.pair.matching import Matching, PairCoefficients, drifts, solve
-from tiltcal.core.pair.matching import match as match_demodulated
+from tiltcal.core.pair.matching import Matching, PairCoefficients, drifts, match, solve
 from tiltcal.core.pair.model import Pair, sum_weights
-from tiltcal.core.pair.online import Online, OnlineHistory
-from tiltcal.core.pair.spin import estimated_angle
-from tiltcal.core.pair.stage import STANDSTILL, StageRecord, require_turns, stage_record
+from tiltcal.core.pair.online import Online
+from tiltcal.core.pair.stage import STANDSTILL, StageRecord, estimated_angle, require_turns, stage_record
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance
@@ -35,22 +33,16 @@ from tiltcal.stated_arguments import require_boolean, require_text_or_none
 
 _LARGEST = 1e140
 """Reading whose squares can be summed up in double precision."""
-_TURNS_OF_SEGMENT = 8
-_LONGEST_SEGMENT = 1 << 18
+
+_TURNS_OF_SEGMENT, _LONGEST_SEGMENT = 8, 1 << 18
+"""Turns and, at the most, rows of a segment of the spectra."""
 
 
 @dataclass(frozen=True)
 class PairLog:
-    """A log of pairs, demodulated.
+    """A log of pairs, demodulated: so many ``turns`` of the stage in ``rows``, others being ``missing`` a value.
 
-    Attributes
-    ----------
-    turns : float
-        Of the stage.
-    rows, missing : int
-        Those that were used, and those that were left out because a value is missing.
-    seconds : float or None
-        From the first row to the last; None without time.
+    ``seconds`` are those from the first row to the last, None without time.
     """
 
     record: StageRecord
@@ -73,10 +65,7 @@ class PairLog:
     def densities(self, matching: Matching) -> tuple[Array, dict[str, Array]]:
         """Return frequencies, and the densities of the source's figure 6 by Welch's method; unit²/Hz.
 
-        Raises
-        ------
-        EstimateError
-            The record is shorter than a segment.
+        An EstimateError where the record is shorter than a segment.
         """
         segment = 1 << ceil(log2(max(_TURNS_OF_SEGMENT * self.rows / self.turns, 64)))
         segment = min(segment, _LONGEST_SEGMENT)
@@ -105,38 +94,27 @@ class MatchedLog:
 
     calibration: PairRecord
     log: PairLog
-    course: Sequence[OnlineHistory]
+    course: Sequence[tuple[float, float, float, float]]
 
 
 def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
-    """Return pairs from their columns.
-
-    Raises
-    ------
-    UsageError
-        There is none or more than two, one is there twice, or its columns are not three different ones.
-    """
+    """Return pairs from their columns; a UsageError where these make no pairs of one stage."""
     if not isinstance(pairs, Sequence) or not pairs:
         raise UsageError("name a pair")
-    found = []
+    wanted = []
     for pair in pairs:
-        if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 3 or not all(map(_is_text, pair)):
+        if isinstance(pair, str) or not isinstance(pair, Sequence) or [type(name) for name in pair] != [str] * 3:
             raise UsageError(f"a pair is three columns, the first, the second and the orthogonal one; not {pair!r}")
-        first, second, orthogonal = pair
-        if len({first, second, orthogonal}) < 3:
+        wanted.append(Pair(*pair))
+        if len(set(pair)) < 3:
             raise UsageError(
-                f"--pair {first},{second} --orthogonal {orthogonal}: these must be three different columns"
+                f"--pair {pair[0]},{pair[1]} --orthogonal {pair[2]}: these must be three different columns"
             )
-        found.append(Pair(first, second, orthogonal))
-    if len(found) > 2:
+    if len(wanted) > 2:
         raise UsageError("at most two pairs can be matched at once: those of one stage")
-    if len({pair.name for pair in found}) < len(found):
-        raise UsageError(f"--pair {found[0].first},{found[0].second} is given twice")
-    return found
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
+    if len({pair.name for pair in wanted}) < len(wanted):
+        raise UsageError(f"--pair {wanted[0].first},{wanted[0].second} is given twice")
+    return wanted
 
 
 def match_log(
@@ -152,10 +130,7 @@ def match_log(
 ) -> MatchedLog:
     """Match pairs, and keep what a figure shows; the arguments are those of :func:`tiltcal.match`.
 
-    Raises
-    ------
-    Stopped
-        Ctrl-C ended a stream before there was a result.
+    Raises Stopped where Ctrl-C ended a stream before there was a result.
     """
     require_text_or_none("--phase", phase)
     require_boolean("--online", online)
@@ -172,44 +147,54 @@ def match_log(
         imported_meanwhile("scipy.special"),
     ):
         read = read_pair_log(log, channels, phase, say=say, online=online)
-        estimators = [Online(pair, channels) for pair in pairs] if online else []
-        for line in _pushed(estimators, read.record):
-            say(line)
-        demodulation = read.demodulation
+        whole, course = read.demodulation, []
         if online:
+            estimators = _estimators(pairs, read.record, say)
             estimates = [
-                _with_rounding(each.coefficients(loops=loops), demodulation, pair)
-                for pair, each in zip(pairs, estimators, strict=True)
+                _with_rounding(estimator.coefficients(loops=loops), whole, pair)
+                for estimator, pair in zip(estimators, pairs, strict=True)
             ]
+            course = estimators[0].course
         else:
-            estimates = [solve(demodulation, pair) for pair in pairs]
-        matchings = tuple(match_demodulated(demodulation, *each) for each in zip(pairs, estimates, strict=True))
-    if not online:
-        for pair, estimate in zip(pairs, estimates, strict=True):
-            changes = [f"{name} by {change:.2g}" for name, change in drifts(demodulation, pair, estimate).items()]
-            if changes:
-                say(
-                    f"{pair.first} and {pair.second} drift, {' and '.join(changes)} over the record, and the result is "
-                    "the mean; match shorter parts of it, or find with --online what it is at the end"
-                )
+            estimates = [solve(whole, pair) for pair in pairs]
+        matchings = tuple(match(whole, pair, estimate) for pair, estimate in zip(pairs, estimates, strict=True))
+    for matching in () if online else matchings:
+        _say_drift(matching, whole, say)
     rows = read.rows + read.missing
     if read.missing:
         say(f"{read.missing} of {rows} rows have a missing value and are left out")
+    name = Path(log.name).name
     provenance = PairProvenance(
         made_by="match of a recorded log",
         software=f"tiltcal {tiltcal.__version__}",
-        log=LogRecord(name=Path(log.name).name, sha256=log.sha256, rows=rows, missing=read.missing)
-        if is_file
-        else None,
+        log=LogRecord(name=name, sha256=log.sha256, rows=rows, missing=read.missing) if is_file else None,
         stage_angle=None if phase else "estimated from the readings",
     )
-    record = PairRecord(
-        spin=SpinRecord(turns=read.turns, frequency=read.frequency, phase=phase),
-        online=online,
-        matchings=matchings,
-        provenance=provenance,
-    )
-    return MatchedLog(record, read, estimators[0].course if online else ())
+    spin = SpinRecord(turns=read.turns, frequency=read.frequency, phase=phase)
+    return MatchedLog(PairRecord(spin=spin, online=online, matchings=matchings, provenance=provenance), read, course)
+
+
+def _say_drift(matching: Matching, record: Demodulation, say: Callable[[str], None]) -> None:
+    pair = matching.pair
+    changes = drifts(record, pair, PairCoefficients(matching.p, matching.q, matching.u_p, matching.u_q))
+    if changes:
+        clear = " and ".join(f"{name} by {change:.2g}" for name, change in changes.items())
+        say(
+            f"{pair.first} and {pair.second} drift, {clear} over the record, and the result is the mean; match shorter "
+            "parts of it, or find with --online what it is at the end"
+        )
+
+
+def _estimators(pairs: Sequence[Pair], record: StageRecord, say: Callable[[str], None]) -> list[Online]:
+    """Return the estimators of each pair at the end of a record; say where they are held, once what holds all."""
+    estimators = [Online(pair, record.channels) for pair in pairs]
+    for start in range(0, len(record.theta), CHUNK):
+        rows = slice(start, start + CHUNK)
+        readings = np.stack([column[rows] for column in record.readings])
+        notices = [each.push(record.theta[rows], readings, record.whole[rows]) for each in estimators]
+        for line in dict.fromkeys(str(notice) for of_pair in notices for notice in of_pair):
+            say(line)
+    return estimators
 
 
 def _with_rounding(estimate: PairCoefficients, demodulation: Demodulation, pair: Pair) -> PairCoefficients:
@@ -220,15 +205,6 @@ def _with_rounding(estimate: PairCoefficients, demodulation: Demodulation, pair:
     return replace(estimate, u_p=hypot(estimate.u_p, alone.u_p), u_q=hypot(estimate.u_q, alone.u_q))
 
 
-def _pushed(estimators: Sequence[Online], record: StageRecord) -> Iterator[str]:
-    """Push a record to the estimators; yield where they are held and go on, once what holds all pairs."""
-    for start in range(0, len(record.theta) if estimators else 0, CHUNK):
-        rows = slice(start, start + CHUNK)
-        readings = np.stack([column[rows] for column in record.readings])
-        notices = [each.push(record.theta[rows], readings, record.whole[rows]) for each in estimators]
-        yield from dict.fromkeys(str(notice) for of_pair in notices for notice in of_pair)
-
-
 def read_pair_log(
     log: LogReader,
     channels: Sequence[str],
@@ -237,24 +213,11 @@ def read_pair_log(
     say: Callable[[str], None] = lambda line: None,
     online: bool = False,
 ) -> PairLog:
-    """Read a log to its end, and demodulate its readings.
+    """Read a log to its end, and demodulate its readings; say which channel is stuck, and from which row on.
 
-    Parameters
-    ----------
-    phase : str or None
-        The column of the stage angle in degrees; None where there is no encoder and the spin is to be estimated, from
-        the column ``time`` or, without one, from the number of the row.
-    say : callable
-        Told which channel is stuck, and from which row on.
-    online : bool
-        A stage that turns too little, or backwards, is left to the online estimators.
-
-    Raises
-    ------
-    InputError
-        A column is missing or has no values, or a row cannot be parsed.
-    EstimateError
-        The stage does not turn as it must.
+    ``phase`` is the column of the stage angle in degrees; without an encoder the spin is estimated, from the column
+    ``time`` or, without one, from the number of the row. Where ``online``, a stage that turns too little, or backwards,
+    is left to the online estimators.
     """
     where = locate_columns(log, channels, {}, option="--pair or --orthogonal ")
     columns = [where[channel] for channel in channels]
@@ -272,17 +235,16 @@ def read_pair_log(
         if name in channels and largest > _LARGEST:
             raise InputError(f"column {name!r} has a reading of {largest:.3g}, which is no measurement", file=log.name)
     time = np.arange(float(len(numbers))) if index is None else numbers.columns[-1]
-    record = stage_record(
-        channels, estimated_angle(time, readings) if phase is None else numbers.columns[len(channels)], readings
-    )
+    theta = estimated_angle(time, readings) if phase is None else numbers.columns[len(channels)]
+    record = stage_record(channels, theta, readings)
     for line in record.stuck:
         say(line)
     angle = record.angle[record.whole]
     if len(angle) and (not online or np.ptp(angle) < STANDSTILL):
         require_turns(angle)
     demodulation = demodulate(channels, record.angle, readings, record.whole)
-    timed = np.flatnonzero(np.isfinite(time))
-    seconds = float(time[timed[-1]] - time[timed[0]]) if index is not None and len(timed) else 0.0
+    timed = time[np.isfinite(time)]
+    seconds = float(timed[-1] - timed[0]) if index is not None and len(timed) else 0.0
     turns, missing = float(angle[-1] - angle[0]), len(numbers) - len(angle)
     return PairLog(record, demodulation, turns, len(angle), missing, seconds if seconds > 0.0 else None)
 
@@ -297,6 +259,5 @@ def _explained(log: LogReader, phase: str | None) -> Iterator[None]:
         if log.interrupted:
             raise Stopped(f"interrupted, and nothing is written: {why}; let the stream run for longer") from None
         if isinstance(refusal, EstimateError):
-            steady = "" if phase else "; without --phase the stage must turn at one speed"
-            raise EstimateError(why + steady) from refusal
+            raise EstimateError(why + ("" if phase else "; without --phase the stage must turn at one speed")) from None
         raise

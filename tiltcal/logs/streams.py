@@ -10,10 +10,10 @@ import stat
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
-from hashlib import file_digest, sha256
+from hashlib import file_digest
 from importlib import import_module
 from pathlib import Path
 from select import select
@@ -27,7 +27,6 @@ T = TypeVar("T")
 STANDARD = "-"
 """The name of standard input and standard output."""
 
-_PIPE_BUFFER = 1 << 16  # bytes that a pipe holds
 _LOOK = 0.2  # seconds until a wait for bytes looks whether Ctrl-C came
 _OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")  # how the engine ends its message where the system refuses
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
@@ -47,7 +46,11 @@ def log_source(log: str, *, live: bool = False) -> Iterator[tuple[BinaryIO, int 
     Where ``live``, Ctrl-C ends a stream that has no end of its own. A UsageError if the file cannot be opened.
     """
     with _opened(log) as (stream, size):
-        if not has_no_end(stream):
+        try:
+            has_end = stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
+        except OSError:  # memory
+            has_end = True
+        if has_end:
             yield stream, size
             return
         pipe = PipeReader(stream)
@@ -77,7 +80,6 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         from tiltcal.files.atomic import whole_file
 
         with whole_file(output) as stream:
-            _leave_memory(output)
             yield stream
         return
     if sys.stdout is None:
@@ -93,33 +95,20 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         stdout.flush()
 
 
-def _leave_memory(replaced: str) -> None:
-    """Free the system's memory of a file that is going to be replaced, where the system has a call for that.
-
-    The new file then takes that memory; taking other memory takes a virtual machine that has returned it to its host
-    half as long as the whole command.
-    """
-    if hasattr(os, "posix_fadvise") and os.path.isfile(replaced):
-        with suppress(OSError), open(replaced, "rb") as stream:
-            os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-
-
 def with_writeback(sink: BinaryIO, items: Iterable[T]) -> Iterator[T]:
     """Yield items that are written to a sink, and let the system bring to the disk what it has meanwhile.
 
     Without it, all that is in the system's memory goes to the disk when the file is complete, and the command waits.
     """
-    if not isinstance(sink, io.BufferedIOBase | io.RawIOBase) or not hasattr(os, "posix_fadvise"):
-        yield from items
-        return
-    begun = 0
+    begun, advise = 0, getattr(os, "posix_fadvise", None)
     for item in items:
         yield item
-        size = os.fstat(sink.fileno()).st_size
-        if size - begun >= _WRITEBACK:
-            with suppress(OSError):
-                os.posix_fadvise(sink.fileno(), begun, size - begun, os.POSIX_FADV_DONTNEED)
-            begun = size
+        if advise is not None and isinstance(sink, io.BufferedIOBase | io.RawIOBase):
+            size = os.fstat(sink.fileno()).st_size
+            if size - begun >= _WRITEBACK:
+                with suppress(OSError):
+                    advise(sink.fileno(), begun, size - begun, os.POSIX_FADV_DONTNEED)
+                begun = size
 
 
 def keep_freed_memory() -> None:
@@ -135,46 +124,16 @@ def keep_freed_memory() -> None:
 
 @contextmanager
 def refused_by_system() -> Iterator[None]:
-    """Raise an OSError with its number where the engine only quotes the system.
-
-    OSError: the disk is full, or the system refuses something else.
-    """
+    """Raise an OSError with its number, such as for a full disk, where the engine only quotes the system."""
     import polars as pl
 
     try:
         yield
     except (pl.exceptions.PolarsError, OSError) as failure:
-        found = _OF_THE_SYSTEM.search(str(failure))
-        if found is None:
+        if (quoted := _OF_THE_SYSTEM.search(str(failure))) is None:
             raise
-        raise OSError(int(found[1]), os.strerror(int(found[1]))) from failure
-
-
-@contextmanager
-def interrupts_held() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C back while a library calls Python, where an exception would be printed and lost.
-
-    Yields
-    ------
-    callable
-        Raises KeyboardInterrupt where Ctrl-C came; so does the end of the block.
-    """
-    before = signal.getsignal(signal.SIGINT)
-    if not callable(before) or threading.current_thread() is not threading.main_thread():
-        yield lambda: None
-        return
-    held: list[int] = []
-
-    def check() -> None:
-        if held:
-            raise KeyboardInterrupt
-
-    signal.signal(signal.SIGINT, lambda number, _frame: held.append(number))
-    try:
-        yield check
-    finally:
-        signal.signal(signal.SIGINT, before)
-    check()
+        code = int(quoted[1])
+        raise OSError(code, os.strerror(code)) from failure
 
 
 def read_ahead(items: Iterator[T], count: int = 2) -> Iterator[T]:
@@ -203,34 +162,6 @@ def imported_meanwhile(module: str) -> Iterator[None]:
     thread.join()
 
 
-class HashingReader:
-    """A stream that keeps the SHA-256 of the bytes that were read from it, computed while the next ones are read."""
-
-    def __init__(self, stream: ByteReader) -> None:
-        self._stream = stream
-        self.bytes_read = 0
-        self._digest = sha256()
-        self._update = threading.Thread()
-
-    @property
-    def sha256(self) -> str:
-        """The checksum of the bytes so far, hexadecimal."""
-        self._wait()
-        return self._digest.hexdigest()
-
-    def read(self, size: int = -1) -> bytes:
-        data = self._stream.read(size)
-        self.bytes_read += len(data)
-        self._wait()
-        self._update = threading.Thread(target=self._digest.update, args=(data,))
-        self._update.start()
-        return data
-
-    def _wait(self) -> None:
-        if self._update.ident is not None:
-            self._update.join()
-
-
 def sha256_of(path: str | Path) -> str:
     """Return the SHA-256 of a whole file, hexadecimal.
 
@@ -243,7 +174,7 @@ def sha256_of(path: str | Path) -> str:
 
 
 class PipeReader:
-    """What arrives from a pipe, a device or a terminal; Ctrl-C ends the wait for it.
+    """What arrives from a pipe, a device or a terminal, of which nothing was read yet; Ctrl-C ends the wait for it.
 
     The engine that parses rows handles signals in its own way, and lets a read go on after one.
 
@@ -254,22 +185,20 @@ class PipeReader:
     """
 
     def __init__(self, stream: BinaryIO) -> None:
-        """Read a stream of which nothing was read: what stands in its buffer would not be seen."""
         self._descriptor = stream.fileno()
         self.interrupted = False
 
-    def read(self, size: int = -1) -> bytes:
+    def read(self, size: int) -> bytes:
         """Return so many bytes, or all that come until the end."""
         parts, missing = [], size
         while missing and not self.interrupted:
             # A signal that comes just before the wait, or to another thread, does not end it.
             if os.name == "posix" and not select([self._descriptor], [], [], _LOOK)[0]:
                 continue
-            part = os.read(self._descriptor, missing if size >= 0 else _PIPE_BUFFER)
-            if not part:
+            if not (part := os.read(self._descriptor, missing)):
                 break
             parts.append(part)
-            missing -= len(part) if size >= 0 else 0
+            missing -= len(part)
         return b"".join(parts)
 
     @contextmanager
@@ -288,11 +217,3 @@ class PipeReader:
             yield
         finally:
             signal.signal(signal.SIGINT, before)
-
-
-def has_no_end(stream: BinaryIO) -> bool:
-    """Return whether nothing but Ctrl-C, or the other side, will end a stream; a file has its own end."""
-    try:
-        return not stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
-    except OSError:  # memory
-        return False

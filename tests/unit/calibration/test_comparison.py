@@ -12,7 +12,7 @@ from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import SensorIdentity
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.library.calibration import Calibration
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))

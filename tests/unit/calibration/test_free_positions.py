@@ -18,7 +18,7 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 SENSOR = SensorIdentity("recorded", "S", "g", ("x", "y", "z"))
 OFFSET = np.array([0.02, -0.03, 0.01])

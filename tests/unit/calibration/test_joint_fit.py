@@ -10,7 +10,7 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.calibration.summary import verdict
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 SENSOR = SensorIdentity("recorded", "S", "g", ("x", "y", "z"))
 NOISE, JIG = 1e-4, 0.1

@@ -20,7 +20,7 @@ from tiltcal.core.model import Array, Mounting, vector_of, with_vector
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.library.calibration import Calibration
 
@@ -78,11 +78,12 @@ def test_the_offset_is_what_is_left_of_the_reading() -> None:
 
 
 def test_the_change_has_the_coverage_factor_of_its_noise() -> None:
-    """Noise from ten block means beside a known error of the thermometer: Welch-Satterthwaite by hand, Student's t."""
+    """Noise from ten block means beside a known error of the thermometer: the squares of both intervals add."""
     base = replace(COMPLETE, uncertainty=replace(COMPLETE.uncertainty, standard={}, covariance=None))
     found = levelled(base, np.array([1030.0, 1010.0]), jig=0.0, dof=9.0).fit.level
     thermometer = 0.1 * COMPLETE.coefficients.thermal.drift[:, 0]
-    expected = scipy.stats.t.ppf(0.975, 9.0 * (1.0 + (thermometer / NOISE) ** 2) ** 2)
+    normal, student = scipy.stats.norm.ppf(0.975), scipy.stats.t.ppf(0.975, 9.0)
+    expected = np.hypot(normal * thermometer, student * NOISE) / np.hypot(thermometer, NOISE)
     assert [found.change_coverage_factor[channel] for channel in "xy"] == pytest.approx(expected.tolist(), abs=1e-3)
 
 

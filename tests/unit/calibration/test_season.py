@@ -15,7 +15,7 @@ from tiltcal.calibration.season import DAY, DatedCalibration, SensorHistory
 from tiltcal.core.model import Coefficients
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.files.uncertainty import Uncertainty
 
 BASE = read_calibration(FIXTURES / "plane.yaml")

@@ -16,8 +16,7 @@ from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import Procedure
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import Procedure, find_procedure
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
 NOMINAL = replace(find_model("sca100t-d02"), sensitivity_spread=2.4 / 819.0, rails=(101.0, 2047.0))

@@ -12,7 +12,7 @@ from tiltcal.calibration.verification import Verification, VerifiedPosition, ver
 from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
 PERFECT = CalibrationRecord(

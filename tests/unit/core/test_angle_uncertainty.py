@@ -342,25 +342,45 @@ class TestRows:
 
 
 class TestExpansion:
-    """A file has one coverage factor, by the GUM's eq. G.2b with scipy's quantiles."""
+    """Few degrees of freedom widen what they are of, by scipy's quantiles; the squares of intervals add."""
 
     ONE = Coefficients(("x",), ("x",), np.array([1024.0]), np.array([[819.0]]))
 
-    @pytest.mark.parametrize("dof", [2.0, 5.0, 30.0])
-    @pytest.mark.parametrize("noise", [0.0, 0.3, 4.0])
-    def test_welch_and_satterthwaite(self, dof: float, noise: float) -> None:
-        factors = np.array([scipy.stats.t.ppf(0.975, dof)])
-        doubt = uncertain_readings(("offset.x",), np.eye(1), factors, np.array([noise]))
-        found = result_of(self.ONE, doubt, np.array([[1024.0]]), np.zeros(1))
-        u = degrees(np.hypot(1.0, noise) / 819.0)
-        assert found.standard[0, 0] == pytest.approx(u, rel=1e-3)
-        expected = u * scipy.stats.t.ppf(0.975, dof * (1.0 + noise**2) ** 2)
-        assert found.expanded[0, 0] == pytest.approx(expected, rel=2e-3)
+    def test_a_coefficient_beside_the_noise_of_a_reading(self) -> None:
+        for dof in (2.0, 5.0, 30.0):
+            for noise in (0.0, 0.3, 4.0):
+                student = scipy.stats.t.ppf(0.975, dof)
+                doubt = uncertain_readings(("offset.x",), np.eye(1), np.array([student]), np.array([noise]))
+                found = result_of(self.ONE, doubt, np.array([[1024.0]]), np.zeros(1))
+                assert found.standard[0, 0] == pytest.approx(degrees(np.hypot(1.0, noise) / 819.0), rel=1e-3)
+                half = degrees(np.hypot(student, NORMAL * noise) / 819.0)
+                assert found.expanded[0, 0] == pytest.approx(half, rel=1e-3), (dof, noise)
 
-    def test_the_worst_attitude_gives_the_factor_of_all_rows(self) -> None:
-        """The sensitivity has 2 degrees of freedom, and counts at 90° alone; level rows have the same factor."""
+    def test_each_attitude_has_its_own_factor(self) -> None:
+        """The sensitivity has 2 degrees of freedom, which level rows do not lean on."""
         factors = np.array([NORMAL, scipy.stats.t.ppf(0.975, 2.0)])
         doubt = uncertain_readings(("offset.x", "sensitivity.x.x"), np.diag([1.0, 4.0]), factors, np.zeros(1))
         found = result_of(self.ONE, doubt, np.array([[1024.0], [1433.5]]), np.zeros(2))
-        wide = NORMAL * sqrt((1.0 + 4.0 * (factors[1] / NORMAL) ** 2) / 5.0)
+        wide = [NORMAL, np.hypot(NORMAL, 0.5 * 2.0 * factors[1]) / np.hypot(1.0, 0.5 * 2.0)]
         np.testing.assert_allclose(found.expanded[:, 0], wide * found.standard[:, 0], rtol=2e-3)
+
+    def test_95_percent_of_the_truths_of_a_sensor_whose_noise_is_known_from_3_readings(self) -> None:
+        """A zero from three readings, beside a sensitivity of the data sheet, at level and at 30 degrees."""
+        rng = np.random.default_rng(31)
+        inside = np.zeros((3, 2))
+        for row, spread in enumerate((0.0, 1.5, 40.0)):
+            for _ in range(400):
+                slope, readings = 819.0 + spread * rng.normal(), 1024.0 + rng.normal(size=3)
+                zero = replace(self.ONE, offset=np.array([readings.mean()]))
+                factors = np.array([scipy.stats.t.ppf(0.975, 2.0), NORMAL])
+                covariance = np.diag([readings.var(ddof=1) / 3.0, spread**2])
+                doubt = uncertain_readings(("offset.x", "sensitivity.x.x"), covariance, factors)
+                truth = np.array([0.0, 30.0])
+                found = result_of(zero, doubt, 1024.0 + slope * np.sin(np.radians(truth))[:, None], np.zeros(2))
+                off = np.abs(found.compensated.tilt[:, 0] - truth)
+                inside[row] += off <= found.expanded[:, 0]
+        share = 100.0 * inside / 400.0
+        assert np.all((share > 92.5) & (share < 99.5)), share
+        # Where one part alone is uncertain the interval has its 95 %: the noise at level, the slope at 30 degrees.
+        assert np.all(np.abs(share[:, 0] - 95.0) < 3.5), share
+        assert abs(share[2, 1] - 95.0) < 3.5, share

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy
 
-from tiltcal.core.uncertain import Uncertain, central_differences, weighted_sum, welch_satterthwaite
+from tiltcal.core.uncertain import Uncertain, central_differences, weighted_sum
 
 RNG = np.random.default_rng(3)
 
@@ -18,25 +18,21 @@ def errors(covariance: list[list[float]] | np.ndarray, dof: float = np.inf) -> U
     return Uncertain.errors([f"q{k}" for k in range(len(matrix))], matrix, dof, source="noise")
 
 
-def test_the_degrees_of_freedom_of_the_example_of_the_guide() -> None:
-    """GUM, G.4.1: a product of three quantities, from 10, 5 and 15 readings; relative uncertainties in percent."""
-    parts = [(np.array([0.25**2]), 9.0), (np.array([0.57**2]), 4.0), (np.array([0.82**2]), 14.0)]
-    (dof,) = welch_satterthwaite(np.array([1.03**2]), parts)
-    assert dof == pytest.approx(19.0, abs=0.05)
+def test_independent_errors_add_with_the_sources_and_the_intervals_of_both() -> None:
+    """Variances of 4 with 5 degrees of freedom and of 5 that is known: the squares of both intervals add."""
+    both = errors([[4.0]], 5.0) + replace(errors([[5.0]]), sources={"jig": np.array([5.0])})
+    assert both.u == pytest.approx([3.0])
+    assert {source: share.tolist() for source, share in both.shares.items()} == {"noise": [4 / 9], "jig": [5 / 9]}
+    half = np.sqrt(4.0 * scipy.stats.t.ppf(0.975, 5) ** 2 + 5.0 * scipy.stats.norm.ppf(0.975) ** 2)
+    assert both.factors * both.u == pytest.approx([half])
 
 
-def test_a_part_without_weight_leaves_the_degrees_infinite() -> None:
-    """Such a part came from a sensor whose noise was far below its jig."""
-    tiny = np.array([1e-157, 0.0, 5.98e-157, 2.33e-160])
-    assert np.all(np.isinf(welch_satterthwaite(np.full(4, 0.05), [(tiny, 1.0)])))
-
-
-def test_independent_errors_add_with_the_sources_of_both() -> None:
-    """Variances of 4 with 5 degrees of freedom and of 4 with 5: 8 with 10 (eq. G.2b)."""
-    both = errors([[4.0]], 5.0) + replace(errors([[4.0]], 5.0), sources={"jig": np.array([4.0])})
-    assert both.dof == pytest.approx([10.0])
-    assert {source: share.tolist() for source, share in both.shares.items()} == {"noise": [0.5], "jig": [0.5]}
-    assert both.factors == pytest.approx([scipy.stats.t.ppf(0.975, 10)])
+def test_few_degrees_of_freedom_widen_what_they_are_of_and_nothing_else() -> None:
+    """The noise of a slope, of 2 degrees of freedom, beside a known error that cancels between offset and slope."""
+    known, noise = errors([[100.0, -100.0], [-100.0, 100.0]]), errors([[0.0, 0.0], [0.0, 1.0]], 2.0)
+    level, beside = (known + noise).through(np.array([[1.0, 1.0], [1.0, 0.0]]), "ab").factors
+    assert level == pytest.approx(scipy.stats.t.ppf(0.975, 2))
+    assert beside == pytest.approx(scipy.stats.norm.ppf(0.975))
 
 
 def test_a_linear_function_has_j_c_j_and_the_factor_of_the_one_variance_that_was_estimated() -> None:

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from tiltcal.bench import sensors
-from tiltcal.bench.sensors import Recorder, VirtualBench
-from tiltcal.bench.setup import BenchDevice
+from tiltcal.bench import devices
+from tiltcal.bench.devices import BenchDevice, VirtualBench
+from tiltcal.bench.sensors import Recorder, connected
 from tiltcal.drivers import find_model
 from tiltcal.drivers import scl3300 as frames
 from tiltcal.drivers.bus.address import parse_address
@@ -145,9 +145,9 @@ def test_another_part_after_the_bus_was_opened_again_is_refused(monkeypatch: pyt
         line.clock = clock
         line.restart()
     opened = iter(links)
-    monkeypatch.setattr(sensors, "open_link", lambda *_: next(opened))
+    monkeypatch.setattr(devices, "open_link", lambda *_: next(opened))
     live = []
-    with sensors.connected([device], False, Recorder(clock), clock, VirtualBench(clock, [device])) as bench:
+    with connected([device], None, Recorder(clock), VirtualBench(clock, [device])) as bench:
         for pulled in (None, same, None, again, None, None):
             if pulled is not None:
                 pulled.before = pulled_out

@@ -5,23 +5,24 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
 import yaml
-from hypothesis import example, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from msgspec import Meta
 
 from tiltcal.errors import InputError
-from tiltcal.files import document as document_module
+from tiltcal.files import yaml_text as yaml_module
 from tiltcal.files.calibration import tilt_record
-from tiltcal.files.document import NODE_LIMIT, SIZE_LIMIT, document_of, parse_document, read_document
-from tiltcal.files.emitter import WIDTH, yaml_text
+from tiltcal.files.document import document_of, parse_document, read_document
 from tiltcal.files.record import AboveZero, ByAxis, Finite, FromZero, Record, Text
+from tiltcal.files.yaml_text import NODE_LIMIT, SIZE_LIMIT, WIDTH, yaml_text
 from tiltcal.stated_arguments import CONTROL
 
 
@@ -67,90 +68,92 @@ def told(text: str) -> InputError:
     return complaint(text, lambda document: document.read(Values))
 
 
+def as_text(data: Any) -> Any:
+    """Return plain data as a document has them: scalars are text."""
+    if isinstance(data, dict):
+        return {name: as_text(value) for name, value in data.items()}
+    if isinstance(data, list):
+        return [as_text(value) for value in data]
+    return {True: "true", False: "false"}[data] if isinstance(data, bool) else None if data is None else str(data)
+
+
+def alike(read: Any, written: Any) -> bool:
+    """Return whether the texts of a document are those that were written; numbers count by their values."""
+    if isinstance(written, dict):
+        return read.keys() == written.keys() and all(alike(read[name], written[name]) for name in written)
+    if isinstance(written, list):
+        return len(read) == len(written) and all(map(alike, read, written))
+    if isinstance(written, float):
+        return float(read) == written
+    return bool(read == as_text(written))
+
+
 # What PyYAML alone gets wrong in silence (SPEC 9).
 
 
-@pytest.mark.parametrize(
-    ("written", "meant"),
-    [("1e-8", 1e-8), ("0042", 42.0), ("-.5", -0.5), ("+12.", 12.0), ("1E3", 1000.0), ("0x1d", 29.0), ("0o17", 15.0)],
-)
-def test_number_is_read_by_the_core_schema_of_yaml_1_2(written: str, meant: float) -> None:
-    assert value("number", written) == meant
-    assert value("list", f"[1, {written}]") == (1.0, meant)
-    assert parse_document(f"v: {written}").plain() == {"v": meant}
+def test_number_is_read_by_the_core_schema_of_yaml_1_2() -> None:
+    for written, meant in (
+        *(("1e-8", 1e-8), ("0042", 42.0), ("-.5", -0.5), ("+12.", 12.0), ("1E3", 1e3), ("0x1d", 29.0), ("0o17", 15.0)),
+        ('"1.5"', 1.5),
+    ):
+        assert value("number", written) == meant, written
+        assert value("list", f"[1, {written}]") == (1.0, meant), written
 
 
-@pytest.mark.parametrize(
-    "written", ["12:30", "1_000", '"1.5"', "yes", "1,5", "0b11", "[1]", "{a: 1}", "+0x1d", "१", "nan", "inf"]
-)
-def test_what_is_no_number_is_refused_and_shown(written: str) -> None:
-    error = told(f"number: {written}")
-    assert (error.file, error.line, error.key) == ("f.yaml", 1, "number")
-    assert "a number is needed here, found" in error.message
+def test_what_is_no_number_is_refused_and_shown() -> None:
+    for written in ("12:30", "1_000", "yes", "1,5", "0b11", "[1]", "{a: 1}", "+0x1d", "१", "nan", "inf"):
+        error = told(f"number: {written}")
+        assert (error.file, error.line, error.key) == ("f.yaml", 1, "number"), written
+        assert "a number is needed here, found" in error.message, written
 
 
-@pytest.mark.parametrize(
-    ("written", "advice"),
-    [
+def test_a_text_that_looks_like_a_number_gets_an_advice() -> None:
+    for written, advice in (
         ("1,5", "write the point as '.'"),
         ("1.5 V", "write the number alone"),
         ("１", "other characters than the digits 0 to 9"),
         (".nan", "it must be finite"),
-    ],
-)
-def test_a_text_that_looks_like_a_number_gets_an_advice(written: str, advice: str) -> None:
-    assert advice in told(f"number: {written}").message
+    ):
+        assert advice in told(f"number: {written}").message
 
 
-@pytest.mark.parametrize("written", [".nan", ".NaN", ".inf", "-.Inf", "1e999", "-1e999", "9" * 500, "0x" + "f" * 300])
-def test_a_number_is_finite(written: str) -> None:
-    told(f"number: {written}")
-    complaint(f"v: {written}", lambda document: document.plain())
+def test_a_number_is_finite() -> None:
+    for written in (".nan", ".NaN", ".inf", "-.Inf", "1e999", "-1e999", "9" * 500, "0x" + "f" * 300):
+        told(f"number: {written}")
 
 
 def test_serial_numbers_keep_their_zeros_and_words_stay_words() -> None:
-    for written in ("0042", "1e3", "yes", "no", "on", "y", "2026-01-02", "12:30"):
-        assert value("text", written) == written
-    assert parse_document("[yes, no, on, y, nan, 2026-01-02]").plain() == ["yes", "no", "on", "y", "nan", "2026-01-02"]
+    for written in ("0042", "1e3", "yes", "no", "on", "y", "2026-01-02", "12:30", '"null"'):
+        assert value("text", written) == written.strip('"')
 
 
-@pytest.mark.parametrize("written", ['""', '"  "', "[a]"])
-def test_text_is_never_nothing(written: str) -> None:
-    assert "text" in told(f"text: {written}").message
-
-
-def test_a_needed_text_is_never_nothing() -> None:
+def test_text_is_never_nothing() -> None:
+    for written in ('""', '"  "', "[a]"):
+        assert "text" in told(f"text: {written}").message
     for written in ("", "~", "null"):
         error = told(f"sensor: {{model: {written}}}")
         assert (error.key, error.message) == ("sensor.model", "text is needed here, found nothing")
 
 
-@pytest.mark.parametrize("written", ["1.5", "one", "true", "1", '"2"'])
-def test_a_whole_number_has_no_fraction_and_its_bounds(written: str) -> None:
-    told(f"whole: {written}")
-
-
 def test_flag_is_true_or_false() -> None:
     assert value("flag", "true") is True
     assert value("flag", "False") is False
-    for written in ("yes", '"true"', '"1"'):
-        assert "true or false is needed here" in told(f"flag: {written}").message
+    assert "true or false is needed here" in told("flag: yes").message
 
 
-@pytest.mark.parametrize(
-    ("written", "about"),
-    [
+def test_bounds_are_held() -> None:
+    for written, about in (
         ("least: -0.1", "at least 0"),
         ("least: 1e10", "at most 1000000000"),
         ("above: 0", "more than 0"),
         ("above: 1e-10", "at least 1e-09"),
         ("above: 1e300", "at most 1000000000"),
         ("whole: 1", "at least 2"),
+        ("whole: 1.5", "a whole number"),
+        ("whole: one", "a whole number"),
         ("number: 1e309", "too large a number"),
-    ],
-)
-def test_bounds_are_held(written: str, about: str) -> None:
-    assert about in told(written).message
+    ):
+        assert about in told(written).message, written
 
 
 # Places.
@@ -167,18 +170,15 @@ def test_missing_key_is_named_at_the_mapping_that_lacks_it() -> None:
     assert "'model'" in error.message
 
 
-@pytest.mark.parametrize(
-    ("text", "line", "key"),
-    [
+def test_the_place_is_found_wherever_it_is() -> None:
+    for text, line, key in (
         ("parts:\n- {model: a}\n-\n  model: [x]\n", 4, "parts[1].model"),
         ("free:\n  a: 1\n  b c: x\n", 3, "free.b c"),
         ("by_axis:\n  x: 1\n  w: 1\n", 3, "by_axis.w"),
         ("list:\n- 1\n- x\n", 3, "list[1]"),
-    ],
-)
-def test_the_place_is_found_wherever_it_is(text: str, line: int, key: str) -> None:
-    error = told(text)
-    assert (error.line, error.key) == (line, key)
+    ):
+        error = told(text)
+        assert (error.line, error.key) == (line, key)
 
 
 def test_optional_key_that_holds_nothing_is_absent() -> None:
@@ -198,30 +198,23 @@ def test_duplicate_key_is_one_whatever_its_quotes() -> None:
 # What is refused.
 
 
-@pytest.mark.parametrize(
-    ("text", "line", "about"),
-    [
+def test_what_no_file_of_ours_needs_is_refused_with_its_line() -> None:
+    for text, line, about in (
         ("a: &x [1]\nb: *x\n", 1, "anchor"),
         ("a: 1\nb: *x\n", 2, "alias"),
         ("a: !!python/object/apply:os.system ['true']\n", 1, "tag"),
-        ("a: !!float 1\n", 1, "tag"),
         ("a: ! 1\n", 1, "tag"),
         ("a: 1\n---\nb: 2\n", 2, "second document"),
         ("? [a, b]\n: 1\n", 1, "keys are text"),
-        ("12: 1\n", 1, "not text"),
-        ("true: 1\n", 1, "not text"),
-        ("a: 1\n~: 2\n", 2, "not text"),
         ("a:\n\t- 1\n", 2, "not YAML"),
         ("a: [1,\nb: 2]]", 2, "not YAML"),
         ("a: 1\nb: \x07\n", 2, "not YAML"),
         ("", None, "empty"),
         ("# nothing\n", None, "empty"),
-    ],
-)
-def test_refused_with_its_line(text: str, line: int | None, about: str) -> None:
-    error = complaint(text)
-    assert error.line == line
-    assert about in str(error)
+    ):
+        error = complaint(text)
+        assert error.line == line, text
+        assert about in str(error)
 
 
 def test_alias_bomb_is_refused_at_its_first_anchor() -> None:
@@ -238,7 +231,7 @@ def test_depth_has_an_end() -> None:
 def test_number_of_values_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """The list counts as one of them."""
     assert NODE_LIMIT == 200_000
-    monkeypatch.setattr("tiltcal.files.document.NODE_LIMIT", 2000)
+    monkeypatch.setattr("tiltcal.files.yaml_text.NODE_LIMIT", 2000)
     assert len(parse_document("[" + "1," * 1999 + "]", "f.yaml").items()) == 1999
     assert "more than 2,000 values in one file" in str(complaint("[" + "1," * 2000 + "]"))
 
@@ -267,7 +260,7 @@ def test_file_that_is_not_utf8_names_the_line(tmp_path: Path) -> None:
 def test_byte_order_mark_is_no_part_of_the_first_key(tmp_path: Path) -> None:
     path = tmp_path / "bom.yaml"
     path.write_bytes(b"\xef\xbb\xbfa: 1\n")
-    assert read_document(path).plain() == {"a": 1}
+    assert read_document(path).data == {"a": "1"}
 
 
 def test_absent_file_and_folder(tmp_path: Path) -> None:
@@ -280,61 +273,29 @@ def test_absent_file_and_folder(tmp_path: Path) -> None:
 # Which file it is.
 
 
-@pytest.mark.parametrize(
-    ("text", "line", "about"),
-    [
-        ("kind: tilt\n", None, "'tiltcal' is missing"),
-        ("tiltcal: 1\n", None, "'kind' is missing"),
+def test_version_and_kind_are_checked_first(tmp_path: Path) -> None:
+    path = tmp_path / "f.yaml"
+    for text, line, about in (
+        ("kind: tilt\n", 1, "'tiltcal' is missing"),
+        ("tiltcal: 1\n", 1, "'kind' is missing"),
         ("kind: tilt\ntiltcal: 2\n", 2, "version 2"),
         ("tiltcal: 1\nkind: pair\n", 2, "a pair calibration"),
         ("tiltcal: 1\nkind: tlit\n", 2, "did you mean 'tilt'"),
         ("- tiltcal: 1\n", 1, "a mapping is needed"),
-    ],
-)
-def test_version_and_kind_are_checked_first(tmp_path: Path, text: str, line: int | None, about: str) -> None:
-    path = tmp_path / "f.yaml"
-    path.write_text(text)
-    with pytest.raises(InputError, match=about) as caught:
-        tilt_record(read_document(path))
-    assert caught.value.line in (line, 1)
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=about) as caught:
+            tilt_record(read_document(path))
+        assert caught.value.line == line
 
 
 # Properties.
 
 scalars = st.none() | st.booleans() | st.integers(-(10**18), 10**18) | st.floats(allow_nan=False, allow_infinity=False)
-texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
-numbers_and_words = [
-    "yes",
-    "No",
-    "on",
-    "null",
-    "~",
-    "1e-8",
-    "0042",
-    "12:30",
-    "2026-01-02",
-    "=",
-    "<<",
-    ".5",
-    ".inf",
-    "0x1d",
-    "1_000",
-    "y",
-    "N",
-]
-indicators = [
-    "#",
-    "&a",
-    "*a",
-    "!a",
-    "|",
-    ">",
-    "%a",
-    "@a",
-    "`a",
-]
-awkward = ["- a", "a: b", "a #b", " a", "a ", "", "a\nb", "\t", "\x85", "\u2028"]
-tricky = st.sampled_from([*numbers_and_words, *indicators, *awkward])
+texts = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=40)
+numbers = ["1e-8", "0042", "12:30", "2026-01-02", ".5", ".inf", "0x1d", "1_000"]
+words = ["yes", "No", "on", "null", "~", "=", "<<", "y", "N", "#", "&a", "*a", "!a", "|", ">", "%a", "@a", "`a"]
+tricky = st.sampled_from([*numbers, *words, "- a", "a: b", "a #b", " a", "a ", "", "a\nb", "\t", "\u2028"])
 keys = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20) | tricky.filter(
     lambda key: not CONTROL.search(key)
 )
@@ -351,7 +312,7 @@ documents = st.dictionaries(keys, data, max_size=5)
 @example({"prompt": "Tilt it: " + "slowly and then again, " * 20, "values": [0.125 * n for n in range(60)]})
 @example({"a": [{"b": [{"c": [[], {}, [[1]]]}]}]})
 def test_what_is_written_reads_back_equal(written: dict[str, Any]) -> None:
-    assert parse_document(yaml_text(written)).plain() == written
+    assert alike(parse_document(yaml_text(written)).data, written)
 
 
 @given(documents)
@@ -364,7 +325,7 @@ def test_keys_of_one_letter_are_written_alike() -> None:
     """PyYAML, which reads YAML 1.1, takes neither for a truth value; YAML 1.2 has no such words."""
     text = yaml_text({"mean": {"x": 1, "y": 2, "n": 3}})
     assert text == "mean: {x: 1, y: 2, n: 3}\n"
-    assert yaml.safe_load(text) == parse_document(text).plain() == {"mean": {"x": 1, "y": 2, "n": 3}}
+    assert yaml.safe_load(text) == {"mean": {"x": 1, "y": 2, "n": 3}}
 
 
 @given(
@@ -378,41 +339,22 @@ def test_lines_keep_to_the_width_unless_a_word_is_longer(written: dict[str, Any]
         assert len(line) <= WIDTH or " " not in line.strip('" ').partition(": ")[2].strip('"')
 
 
-@given(
-    st.dictionaries(
-        st.from_regex(r"[a-z]{1,8}", fullmatch=True),
-        st.integers() | st.booleans() | st.none() | st.from_regex(r"[a-z ]{0,20}", fullmatch=True),
-        max_size=8,
-    )
-)
-def test_documents_of_another_writer_are_read(written: dict[str, Any]) -> None:
-    assert parse_document(yaml.safe_dump(written)).plain() == written
-
-
-@given(
-    st.recursive(
-        scalars | st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"])),
-        lambda inner: st.lists(inner) | st.dictionaries(st.text("abc"), inner),
-        max_leaves=20,
-    )
-)
-def test_json_is_read_as_the_yaml_that_it_is(written: Any) -> None:
-    assert parse_document(json.dumps(written)).plain() == written
-
-
 @given(documents)
-def test_plain_data_becomes_the_document_that_it_came_from(written: dict[str, Any]) -> None:
-    assert document_of(written).plain() == written
+def test_json_is_read_as_the_yaml_that_it_is(written: dict[str, Any]) -> None:
+    """Except for pairs of escapes, which YAML does not have."""
+    text = json.dumps(written)
+    assume(not re.search(r"\\ud[89ab]", text))
+    assert alike(parse_document(text).data, written)
 
 
-@pytest.mark.parametrize("around", [lambda inner: [inner], lambda inner: {"in": inner}], ids=["lists", "mappings"])
-def test_plain_data_may_be_as_deep_as_a_file_and_no_deeper(around: Callable[[Any], Any]) -> None:
+def test_plain_data_may_be_as_deep_as_a_file_and_no_deeper() -> None:
     deep: Any = 1
     for _ in range(32):
-        deep = around(deep)
-    assert document_of(deep).plain() == deep
-    with pytest.raises(InputError, match="nested deeper than 32"):
-        document_of(around(deep))
+        deep = [deep]
+    assert document_of(deep).data == deep
+    for around in ([deep], {"in": deep}):
+        with pytest.raises(InputError, match="nested deeper than 32"):
+            document_of(around)
 
 
 def test_plain_data_has_no_key_that_moves_the_cursor() -> None:
@@ -427,20 +369,20 @@ def test_bytes_of_any_kind_are_read_or_refused_and_nothing_else(
     path = tmp_path_factory.getbasetemp() / "any.yaml"
     path.write_bytes(raw)
     with suppress(InputError):
-        read_document(path).plain()
+        read_document(path)
 
 
 @given(st.text("ab:-[]{}?'\"#, \n0.~", max_size=40))
 def test_the_parser_in_python_agrees_with_the_one_in_c(text: str) -> None:
     def outcome() -> Any:
         try:
-            return parse_document(text).plain()
+            return parse_document(text).data
         except InputError:
             return InputError
 
     fast = outcome()
     with pytest.MonkeyPatch.context() as patch:
-        patch.delattr(document_module.yaml, "CBaseLoader", raising=False)
+        patch.delattr(yaml_module.yaml, "CBaseLoader", raising=False)
         slow = outcome()
     assert fast == slow or InputError in (fast, slow)
 

@@ -7,11 +7,20 @@ from math import cos, radians, sin
 from pathlib import Path
 
 import pytest
+import yaml
 
+from tiltcal.core.pair.model import Pair
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.document import parse_document
-from tiltcal.files.procedure import Determines, Procedure
-from tiltcal.files.procedure_file import find_procedure, procedure_from_record, read_procedure, shipped_procedures
+from tiltcal.files.procedure import (
+    Determines,
+    PairSelection,
+    Procedure,
+    Rotation,
+    find_procedure,
+    procedure_from_record,
+    read_procedure,
+    shipped_procedures,
+)
 
 OWN = """\
 tiltcal: 1
@@ -28,10 +37,33 @@ positions:
 """
 
 
+TURNING = """\
+tiltcal: 1
+kind: procedure
+name: own
+title: One pair
+rotation:
+  phase: angle
+  pairs:
+    - {pair: [left, right], orthogonal: up}
+  turns: 12
+  converged: 1e-6
+  patience: 30
+  prompt: Start the motor.
+"""
+
+
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
     path = tmp_path / "own.yaml"
     path.write_text(OWN)
+    return path
+
+
+@pytest.fixture
+def turning(tmp_path: Path) -> Path:
+    path = tmp_path / "turning.yaml"
+    path.write_text(TURNING)
     return path
 
 
@@ -48,13 +80,12 @@ SHIPPED = {
 }
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_procedure_is_what_its_document_does(name: str) -> None:
-    determines, positions = SHIPPED[name]
-    procedure = find_procedure(name)
-    assert procedure.name == name
-    assert procedure.determines == determines
-    assert [position.name for position in procedure.positions] == positions
+def test_shipped_procedure_is_what_its_document_does() -> None:
+    for name, (determines, positions) in SHIPPED.items():
+        procedure = find_procedure(name)
+        assert procedure.name == name
+        assert procedure.determines == determines
+        assert [position.name for position in procedure.positions] == positions
 
 
 def test_every_shipped_file_is_named_as_its_procedure_and_gives_its_source() -> None:
@@ -65,12 +96,10 @@ def test_every_shipped_file_is_named_as_its_procedure_and_gives_its_source() -> 
         assert procedure.source
 
 
-@pytest.mark.parametrize(
-    ("name", "length"),
-    [("level", "1 position"), ("plane", "4 positions"), ("ramp", "4 legs"), ("rotation", "up to 100 turns")],
-)
-def test_a_procedure_states_its_length_in_its_own_terms(name: str, length: str) -> None:
-    assert find_procedure(name).length == length
+def test_a_procedure_states_its_length_in_its_own_terms() -> None:
+    for name, length in {"level": "1 position", "plane": "4 positions", "ramp": "4 legs"}.items():
+        assert find_procedure(name).length == length
+    assert find_procedure("rotation").length == "up to 100 turns"
 
 
 def test_signs_are_the_physical_ones() -> None:
@@ -96,13 +125,10 @@ def test_free_angle_goes_into_positions_and_prompts() -> None:
     assert "12.5°" in procedure.positions[1].prompt
 
 
-@pytest.mark.parametrize("angle", [0.0, -30.0, 90.5, float("nan")])
-def test_angle_out_of_range_is_refused(angle: float) -> None:
-    with pytest.raises(UsageError, match="at most 90"):
-        find_procedure("plane", angle)
-
-
-def test_angle_is_refused_where_none_is_free() -> None:
+def test_angle_is_refused_out_of_range_and_where_none_is_free() -> None:
+    for angle in (0.0, -30.0, 90.5, float("nan")):
+        with pytest.raises(UsageError, match="at most 90"):
+            find_procedure("plane", angle)
     with pytest.raises(UsageError, match="'six-face' leaves no angle free"):
         find_procedure("six-face", 30.0)
 
@@ -124,21 +150,30 @@ def test_unknown_procedure_offers_near_names() -> None:
         find_procedure("/absent/qqq.yaml")
 
 
-@pytest.mark.parametrize("angle", [None, 7.0])
-def test_record_gives_the_procedure_again_through_json(own: Path, angle: float | None) -> None:
-    procedure = read_procedure(own, angle)
-    assert procedure_from_record(json.loads(json.dumps(procedure.record)), angle) == procedure
+def test_record_gives_the_procedure_again_through_json(own: Path) -> None:
+    for angle in (None, 7.0):
+        procedure = read_procedure(own, angle)
+        assert procedure_from_record(json.loads(json.dumps(procedure.record)), angle) == procedure
 
 
 def test_damaged_record_names_the_journal_line() -> None:
-    record = parse_document(OWN.replace("tilt: {}", "tilt: {x: 91}")).plain()
+    record = yaml.safe_load(OWN.replace("tilt: {}", "tilt: {x: 91}"))
     with pytest.raises(InputError, match=r"j\.jsonl:1: positions\[0\]\.tilt: a tilt of 91"):
         procedure_from_record(record, file="j.jsonl", line=1)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line", "key", "about"),
-    [
+def refused(path: Path, text: str, changes: list[tuple[str, str, int, str, str]]) -> None:
+    for old, new, line, key, about in changes:
+        assert old in text
+        path.write_text(text.replace(old, new, 1))
+        with pytest.raises(InputError) as caught:
+            read_procedure(path)
+        assert (caught.value.file, caught.value.line, caught.value.key) == (str(path), line, key), new
+        assert about in caught.value.message
+
+
+def test_what_is_wrong_with_positions_is_told_with_line_and_key(own: Path) -> None:
+    changes = [
         ("angle: 20\n", "", 9, "positions[1].tilt.x", "gives no angle"),
         ("angle: 20", "angle: 120", 6, "angle", "at most 90"),
         ("reference: 24\n", "", 5, "determines", "'reference'"),
@@ -158,12 +193,68 @@ def test_damaged_record_names_the_journal_line() -> None:
         ("prompt: Level", 'prompt: "At {angel}"', 9, "positions[0].prompt", "{angle} or {temperature}"),
         ("temperature: 5.5", "temperature: -300", 10, "positions[1].temperature", "at least -273.15"),
         ("temperature: 5.5", "temperature: 1.0e+308", 10, "positions[1].temperature", "at most 1000"),
-    ],
-)
-def test_error_names_line_and_key(own: Path, old: str, new: str, line: int, key: str, about: str) -> None:
-    assert old in OWN
-    own.write_text(OWN.replace(old, new, 1))
-    with pytest.raises(InputError) as caught:
-        read_procedure(own)
-    assert (caught.value.file, caught.value.line, caught.value.key) == (str(own), line, key)
-    assert about in caught.value.message
+    ]
+    refused(own, OWN, changes)
+
+
+# A stage that turns.
+
+
+def test_the_shipped_one_is_the_two_pairs_of_the_source() -> None:
+    procedure = find_procedure("rotation")
+    assert procedure.positions == ()
+    assert procedure.rotation is not None
+    assert procedure.rotation.pairs == (Pair("a1", "a2", "a4"), Pair("a3", "a4", "a1"))
+    assert (procedure.rotation.phase, procedure.rotation.turns) == ("theta", 100)
+    assert procedure.rotation.channels == ("a1", "a2", "a4", "a3")
+
+
+def test_a_users_own_is_read_and_comes_again_from_its_record(turning: Path) -> None:
+    procedure = read_procedure(turning)
+    pair = PairSelection(("left", "right"), "up")
+    assert procedure.rotation == Rotation("angle", (pair,), "Start the motor.", 12, 1e-6, 30.0)
+    assert procedure_from_record(json.loads(json.dumps(procedure.record))) == procedure
+
+
+def test_what_is_left_out_of_a_rotation_has_its_value(turning: Path) -> None:
+    turning.write_text("\n".join(TURNING.splitlines()[:8]) + "\n")
+    rotation = read_procedure(turning).rotation
+    assert rotation is not None
+    assert (rotation.turns, rotation.converged, rotation.patience) == (100, None, 60.0)
+    assert rotation.prompt
+
+
+def test_the_turns_of_the_command_line_take_the_place_of_the_files(turning: Path) -> None:
+    procedure = read_procedure(turning)
+    assert procedure.with_turns(None) is procedure
+    longer = procedure.with_turns(40).rotation
+    assert longer is not None
+    assert longer.turns == 40
+    with pytest.raises(UsageError, match="at least 2"):
+        procedure.with_turns(1)
+    with pytest.raises(UsageError, match="leave --turns out"):
+        find_procedure("plane").with_turns(4)
+    with pytest.raises(UsageError, match="tiltcal match"):
+        procedure.require_positions()
+
+
+def test_what_is_wrong_with_a_rotation_is_told_with_line_and_key(turning: Path) -> None:
+    changes = [
+        ("turns: 12", "turn: 12", 9, "rotation.turn", "did you mean 'turns'"),
+        ("turns: 12", "turns: 1", 9, "rotation.turns", "at least 2"),
+        ("turns: 12", "turns: 1000000000", 9, "rotation.turns", "at most 1000000"),
+        ("turns: 12", "turns: many", 9, "rotation.turns", "many"),
+        ("converged: 1e-6", "converged: 0", 10, "rotation.converged", "more than 0"),
+        ("patience: 30", "patience: -1", 11, "rotation.patience", "more than 0"),
+        ("[left, right]", "[left]", 8, "rotation.pairs[0].pair", "a list of 2 values is needed here, found 1"),
+        ("[left, right]", "[left, left]", 8, "rotation.pairs[0]", "four different channels"),
+        ("orthogonal: up", "orthogonal: left", 8, "rotation.pairs[0]", "four different channels"),
+        ("phase: angle", "phase: up", 8, "rotation.pairs[0]", "four different channels"),
+        (", orthogonal: up", "", 8, "rotation.pairs[0]", "'orthogonal' is missing"),
+        ("    - {pair: [left, right], orthogonal: up}\n", "    []\n", 7, "rotation.pairs", "a list of 1 to 2 values"),
+        ("  turns: 12", "    - {pair: [left, right], orthogonal: x}\n  turns: 12", 7, "rotation.pairs", "twice"),
+        ("title: One pair", "title: One pair\nsamples: 5", 5, "samples", "unknown key"),
+        ("title: One pair", "title: One pair\npositions: []", 5, "positions", "unknown key"),
+        ("  phase: angle\n", "", 5, "rotation", "'phase' is missing"),
+    ]
+    refused(turning, TURNING, changes)

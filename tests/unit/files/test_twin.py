@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tiltcal.bench.sensors import truth_of
+from tiltcal.bench.devices import truth_of
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.stage import StageTruth

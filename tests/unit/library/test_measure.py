@@ -16,7 +16,7 @@ from support import FIXTURES
 
 import tiltcal
 from tiltcal import Calibration, PairCalibration, measure, open_sensor
-from tiltcal.bench import sensors
+from tiltcal.bench import devices
 from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.operators import PythonObject, understood
 from tiltcal.bench.setup import Setup
@@ -26,7 +26,7 @@ from tiltcal.errors import InputError, Stopped, UsageError
 from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 SENSOR = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "samples": 4, "settle": 0.2}
 
@@ -221,7 +221,7 @@ def test_a_sensor_is_read_by_itself() -> None:
 def test_at_the_bus_twelve_frames_of_ours_stand_on_the_stack(monkeypatch: pytest.MonkeyPatch) -> None:
     """From the entry point of the command to the link that is recorded; counted where the bytes leave."""
     depths: set[int] = set()
-    connect = sensors.open_device
+    connect = devices.open_device
     ours = (str(Path(tiltcal.__file__).parent), str(Path(tiltcal.__file__).parents[1] / "drivers"))
 
     class Inspected:
@@ -241,7 +241,7 @@ def test_at_the_bus_twelve_frames_of_ours_stand_on_the_stack(monkeypatch: pytest
             depths.add(depth)
             return self._link.exchange(out, count)
 
-    monkeypatch.setattr(sensors, "open_device", Inspected)
+    monkeypatch.setattr(devices, "open_device", Inspected)
     options = [f"--{name}={value}" for name, value in SENSOR.items()]
     assert run(["measure", "plane", "--operator=sim", "--output=S-1.yaml", *options]) == 0
     assert depths
@@ -253,7 +253,7 @@ def test_measuring_tilt_loads_nothing_of_a_stage() -> None:
 import sys
 from tiltcal.cli.main import run
 assert run({PLANE!r}) == 0
-pair = ("tiltcal.files.rotation", "tiltcal.bench.rotation")
+pair = ("tiltcal.bench.stage", "tiltcal.bench.rotation")
 print([name for name in sys.modules if any(one in name for one in pair)])
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)

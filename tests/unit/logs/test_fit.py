@@ -14,7 +14,7 @@ import xarray
 
 import tiltcal
 from tiltcal.errors import InputError
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.library.fit import fit
 
 OWN = """\

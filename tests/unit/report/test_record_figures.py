@@ -14,7 +14,6 @@ from tiltcal.calibration.pair_summary import pair_summary
 from tiltcal.core.pair.demodulate import Demodulation, demodulate
 from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair
-from tiltcal.core.pair.online import OnlineHistory
 from tiltcal.core.rounding import bracketed
 from tiltcal.report.record_figures import PairDrawing, draw_matching
 
@@ -99,7 +98,7 @@ class TestFigure:
             assert text in drawn
 
     def test_shows_both_estimators_beside_each_other(self, tmp_path: Path) -> None:
-        course = [OnlineHistory(k, (0.01 / k, 0.02 / k), (0.01, 0.02)) for k in (1.0, 2.0, 3.0)]
+        course = [(0.01 / k, 0.02 / k, 0.01, 0.02) for k in (1.0, 2.0, 3.0)]
         draw_matching(tmp_path / "both.svg", PairDrawing(self.FREQUENCY, self.DENSITIES, 0.0025, "1/row", course, 1e-3))
         drawn = (tmp_path / "both.svg").read_text(encoding="utf-8")
         for text in ("p, loops", "q, recursive", "stated uncertainty", "turns"):

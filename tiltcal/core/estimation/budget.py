@@ -16,14 +16,13 @@ The four add up to v² (1 - G sin t).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isfinite
 
 import numpy as np
 
-from tiltcal.core.estimation.equations import ADC, JIG, NOISE, PRIOR, Indices
+from tiltcal.core.estimation.equations import ADC, JIG, NOISE, PRIOR
 from tiltcal.core.estimation.solve import EstimatedVariance, Solution
 from tiltcal.core.model import Array
-from tiltcal.core.uncertain import Uncertain, welch_satterthwaite
+from tiltcal.core.uncertain import NORMAL_FACTOR, Uncertain, coverage_factor
 
 
 def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> list[Uncertain]:
@@ -36,7 +35,9 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
     measured = bench[NOISE] * (equations.u / near.sigma) ** 2  # the rest is the square of uncertain attitudes
     rounding = np.concatenate([channel.adc for channel in equations.channels]) / equations.u
     rounding = measured * np.minimum(rounding**2 / bench[NOISE], 1.0)
-    groups, dofs = _pooled_noise(solution)
+    dof = np.concatenate([channel.dof for channel in equations.channels])
+    drawn = measured if NOISE in estimated else measured - rounding
+    drawn = drawn * _excess(np.full(readings, estimated[NOISE].dof) if NOISE in estimated else dof)
     stated = {source: equations.rows(source) for source in equations.errors if bench[source]}
     if len(equations.stated_target):
         stated = {PRIOR: equations.rows(PRIOR), **stated}
@@ -44,41 +45,26 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
     budgets = []
     for sensor, own in zip(equations.sensors, equations.sensor_coefficients(), strict=True):
         by = near.times(covariance[:, own])  # equations by coefficients
-        squares = np.square(by)
-        noise = squares[:readings] * (measured - rounding)[:, None]
-        variance = {NOISE: noise.sum(axis=0), ADC: rounding @ squares[:readings]}
+        squares, by_noise = np.square(by), by[:readings]
+        variance = {NOISE: (measured - rounding) @ squares[:readings], ADC: rounding @ squares[:readings]}
         variance |= {source: squares[rows].sum(axis=0) for source, rows in stated.items() if rows.stop > rows.start}
         if bench[JIG]:
             variance[JIG] = variance[JIG] + (1.0 - measured) @ squares[:readings]
-        parts: list[tuple[Array, float]] = []
-        if NOISE in estimated:
-            parts.append((variance[NOISE] + variance[ADC], estimated[NOISE].dof))
-        elif len(dofs):
-            shares = np.stack([np.bincount(groups, column, len(dofs)) for column in noise.T], axis=1)
-            parts += [(share, dof) for share, dof in zip(shares, dofs.tolist(), strict=True) if isfinite(dof)]
-        total = covariance[own, own]
+        total, more = covariance[own, own], by_noise.T @ (drawn[:, None] * by_noise)
         for source, shown in estimated.items():
-            if source == NOISE or not shown.information:
+            if source == NOISE or not shown.dof:
                 continue
             by_error = (by_readings[equations.errors[source]] @ covariance[:, own]).T
-            parts.append((np.sum(by_error**2, axis=1), shown.information))
+            by_variance = by_error @ by_error.T
+            more = more + shown.whole * float(_excess(np.array([shown.dof]))[0]) * by_variance
             if source == JIG and shown.value < 0.0:
                 # The noise, by chance, was less than measured: so is what it does to the coefficients.
-                total = total + shown.value * by_error @ by_error.T
-                variance[NOISE] = variance[NOISE] + shown.value * np.sum(by_error**2, axis=1)
-        dof = welch_satterthwaite(np.diag(total), parts)
-        budgets.append(Uncertain(sensor.design.names, solution.z[own], total, dof, variance))
+                total = total + shown.value * by_variance
+                variance[NOISE] = variance[NOISE] + shown.value * np.diag(by_variance)
+        budgets.append(Uncertain(sensor.design.names, solution.z[own], total, total + more, variance))
     return budgets
 
 
-def _pooled_noise(solution: Solution) -> tuple[Indices, Array]:
-    """Number the estimates of noise that the readings share, shape (readings,), and return their degrees of freedom.
-
-    Readings of one channel with the same uncertainty have it from one pooled estimate.
-    """
-    channels = solution.equations.channels
-    if all(np.isinf(channel.dof).all() for channel in channels):
-        return np.zeros(0, dtype=np.intp), np.zeros(0)
-    keys = [np.stack([np.full(len(c.u), k), c.u, c.dof], axis=1) for k, c in enumerate(channels)]
-    unique, groups = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
-    return np.asarray(groups.ravel(), dtype=np.intp), unique[:, 2]
+def _excess(dof: Array) -> Array:
+    """Return by which share a variance with degrees of freedom grows for its 95 % interval, shape (k,)."""
+    return np.asarray((coverage_factor(dof) / NORMAL_FACTOR) ** 2 - 1.0)

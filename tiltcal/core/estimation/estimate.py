@@ -248,7 +248,7 @@ def _notes(solution: Solution, estimated: Mapping[str, EstimatedVariance], dof: 
     notes, jig = [], estimated.get(JIG)
     if jig is not None and jig.count and chdtrc(jig.count, jig.rest) < IMPROBABLE:
         notes.append(ABOVE_NOISE)
-    if jig is not None and not jig.information:
+    if jig is not None and not jig.dof:
         angles, coefficients = solution.equations.errors[JIG], slice(0, len(solution.equations.names))
         if np.any(solution.covariance[coefficients] @ solution.near.normal[:, angles]):
             notes.append(JIG_NOT_SHOWN)

@@ -15,12 +15,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import radians, sqrt
+from math import inf, radians, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.estimation.equations import JIG, NOISE, TABLE, Bench, Equations, Linearised
+from tiltcal.core.estimation.equations import JIG, NOISE, TABLE, THERMOMETER, Bench, Equations, Linearised
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
@@ -38,7 +38,10 @@ _POSITIVE = 0.9
 """Let a variance below 0 take away at most this share of the noise, where it takes away most."""
 
 _INSENSITIVE = 1e-12
-"""A direction with less than this share of the largest sensitivity to the angles shows none."""
+"""A direction with less than this share of the largest sensitivity to the errors of a source shows none."""
+
+_HIDDEN = {JIG: radians(1.0), THERMOMETER: 5.0}
+"""Directions in which all else hides errors of a source up to this widen no interval: radians, °C."""
 
 _SHOWN = 0.25
 """A lean counts as shown by the readings if they leave less than this share of the variance of its bound."""
@@ -81,14 +84,10 @@ class EstimatedVariance:
     """
 
     value: float
-    information: float  # twice the Fisher information of the value; 0 where the residuals show nothing of it
+    dof: float = 0.0  # in how many directions the residuals show it
+    whole: float = 0.0  # the variance that they show there, with what the noise counts for in it
     rest: float = 0.0  # sum of squares of the residuals that no such error explains
     count: int = 0  # and in how many directions
-
-    @property
-    def dof(self) -> float:
-        """Degrees of freedom of the variance."""
-        return self.value**2 * self.information
 
 
 def start_as_set(equations: Equations) -> Array:
@@ -169,7 +168,7 @@ def with_estimated(solution: Solution, source: str) -> tuple[Solution, Estimated
 
     A jig above :data:`LARGEST_JIG` is returned as it is, with the solution before.
     """
-    variance = EstimatedVariance(0.0, 0.0)
+    variance = EstimatedVariance(0.0)
     for _ in range(_ROUNDS):
         before, variance = variance.value, shown_variance(solution, source)
         u = variance.value if source == NOISE else sqrt(max(variance.value, 0.0))
@@ -205,17 +204,22 @@ def shown_variance(solution: Solution, source: str) -> EstimatedVariance:
     whole = float(near.residual @ near.residual - gradient[others] @ inverse @ gradient[others])
     rest, count = max(whole - float(z2.sum()), 0.0), max(solution.dof - len(d2), 0)
     if source != NOISE:
-        return EstimatedVariance(*_most_likely(np.ones(len(d2)), d2, z2, -_POSITIVE / largest), rest, count)
+        shown = _most_likely(np.ones(len(d2)), d2, z2, -_POSITIVE / largest, _HIDDEN[source])
+        return EstimatedVariance(*shown, rest, count)
     # No reading is better than its rounding, with which a factor of 1 counts.
     z2, stated = (np.append(part, np.full(count, each)) for part, each in ((z2, rest / max(count, 1)), (d2, 0.0)))
-    value, information = _most_likely(bench[JIG] ** 2 * stated, np.ones(len(z2)), z2, 1.0 / bench[NOISE])
-    return EstimatedVariance(value * bench[NOISE], information / bench[NOISE] ** 2)
+    value, dof, whole = _most_likely(bench[JIG] ** 2 * stated, np.ones(len(z2)), z2, 1.0 / bench[NOISE])
+    return EstimatedVariance(value * bench[NOISE], dof, whole * bench[NOISE])
 
 
-def _most_likely(stated: Array, each: Array, squares: Array, lowest: float) -> tuple[float, float]:
-    """Return the most likely ``q`` from the lowest up, and its information.
+def _most_likely(
+    stated: Array, each: Array, squares: Array, lowest: float, hidden: float = inf
+) -> tuple[float, float, float]:
+    """Return the most likely ``q`` from the lowest up, its degrees of freedom, and ``q`` with what is stated beside it.
 
     ``squares`` are those of independent normal numbers with the variances ``stated + q each``, shape (directions,).
+    Directions with a large stated part say little of ``q`` and count less, and not at all where it hides a ``q`` of
+    more than ``hidden`` squared.
     """
     from scipy.optimize import brentq
 
@@ -224,10 +228,13 @@ def _most_likely(stated: Array, each: Array, squares: Array, lowest: float) -> t
         return float(np.sum(each * (variance - squares) / variance**2))
 
     if not len(each):
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     highest = float(np.max(squares / each))
     q = lowest if slope(lowest) >= 0.0 else float(brentq(slope, lowest, highest, xtol=1e-300, rtol=1e-10))
-    return q, float(np.sum((each / (stated + q * each)) ** 2))
+    shows = (each / (stated + q * each))[stated < each * hidden**2]
+    if not len(shows):
+        return q, 0.0, 0.0
+    return q, float(np.sum(shows) ** 2 / np.sum(shows**2)), float(np.sum(shows) / np.sum(shows**2))
 
 
 def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:

@@ -14,13 +14,14 @@ that is sampled, and no more than the sine wave passes steps.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import pairwise
-from math import ceil, pi
+from itertools import accumulate, pairwise, repeat
+from math import ceil
+from operator import mul
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
@@ -29,31 +30,24 @@ from tiltcal.core.samples import rounding_uncertainty
 from tiltcal.errors import EstimateError
 
 HARMONICS = 4
-ONE, DRIFT, READINGS = 2 * HARMONICS, 2 * HARMONICS + 1, 2 * HARMONICS + 2
-"""Where they stand among the columns."""
-MOST_BLOCKS = 512
+ONE, DRIFT, READINGS = 2 * HARMONICS, 2 * HARMONICS + 1, 2 * HARMONICS + 2  # where they stand among the columns
 COARSE_BLOCKS = 10
 CHUNK = 1 << 16
-_WHITE = 4
-"""Degrees of freedom that count for white noise, whatever the blocks say."""
-_SURPRISE = 0.005
-"""How unlikely the scatter of coarse blocks must be, for what finer ones say, before it counts."""
+
+_MOST_BLOCKS = 512
+_WHITE = 4  # degrees of freedom that count for white noise, whatever the blocks say
 _SINGULAR = 1e-9
-_PLACES = 1e5
-"""Places of a turn that count as different."""
+_PLACES = 1e5  # of a turn that count as different
+
+_SURPRISE = 0.005
+"""Coarse blocks count where chance makes their scatter, for what finer ones say, less often than this."""
 
 
 def harmonic_columns(angle: Array, harmonics: int) -> Array:
     """sin θ, cos θ, sin 2θ, cos 2θ, ... and 1, shape (2 harmonics + 1, n); angle in turns, shape (n,)."""
-    columns = np.ones((2 * harmonics + 1, len(angle)))
-    phase = 2.0 * pi * (angle - np.floor(angle))
-    np.sin(phase, out=columns[0])
-    np.cos(phase, out=columns[1])
-    for column in range(2, 2 * harmonics):
-        # sin hθ = 2 cos θ sin (h - 1)θ - sin (h - 2)θ, and so for cos hθ; of h = 0 they are 0 and 1.
-        np.multiply(2.0 * columns[1], columns[column - 2], out=columns[column])
-        columns[column] -= columns[column - 4] if column > 3 else column - 2
-    return columns
+    wave = np.exp(2j * np.pi * (angle - np.floor(angle)))
+    powers = accumulate(repeat(wave, harmonics), mul)
+    return np.stack([*(part for power in powers for part in (power.imag, power.real)), np.ones(len(angle))])
 
 
 def regression_columns(angle: Array, row: Array, readings: Array) -> Array:
@@ -61,55 +55,9 @@ def regression_columns(angle: Array, row: Array, readings: Array) -> Array:
     return np.concatenate([harmonic_columns(angle, HARMONICS), row[None, :], readings])
 
 
-def moved(products: Array, rows: Array | int) -> Array:
-    """Return products of shape (..., n, n) in which rows are counted from a row that is so many later, shape (...)."""
-    changed, back = products.copy(), np.asarray(rows, float)[..., None]
-    changed[..., DRIFT, :] -= back * changed[..., ONE, :]
-    changed[..., :, DRIFT] -= back * changed[..., :, ONE]
-    return changed
-
-
-def demodulate(
-    channels: Sequence[str], angle: Array, readings: Sequence[Array] | Array, whole: Mask | None = None
-) -> Demodulation:
-    """Return the regression over the rows of a record that are whole, all of them where these are left out.
-
-    The angle, shape (n,), is in turns that do not wrap; readings are of shape (n,) for each channel.
-
-    Raises
-    ------
-    EstimateError
-        The rows cannot determine the components.
-    """
-    places = np.arange(len(angle)) if whole is None else np.flatnonzero(whole)
-    if not len(places):
-        raise EstimateError("no row of the record has an angle and all readings")
-    size = ceil(max(float(angle[places[-1]] - angle[places[0]]), 1.0) / (MOST_BLOCKS - 1))
-    beginning = places[:CHUNK]
-    values = np.stack([column[beginning] for column in readings])
-    # A large offset would take the digits that the noise needs in the sums of squares.
-    pilot, step = values.mean(axis=1), common_step(values.T)
-    blocks: dict[int, Array] = {}
-    for start in range(0, len(places), CHUNK):
-        rows = places[start : start + CHUNK]
-        values = np.stack([column[rows] for column in readings]) - pilot[:, None]
-        table = regression_columns(angle[rows], rows / len(angle) - 0.5, values)
-        block = np.maximum.accumulate(np.floor(angle[rows] / size)).astype(np.int64)
-        for first, end in pairwise([0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]):
-            part, number = table[:, first:end], int(block[first])
-            blocks[number] = blocks.get(number, 0.0) + part @ part.T
-    result = regress(np.stack([blocks[number] for number in sorted(blocks)]), channels)
-    result.coefficients[-2] += pilot
-    return replace(result, rounding=_rounding(result, step, angle[beginning])) if step else result
-
-
-def _rounding(demodulation: Demodulation, step: float, angle: Array) -> Array:
-    """Return the variance that rounding leaves in a component of each channel, unit²."""
-    deviations = np.sqrt(np.maximum(np.diag(demodulation.residual), 0.0))
-    passed = 4.0 * np.hypot(*demodulation.coefficients[:2]) / step
-    of_means = np.array([rounding_uncertainty(deviation, step) for deviation in deviations.tolist()])
-    # A sine wave passes each step up and down: of places that mirror each other two share one rounding.
-    return np.asarray(3.0 * of_means**2 / np.clip(passed, 1.0, len(np.unique(np.round(angle % 1.0 * _PLACES)))))
+def bounds_of(number: NDArray[np.float64]) -> list[int]:
+    """Return where a number, shape (n,), begins to be another one: 0 first, n last."""
+    return [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
 
 
 @dataclass(frozen=True)
@@ -132,17 +80,9 @@ class Demodulation:
     weights: Array  # (blocks, 2, 2)
     rounding: Array  # (channels,)
 
-    def of(self, channels: Sequence[str]) -> Demodulation:
-        """Return the regression of some of the channels, in this order."""
-        chosen = [self.channels.index(channel) for channel in channels]
-        return replace(
-            self,
-            channels=tuple(channels),
-            coefficients=self.coefficients[:, chosen],
-            residual=self.residual[np.ix_(chosen, chosen)],
-            scores=self.scores[..., chosen],
-            rounding=self.rounding[chosen],
-        )
+    def mix(self, weights: Mapping[str, float]) -> Array:
+        """Return the mix with the weights of some channels, shape (channels,)."""
+        return np.array([weights.get(channel, 0.0) for channel in self.channels])
 
     def components(self, mix: Array) -> Array:
         """sin and cos component of a mix, shape (2,)."""
@@ -152,9 +92,10 @@ class Demodulation:
         """Covariance of :meth:`components`, shape (2, 2), unit²: of the noise around the turning, and of rounding."""
         # A record without noise leaves less than the rounding of its sums, which may be negative.
         variance = max(float(mix @ self.residual @ mix), 0.0)
-        return np.asarray(variance * self.colour(mix) * self.inverse[:2, :2] + mix**2 @ self.rounding * np.eye(2))
+        noise = variance * self._colour(mix, variance) * self.inverse[:2, :2]
+        return np.asarray(noise + mix**2 @ self.rounding * np.eye(2))
 
-    def colour(self, mix: Array) -> float:
+    def _colour(self, mix: Array, variance: float) -> float:
         """Noise power at the turning over that of all frequencies, as a standard uncertainty needs it.
 
         Few turns show it badly. It is pooled with a few degrees of freedom of white noise, and widened as Student's
@@ -162,28 +103,64 @@ class Demodulation:
         """
         from scipy.special import fdtrc
 
-        variance = float(mix @ self.residual @ mix)
         if variance <= 0.0 or len(self.scores) < 2:
             return 1.0
-        fine, dof = _scatter(self.scores @ mix, self._inverse_weights, variance)
-        pooled = (_WHITE + dof * fine) / (_WHITE + dof)
+
+        def scatter(scores: Array, weights: Array) -> tuple[float, int]:
+            squares = np.einsum("bi,bij,bj->b", scores, np.linalg.pinv(weights), scores)
+            dof = max(2 * len(scores) - 2, 1)
+            return float(squares.sum()) / variance / dof, dof
+
+        fine, dof = scatter(self.scores @ mix, self.weights)
+        power, freedom = (_WHITE + dof * fine) / (_WHITE + dof), _WHITE + dof
         if len(self.scores) >= 4 * COARSE_BLOCKS:
-            scores, weights = self.coarse(mix)
-            coarse, coarse_dof = _scatter(scores, np.asarray(np.linalg.pinv(weights)), variance)
-            if fdtrc(coarse_dof, dof, coarse / pooled) < _SURPRISE:
-                return coarse * _student(coarse_dof)  # slower than a turn: amplitudes that wander
-        return pooled * _student(_WHITE + dof)
+            coarse, coarse_dof = scatter(*self.coarse(mix))
+            if fdtrc(coarse_dof, dof, coarse / power) < _SURPRISE:  # slower than a turn: amplitudes that wander
+                power, freedom = coarse, coarse_dof
+        return power * freedom / (freedom - 2.0)
 
     def coarse(self, mix: Array) -> tuple[Array, Array]:
         """Scores of a mix, shape (groups, 2), and weights, shape (groups, 2, 2), of groups of blocks."""
         groups = np.array_split(np.arange(len(self.scores)), COARSE_BLOCKS)
-        sums = (np.stack([table[group].sum(axis=0) for group in groups]) for table in (self.scores, self.weights))
-        scores, weights = sums
+        scores, weights = (np.stack([of[group].sum(axis=0) for group in groups]) for of in (self.scores, self.weights))
         return scores @ mix, weights
 
-    @cached_property
-    def _inverse_weights(self) -> Array:
-        return np.asarray(np.linalg.pinv(self.weights))
+
+def demodulate(
+    channels: Sequence[str], angle: Array, readings: Sequence[Array] | Array, whole: Mask | None = None
+) -> Demodulation:
+    """Return the regression over the rows of a record that are whole, all of them where these are left out.
+
+    The angle, shape (n,), is in turns that do not wrap; readings are of shape (n,) for each channel. An EstimateError
+    where the rows cannot determine the components.
+    """
+    places = np.arange(len(angle)) if whole is None else np.flatnonzero(whole)
+    if not len(places):
+        raise EstimateError("no row of the record has an angle and all readings")
+    size = ceil(max(float(angle[places[-1]] - angle[places[0]]), 1.0) / (_MOST_BLOCKS - 1))
+    beginning = places[:CHUNK]
+    values = np.stack([column[beginning] for column in readings])
+    # A large offset would take the digits that the noise needs in the sums of squares.
+    pilot, step = values.mean(axis=1), common_step(values.T)
+    blocks: dict[float, Array] = {}
+    for start in range(0, len(places), CHUNK):
+        rows = places[start : start + CHUNK]
+        values = np.stack([column[rows] for column in readings]) - pilot[:, None]
+        table = regression_columns(angle[rows], rows / len(angle) - 0.5, values)
+        block = np.maximum.accumulate(np.floor(angle[rows] / size))
+        for first, end in pairwise(bounds_of(block)):
+            part, number = table[:, first:end], float(block[first])
+            blocks[number] = blocks.get(number, 0.0) + part @ part.T
+    result = regress(np.stack([blocks[number] for number in sorted(blocks)]), channels)
+    result.coefficients[-2] += pilot
+    if not step:
+        return result
+    noise = np.sqrt(np.maximum(np.diag(result.residual), 0.0))
+    of_means = np.array([rounding_uncertainty(deviation, step) for deviation in noise.tolist()])
+    passed = 4.0 * np.hypot(*result.coefficients[:2]) / step
+    # A sine wave passes each step up and down: of places that mirror each other two share one rounding.
+    different = len(np.unique(np.round(angle[beginning] % 1.0 * _PLACES)))
+    return replace(result, rounding=np.asarray(3.0 * of_means**2 / np.clip(passed, 1.0, different)))
 
 
 def regress(blocks: Array, channels: Sequence[str]) -> Demodulation:
@@ -203,16 +180,12 @@ def regress(blocks: Array, channels: Sequence[str]) -> Demodulation:
     against = total[kept, READINGS:]
     coefficients = inverse @ against
     residual = (total[READINGS:, READINGS:] - coefficients.T @ against) / (rows - len(kept))
-    scores = blocks[:, :2, READINGS:] - blocks[:, :2][:, :, kept] @ coefficients
-    weights = blocks[:, :2, :2]
+    scores, weights = blocks[:, :2, READINGS:] - blocks[:, :2][:, :, kept] @ coefficients, blocks[:, :2, :2]
     if len(blocks) >= 4:
         # The first and the last block, which the record cuts, go with their neighbours.
-        scores, weights = (
-            np.concatenate([[table[0] + table[1]], table[2:-2], [table[-2] + table[-1]]]) for table in (scores, weights)
-        )
-    return Demodulation(
-        tuple(channels), rows, coefficients, residual, inverse, scores, weights, np.zeros(len(channels))
-    )
+        scores, weights = (np.concatenate([[of[0] + of[1]], of[2:-2], [of[-2] + of[-1]]]) for of in (scores, weights))
+    rounding = np.zeros(len(channels))
+    return Demodulation(tuple(channels), rows, coefficients, residual, inverse, scores, weights, rounding)
 
 
 def _inverse(products: Array) -> Array | None:
@@ -224,15 +197,3 @@ def _inverse(products: Array) -> Array | None:
     if np.linalg.eigvalsh(scaled)[0] < _SINGULAR:
         return None
     return np.asarray(np.linalg.inv(scaled) / np.outer(size, size))
-
-
-def _scatter(scores: Array, inverse_weights: Array, variance: float) -> tuple[float, int]:
-    """Mean square of the blocks' scores over what white noise gives, and its degrees of freedom."""
-    squares = np.einsum("bi,bij,bj->b", scores, inverse_weights, scores)
-    dof = max(2 * len(scores) - 2, 1)
-    return float(squares.sum()) / variance / dof, dof
-
-
-def _student(dof: int) -> float:
-    """Variance of Student's distribution."""
-    return dof / (dof - 2.0)

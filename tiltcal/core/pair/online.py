@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
-from tiltcal.core.pair.demodulate import DRIFT, ONE, READINGS, moved, regress, regression_columns
+from tiltcal.core.pair.demodulate import DRIFT, ONE, READINGS, bounds_of, regress, regression_columns
 from tiltcal.core.pair.matching import PairCoefficients, solve
 from tiltcal.core.pair.model import FEWEST_TURNS, Pair, sum_weights
 from tiltcal.core.pair.stage import BACKWARDS, PARTS, ROUNDING, STANDING, follow
@@ -35,7 +35,6 @@ MEMORY = 100.0
 REMEMBERED = 4.0
 """Times the memory after which a turn does not count at all."""
 
-STANDS, GAP, TURNS_BACK = "the stage stands still", "the stream has a gap", "the stage runs backwards"
 COARSE = (
     "from one angle to the next are more than 45°, which is too coarse to be followed: more rows a turn, or a finer "
     "encoder; without --online they will do"
@@ -84,12 +83,13 @@ class TurnStream:
         self.rows = self.left_out = self.turns = 0
         self.turned = 0.0
         self.why = "the stage has not turned yet"
+        self._events: list[Turn | Notice] = []
         self._last: float | None = None
         self._pilot: Array | None = None
-        self._typical = inf
+        self._typical = inf  # rows of a part of a turn
         self._start = np.nan
-        # The rows of the turn in progress: angle in turns, number of the row, readings (NaN where they do not count).
-        self._angle, self._row, self._readings = np.empty(0), np.empty(0, dtype=np.intp), np.empty((channels, 0))
+        # The rows of the turn in progress: number of the row, angle in turns, readings (NaN where they do not count).
+        self._table = np.empty((2 + channels, 0))
 
     def push(self, theta: Array, readings: Array, whole: Mask | None = None) -> list[Turn | Notice]:
         """Take samples, and return the turns that they end, and where the stream is held and goes on.
@@ -98,85 +98,74 @@ class TurnStream:
         readings count are ``whole``, those that are finite where it is left out.
         """
         there = np.flatnonzero(np.isfinite(theta))
-        angle, values = follow(theta[there], self._last), readings[:, there]
+        angle = follow(theta[there], self._last)
         if len(angle):
             self.turned += float(angle[-1]) - (float(angle[0]) if self._last is None else self._last)
             self._last = float(angle[-1])
-        if whole is not None:
-            values = np.where(whole[there], values, np.nan)
-        self._angle = np.concatenate([self._angle, angle])
-        self._row = np.concatenate([self._row, self.rows + there])
-        self._readings = np.concatenate([self._readings, values], axis=1)
+        values = readings if whole is None else np.where(whole, readings, np.nan)
+        rows = np.concatenate([(self.rows + there)[None], angle[None], values[:, there]])
+        self._table = np.concatenate([self._table, rows], axis=1)
         self.rows += len(theta)
-        events: list[Turn | Notice] = []
-        while self._cut(events):
+        self._events = []
+        while self._table.shape[1] and self._cut():
             pass
-        return events
+        return self._events
 
-    def _cut(self, events: list[Turn | Notice]) -> bool:
+    def _cut(self) -> bool:
         """Close the turns that have ended; return whether the stage ran backwards, with rows behind that."""
-        if not len(self._angle):
-            return False
+        angle = self._table[1]
         if np.isnan(self._start):
-            self._start = ceil(PARTS * float(self._angle[0]) - ROUNDING) / PARTS
-        highest = np.maximum.accumulate(self._angle)
-        behind = np.flatnonzero(highest - self._angle > BACKWARDS)
-        end = int(behind[0]) if len(behind) else len(highest)
+            self._start = ceil(PARTS * float(angle[0]) - ROUNDING) / PARTS
+        highest = np.maximum.accumulate(angle)
+        behind = np.flatnonzero(highest - angle > BACKWARDS)
+        end = int(behind[0]) if len(behind) else len(angle)
         turned = highest[:end] - self._start
-        number = np.floor(turned)
-        part = np.floor(turned * PARTS).astype(np.int64) % PARTS
-        bounds = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist()]
+        number, part = np.floor(turned), np.floor(turned * PARTS).astype(np.int64) % PARTS
+        *bounds, _ = bounds_of(number)
         for first, last in pairwise(bounds):
             if number[first] >= 0.0:
-                self._close(
-                    slice(first, last), np.bincount(part[first:last], minlength=PARTS), int(self._row[last]), events
-                )
-        begun = bounds[-1]
-        if number[begun] >= 0.0:
-            if len(behind):
-                self.left_out += end - begun
-            elif np.bincount(part[begun:]).max() > STANDING * self._typical:
-                self._hold(int(self._row[begun]), STANDS, events)
-        if len(behind):
-            self._hold(int(self._row[end]), TURNS_BACK, events)
-            begun, self._start = end, np.nan
-        self._angle, self._row = self._angle[begun:], self._row[begun:]
-        self._readings = self._readings[:, begun:]
-        return bool(len(behind))
+                self._close(self._table[:, first:last], part[first:last], int(self._table[0, last]))
+        begun, begins = bounds[-1], number[bounds[-1]] >= 0.0
+        if not len(behind):
+            if begins and np.bincount(part[begun:]).max() > STANDING * self._typical:
+                self._hold(self._table[0, begun], "the stage stands still")
+            self._table = self._table[:, begun:]
+            return False
+        self.left_out += end - begun if begins else 0
+        self._hold(self._table[0, end], "the stage runs backwards")
+        self._table, self._start = self._table[:, end:], np.nan
+        return True
 
-    def _close(self, rows: slice, by_part: NDArray[np.int64], end: int, events: list[Turn | Notice]) -> None:
-        """Hand a turn on, its rows counted by the parts of the turn, or say why not."""
-        readings = self._readings[:, rows]
-        counts = np.asarray(np.isfinite(readings).all(axis=0))
-        count, used, visited = len(counts), int(np.count_nonzero(counts)), int(np.count_nonzero(by_part))
+    def _close(self, table: Array, part: NDArray[np.int64], end: int) -> None:
+        """Hand a turn on, whose rows belong to parts of the turn, or say why not."""
+        whole = np.asarray(np.isfinite(table).all(axis=0))
+        by_part = np.bincount(part, minlength=PARTS)
+        count, used, visited = len(whole), int(np.count_nonzero(whole)), int(np.count_nonzero(by_part))
         typical = max(float(np.median(by_part)), 1.0)
         why = ""
         if visited < PARTS:
-            why = COARSE if 1 < visited > 0.75 * count else GAP
+            why = COARSE if 1 < visited > 0.75 * count else "the stream has a gap"
         elif by_part.max() > STANDING * typical:
-            why = STANDS
+            why = "the stage stands still"
         elif used < _COMPLETE * count:
             why = "values are missing"
+        self.left_out += count if why else count - used
         if why:
-            self._hold(int(self._row[rows.start]), why, events)
-            self.left_out += count
+            self._hold(table[0, 0], why)
             return
         if self.why and self.turns:
-            events.append(Notice(int(self._row[rows.start]), ""))
-        self.why = ""
+            self._events.append(Notice(int(table[0, 0]), ""))
+        self.why, self._typical = "", typical
         self.turns += 1
-        self.left_out += count - used
-        self._typical = typical
-        values = readings[:, counts]
+        row, angle, values = table[0, whole], table[1, whole], table[2:, whole]
         # A large offset would take the digits that the noise needs in the sums of squares.
         self._pilot = values[:, :1] if self._pilot is None else self._pilot
-        row = (self._row[rows][counts] - end).astype(np.float64)
-        table = regression_columns(self._angle[rows][counts], row, values - self._pilot)
-        events.append(Turn(table @ table.T, end))
+        columns = regression_columns(angle, row - end, values - self._pilot)
+        self._events.append(Turn(columns @ columns.T, end))
 
-    def _hold(self, row: int, why: str, events: list[Turn | Notice]) -> None:
+    def _hold(self, row: float, why: str) -> None:
         if why != self.why:
-            events.append(Notice(row, why))
+            self._events.append(Notice(int(row), why))
         self.why = why
 
 
@@ -232,38 +221,24 @@ class TrimmingLoops:
         self._turns = self._settled = 0
         self._trims_q = False
 
-    @property
-    def p(self) -> float:
-        return self._p.value
-
-    @property
-    def q(self) -> float:
-        return self._q.value
-
     def coefficients(self) -> PairCoefficients:
         """p and q as they are trimmed now; the uncertainties are infinite before the first turn that trims them."""
-        return PairCoefficients(self.p, self.q, self._p.uncertainty(), self._q.uncertainty())
+        return PairCoefficients(self._p.value, self._q.value, self._p.uncertainty(), self._q.uncertainty())
 
     def update(self, turn: Turn) -> None:
-        """Go on by one turn.
-
-        Raises
-        ------
-        EstimateError
-            Nothing can be trimmed with these channels; p and q stay as they are.
-        """
+        """Go on by one turn; an EstimateError, and p and q as they are, where nothing can be trimmed."""
         columns, against = (turn.products[np.ix_(_FIRST_HARMONICS, to)] for to in (_FIRST_HARMONICS, self._where))
         sines, cosines = np.linalg.lstsq(columns, against, rcond=None)[0][:2]
         phasors = sines + 1j * cosines
         first, _, orthogonal = phasors
         if abs(first) < 1e-300:
             raise EstimateError(f"{self._pair.first} has no signal at the spin frequency")
-        residual = phasors @ sum_weights(self.p, self.q) / first
+        residual = phasors @ sum_weights(self._p.value, self._q.value) / first
         quadrature = (orthogonal / first).imag
         if abs(quadrature) < _LEAST_QUADRATURE:
             raise EstimateError(f"{self._pair.orthogonal} has no signal in quadrature to {self._pair.first}")
-        rest = 1.0 - self.p
-        p = self.p + rest * residual.real
+        rest = 1.0 - self._p.value
+        p = self._p.value + rest * residual.real
         if not -_FARTHEST / (1.0 - _FARTHEST) < p < _FARTHEST:
             raise EstimateError(f"p runs to {p:.2f}: {self._pair.second} cannot be matched to {self._pair.first}")
         self._p.trim(float(residual.real), float(rest * residual.real))
@@ -280,27 +255,22 @@ class Recursive:
     """Least squares with exponential forgetting over the turns of a stream."""
 
     def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
-        self.p = self.q = 0.0
-        self._u = inf, inf
         self._pair, self._channels = pair, tuple(channels)
         self._turns: deque[Turn] = deque(maxlen=round(REMEMBERED * MEMORY))
+        self._solved = PairCoefficients(0.0, 0.0, inf, inf)
 
     def coefficients(self) -> PairCoefficients:
         """p and q as they are now; the uncertainties are infinite before the first estimate."""
-        return PairCoefficients(self.p, self.q, *self._u)
+        return self._solved
 
     def update(self, turn: Turn) -> None:
-        """Go on by one turn, and solve for p and q.
-
-        Raises
-        ------
-        EstimateError
-            The turns do not determine p and q, which stay as they were.
-        """
+        """Go on by one turn, and solve for p and q; an EstimateError where they stay as they were."""
         self._turns.append(turn)
-        blocks = moved(
-            np.stack([one.products for one in self._turns]), turn.end - np.array([one.end for one in self._turns])
-        )
+        blocks = np.stack([one.products for one in self._turns])
+        # Rows are counted from the end of the last turn.
+        back = np.array([[turn.end - one.end] for one in self._turns], dtype=float)
+        blocks[:, DRIFT] -= back * blocks[:, ONE]
+        blocks[:, :, DRIFT] -= back * blocks[:, :, ONE]
         weights = np.exp((np.arange(len(blocks)) + 1.0 - len(blocks)) / MEMORY)[:, None, None]
         faded, whole = (regress(some, self._channels) for some in (weights * blocks, blocks))
         # Faded rows carry less of the mean than whole ones would, and have less noise in it too.
@@ -308,26 +278,20 @@ class Recursive:
         fading = float(weights[:, 0, 0] ** 2 @ rows / (weights[:, 0, 0] @ rows))
         # How all of these turns scatter shows how much noise there is at the turning.
         combined = replace(faded, inverse=fading * faded.inverse, scores=whole.scores, weights=whole.weights)
-        solved = solve(combined, self._pair)
-        self.p, self.q, self._u = solved.p, solved.q, (solved.u_p, solved.u_q)
-
-
-@dataclass(frozen=True)
-class OnlineHistory:
-    """The estimates of p and q after each number of turns."""
-
-    turns: float
-    loops: tuple[float, float]
-    recursive: tuple[float, float]
+        self._solved = solve(combined, self._pair)
 
 
 class Online:
-    """Both estimators of a pair; the course of each turn, and why the last one was refused, empty where it was not."""
+    """Both estimators of a pair.
+
+    ``course`` has p and q of the loops and of the recursive estimator after each turn; ``refused`` is why they could
+    not take the last one, empty where they did.
+    """
 
     def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
         self.stream = TurnStream(len(channels))
         self.loops, self.recursive = TrimmingLoops(pair, channels), Recursive(pair, channels)
-        self.course: list[OnlineHistory] = []
+        self.course: list[tuple[float, float, float, float]] = []
         self.refused = ""
 
     def push(self, theta: Array, readings: Array, whole: Mask | None = None) -> list[Notice]:
@@ -343,8 +307,8 @@ class Online:
                     estimator.update(item)
                 except EstimateError as refusal:
                     why = str(refusal)
-            estimates = ((one.p, one.q) for one in (self.loops, self.recursive))
-            self.course.append(OnlineHistory(len(self.course) + 1.0, *estimates))
+            loops, recursive = self.loops.coefficients(), self.recursive.coefficients()
+            self.course.append((loops.p, loops.q, recursive.p, recursive.q))
             if why != self.refused:
                 notices.append(Notice(item.end, why))
             self.refused = why
@@ -353,10 +317,7 @@ class Online:
     def coefficients(self, *, loops: bool) -> PairCoefficients:
         """Return what an estimator ended with: the source's two loops, or the recursive one.
 
-        Raises
-        ------
-        EstimateError
-            It was held for so long that it has no estimate.
+        An EstimateError where it was held for so long that it has no estimate.
         """
         turns = self.stream.turns
         if turns < FEWEST_TURNS:

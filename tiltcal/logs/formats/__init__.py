@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,61 +16,40 @@ from tiltcal.logs.log import LogReader, LogSource, LogWriter, Progress
 from tiltcal.logs.streams import STANDARD, log_source
 from tiltcal.stated_arguments import require_boolean
 
+CSV, NETCDF = "csv", "netcdf"
 
-@dataclass(frozen=True)
-class LogFormat:
-    """A format of logs.
-
-    Attributes
-    ----------
-    name : str
-        The classes' first half, such as ``Csv`` for ``CsvReader`` and ``CsvWriter`` of the module ``csv`` here; it is
-        imported when a log of the format is opened.
-    kept : bool
-        Whether a log of the format can be written in no other format, and no other log in this one.
-    """
-
-    name: str
-    kept: bool = False
-
-    def imported(self, half: str) -> Any:
-        """Return the ``Reader`` or the ``Writer``."""
-        return getattr(import_module(f"{__name__}.{self.name.lower()}"), self.name + half)
-
-
-_CSV = LogFormat("Csv")
-_PARQUET = LogFormat("Parquet")
-_NETCDF = LogFormat("Netcdf", kept=True)
-
-FORMATS: Mapping[str, LogFormat] = {
-    ".csv": _CSV,
-    ".parquet": _PARQUET,
-    ".pq": _PARQUET,
-    ".nc": _NETCDF,
-    ".nc4": _NETCDF,
+FORMATS: Mapping[str, str] = {
+    ".csv": CSV,
+    ".parquet": "parquet",
+    ".pq": "parquet",
+    ".nc": NETCDF,
+    ".nc4": NETCDF,
 }
-"""The format of a log by the end of its name."""
-
+"""The format of a log by the end of its name: a module here, imported when a log of the format is opened."""
 
 UNKNOWN = (".gz", ".bz2", ".xz", ".zst", ".zip", ".xlsx", ".xls", ".json", ".feather", ".arrow", ".h5")
 """Ends of names of files that are no CSV, and that no writer makes."""
 
 
-def log_format(name: str | Path) -> LogFormat:
+def log_format(name: str | Path) -> str:
     """Return the format of a log by its name."""
-    return FORMATS.get(Path(name).suffix.lower(), _CSV)
+    return FORMATS.get(Path(name).suffix.lower(), CSV)
+
+
+def _imported(format_name: str, half: str) -> Any:
+    """Return the ``Reader`` or the ``Writer`` of a format."""
+    return getattr(import_module(f"{__name__}.{format_name}"), format_name.capitalize() + half)
 
 
 def require_way(log: str | Path, output: str | Path) -> None:
     """Raise UsageError for what cannot be written: NetCDF in another format, another format in NetCDF, or no log."""
     if Path(output).suffix.lower() in UNKNOWN:
         raise UsageError(f"{output}: a log is written as .csv or .parquet, or stays .nc: name one of these")
-    read, written = log_format(log), log_format(output)
-    if read is written or not (read.kept or written.kept):
-        return
-    if read.kept:
+    was_netcdf, is_netcdf = (log_format(name) == NETCDF for name in (log, output))
+    if was_netcdf and not is_netcdf:
         raise UsageError(f"{log} is NetCDF and stays it: name an output that ends in .nc, with -o")
-    raise UsageError(f"{output} would be NetCDF, and only a NetCDF log becomes that: name a .csv or .parquet")
+    if is_netcdf and not was_netcdf:
+        raise UsageError(f"{output} would be NetCDF, and only a NetCDF log becomes that: name a .csv or .parquet")
 
 
 @contextmanager
@@ -93,18 +71,10 @@ def open_log(
     name : str, optional
         What messages call the log, in place of its own name.
     live : bool
-        Hand on each line of CSV as it arrives, and let Ctrl-C end a stream that has no end of its own.
+        Let Ctrl-C end a stream that has no end of its own.
 
-    Raises
-    ------
-    InputError
-        The file is not what its name says, is empty or damaged.
-    UsageError
-        The file cannot be opened, or the library that its format takes is not there.
-
-    Notes
-    -----
-    A damaged Parquet or NetCDF file can end the process in its library, or keep it there.
+    InputError: the file is not what its name says, is empty or damaged.
+    UsageError: the file cannot be opened, or the library that its format takes is not there.
     """
     require_boolean("--skip-bad-rows", skip_bad_rows)
     if not isinstance(log, str | Path):
@@ -113,7 +83,7 @@ def open_log(
         yield FrameReader(log, name=name or "the frame")
         return
     path = str(log)
-    reader = log_format(path).imported("Reader")
+    reader = _imported(log_format(path), "Reader")
     called = name or ("standard input" if path == STANDARD else path)
     with log_source(path, live=live) as (stream, size):
         opened: LogReader = reader(LogSource(stream, path, called, size, skip_bad_rows, digest, progress))
@@ -131,9 +101,6 @@ def create_log(
     origin: Mapping[str, str] | None = None,
     units: Mapping[str, str | None] | None = None,
 ) -> LogWriter:
-    """Return what writes the rows of a log, in the format that the output's name selects.
-
-    The other arguments are those of :class:`LogWriter`; ``-`` is CSV on standard output.
-    """
-    writer: LogWriter = log_format(output).imported("Writer")(sink, log, added, origin, units)
+    """Return what writes the rows of a log, in the format of the output's name; see :class:`LogWriter`."""
+    writer: LogWriter = _imported(log_format(output), "Writer")(sink, log, added, origin, units)
     return writer

@@ -9,6 +9,7 @@ import csv
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from hashlib import sha256
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,14 +19,11 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.formats.csv_dialect import UTF8_BOM, BlankSeparated, Dialect, dialect_of
 from tiltcal.logs.formats.csv_rows import CsvBlock, RowGrammar
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
-from tiltcal.logs.streams import refused_by_system
+from tiltcal.logs.streams import ByteReader, refused_by_system
 from tiltcal.logs.text_to_numbers import unread_time
 
 if TYPE_CHECKING:
     import polars as pl
-
-SHORT = 1 << 18
-"""Largest size of a log that is read and written without the engine, bytes: its import takes as long."""
 
 _BLOCK = 6 << 20
 _TOP = 1 << 16  # bytes in which the dialect is looked for
@@ -34,12 +32,7 @@ _UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
 
 
 class CsvReader(LogReader):
-    """A log in CSV.
-
-    Parameters
-    ----------
-    block : int
-        How much to read at a time, bytes.
+    """A log in CSV, read by ``block`` bytes at a time.
 
     Attributes
     ----------
@@ -48,8 +41,6 @@ class CsvReader(LogReader):
         log without a header or with blanks between its fields.
     line_end : str
         LF or CRLF, as the first line has it.
-    short : bool
-        Whether it is read without the engine.
 
     InputError: the file is empty or no text, or its header names a column twice.
     """
@@ -59,7 +50,8 @@ class CsvReader(LogReader):
     def __init__(self, source: LogSource, *, block: int = _BLOCK) -> None:
         super().__init__(source)
         self._block, self._line = block, 1
-        self.short = source.size is not None and source.size <= SHORT
+        self._digest = sha256() if source.digest else None
+        self._rows: ByteReader = self
         top = self._top()
         first, end, self._pending = top.partition(b"\n")
         self.header = first.removesuffix(b"\r")
@@ -76,13 +68,25 @@ class CsvReader(LogReader):
         elif self.dialect.has_blanks:
             self.header = ",".join(self.names).encode()
         if self.dialect.has_blanks:
-            self._stream, self._pending = BlankSeparated(self._pending, self._stream), b""
+            self._rows, self._pending = BlankSeparated(self._pending, self), b""
         self._line += self.dialect.has_header
+
+    @property
+    def sha256(self) -> str:
+        return super().sha256 if self._digest is None else self._digest.hexdigest()
+
+    def read(self, size: int) -> bytes:
+        """Return so many bytes of the file, fewer at its end."""
+        data = self.source.stream.read(size)
+        self.bytes_read += len(data)
+        if self._digest is not None:
+            self._digest.update(data)
+        return data
 
     def _top(self) -> bytes:
         """Read the first two lines, and what comes with them."""
         data = b""
-        while data.count(b"\n") < 2 and (more := self._read()):
+        while data.count(b"\n") < 2 and (more := self.read(self._block)):
             data += more
             if b"\n" not in data:
                 self._refuse_endless(data)
@@ -99,13 +103,12 @@ class CsvReader(LogReader):
             dialect = dialect_of(text)
         except csv.Error as failure:
             raise self._error(f"the header cannot be parsed: {failure}") from None
-        if not any(dialect.names):
+        named = [name for name in dialect.names if name]
+        if not named:
             raise self._error("the first line is empty: it must name the columns")
-        seen: set[str] = set()
-        for name in filter(None, dialect.names):
-            if name in seen:
-                raise self._error(f"the header names column {name!r} twice: rename one of them")
-            seen.add(name)
+        if len({*named}) < len(named):
+            twice = next(name for place, name in enumerate(named) if name in named[:place])
+            raise self._error(f"the header names column {twice!r} twice: rename one of them")
         return dialect
 
     @property
@@ -114,7 +117,7 @@ class CsvReader(LogReader):
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         if not frames:
-            yield from self._parsed(RowGrammar(self.dialect, columns, time, short=self.short))
+            yield from self._parsed(RowGrammar(self.dialect, columns, time))
             return
         from tiltcal.logs.formats.csv_types import ColumnTypes
 
@@ -134,21 +137,18 @@ class CsvReader(LogReader):
             if time is not None and not timed:
                 timed = bool(np.isfinite(block.values[time]).any())
                 if not timed:
-                    block = replace(block, wrong_time=self._unread_time(grammar, data, time, unended=unended))
+                    cells = replace(grammar, texts=[time]).parse(data, unended=unended).texts[time]
+                    wrong = unread_time(cells.scatter([*block.faults], None), self.names[time])
+                    block = replace(block, wrong_time=None if wrong is None else self._error(wrong[1], wrong[0]))
             self._line += data.count(b"\n")
             empty = False
             yield block
         if empty:
             raise self._error("the log has a header and no rows")
 
-    def _unread_time(self, grammar: RowGrammar, data: bytes, time: int, *, unended: bool) -> InputError | None:
-        block = replace(grammar, texts=[time]).parse(data, unended=unended)
-        found = unread_time(block.texts[time].scatter([*block.faults], None), self.names[time])
-        return None if found is None else self._error(found[1], found[0])
-
     def _lines(self) -> Iterator[tuple[bytes, bool]]:
         """Whole lines, and whether they are the very last one, which had no end."""
-        pending, more = b"", self._pending or self._read()
+        pending, more = b"", self._pending or self._rows.read(self._block)
         while more:
             if cut := more.rfind(b"\n") + 1:
                 yield b"".join((pending, memoryview(more)[:cut])), False
@@ -156,14 +156,9 @@ class CsvReader(LogReader):
             else:
                 pending += more
             self._refuse_endless(pending)
-            more = self._read()
+            more = self._rows.read(self._block)
         if pending and not self.interrupted:
             yield pending + b"\n", True
-
-    def _read(self) -> bytes:
-        data = self._stream.read(self._block)
-        self.bytes_read += len(data)
-        return data
 
     def _refuse_endless(self, pending: bytes) -> None:
         """Stop at what is no log, before it fills the memory."""
@@ -182,8 +177,7 @@ class CsvWriter(LogWriter):
     """
 
     @property
-    def frames(self) -> bool:
-        """Whether the blocks must have their columns with types, because the log has no text of its own."""
+    def frames(self) -> bool:  # type: ignore[override]
         return not isinstance(self._log, CsvReader)
 
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
@@ -210,15 +204,10 @@ class CsvWriter(LogWriter):
 
     def _as_it_stands(self, block: CsvBlock, table: Table) -> Callable[[], object]:
         """Return what writes rows; their text is split here, and not in the thread that writes, the busiest one."""
-        log = cast("CsvReader", self._log)
-        if log.short:
-            lines = block.text.decode().split("\n")[:-1]
-            text = short_text(lines, table, log.line_end, log.dialect).encode(block.encoding)
-            return lambda: (self._sink.write(text), self._sink.flush())
         import polars as pl
 
         frame = pl.DataFrame({"": block.lines, **table})
-        options = {"quote_style": "never", "line_terminator": log.line_end}
+        options = {"quote_style": "never", "line_terminator": cast("CsvReader", self._log).line_end}
         if block.encoding == "utf-8":
             return lambda: self._write_csv(self._sink, frame, **options)
 
@@ -255,26 +244,6 @@ class CsvWriter(LogWriter):
             options["decimal_comma"] = self._log.dialect.decimal == ","
         with refused_by_system():
             frame.write_csv(sink, **{"include_header": False} | options)
-
-
-def short_text(lines: Sequence[str], table: Table, line_end: str, dialect: Dialect) -> str:
-    """Return rows with columns behind their own as the engine writes them."""
-    columns = [[dialect.with_point(_in_digits(value)) for value in column.tolist()] for column in table.values()]
-    return "".join(dialect.separator.join(cells) + line_end for cells in zip(lines, *columns, strict=True))
-
-
-def _in_digits(value: float | int) -> str:
-    """Return a value in the engine's notation: 0.00001 and 1e-6 where Python has 1e-05 and 1e-06."""
-    text = repr(value)
-    if text == "nan":
-        return "NaN"
-    number, _, exponent = text.partition("e-0")
-    if not exponent:
-        return text
-    if exponent != "5":
-        return f"{number}e-{exponent}"
-    sign = "-" * number.startswith("-")
-    return f"{sign}0.0000{number.removeprefix('-').replace('.', '')}"
 
 
 def _words(column: pl.Series) -> pl.Series:

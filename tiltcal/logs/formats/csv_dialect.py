@@ -33,19 +33,7 @@ _SWAPPED = str.maketrans(".,", ",.")
 
 @dataclass(frozen=True)
 class Dialect:
-    """How the rows of a CSV log are written.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The columns.
-    separator, decimal : str
-        Between the fields, and in a number.
-    has_header : bool
-        Whether the first line names the columns, and is no row.
-    has_blanks : bool
-        Whether blanks stand between the fields, in place of the separator.
-    """
+    """How the rows of a CSV log are written; ``has_blanks``: these are between fields in place of the separator."""
 
     names: tuple[str, ...]
     separator: str = ","
@@ -61,9 +49,8 @@ class Dialect:
         """Return cells likewise; of ``moments``, which may have a point nevertheless, points stay."""
         if self.decimal == ".":
             return cells
-        return (
-            cells.str.replace_all(",", ".", literal=True) if moments else cells.str.replace_many([".", ","], [",", "."])
-        )
+        marks = ([","], ["."]) if moments else ([".", ","], [",", "."])
+        return cells.str.replace_many(*marks)
 
 
 def dialect_of(top: str) -> Dialect:

@@ -13,13 +13,10 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import zlib
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from io import FileIO
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -30,8 +27,8 @@ from numpy.typing import NDArray
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.files.moments import to_the_second
 from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement, seconds_since_1970
+from tiltcal.logs.columns import common_dimension
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
-from tiltcal.logs.streams import interrupts_held
 from tiltcal.logs.text_to_numbers import seconds
 
 if TYPE_CHECKING:
@@ -44,14 +41,6 @@ _MOST_ROWS = 1 << 21
 """Of a block, however long the chunks are that a file declares."""
 
 _CLASSIC = b"CDF"
-_CHUNK = 1 << 16
-"""Rows of a written chunk."""
-
-_LEVEL = 1
-"""Of the compression."""
-
-_WAITING = 4
-"""Chunks that are packed at once or wait to be written."""
 
 _TEXT = "OSUT"
 """The kinds of a column of text."""
@@ -60,20 +49,8 @@ _OF_THE_SYSTEM = re.compile(r"errno = (\d+)")
 """What the library's message holds on a full disk, and on all else that the system refuses."""
 
 
-class _WithinFile(FileIO):
-    """A file of which nothing behind its end is read: HDF5 would fill gigabytes with zeros where a size is damaged."""
-
-    def readinto(self, buffer: Any) -> int:
-        place, end = self.tell(), os.fstat(self.fileno()).st_size
-        if place + len(buffer) > end:
-            raise OSError(f"{len(buffer)} bytes from {place} on do not lie within its {end} bytes")
-        return super().readinto(buffer)
-
-
 class NetcdfReader(LogReader):
-    """A log in NetCDF-4; see :class:`tiltcal.logs.log.LogReader`.
-
-    Its columns are all variables; those that hold readings have one dimension, the same.
+    """A log in NetCDF-4: its columns are all variables; those that hold readings have one dimension, the same.
 
     UsageError: the libraries are not there.
     InputError: the file is no NetCDF-4, or damaged.
@@ -81,8 +58,13 @@ class NetcdfReader(LogReader):
 
     def __init__(self, source: LogSource) -> None:
         super().__init__(source)
-        xarray = _library()
-        if self._stream.read(3) == _CLASSIC:
+        try:
+            import h5netcdf  # noqa: F401  (what xarray reads with)
+            import xarray
+        except ImportError as failure:
+            why = f"NetCDF needs xarray and h5netcdf ({failure}): pip install 'tiltcal[netcdf]'"
+            raise UsageError(why) from failure
+        if source.stream.read(3) == _CLASSIC:
             self._refuse("this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW")
         with self._refusing_damage():
             self._require_own_data()
@@ -99,17 +81,14 @@ class NetcdfReader(LogReader):
         self.notes = {str(name): str(note) for name, note in self.file_attributes.items()}
 
     def _require_own_data(self) -> None:
-        """Refuse a file whose data stand in other files, which HDF5 would read wherever they are.
-
-        Damaged sizes of what describes the variables are met here first, where they take no memory.
-        """
+        """Refuse a file whose data stand in other files, which HDF5 would read wherever they are."""
         import h5py
 
-        with _WithinFile(self.source.path) as content, h5py.File(content) as file:
+        with h5py.File(self.source.path) as file:
             for name in file:
                 link = file.get(name, getlink=True)
-                found = None if isinstance(link, h5py.ExternalLink) else file[name]
-                if found is None or (isinstance(found, h5py.Dataset) and (found.external or found.is_virtual)):
+                variable = None if isinstance(link, h5py.ExternalLink) else file[name]
+                if variable is None or getattr(variable, "external", None) or getattr(variable, "is_virtual", False):
                     self._refuse(f"variable {name!r} keeps its data in another file: copy them into this one")
 
     def close(self) -> None:
@@ -122,31 +101,19 @@ class NetcdfReader(LogReader):
     def has_times(self, name: str, beside: int) -> bool:
         if not super().has_times(name, beside) or self._data[name].dims != self._data[self.names[beside]].dims:
             return False
-        kind = self._data[name].dtype.kind
         try:
             seconds_since_1970(np.empty(0), self.unit(self.names.index(name)))
         except InputError:
             return False
-        return kind in "iuf" or kind in _TEXT
+        return self._data[name].dtype.kind in f"iuf{_TEXT}"
 
     def dimension(self, columns: Sequence[int]) -> str:
         """Along which the columns have their rows.
 
         InputError: a column has none or several, they differ, or there is no row.
         """
-        along: dict[str, str] = {}
-        for name in (self.names[index] for index in columns):
-            dimensions = self._data[name].dims
-            if len(dimensions) != 1:
-                self._refuse(
-                    f"variable {name!r} has {len(dimensions)} dimensions ({', '.join(map(str, dimensions))}): a log's "
-                    "columns have one, such as time"
-                )
-            along[str(dimensions[0])] = name
-        if len(along) > 1:
-            kinds = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
-            self._refuse(f"the variables have rows of different kinds: {kinds}")
-        dimension = next(iter(along))
+        names = [self.names[index] for index in columns]
+        dimension = common_dimension({name: self._data[name].dims for name in names}, self.name)
         if not self._data.sizes[dimension]:
             self._refuse(f"the log has no rows: dimension {dimension!r} is empty")
         return dimension
@@ -165,16 +132,16 @@ class NetcdfReader(LogReader):
         for start in range(0, total, step):
             rows, wrong = slice(start, min(start + step, total)), None
             with self._refusing_damage():
-                found = {index: self._data[self.names[index]].isel({dimension: rows}).values for index in columns}
-                values = {index: np.asarray(found[index], dtype=float) for index in numbers}
-                cells = None if text is None else _cells(found[text])
-            if text is not None and cells is not None:
+                read = {index: self._data[self.names[index]].isel({dimension: rows}).values for index in columns}
+                values = {index: np.asarray(read[index], dtype=float) for index in numbers}
+            if text is not None:
+                cells = _cells(read[text])
                 values[text] = seconds(cells)
                 timed = timed or bool(np.isfinite(values[text]).any())
                 wrong = None if timed else self._wrong_time(cells, text, start)
             if time is not None:
                 values[time] = seconds_since_1970(values[time], self.unit(time), self.name)
-            self._library_has_read(rows.stop, total)
+            self.bytes_read = (self.source.size or 0) * rows.stop // total
             yield LogBlock(values, frame=self._frame(dimension, rows) if frames else None, wrong_time=wrong)
 
     def _frame(self, dimension: str, rows: slice) -> pl.DataFrame:
@@ -222,17 +189,8 @@ def _cells(values: NDArray[Any]) -> pl.Series:
     return pl.Series([cell.decode(errors="replace") if isinstance(cell, bytes) else str(cell) for cell in cells])
 
 
-def _library() -> Any:
-    try:
-        import h5netcdf  # noqa: F401  (what xarray reads with)
-        import xarray
-    except ImportError as failure:
-        raise UsageError(f"NetCDF needs xarray and h5netcdf ({failure}): pip install 'tiltcal[netcdf]'") from failure
-    return xarray
-
-
 class NetcdfWriter(LogWriter):
-    """Writes a NetCDF log with variables behind its own."""
+    """Writes a NetCDF log with variables behind its own; means become a file of their own."""
 
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
         import h5netcdf
@@ -242,46 +200,42 @@ class NetcdfWriter(LogWriter):
             raise UsageError(f"only a NetCDF log becomes NetCDF, and {log.name} is another kind")
         rows = iter(blocks)
         first = next(rows)
-        if first[0].counts is not None:
-            self._write_means(log, [first, *rows])
-            return
-        log.source.stream.seek(0)
-        shutil.copyfileobj(log.source.stream, self._sink, 1 << 20)
-        self._sink.flush()
-        columns = list(first[0].values)
+        columns, chunk = list(first[0].values), len(first[0])
         dimension, like = log.dimension(columns), log.attributes(log.names[columns[0]])
-        with interrupts_held() as check_interrupts, _refusing_to_add(log.name), h5netcdf.File(self._sink, "r+") as file:
-            chunk = len(first[0])
-            variables = {name: self._variable(file, name, dimension, like, chunk) for name in self._added}
-            _write_chunks(variables, (table for _, table in chain([first], rows)), chunk, check_interrupts)
-            file.attrs["history"] = _history(file.attrs.get("history"), self._origin, datetime.now(UTC))
-
-    def _write_means(self, log: NetcdfReader, blocks: Sequence[tuple[LogBlock, Table]]) -> None:
-        """Write a file of its own: the means, and the attributes of the log and of its variables."""
-        import h5netcdf
-        import h5py
-        import polars as pl
-
-        frame = pl.concat([block.frame for block, _ in blocks if block.frame is not None])
-        columns = list(blocks[0][0].values)
-        dimension, like = log.dimension(columns), log.attributes(log.names[columns[0]])
-        with interrupts_held(), _refusing_to_add(log.name), h5netcdf.File(self._sink, "w") as file:
-            file.dimensions[dimension] = len(frame)
-            for name in frame.columns:
-                values = frame[name].to_numpy()
-                kind = {"i": "f8", "u": "f8", "f": "f8", "b": "i1"}.get(values.dtype.kind)
-                variable = file.create_variable(name, (dimension,), kind or h5py.string_dtype())
-                variable[...] = values.astype(kind or object)
-                variable.attrs.update(log.attributes(name))
-                if values.dtype.kind == "b":
-                    variable.attrs["dtype"] = "bool"  # as xarray marks it
+        are_means = first[0].counts is not None
+        if not are_means:
+            log.source.stream.seek(0)
+            shutil.copyfileobj(log.source.stream, self._sink, 1 << 20)
+            self._sink.flush()
+        with _refusing_to_add(log.name), h5netcdf.File(self._sink, "w" if are_means else "r+") as file:
+            if are_means:
+                means = [first, *rows]
+                _write_frames(file, log, dimension, [block.framed() for block, _ in means])
+                rows = iter(means[1:])
             for name in self._added:
-                values = np.concatenate([np.asarray(table[name]) for _, table in blocks])
-                self._variable(file, name, dimension, like)[...] = values
-            file.attrs.update(log.file_attributes)
+                self._create(file, name, dimension, like, chunk)
+            self._write_tables(file, (table for _, table in chain([first], rows)))
             file.attrs["history"] = _history(file.attrs.get("history"), self._origin, datetime.now(UTC))
 
-    def _variable(self, file: Any, name: str, dimension: str, like: Mapping[str, Any], chunk: int = _CHUNK) -> Any:
+    def _write_tables(self, file: Any, tables: Iterable[Table]) -> None:
+        """Write the columns of each table behind those of the one before, while the next is compensated.
+
+        The library writes through a Python stream, where Ctrl-C would be lost: it comes in the main thread alone.
+        """
+
+        def write(start: int, table: Table) -> int:
+            stop = start + len(next(iter(table.values())))
+            for name, values in table.items():
+                file.variables[name][start:stop] = values
+            return stop
+
+        with ThreadPoolExecutor(max_workers=1) as thread:
+            written = thread.submit(int)
+            for table in tables:
+                written = thread.submit(write, written.result(), table)
+            written.result()
+
+    def _create(self, file: Any, name: str, dimension: str, like: Mapping[str, Any], chunk: int) -> None:
         """Create a variable; ``like`` are the attributes of a reading, ``chunk`` is the most rows of a chunk."""
         whole = is_judgement(name) or name == COUNT
         variable = file.create_variable(
@@ -290,59 +244,30 @@ class NetcdfWriter(LogWriter):
             "u4" if name == COUNT else "f8" if not whole else "u2" if name.endswith("reason") else "u1",
             chunks=(min(file.dimensions[dimension].size, chunk),),
             compression="gzip",
-            compression_opts=_LEVEL,
-            shuffle=not _has_few_digits(name),
+            compression_opts=1,
+            shuffle=True,
             fillvalue=None if whole else np.nan,
         )
         for key, value in describe(name, self._added, like, self._units, dimension).items():
             variable.attrs[key] = value
-        return variable
 
 
-def _write_chunks(
-    variables: Mapping[str, Any], tables: Iterable[Table], chunk: int, check_interrupts: Callable[[], None]
-) -> None:
-    """Write tables of ``chunk`` rows each, the last one of fewer, whose columns are packed in threads.
+def _write_frames(file: Any, log: NetcdfReader, dimension: str, frames: Sequence[pl.DataFrame]) -> None:
+    """Write means with the attributes of the log and of its variables."""
+    import h5py
+    import polars as pl
 
-    The library packs one chunk after the other, and holds all else meanwhile.
-    """
-    waiting: deque[tuple[Any, int, Future[bytes]]] = deque()
-
-    def write(most: int) -> None:
-        while len(waiting) > most:
-            dataset, start, packed = waiting.popleft()
-            dataset.id.write_direct_chunk((start,), packed.result())
-
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
-        for number, table in enumerate(tables):
-            check_interrupts()
-            for name, values in table.items():
-                dataset = variables[name]._h5ds
-                column = np.asarray(values, dataset.dtype)
-                waiting.append((dataset, number * chunk, threads.submit(_packed, column, chunk, dataset)))
-                write(_WAITING)
-        write(0)
-
-
-def _packed(values: NDArray[Any], rows: int, dataset: Any) -> bytes:
-    """Return a chunk of a variable as its filters make it, with its fill value behind the last row of the log.
-
-    Shuffled, the first bytes of all numbers come first, then the second ones. What repeats in them are single bytes:
-    the search for longer repetitions takes twice the time for half a per cent.
-    """
-    if len(values) < rows:
-        values = np.concatenate([values, np.full(rows - len(values), dataset.fillvalue, values.dtype)])
-    numbers = np.ascontiguousarray(values)
-    if not dataset.shuffle:
-        return zlib.compress(numbers.data, _LEVEL)
-    packer = zlib.compressobj(_LEVEL, strategy=zlib.Z_RLE)
-    packed = packer.compress(numbers.view(np.uint8).reshape(rows, -1).T.tobytes())
-    return packed + packer.flush()
-
-
-def _has_few_digits(name: str) -> bool:
-    """Return whether a column is an uncertainty, whose numbers repeat: whole ones pack better than their bytes."""
-    return any(lead in f"_{name}" for lead in ("_u_", "_U95_"))
+    frame = pl.concat(frames)
+    file.dimensions[dimension] = len(frame)
+    for name in frame.columns:
+        values = frame[name].to_numpy()
+        kind = {"i": "f8", "u": "f8", "f": "f8", "b": "i1"}.get(values.dtype.kind)
+        variable = file.create_variable(name, (dimension,), kind or h5py.string_dtype())
+        variable[...] = values.astype(kind or object)
+        variable.attrs.update(log.attributes(name))
+        if values.dtype.kind == "b":
+            variable.attrs["dtype"] = "bool"  # as xarray marks it
+    file.attrs.update(log.file_attributes)
 
 
 @contextmanager
@@ -353,8 +278,8 @@ def _refusing_to_add(log: str) -> Iterator[None]:
     except TiltcalError:
         raise
     except Exception as failure:
-        if found := _OF_THE_SYSTEM.search(str(failure)):
-            code = int(found[1])
+        if quoted := _OF_THE_SYSTEM.search(str(failure)):
+            code = int(quoted[1])
             raise OSError(code, os.strerror(code)) from failure
         raise InputError(f"nothing can be added to this file: {failure}", file=log) from failure
 

@@ -15,11 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import read_ahead, refused_by_system
-from tiltcal.logs.text_to_numbers import seconds
 
 if TYPE_CHECKING:
     import polars as pl
@@ -65,34 +63,21 @@ class ParquetReader(LogReader):
         return bool(self._rows > _ROWS)
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
-        for index in columns:
-            if index != time:
-                self._require_numbers(self.names[index])
         done, timed = 0, time is None
         scan = self._scan if frames else self._scan.select([self.names[index] for index in columns])
         with self._refusing_damage():
             for frame in scan.collect_batches(chunk_size=_ROWS, maintain_order=True):
-                cells = {index: frame[self.names[index]] for index in columns}
-                values = {index: (_times if index == time else _numbers)(cells[index]) for index in columns}
+                values = {index: self._values(frame[self.names[index]], index, time) for index in columns}
                 wrong = None
                 if time is not None and not timed:
                     timed = bool(np.isfinite(values[time]).any())
-                    wrong = None if timed else self._wrong_time(cells[time], time, done)
+                    wrong = None if timed else self._wrong_time(frame[self.names[time]], time, done)
                 done += len(frame)
-                self._library_has_read(done, self._rows)
+                self.bytes_read = (self.source.size or 0) * done // self._rows
                 yield LogBlock(values, frame=frame if frames else None, wrong_time=wrong)
         if done != self._rows:
             # The engine ends in silence where one of its threads fails on a damaged page.
             raise InputError(f"the file is damaged: it gives {done} of {self._rows} rows", file=self.name)
-
-    def _require_numbers(self, name: str) -> None:
-        import polars as pl
-
-        kind = self._schema[name]
-        if not (kind.is_numeric() or kind == pl.Null):
-            raise InputError(
-                f"column {name!r} holds {kind}, not numbers: name another, or make numbers of it", file=self.name
-            )
 
     @contextmanager
     def _refusing_damage(self) -> Iterator[None]:
@@ -108,17 +93,12 @@ class ParquetReader(LogReader):
 class ParquetWriter(LogWriter):
     """Writes Parquet: the log's columns keep their types; flag takes a byte, reason two, all others are doubles.
 
-    Notes
-    -----
     The engine packs and writes while a thread of ours compensates the next row group; were that done in the call by
     which the engine asks for it, one of the engine's own threads would wait. It is handed the blocks one by one: were
     the kernel handed to it, it would call it on several blocks at once, and a pair's needs theirs in order.
     """
 
-    @property
-    def frames(self) -> bool:
-        """Whether the blocks must have their columns with types: the log's own are written, too."""
-        return True
+    frames = True
 
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
         from polars.io.plugins import register_io_source
@@ -143,23 +123,3 @@ def _widened(block: LogBlock, table: Table) -> pl.DataFrame:
     import polars as pl
 
     return block.framed().hstack([pl.Series(name, column) for name, column in table.items()])
-
-
-def _numbers(column: pl.Series) -> Array:
-    import polars as pl
-
-    return (column if column.dtype == pl.Float64 else column.cast(pl.Float64)).to_numpy()
-
-
-def _times(column: pl.Series) -> Array:
-    """Seconds: numbers as they are, moments since 1970, durations, or text of these; a date is its midnight."""
-    import polars as pl
-
-    if column.dtype == pl.Date:
-        column = column.cast(pl.Datetime("us"))
-    kind = column.dtype
-    if isinstance(kind, pl.Datetime | pl.Duration):
-        return _numbers(column.to_physical()) / {"ms": 1e3, "us": 1e6, "ns": 1e9}[kind.time_unit]
-    if kind.is_numeric() or kind == pl.Null:
-        return _numbers(column)
-    return seconds(column.cast(pl.String, strict=False))

@@ -69,9 +69,7 @@ def u_of_curve(fit, channel):
     p = fit.order + 1
     own = slice(channel * p, channel * p + p)
     powers = np.vander(PLACES - REFERENCE, p, increasing=True)
-    return np.sqrt(
-        np.einsum("ij,jk,ik->i", powers, fit.covariance[:-1, :-1][own, own] + fit.loop_covariance[own, own], powers)
-    )
+    return np.sqrt(np.einsum("ij,jk,ik->i", powers, fit.covariance[own, own] + fit.loop_covariance[own, own], powers))
 
 
 def held_on_both_ways(fit, half):

@@ -26,7 +26,7 @@ MALFORMED = {
     "": "no scheme before a colon (such as spi:///dev/spidev0.0)",
     "/dev/spidev0.0": "no scheme before a colon (did you mean 'spi:///dev/spidev0.0'?)",
     "spo:///dev/spidev0.0": "unknown scheme 'spo' (did you mean 'spi'?)",
-    "http://host/": "unknown scheme 'http' (known: spi, i2c, serial, gpio, vcd, modbus, package, sim)",
+    "http://host/": "unknown scheme 'http' (known: spi, i2c, serial, gpio, vcd, modbus, iio, python, ",
     "ads1115+:///dev/i2c-1": "unknown scheme 'ads1115+'",
     "spi:": "no device after 'spi:'",
     "spi://dev/spidev0.0": "'dev' after '//' names a host (did you mean 'spi:///dev/spidev0.0'?)",

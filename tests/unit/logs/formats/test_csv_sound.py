@@ -72,21 +72,3 @@ def test_sound_rows_take_the_short_way(data: bytes, monkeypatch: pytest.MonkeyPa
     np.testing.assert_array_equal(found.values[2], expected)
     assert [text or "" for text in found.texts[1].to_list()] == [row[1] for row in cells_of(data.decode())]
     assert found.lines.to_list() == data.decode().replace("\r", "").split("\n")[:-1]
-
-
-def test_the_odd_row_of_a_long_block_is_looked_for_in_its_halves(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Line by line, a block would take ten times as long."""
-    monkeypatch.setattr(csv_rows, "_BY_LINE", 100)
-    by_line: list[int] = []
-    parse = RowGrammar._by_line
-    monkeypatch.setattr(
-        RowGrammar, "_by_line", lambda self, data, end: by_line.append(len(data)) or parse(self, data, end)
-    )
-    rows = [f"{row},a,{row}.5,7" for row in range(1000)]
-    rows[300], rows[700] = "300,a,2", "700,a,2,3,4"
-    found = RowGrammar(Dialect(NAMES), [2, 3], texts=[1]).parse("".join(f"{row}\n" for row in rows).encode())
-    assert found.faults == {300: "the row has 3 fields, the header 4", 700: "the row has 5 fields, the header 4"}
-    assert np.flatnonzero(np.isnan(found.values[2])).tolist() == [300, 700]
-    assert found.values[2][[299, 301, 999]].tolist() == [299.5, 301.5, 999.5]
-    assert (len(found.texts[1]), found.lines[300], found.lines[999]) == (1000, '"300,a,2",,,', rows[999])
-    assert sum(by_line) <= 200

@@ -1,30 +1,32 @@
-"""Channels that are not what they are called; readings are simulated here, by hand."""
+"""Sensors that a procedure does not suit, and channels that are not what they are called, simulated by hand."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
+from tiltcal.calibration.checks import require_suitable
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.core.model import Array
 from tiltcal.core.samples import SampleSummary
-from tiltcal.errors import EstimateError, InputError
+from tiltcal.drivers import find_model
+from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure_file import find_procedure
+from tiltcal.files.procedure import find_procedure
 
 SENSOR = SensorIdentity("recorded", "S", "V", ("x", "y"))
 PLANE = find_procedure("plane")
 NOISE = 1e-4
+INCLINOMETER = find_model("sca100t-d01")
+"""1024 count and 1638 count/g, and a word below 102 is none."""
 
-Wiring = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-
-def calibrated(wiring: Wiring, unit: str = "V") -> CalibrationRecord:
+def calibrated(wiring: Callable[[Array], Array], unit: str = "V") -> CalibrationRecord:
     """A sensor of 2 V/g and 2.5 V at level, whose channels are wired in some way."""
     rng = np.random.default_rng(1)
     measurements = []
@@ -36,34 +38,22 @@ def calibrated(wiring: Wiring, unit: str = "V") -> CalibrationRecord:
     return calibrate([MeasuredSensor(SENSOR.replaced(unit=unit), measurements)], PLANE, BenchUncertainty(0.05))[0]
 
 
-def remarks(wiring: Wiring) -> list[str]:
-    about = ("x and y", "channel", "the sign of")
-    return [note for note in calibrated(wiring).fit.notes if note.startswith(about)]
-
-
-def test_a_sensor_wired_as_it_is_called_needs_no_remark() -> None:
-    assert remarks(lambda true: true) == []
+def test_exchanged_and_turned_channels_are_remarked() -> None:
+    wirings: dict[str, Callable[[Array], Array]] = {
+        "": lambda true: true,
+        "x and y are swapped": lambda true: true[::-1],
+        "the sign of y is turned": lambda true: np.array([true[0], 5.0 - true[1]]),
+    }
+    for said, wiring in wirings.items():
+        notes = [note for note in calibrated(wiring).fit.notes if note.startswith(("x and y", "channel", "the sign"))]
+        assert [note.startswith(said) for note in notes] == ([True] if said else [])
 
 
 def test_two_copies_of_one_channel_are_refused() -> None:
     """Each with its own noise, so that the matrix can be inverted: tilt came out 64 degrees wrong with flag 1."""
-    with pytest.raises(EstimateError, match=r"x and y answer to gravity alike.*two copies of one channel"):
-        calibrated(lambda true: true[[0, 0]])
-
-
-def test_a_copy_with_its_sign_turned_is_a_copy() -> None:
-    with pytest.raises(EstimateError, match="two copies of one channel"):
-        calibrated(lambda true: np.array([true[0], 5.0 - true[0]]))
-
-
-def test_swapped_channels_are_remarked() -> None:
-    (note,) = remarks(lambda true: true[::-1])
-    assert note.startswith("x and y are swapped")
-
-
-def test_a_turned_sign_is_remarked() -> None:
-    (note,) = remarks(lambda true: np.array([true[0], 5.0 - true[1]]))
-    assert note.startswith("the sign of y is turned")
+    for copy in (lambda true: true[[0, 0]], lambda true: np.array([true[0], 5.0 - true[0]])):
+        with pytest.raises(EstimateError, match=r"x and y answer to gravity alike.*two copies of one channel"):
+            calibrated(copy)
 
 
 @pytest.mark.parametrize(("unit", "per_g", "said"), [("g", 9.81, 2), ("m/s2", 1.0, 2), ("g", 1.1, 0), ("m/s2", 9.6, 0)])
@@ -83,11 +73,9 @@ def test_the_same_readings_twice_are_refused_where_no_sensitivity_is_determined(
         calibrate([MeasuredSensor(SENSOR, measurements)], reversal, BenchUncertainty(0.05))
 
 
-class TestRails:
+def test_a_position_at_the_rail_is_refused() -> None:
     """The SCA100T-D02 counts from 0 to 2047; a reading there may stand for any tilt beyond."""
-
-    @pytest.mark.parametrize("reading", [2047.0, 14340.0])
-    def test_a_position_at_the_rail_is_refused(self, reading: float) -> None:
+    for reading in (2047.0, 14340.0):
         table = {
             "position": ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"],
             "x": [reading, 614.0, 1024.0, 1024.0],
@@ -96,20 +84,19 @@ class TestRails:
         with pytest.raises(EstimateError, match=f"x reads {reading:g} count in x-tilt1, at its rail or beyond"):
             tiltcal.fit("plane", table, serial="S-1", sensor="sca100t-d02", jig=0.1)
 
-    def test_the_rails_of_the_base_count_too(self, tmp_path: Path) -> None:
-        (tmp_path / "S-1.yaml").write_text(BASE)
-        with pytest.raises(InputError, match=r"x reads 2500.1 in 8 of its rows, at its rail or beyond \(0 to 5\)"):
-            tiltcal.fit("level", {"x": [2500.1, 2499.9] * 4, "y": [2450.1, 2449.9] * 4}, base=tmp_path / "S-1.yaml")
+
+def test_an_angle_beyond_the_lower_rail_is_refused() -> None:
+    """1024 - 1638 sin 34° is 108, and 1024 - 1638 sin 35° is 84.5."""
+    require_suitable(find_procedure("plane", 34.0), INCLINOMETER)
+    with pytest.raises(UsageError, match=r"would read about 84\.482 count, .* a smaller --tilt brings it in range"):
+        require_suitable(find_procedure("plane", 35.0), INCLINOMETER)
 
 
-BASE = """\
-tiltcal: 1
-kind: tilt
-sensor: {model: recorded, serial: S-1, unit: V, channels: [x, y]}
-calibration:
-  offset: {x: 2.5, y: 2.45}
-  sensitivity: {x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}
-uncertainty:
-  offset: {x: 0.001, y: 0.001}
-limits: {reading: [0.0, 5.0]}
-"""
+def test_a_sensitivity_has_to_come_from_somewhere_and_gravity_be_read() -> None:
+    unknown, procedure = replace(INCLINOMETER, scaled=False), find_procedure("two-temperature")
+    with pytest.raises(UsageError, match=r"that of sca100t-d01 is not known: state it in the address"):
+        require_suitable(procedure, unknown)
+    require_suitable(procedure, unknown, based=True)
+    require_suitable(find_procedure("plane", 20.0), unknown)
+    with pytest.raises(UsageError, match="plane takes tilt sensors"):
+        require_suitable(find_procedure("plane", 20.0), find_model("gradiometer"))

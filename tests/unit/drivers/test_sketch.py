@@ -1,0 +1,86 @@
+"""Lines as sketches print them: what is read, what is guessed, and what a session on such a port says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import cycle
+
+import pytest
+from support.command import tiltcal
+from support.pty_device import printing
+
+import tiltcal as library
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.sketch import guess
+
+PRINTED = {
+    "X: 1.55 Y: -0.09 Z: 10.49": ("x,y,z", ""),
+    "X: 1.55 \tY: -0.09 \tZ: 10.49 \tm/s^2 ": ("x,y,z", "m/s2"),
+    "Acceleration X: 0.1, Y: 0.2, Z: 9.7 m/s²": ("x,y,z", "m/s2"),
+    "0.1,0.2,9.8": ("x,y,z", ""),
+    "12:34:56.789 -> -12 7 16384": ("x,y,z", ""),
+    "ax=12 ay=3 az=16384 gx=1 gy=2 gz=3": ("x,y,z,-,-,-", ""),
+    "Temp: 24.5 C, ax: 0.1 g, ay: 0.2 g, az: 0.9 g": ("temperature,x,y,z", "g"),
+    "1 2 3 4 5": ("x,y,z,-,-", ""),
+}
+"""Each with the columns and the unit that it shows to a person."""
+
+
+def test_lines_are_read_as_they_are_printed_and_guessed() -> None:
+    for line, (columns, unit) in PRINTED.items():
+        guessed = guess([b"starting ...", line.encode()])
+        assert (guessed.columns, guessed.unit) == (columns, unit), line
+        address = parse_address(f"serial:///dev/null?columns={columns}")
+        layout = find_model("serial-columns").at(address).driver.args[0]
+        assert layout.reading(line.encode()) is not None, line
+    assert guess([b"ax,ay,az,t", b"1,2,3,4"]).columns == "x,y,z,temperature"
+    assert not guess([b"hello"]).numbers
+    layout = find_model("serial-columns").at(parse_address("serial:///dev/null?columns=x,y,z")).driver.args[0]
+    for torn in (
+        b"X: 1.55 Y: -0.09",
+        b"X: 1.55 Y: -0.09 Z: ",
+        b"X: 1.55 Y: -0X: 1.5 Z: 2",
+        b"1,2,3x",
+        b"-> 1,2,3",
+        b"Z: nan 1 2",
+    ):
+        assert layout.reading(torn) is None, torn
+
+
+def lines_of(*lines: bytes) -> Callable[[], bytes]:
+    rows = cycle(lines)
+    return lambda: next(rows)
+
+
+def test_a_port_alone_is_listened_to_and_the_advice_works() -> None:
+    sketch = lines_of(b"X: 1.55 \tY: -0.09 \tZ: 9.49 \tm/s^2 \r\n", b"X: 1.57 \tY: -0.07 \tZ: 9.51 \tm/s^2 \r\n")
+    with printing(sketch, 50.0, waits=False) as port:
+        said = tiltcal("probe", "--address", port)
+        assert said.returncode == 0, said.stderr
+        assert "prints 3 numbers a line" in said.stdout
+        advised = said.stdout.splitlines()[-1].split('"')[1]
+        assert advised == f"{port}?columns=x,y,z&unit=m/s2"
+        done = tiltcal("probe", "--sensor", "serial-columns", "--address", advised)
+        assert done.returncode == 0, done.stderr
+        assert "9.5" in done.stdout or "9.49" in done.stdout
+    with printing(lines_of(b"hello\r\n"), 50.0, waits=False) as port:
+        assert "text without numbers" in tiltcal("probe", "--address", port).stderr
+    assert "--sensor is missing" in tiltcal("probe", "--address", "spi:///dev/spidev0.0").stderr
+
+
+def test_witmotion_frames_are_read_from_a_line() -> None:
+    """WT901, Datasheet v20-0702, 5.1.2: 16 g to 32768, T/100; a damaged frame and other kinds are no reading."""
+    rate = bytes.fromhex("55 52 00 00 00 00 00 00 00 00 A7")
+    sound = bytes.fromhex("55 51 00 04 00 FC 00 08 C4 09 7B")
+    damaged = bytes.fromhex("55 51 00 04 00 FC 00 08 C4 09 7C")
+    with (
+        printing(lines_of(rate + damaged + sound), 50.0, waits=False) as port,
+        library.open_sensor("witmotion", f"serial://{port}?thermometer=hundredths") as sensor,
+    ):
+        readings = [sensor.read() for _ in range(5)]
+        statistics = sensor.link_statistics()
+    assert all(reading.values == (1024.0, -1024.0, 2048.0) for reading in readings)
+    assert all(reading.temperature == pytest.approx(25.0) for reading in readings)
+    assert statistics["frames"] == 5
+    assert statistics["damaged"] >= 4

@@ -1,0 +1,124 @@
+"""A session from its begin to the end of its journal, and the calibrations that the journal gives."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+from tiltcal.bench.journal import SessionResult, calibrations_of, positions_of
+from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
+from tiltcal.bench.ramp import take_leg
+from tiltcal.bench.sensors import RECOVERY
+from tiltcal.bench.session import Session
+from tiltcal.bench.settle import Unsettled
+from tiltcal.errors import HardwareError, InputError, JournalError, SensorError, Stopped, TiltcalError, UsageError
+from tiltcal.files.journal import read_journal
+
+
+@contextmanager
+def led_by(
+    chosen: object, session: Session, command: str, remark: Callable[[str], None], *, plain: bool = False
+) -> Iterator[Operator]:
+    """Yield the operator of a session whose files can be written and whose devices answer.
+
+    An error that ends the block says how to go on, with the ``command`` that resumes, where the journal has a begin and
+    no end.
+
+    UsageError: no such operator, or one that the bench cannot have.
+    """
+    files = session.files
+    files.require_writable(session.journal)
+    go_on = files.go_on(command)
+    try:
+        session.probe()
+        with ExitStack() as stack:
+            yield _operator(chosen, session, remark, stack, plain=plain)
+    except (KeyboardInterrupt, TiltcalError) as error:
+        if not session.captured:
+            raise
+        if isinstance(error, KeyboardInterrupt):
+            raise Stopped(f"interrupted; {go_on}") from None
+        if isinstance(error, Stopped):
+            raise Stopped(f"{error}; {go_on}") from None
+        if not isinstance(error, HardwareError):
+            remark(go_on)
+        elif not session.finished:
+            raise HardwareError(f"{error}; {go_on}") from None
+        raise
+
+
+def _operator(
+    chosen: object, session: Session, say: Callable[[str], None], stack: ExitStack, *, plain: bool
+) -> Operator:
+    """Return an operator: one of :data:`NAMED`, or an object with the methods of the protocol.
+
+    A terminal is given back at the end of the stack; ``say`` takes a line of the virtual jig's talk.
+    """
+    needed = {"terminal": {"input": sys.stdin, "error": sys.stderr}, "json": {"input": sys.stdin, "output": sys.stdout}}
+    for name, stream in needed.get(str(chosen), {}).items():
+        if stream is None:
+            raise UsageError(f"standard {name} is closed, and --operator {chosen} needs it")
+    match chosen:
+        case "terminal":
+            from tiltcal.bench.terminal import open_terminal
+
+            return open_terminal(stack, plain=plain)
+        case "sim" if not session.setup.simulated:
+            raise UsageError("--operator sim moves virtual sensors only; give --address sim:")
+        case "sim":
+            return VirtualJig(say)
+        case "json":
+            return Program(sys.stdin, sys.stdout)
+        case str():
+            raise UsageError(
+                f"there is no operator {chosen!r}: it is {', '.join(NAMED)}, or an object that drives a rig"
+            )
+    return PythonObject(chosen, "position" if session.setup.steps.rotation is None else "rotation")
+
+
+def run_session(session: Session, operator: Operator) -> SessionResult:
+    """Carry a session out, or go on with it, to the end of its journal, and return what the journal gives.
+
+    TiltcalError: what stopped it; everything that was measured is in the journal.
+    """
+    if session.journal is not None and session.finished:
+        return calibrations_of(session.journal)
+    steps = session.setup.steps
+    recorded = None if session.journal is None else positions_of(session.journal)
+    with ExitStack() as stack:
+        writer = session.open(stack, operator, recorded)
+        if steps.rotation is not None and (recorded is None or recorded.turned is None):
+            from tiltcal.bench.rotation import TurningStage
+
+            TurningStage(session, steps.rotation, recorded).turn()
+        while len(session.accepted) < len(steps.positions):
+            position = steps.positions[len(session.accepted)]
+            try:
+                answer = session.attempt(position) if steps.ramp is None else take_leg(session, steps.ramp, position)
+                if answer == "back" and not session.accepted:
+                    raise InputError("this is the first position: there is none before it to go back to")
+                if answer == "back":
+                    session.accepted.pop()
+            except JournalError:
+                raise
+            except (Unsettled, InputError, HardwareError) as error:
+                _refuse(session, position.name, error)
+        if not session.setup.verifies:
+            outputs = [session.files.outputs.get(sensor.serial) for sensor in session.sensors.sensors]
+            session.ask({"ask": "write", "files": [str(output) for output in outputs if output is not None]})
+        result = calibrations_of(read_journal(session.files.journal))
+        writer.finish(0)
+        session.finished = True
+    return result
+
+
+def _refuse(session: Session, position: str, error: Exception) -> None:
+    """Refuse a position, and give up a sensor that has failed too often, or end the session with its error."""
+    if isinstance(error, SensorError):
+        session.sensors.failed(error)
+    session.refuse(position, str(error))
+    if isinstance(error, SensorError) and error.serial in session.sensors.lost:
+        session.tell("lost", sensor=error.serial, why=session.sensors.lost[error.serial])
+    if isinstance(error, HardwareError):
+        session.clock.sleep(RECOVERY)
