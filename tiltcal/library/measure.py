@@ -15,7 +15,7 @@ from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, 
 from tiltcal.calibration.checks import require_no_jig, unchecked
 from tiltcal.calibration.level import NO_LEVEL
 from tiltcal.calibration.prediction import predict
-from tiltcal.calibration.summary import NOT_FOLLOWED, level_summary, summary, verdict
+from tiltcal.calibration.wording import NOT_FOLLOWED, level_summary, summary, verdict
 from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.model import link_in_words
 from tiltcal.errors import HardwareError, JournalError, UsageError
