@@ -104,8 +104,9 @@ def _epoch(text: str, unit: str | None, file: str | None) -> float:
     from tiltcal.files.moments import moment
 
     year, _, rest = text.partition("-")
+    padded = _ZONE.sub("", _SINGLE_DIGIT.sub(r"0\1", rest))
     try:
-        return moment(f"{year:0>4}-{_ZONE.sub('', _SINGLE_DIGIT.sub(r'0\1', rest))}").timestamp()
+        return moment(f"{year:0>4}-{padded}").timestamp()
     except InputError:
         raise InputError(
             f"the time is in {unit!r}, and {text!r} is no moment: write it as 2026-05-01 12:00:00", file=file
