@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from support.efficiency_study import CLASSES, EfficiencyRegime, simulate
-from support.simulated_bench import FACES, POSITIONS, XYZ
+from support.simulated_bench import POSITIONS, XYZ
 
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
@@ -151,10 +151,3 @@ class TestTable:
         student = scipy.stats.t.ppf(0.975, 4)
         assert np.median([one.uncertain.factors[own] for one in found]) == pytest.approx(student, rel=0.02)
         assert all(share >= 0.0 for one in found for column in one.uncertain.shares.values() for share in column[own])
-
-
-def test_sensors_of_different_benches_are_refused() -> None:
-    observations = [Observation("z", FACES[4], np.ones(1), np.ones(1))]
-    sensors = [SensorObservations(Design(("z",), (), jig=jig), observations) for jig in (0.1, 0.2)]
-    with pytest.raises(EstimateError, match="share"):
-        estimate_jointly(sensors)
