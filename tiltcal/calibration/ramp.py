@@ -30,14 +30,9 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import CrossValidation, Hysteresis, RampFitRecord, RampLeg
 
-GROUPS = 8
-"""Parts of a leg that the file lists as positions."""
-
-NOTED = 0.05
-"""°C; an error of the element's temperature behind turns that is less is not worth a note."""
-
-FAR = 0.5
-"""g; an offset that differs by more from that of the base calibration belongs to another attitude."""
+GROUPS = 8  # parts of a leg that the file lists as positions
+NOTED = 0.05  # °C; an error of the element's temperature behind turns that is less is not worth a note
+FAR = 0.5  # g; an offset that differs by more from that of the base calibration belongs to another attitude
 
 
 def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
