@@ -12,16 +12,14 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from tiltcal.bench.checks import (
     Expectations,
     PositionResult,
     ReadingSpans,
     at_rail,
     far_off,
-    measurement_of,
     require_few,
+    result_of,
 )
 from tiltcal.bench.devices import VirtualBench, probe_devices
 from tiltcal.bench.journal import RecordedSample, RecordedSession
@@ -337,21 +335,18 @@ class Session:
         self, asked: Position, actual: Position, samples: list[Timed], left_out: int, typed: float | None
     ) -> PositionResult:
         """Return what the samples of a position give; Unsettled where they moved, or are at a rail."""
-        models = self.sensors.models
+        sensors, models = self.sensors.sensors, self.sensors.models
         moved = movement(samples, models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(samples) > 2 else None
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
-        measurements = {}
-        when = {"time": self.now(), **({"left_out": left_out} if left_out else {})}
-        for index, (sensor, model) in enumerate(zip(self.sensors.sensors, models, strict=True)):
-            readings = [sample[index] for _, sample in samples]
-            if why := next(filter(None, (at_rail(reading, model) for reading in readings)), ""):
-                raise Unsettled(why)
-            if not model.resolution:
-                values = np.array([reading.values for reading in readings]).T
-                self._steps[sensor.serial].add(values, min(reading.step for reading in readings))
-            measurements[sensor.serial] = measurement_of(sensor, actual, readings, when, typed)
-        result = PositionResult(actual, measurements, typed is not None, left_out, asked.temperature)
+        for _, sample in samples:
+            for reading, model in zip(sample, models, strict=True):
+                if why := at_rail(reading, model):
+                    raise Unsettled(why)
+        readings = [self.sensors.by_serial(sample) for _, sample in samples]
+        result = result_of(
+            sensors, actual, asked, readings, self.now(), typed=typed, left_out=left_out, steps=self._steps
+        )
         return result.with_steps(self._steps)
 
     def tip(self, position: Position) -> None:

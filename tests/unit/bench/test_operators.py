@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from tiltcal.bench.keys import ENTER
-from tiltcal.bench.operators import Attempts, Program, VirtualJig
-from tiltcal.bench.terminal import Terminal
-from tiltcal.errors import InputError, Stopped
+from tiltcal.bench.operators import Attempts, VirtualJig
+from tiltcal.bench.terminal import ENTER, Terminal
+from tiltcal.errors import Stopped
 
 LEVEL = {
     "ask": "position", "position": "level", "tilt": {"x": 0.0, "y": 0.0}, "gravity": [0, 0, 1], "heading": 0,
@@ -216,13 +215,3 @@ def test_attempts_before_a_success_do_not_count() -> None:
         attempts.tell(refused)
     with pytest.raises(Stopped, match="rotation was asked for 100 times in a row in vain"):
         attempts.tell(refused)
-
-
-@pytest.mark.parametrize(
-    "line", ['{"answer": "quit", "answer": "ready"}', '{"answer": "ready", "tilt": {"x": 1, "x": 2}}']
-)
-def test_a_key_that_is_there_twice_is_refused(line: str) -> None:
-    """The last of both counted (RFC 8259, section 4: what happens is unpredictable)."""
-    program = Program(io.StringIO(f"{line}\n"), io.StringIO())
-    with pytest.raises(InputError, match="is there twice in one answer"):
-        program.ask(LEVEL)
