@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tiltcal.calibration.record import limits_of, stated_mounting, with_mounting
 from tiltcal.calibration.season import CalibrationFolder, SensorHistory
-from tiltcal.calibration.summary import objections
+from tiltcal.calibration.wording import objections
 from tiltcal.core.flags import OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.heading import HEADING, full_circle
 from tiltcal.core.model import Array

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import tiltcal
 from tiltcal.calibration.record import compensation_of, mounting_in_words, stated_mounting, with_mounting
-from tiltcal.calibration.summary import objections
+from tiltcal.calibration.wording import objections
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.earth_compensation import EarthFrameCompensation
 from tiltcal.core.earth_uncertainty import EarthUncertainty

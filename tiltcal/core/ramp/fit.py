@@ -194,7 +194,7 @@ def _beside_loop(means: RampMeans, lag: float, order: int) -> tuple[Array, Array
             loop = slice(block.start, block.start + len(half))
             noise_on_ways = _mean_square(x, of_solution[:p, :p]) + _mean_square(x[:, : len(half)], of_half)
             loop_square = _mean_square(x[:, : len(half)], np.outer(half, half))
-            added[loop, loop] = of_half + _weight(sqrt(loop_square / noise_on_ways)) * np.outer(half, half)
+            added[loop, loop] = of_half + loop_weight(sqrt(loop_square / noise_on_ways)) * np.outer(half, half)
         else:
             noise = means.noise_covariance(x, values)
             solution, of_solution = _generalised_least_squares([x], 0, values[:, None], [noise])
@@ -206,7 +206,7 @@ def _mean_square(x: Array, covariance: Array) -> float:
     return float(np.mean(np.einsum("ij,jk,ik->i", x, covariance, x)))
 
 
-def _weight(ratio: float) -> float:
+def loop_weight(ratio: float) -> float:
     """Return what half a loop's square counts, so that 1.96 standard uncertainties hold 95 % of readings on both ways.
 
     Of a half loop of so many standard uncertainties they must reach its end and 1.645 of these beyond.
