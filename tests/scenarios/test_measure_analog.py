@@ -6,7 +6,6 @@ The independent ones stand behind the real bus libraries at a supply of 4.9 V th
 
 from __future__ import annotations
 
-import errno
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,10 +18,7 @@ from support.command import tiltcal
 from support.emulated.bench import Bench, PartFacts, run_on_i2c, run_on_spi
 from support.warm_start import WarmStart
 
-from tiltcal.drivers import find_model
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-
-MODELS = ("sca100t-d01-analog", "sca100t-d02-analog", "adxl202-analog", "adxl202e-analog", "adxl210-analog")
 
 
 @dataclass(frozen=True)
@@ -87,24 +83,6 @@ def test_plane_at_an_mcp3208_and_4_9_volts(warm: WarmStart, tmp_path: Path) -> N
         assert_true(found(bench, tmp_path), part)
 
 
-def test_unplugged_and_faulty_in_mid_session_and_then_well_again(warm: WarmStart, tmp_path: Path) -> None:
-    pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
-    address = "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2&rate=860"
-    part = Ads1115Sca100t()
-    with run_on_i2c(program(warm.program, address, tmp_path, "--samples", "20"), part, 0x48) as bench:
-        bench.take()
-        assert bench.read()["event"] == "accepted"
-        bench.fail(errno.EREMOTEIO)
-        bench.take()
-        assert "no device acknowledges at address 0x48" in str(bench.read()["why"])
-        bench.fail(0)
-        bench.break_part()
-        bench.take()
-        assert "both outputs are below 0.25 V" in str(bench.read()["why"])
-        bench.break_part(False)
-        assert_true(found(bench, tmp_path), part)
-
-
 def refused(start: Sequence[str], address: str, part: PartFacts, folder: Path, at: int) -> str:
     """What is said where the first look at the sensor already fails."""
     with run_on_i2c(program(start, address, folder), part, at) as bench:
@@ -124,27 +102,6 @@ def test_faults_at_the_bus_end_with_exit_code_3(
 ) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
     assert why in refused(warm.program, "ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2", part, tmp_path, at)
-
-
-@pytest.mark.parametrize("address", ["sim:?seed=3", "sim:adc=mcp3208&seed=3"])
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("procedure", ["plane", "cross-axis", "zero-45", "mavs"])
-def test_every_procedure_runs_on_the_virtual_bench(procedure: str, model: str, address: str, tmp_path: Path) -> None:
-    angle = ["--tilt", "25"] if model == "sca100t-d01-analog" and procedure in ("zero-45", "mavs") else []
-    place = ["--sensor", model, "--address", address, "--serial", "S-7", "-o", "S-7.yaml", "--operator", "sim"]
-    quick = [] if procedure == "mavs" else ["--samples", "30", "--settle", "0.2"]
-    result = tiltcal("measure", procedure, *place, *quick, *angle, cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    read = read_calibration(tmp_path / "S-7.yaml")
-    truth = find_model(model).default_truth(3)
-    for row, channel in enumerate("xy"):
-        own = read.coefficients.axes.index(channel)
-        # Two parts in a hundred leave room for what a procedure cannot tell: nonlinearity, cross-axis terms.
-        assert read.coefficients.sensitivity[row, own] == pytest.approx(truth.sensitivity[channel][channel], rel=0.02)
-        if procedure == "mavs":
-            # Of a cubic drift the line between two temperatures is found, at either end of it.
-            drift = truth.reading(channel, (0, 0, 1), 24.0) - truth.reading(channel, (0, 0, 1), 5.5)
-            assert read.coefficients.thermal.drift[row, 0] == pytest.approx(drift / 18.5, abs=3e-5)
 
 
 def test_a_twin_at_4_9_volts_from_a_file(tmp_path: Path) -> None:
@@ -181,10 +138,3 @@ def test_probe_of_a_thermistor(tmp_path: Path) -> None:
     result = tiltcal("probe", "--sensor", "thermistor", "--address", "sim:", "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert json.loads(result.stdout)["answers"]["temperature"] == "24.00 °C"
-
-
-def test_devices_lists_a_thermometer_without_channels(tmp_path: Path) -> None:
-    listed = tiltcal("devices", "thermistor", cwd=tmp_path).stdout
-    about = listed[listed.index("thermistor  ") :].split("\n\n")[0]
-    assert "reads      the temperature in °C" in about
-    assert "nominal" not in about

@@ -5,7 +5,6 @@ Noise is that of the data sheets, the jig has 0.01°. Offsets are found within 0
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.command import tiltcal
-from support.emulated.bench import READY, Bench, PartFacts, Scl3300, run_on_spi
+from support.emulated.bench import Bench, PartFacts, Scl3300, run_on_spi
 from support.warm_start import WarmStart
 
 from tiltcal.drivers import find_model
@@ -88,38 +87,6 @@ def test_a_damaged_line_costs_frames_and_no_accuracy(warm: WarmStart, tmp_path: 
     assert counted["damaged"] + counted["refused"] > 20
     again = tiltcal("replay", tmp_path / "A-1.journal.jsonl")
     assert again.stdout.encode() == (tmp_path / "A-1.yaml").read_bytes()
-
-
-SCL_2G = replace(SCL, address=f"{SPI}?range=2.4g", part=Scl3300(noise=178e-6, corner=70.0, seed=2))
-
-
-@pytest.mark.parametrize(
-    ("setup", "fault", "why"),
-    [
-        (SCL_2G, 0, "was reset or its supply failed since it was set up"),
-        (SCL_2G, errno.ENODEV, "plug the SPI adapter in again"),
-    ],
-    ids=["brown-out", "unplugged"],
-)
-def test_what_happens_in_mid_session_is_told_and_redone(
-    setup: Setup, fault: int, why: str, warm: WarmStart, tmp_path: Path
-) -> None:
-    """The part is in another range than after a reset, so that words of the wrong scale would show."""
-    with setup.run(setup.program(warm.program, tmp_path)) as bench:
-        bench.take()
-        assert bench.read()["event"] == "accepted"
-        ask = bench.read()
-        bench.pose(ask["gravity"], ask.get("temperature"))
-        bench.fail(fault)
-        bench.call("restart")
-        bench.say(READY)
-        refused = bench.read()
-        assert refused["event"] == "refused"
-        assert why in str(refused["why"])
-        bench.fail(0)
-        assert bench.lead()[-1]["event"] == "done"
-        assert bench.exit_code == 0, bench.errors()
-    require_true(setup, tmp_path)
 
 
 def require_true(setup: Setup, folder: Path) -> None:

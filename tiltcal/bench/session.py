@@ -155,7 +155,9 @@ class Session:
         actual = answer.as_set(position)
         if actual != position:
             self._hold(actual)
-        self._settle(position, answer.temperature)
+        window = self._window(position, answer.temperature)
+        wait_until_still(self.sensors, self.recorder, window, partial(self.look, position))
+        self._soaked = position.temperature
         first = self.recorder.line + 1
         samples, without = self._sampled(position, thermometers=answer.temperature is None)
         last = self.recorder.line
@@ -282,21 +284,19 @@ class Session:
             ramp = self.setup.steps.ramp
             self._virtual.fixture.move(position.gravity, position.temperature, 0.0 if ramp is None else ramp.pace)
 
-    def _settle(self, position: Position, typed: float | None) -> None:
-        """Wait until the readings hold still, and the temperature too, where the sensors do not have it already."""
+    def _window(self, position: Position, typed: float | None) -> Window:
+        """Return the time over which the readings, and a temperature that is new, must hold still."""
         soaked, settings, soak = self._soaked, self.setup.settings, self.setup.steps.soak
         if self._interrupted and soaked is not None and not self._still_at(soaked, typed):
             soaked = None
         self._interrupted = False
-        window = Window(settings.settle)
-        if position.temperature is not None and position.temperature != soaked:
-            # A temperature that the operator types counts, because the thermometer may be far off.
-            target = position.temperature if typed is None else None
-            late = None if soak.thermometer is None else soak.thermometer * settings.soak / soak.seconds
-            window = Window(settings.soak, soak.drift, target, late)
-            self._soaked = None
-        wait_until_still(self.sensors, self.recorder, window, partial(self.look, position))
-        self._soaked = position.temperature
+        if position.temperature is None or position.temperature == soaked:
+            return Window(settings.settle)
+        self._soaked = None
+        # A temperature that the operator types counts, because the thermometer may be far off.
+        target = position.temperature if typed is None else None
+        late = None if soak.thermometer is None else soak.thermometer * settings.soak / soak.seconds
+        return Window(settings.soak, soak.drift, target, late)
 
     def _still_at(self, soaked: float, typed: float | None) -> bool:
         """Return whether the thermometers still read, after an interruption, about what they read before it."""

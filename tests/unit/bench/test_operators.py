@@ -77,16 +77,6 @@ def test_what_is_wrong_with_a_typed_number_is_said_in_plain_words(person, shown)
     assert "could not convert" not in said
 
 
-def test_an_unknown_key_is_answered_with_those_that_are_offered(person, shown) -> None:
-    """Once each time. With --plain a line that is not answered would look like a program that hangs."""
-    assert asked(person("\x1b\x1b\x1b\n")) == {"answer": "ready"}
-    assert shown.getvalue().count("  not one of the keys: Enter, a, t, b, q\n") == 1
-    operator = person("z\n")
-    operator.tell(begin(S_1=SCA100T))
-    assert operator.ask(REVIEWED) == {"answer": "accept"}
-    assert "  not one of the keys: Enter, r, b, q\n" in shown.getvalue()
-
-
 def test_a_live_reading_is_shown_until_a_key_is_pressed(shown: io.StringIO) -> None:
     """The session takes one each time that the answer is a look; what was typed before is kept."""
     console = Console(file=shown, force_terminal=True, width=100, color_system=None)
@@ -145,19 +135,6 @@ def test_no_number_of_a_review_is_cut_off(width: int, shown: io.StringIO) -> Non
         assert number in text
     assert "…" not in text
     assert all(len(line) <= width for line in text.splitlines())
-
-
-def test_a_reading_is_shown_whole_or_not_at_all(shown: io.StringIO) -> None:
-    """45 columns have no room for y: a part of its number would be one that nobody measured."""
-    console = Console(file=shown, force_terminal=True, width=45, color_system=None)
-    operator = Terminal(console, Typed(ENTER), live=True)
-    operator.tell(begin(S_1=SCA100T))
-    shown.truncate(0)
-    operator.tell(look("waiting until still", S_1=({"x": 1045.0, "y": 1019.0}, 24.9)))
-    line = shown.getvalue().rpartition("K")[2]
-    assert line == "  waiting until still   x 1045 (+1.47°) …"
-    operator.clear()
-    assert shown.getvalue().endswith("\r\x1b[2K")
 
 
 @pytest.mark.parametrize("width", range(30, 100))

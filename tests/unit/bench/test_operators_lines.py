@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import io
 import os
-import threading
 from collections.abc import Iterator
 
 import pytest
 
-from tiltcal.bench.operators import LONGEST, LineReader
+from tiltcal.bench.operators import LineReader
 from tiltcal.bench.terminal import ENTER, LineKeys
 from tiltcal.errors import Stopped
 
@@ -75,21 +74,3 @@ def test_the_end_of_the_input_is_told_when_a_question_is_asked() -> None:
         assert keys.pressed("sq") is None
         with pytest.raises(Stopped, match="the input has ended"):
             keys.choice(None)
-
-
-def test_an_endless_line_is_cut_and_costs_no_time(pipe) -> None:
-    """A hundred megabytes without an end, in pieces as a pipe gives them; what follows is the next line."""
-    sink, stream = pipe
-    lines = LineReader(stream)
-    piece = b"x" * (1 << 16)
-
-    def pour() -> None:
-        for _ in range(1600):
-            os.write(sink, piece)
-        os.write(sink, b"end\nnext\n")
-
-    thread = threading.Thread(target=pour)
-    thread.start()
-    assert lines.next() == "x" * LONGEST + "\n"
-    thread.join()
-    assert lines.next() == "next\n"
