@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from math import hypot
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from tiltcal.bench.journal import SessionResult
@@ -168,7 +169,7 @@ def measure(
         opened.tell({"event": "done", "calibrations": files, "journal": str(session.files.journal)})
         if outcome.lost:
             raise HardwareError("no calibration file for " + "; ".join(outcome.lost.values()))
-    return _results(session.setup, outcome, remark, None if operator == "json" else result)
+    return _results(session, outcome, remark, None if operator == "json" else result)
 
 
 def resumed(
@@ -363,11 +364,12 @@ def _remark_notes(
 
 
 def _results(
-    setup: Setup, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
+    session: Session, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
 ) -> Calibration | PairCalibration | list[Calibration]:
     """Return what a session gives, and remark what limits it."""
     for name, statistics in outcome.link_statistics.items():
         remark(f"{name}: {link_in_words(statistics)}")
+    setup = session.setup
     records, determines = list(outcome.calibrations.values()), setup.steps.determines
     if setup.steps.rotation is not None:
         pair = PairCalibration(records[0])  # type: ignore[arg-type]
@@ -382,6 +384,9 @@ def _results(
             (result or unheard)(summary(calibration.record, notes=False))
         if setup.steps.closes:
             remark(changes_in_words(calibration.record))
+    if result is not None:
+        file = quote(str(session.files.outputs[calibrations[0].sensor.serial]))
+        remark(f"next: tiltcal verify {file} --address ADDRESS, or tiltcal apply {file} LOG.csv -o TILT.csv")
     return calibrations[0] if len(setup.sensors) == 1 else calibrations
 
 
