@@ -125,7 +125,7 @@ def judged(kind: str, pace: float, legs: int, seed: int) -> dict[str, Any]:
     at = np.linspace(reached.min() + margin, reached.max() - margin, 10) - REFERENCE
     powers, true = np.vander(at, fit.order + 1, increasing=True), np.vander(at, 4, increasing=True) @ CURVES.T
     error = powers @ fit.coefficients.T - true
-    total = fit.covariance[:-1, :-1] + fit.loop_covariance
+    total = fit.covariance + fit.loop_covariance
     blocks = [total[k : k + fit.order + 1, k : k + fit.order + 1] for k in (0, fit.order + 1)]
     variance = np.stack([np.einsum("ij,jk,ik->i", powers, block, powers) for block in blocks], axis=1)
     slope = powers[:, :-1] @ (fit.coefficients[:, 1:] * np.arange(1, fit.order + 1)).T

@@ -17,8 +17,7 @@ import pytest
 from support import FIXTURES
 from support.command import TILTCAL, tiltcal, tiltcal_process
 
-from tiltcal.cli import apply_several
-from tiltcal.cli.apply_several import Outcome
+from tiltcal.cli import apply
 from tiltcal.cli.unforeseen import TRACEBACK
 from tiltcal.library.apply import apply_log
 from tiltcal.logs.apply_summary import ApplySummary
@@ -87,9 +86,9 @@ def test_what_cannot_be_done_is_said_before_anything_is(arguments: tuple[str, ..
 
 
 def test_a_lost_scheduler_is_named() -> None:
-    future: Future[Outcome] = Future()
+    future: Future[Any] = Future()
     future.cancel()
-    assert "the scheduler was lost" in str(apply_several._answer(future)[1])
+    assert "the scheduler was lost" in str(apply._answer(future)[1])
 
 
 def test_remarks_on_a_log_name_it_and_those_on_the_calibration_come_once(bench: Path) -> None:
@@ -117,7 +116,7 @@ def test_a_log_that_ends_in_an_error_of_a_library_costs_itself_alone(
             raise Panic("invalid or out-of-range datetime")
         return apply_log(calibration, log, *args, **options)
 
-    monkeypatch.setattr(apply_several, "apply_log", panicking)
+    monkeypatch.setattr("tiltcal.library.apply.apply_log", panicking)
     monkeypatch.delenv(TRACEBACK)
     done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "log3.csv", "-o", "tilt", cwd=bench)
     assert done.returncode == 2

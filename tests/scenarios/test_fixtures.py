@@ -57,7 +57,7 @@ def test_it_says_that_the_virtual_bench_made_it(journal: Path) -> None:
 
 
 def test_the_samples_of_a_session_are_a_log_that_gives_its_means(tmp_path: Path) -> None:
-    """Averaged apart from the session: the last 40 rows before each position was accepted."""
+    """Averaged apart from the session: the last rows before each position was accepted."""
     journal = FIXTURES / "plane.journal.jsonl"
     result = tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path)
     assert result.returncode == 0, result.stderr

@@ -81,7 +81,7 @@ def test_a_typed_temperature_counts(tmp_path: Path) -> None:
 def test_a_program_is_told_once_a_minute_what_is_waited_for(tmp_path: Path) -> None:
     """The chamber takes its time to 5.5 °C by the bench's clock, which is virtual."""
     twin = (FIXTURES / "twins" / "sca100t-d02.yaml").read_text()
-    (tmp_path / "slow.yaml").write_text(twin.replace("time_constant: 20.0", "time_constant: 200.0"))
+    (tmp_path / "slow.yaml").write_text(twin.replace("time_constant: 0.1", "time_constant: 200.0"))
     options = ("--sensor", "sca100t-d02", "--address", "sim:?twin=slow.yaml", "--serial", "S-1", "-o", "S-1.yaml")
     led = lead(
         *("measure", "two-temperature", *options, "--samples", "20"),

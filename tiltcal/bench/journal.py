@@ -536,7 +536,7 @@ def _tilt_calibrations(
     """Return the calibration of each sensor that was not given up, by its serial number."""
     from tiltcal.calibration.calibrate import calibrate
     from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
-    from tiltcal.calibration.summary import NOT_FOLLOWED
+    from tiltcal.calibration.wording import NOT_FOLLOWED
 
     setup, settings, accepted, ramps = session.setup, session.setup.settings, session.results(), session.ramp_records()
     # The steps of the sensors' own thermometers count where those are the only ones.

@@ -17,8 +17,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
-from tiltcal.files.base_calibration import bases_of
-from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, bases_of, read_calibration
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.stated_arguments import require_boolean, require_from_zero, require_whole
 

@@ -23,9 +23,8 @@ from tiltcal.drivers.bus.clock import VIRTUAL_START
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import InputError, JournalError, UsageError
 from tiltcal.files.atomic import check_writable
-from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.bench import BenchFile, BenchSensor, bench_of
-from tiltcal.files.calibration import tilt_record
+from tiltcal.files.calibration import BaseFile, tilt_record
 from tiltcal.files.document import Document, document_of, read_document
 from tiltcal.files.journal import Journal
 from tiltcal.files.moments import stamp

@@ -18,7 +18,7 @@ from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.mounting import mount
 from tiltcal.calibration.ramp import calibrate_ramp
-from tiltcal.calibration.temperature import choose_order, swept, with_open_order, with_order, with_typical_temperature
+from tiltcal.calibration.temperature import calibrate_sweep, with_typical_temperature
 from tiltcal.core.rounding import round_to
 from tiltcal.drivers.columns import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
@@ -37,25 +37,11 @@ def calibrate(
     gravity: float | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> list[CalibrationRecord]:
-    """Calibrate the sensors of one fixture by the positions of a procedure.
+    """Calibrate the sensors of one fixture by the positions of a procedure, which they share; a record for each.
 
-    Parameters
-    ----------
-    sensors : sequence of MeasuredSensor
-        They share the fixture's attitude in every position.
-    typical_temperature : bool
-        The mean temperature curves of the sensors' models stand in for runs of the units' own.
-    table : bool
-        The measurements are rows of a table: what it does not state is not recorded.
-    gravity : float, optional
-        Where the positions were measured, m/s²: adds the sensitivity per m/s².
-    settings : mapping, optional
-        How the procedure was run, for the files.
-
-    Returns
-    -------
-    list of CalibrationRecord
-        One for each sensor, without provenance; numbers have the digits that their uncertainty warrants.
+    ``typical_temperature``: the mean temperature curves of the sensors' models stand in for runs of the units' own.
+    ``table``: the measurements are rows of a table, and what it does not state is not recorded. ``gravity`` is where
+    the positions were measured, m/s²: adds the sensitivity per m/s². ``settings`` say how the procedure was run.
 
     UsageError: what is stated of the bench does not go with the procedure.
     EstimateError: the positions cannot determine the coefficients.
@@ -71,7 +57,12 @@ def calibrate(
     elif procedure.ramp is not None:
         found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
     else:
-        found = _fitted(sensors, procedure, _with_thermometer(bench, sensors))
+        bench = _with_thermometer(bench, sensors)
+        if procedure.determines.free:
+            found = [calibrate_free(sensor, procedure, bench) for sensor in sensors]
+        else:
+            fit = calibrate_sweep if procedure.determines.cross_validated else fit_jointly
+            found = fit(sensors, procedure, bench)
         if typical_temperature:
             found = [with_typical_temperature(record, its) for record, its in zip(found, sensors, strict=True)]
         if table:
@@ -100,22 +91,6 @@ def _with_thermometer(bench: BenchUncertainty, sensors: Sequence[MeasuredSensor]
     if bench.thermometer is not None:
         return bench
     return replace(bench, thermometer=max((sensor.thermometer or 0.0 for sensor in sensors), default=0.0) or None)
-
-
-def _fitted(
-    sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
-) -> list[CalibrationRecord]:
-    """Return the estimate of each sensor, joint in set positions, with an order of the drift that the data warrant."""
-    if procedure.determines.free:
-        return [calibrate_free(sensor, procedure, bench) for sensor in sensors]
-    if not procedure.determines.cross_validated:
-        return fit_jointly(sensors, procedure, bench)
-    choice = choose_order(sensors, procedure, bench)
-    found = fit_jointly(sensors, with_order(procedure, choice.order), bench)
-    if choice.highest > choice.order:
-        widest = fit_jointly(sensors, with_order(procedure, choice.highest), bench)
-        found = [with_open_order(record, wider) for record, wider in zip(found, widest, strict=True)]
-    return [swept(record, its.measurements, choice) for record, its in zip(found, sensors, strict=True)]
 
 
 def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:

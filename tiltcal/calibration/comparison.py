@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.labels import unit_of
+from tiltcal.calibration.wording import unit_of
 from tiltcal.core.attitude import LEVEL, orientation
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.mounting_angles import mounting_matrix

@@ -14,7 +14,6 @@ from tiltcal.calibration.joint_fit import design_of, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
 from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
-from tiltcal.core.estimation.positions import Design
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary, noise_of_means
@@ -73,13 +72,23 @@ def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
         for measurement, (x, y, z) in zip(sensor.measurements, seen.attitudes.tolist(), strict=True)
     ]
     dof = sum(summary.dof for row in summaries for summary in row)
-    found = _estimate(seen, design, list(compress(names, seen.kept)), dof)
+    found = Estimate(
+        coefficients=Coefficients(AXES, AXES, seen.offset, seen.sensitivity),
+        uncertain=seen.uncertain(dof),
+        positions=tuple(compress(names, seen.kept)),
+        residuals=(seen.misfit[:, None] * seen.attitudes)[seen.kept] @ seen.sensitivity.T,
+        dof=seen.dof,
+        chi_square=None,
+        p=None,
+        stated=not seen.dof,
+    )
     left_out = {name: off[name] for name in compress(names, ~seen.kept)}
-    notes = (*found.notes, *judge_channels(sensor, found))
+    notes = [GAUGE, *([BELOW_NOISE] if seen.below_noise else []), *([] if seen.dof else [NO_FREEDOM])]
+    notes += judge_channels(sensor, found)
     if left_out:
         named = ", ".join(f"{name} ({misfit:+g} mg)" for name, misfit in left_out.items())
-        notes += (f"left out, because the length of gravity does not agree with the other attitudes: {named}",)
-    found = replace(found, notes=notes)
+        notes.append(f"left out, because the length of gravity does not agree with the other attitudes: {named}")
+    found = replace(found, notes=tuple(notes))
     record = record_of(found, design, replace(sensor, measurements=list(compress(placed, seen.kept))), procedure)
     fit = record.fit.replaced(
         distinct_attitudes=seen.distinct,
@@ -105,84 +114,45 @@ def _sway(summaries: Sequence[Sequence[SampleSummary]]) -> Array:
     return std * sqrt(max(1.0 - float(np.sum(std**2)) / slow, 0.0)) if slow else 0.0 * std
 
 
-def _estimate(seen: FreeFit, design: Design, names: Sequence[str], noise_dof: float) -> Estimate:
-    """Return the fit as an estimate of named positions; ``noise_dof`` are the degrees of freedom of the noise."""
-    notes = (GAUGE, *((BELOW_NOISE,) if seen.below_noise else ()), *(() if seen.dof else (NO_FREEDOM,)))
-    return Estimate(
-        coefficients=Coefficients(AXES, AXES, seen.offset, seen.sensitivity),
-        uncertain=seen.uncertain(noise_dof),
-        positions=tuple(names),
-        residuals=(seen.misfit[:, None] * seen.attitudes)[seen.kept] @ seen.sensitivity.T,
-        dof=seen.dof,
-        chi_square=None,
-        p=None,
-        stated=not seen.dof,
-        notes=notes,
-    )
-
-
 def _warning(calibration: CalibrationRecord, seen: FreeFit) -> str | None:
     """Return what limits the use of a calibration; what makes it useless is an EstimateError."""
-    coefficients, warnings = calibration.coefficients, []
-    if seen.distinct <= UNKNOWNS:
-        warnings.append(
-            f"{seen.distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to show "
-            "whether the result is right; add attitudes, 12 to 18 or more"
-        )
-    worst, expanded = _worst(calibration)
-    why, missing = _no_sensor(coefficients), _missing(seen.attitudes)
-    most = WORTHLESS if missing else WORTHLESS_ANGLE
-    if why is None and expanded > most:
-        why = f"{worst} has an expanded uncertainty of {expanded:.2g} mg, more than {most:g} mg"
-    advice = _advice(worst, missing)
-    if why is not None:
-        raise EstimateError(f"the attitudes do not determine the sensor: {why}; {advice}")
-    if expanded > UNCERTAIN:
-        warnings.append(f"{worst} has an expanded uncertainty of {expanded:.2g} mg: {advice}")
-    return "; ".join(warnings) or None
-
-
-def _worst(calibration: CalibrationRecord) -> tuple[str, float]:
-    """Return the coefficient with the largest expanded uncertainty (95 %), and that in mg of the mean sensitivity."""
     coefficients, uncertainty = calibration.coefficients, calibration.uncertainty
-    scale = float(np.mean(np.linalg.norm(coefficients.sensitivity, axis=1)))
+    length = np.linalg.norm(coefficients.sensitivity, axis=1)
     expanded = {
-        name: 1e3 * u * uncertainty.coverage_factor.get(name, NORMAL_FACTOR) / scale
+        name: 1e3 * u * uncertainty.coverage_factor.get(name, NORMAL_FACTOR) / float(np.mean(length))
         for name, u in uncertainty.items()
         if name.startswith(("offset.", "sensitivity."))
     }
     worst = max(expanded, key=lambda name: expanded[name])
-    return worst, expanded[worst]
-
-
-def _no_sensor(coefficients: Coefficients) -> str | None:
-    """Return why no sensor has these coefficients: axes are nearly square, and sensitivities nearly equal."""
-    length = np.linalg.norm(coefficients.sensitivity, axis=1)
-    if np.max(length) > UNEQUAL * np.min(length):
-        return f"its sensitivities come out {np.max(length) / np.min(length):.1f} times apart"
-    unit = coefficients.sensitivity / length[:, None]
-    for (first, a), (second, b) in combinations(zip(coefficients.channels, unit, strict=True), 2):
-        skew = abs(90.0 - degrees(acos(float(np.clip(a @ b, -1.0, 1.0)))))
-        if skew > SKEW:
-            return f"the axes {first} and {second} come out {skew:.0f}° from square"
-    return None
-
-
-def _missing(attitudes: Array) -> list[str]:
-    """Return the directions that no attitude comes near, as a person holds the sensor."""
-    return [
+    axes = worst.split(".")[1:]
+    missing = [
         f"{sign}{axis}"
-        for axis, column in zip(AXES, attitudes.T, strict=True)
+        for axis, column in zip(AXES, seen.attitudes.T, strict=True)
         for sign, highest in (("+", np.max(column)), ("-", -np.min(column)))
         if highest < cos(radians(REACH))
     ]
-
-
-def _advice(worst: str, missing: Sequence[str]) -> str:
-    """Return which attitudes to add."""
+    advice = "hold it still for longer in each attitude, or in more of them"
     if missing:
-        return f"add attitudes in which {', '.join(missing)} points up"
-    axes = worst.split(".")[1:]
-    if len(set(axes)) > 1:
-        return f"add attitudes between the axes {' and '.join(axes)}, with both about 45° up or down"
-    return "hold it still for longer in each attitude, or in more of them"
+        advice = f"add attitudes in which {', '.join(missing)} points up"
+    elif len(set(axes)) > 1:
+        advice = f"add attitudes between the axes {' and '.join(axes)}, with both about 45° up or down"
+    most, why = WORTHLESS if missing else WORTHLESS_ANGLE, ""
+    uncertain = f"{worst} has an expanded uncertainty of {expanded[worst]:.2g} mg"
+    if expanded[worst] > most:
+        why = f"{uncertain}, more than {most:g} mg"
+    unit = coefficients.sensitivity / length[:, None]
+    for (first, a), (second, b) in combinations(zip(AXES, unit, strict=True), 2):
+        skew = abs(90.0 - degrees(acos(float(np.clip(a @ b, -1.0, 1.0)))))
+        why = f"the axes {first} and {second} come out {skew:.0f}° from square" if skew > SKEW else why
+    if np.max(length) > UNEQUAL * np.min(length):
+        why = f"its sensitivities come out {np.max(length) / np.min(length):.1f} times apart"
+    if why:
+        raise EstimateError(f"the attitudes do not determine the sensor: {why}; {advice}")
+    warnings = [f"{uncertain}: {advice}"] if expanded[worst] > UNCERTAIN else []
+    if seen.distinct <= UNKNOWNS:
+        warnings.insert(
+            0,
+            f"{seen.distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to show "
+            "whether the result is right; add attitudes, 12 to 18 or more",
+        )
+    return "; ".join(warnings) or None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import degrees, hypot, radians, sqrt
@@ -12,8 +11,8 @@ import numpy as np
 
 from tiltcal.calibration.checks import require_tilt
 from tiltcal.calibration.joint_fit import design_of
-from tiltcal.calibration.labels import unit_of
 from tiltcal.calibration.measurement import BenchUncertainty
+from tiltcal.calibration.wording import unit_of
 from tiltcal.core.attitude import STRAIGHT, Orientation
 from tiltcal.core.estimation.design import PlannedPosition, Prediction, predict_uncertainty
 from tiltcal.core.estimation.positions import Design
@@ -40,16 +39,9 @@ SHOWN = 3
 class PredictedUncertainty:
     """The uncertainty that a procedure of positions leaves.
 
-    Attributes
-    ----------
-    noise : float
-        Standard deviation of one sample that was counted with, unit.
-    drift : float
-        Of the offset of a usual part, unit/°C, that was counted with.
-    closing : str
-        What a closing visit to the first position takes and brings; empty where there is one.
-    not_covered : str
-        What no position shows; empty where the plan covers all.
+    It counts with a standard deviation of one sample (``noise``, unit) and the offset's drift of a usual part
+    (``drift``, unit/°C). ``closing`` is what a closing visit to the first position takes and brings, ``not_covered``
+    what no position shows; both are empty where there is nothing to say.
     """
 
     design: Design
@@ -79,45 +71,34 @@ class PredictedUncertainty:
         }
 
     def __str__(self) -> str:
-        return "\n".join(self._lines())
-
-    __repr__ = __str__
-
-    def _lines(self) -> Iterator[str]:
-        prediction, free = self.prediction, self.design.free
-        jig = "positions that are not set" if free else _jig_in_words(self.design.jig)
-        yield f"predicted standard uncertainty, with {self.noise:.2g} {self.unit} of noise a sample and {jig}:"
-        if self.design.thermal and self.design.thermometer:
-            yield (
-                f"  and temperatures that are known to {self.design.thermometer:.2g} °C, for a part that drifts by "
+        prediction, design = self.prediction, self.design
+        jig = "positions that are not set" if design.free else _jig_in_words(design.jig)
+        lines = [f"predicted standard uncertainty, with {self.noise:.2g} {self.unit} of noise a sample and {jig}:"]
+        if design.thermal and design.thermometer:
+            lines.append(
+                f"  and temperatures that are known to {design.thermometer:.2g} °C, for a part that drifts by "
                 f"{self.drift:.2g} {self.unit}/°C"
             )
         for name, u in self.uncertainty.items():
             # What unit gravity leaves open is the choice of a frame, in which these are 0.
-            if u > 0.0 or not free:
-                yield f"  {name:<28} {u:.2g} {unit_of(name, self.unit)}"
-        yield f"  degrees of freedom {prediction.dof}" + (
-            "" if prediction.dof else ": no residuals are left to check the result"
-        )
+            if u > 0.0 or not design.free:
+                lines.append(f"  {name:<28} {u:.2g} {unit_of(name, self.unit)}")
+        unchecked = "" if prediction.dof else ": no residuals are left to check the result"
+        lines.append(f"  degrees of freedom {prediction.dof}{unchecked}")
         for first, second, correlation in prediction.correlations[:SHOWN]:
-            yield f"  {first} and {second} are hardly separated (correlation {correlation:+.2f})"
+            lines.append(f"  {first} and {second} are hardly separated (correlation {correlation:+.2f})")
         for name, coefficient, share in prediction.worth_adding[:SHOWN]:
-            yield f"  adding {name} would bring {coefficient} to {100 * share:.0f} % of its uncertainty"
-        yield from (f"  {sentence}" for sentence in (self.closing, self.not_covered) if sentence)
+            lines.append(f"  adding {name} would bring {coefficient} to {100 * share:.0f} % of its uncertainty")
+        return "\n".join([*lines, *(f"  {sentence}" for sentence in (self.closing, self.not_covered) if sentence)])
+
+    __repr__ = __str__
 
 
 @dataclass(frozen=True)
 class PredictedMounting:
-    """The uncertainty that a mounting leaves in the angles of a sensor that sits straight.
+    """The standard uncertainty that a mounting leaves in roll, pitch and yaw of a sensor that sits straight, degrees.
 
-    That of the sensor's own calibration comes on top.
-
-    Attributes
-    ----------
-    angles : dict of str to float
-        Standard uncertainty of roll, pitch and yaw, degrees.
-    jig : float or None
-        Standard uncertainty of a set angle that was counted with, degrees; None for a perfect jig.
+    That of the sensor's own calibration comes on top; a ``jig`` that is not stated counts as perfect.
     """
 
     angles: dict[str, float]
@@ -146,18 +127,9 @@ class PredictedMounting:
 
 
 def predict_mounting(
-    procedure: Procedure,
-    model: Model,
-    *,
-    jig: float | None = None,
-    noise: float | None = None,
-    samples: int | None = None,
+    procedure: Procedure, model: Model, *, jig: float | None, noise: float | None, samples: int | None
 ) -> PredictedMounting:
-    """Predict the standard uncertainty of roll, pitch and yaw; the arguments are those of :func:`predict`.
-
-    EstimateError: the positions leave the turn about gravity undetermined.
-    UsageError: the device is no tilt sensor.
-    """
+    """Predict the uncertainty of a mounting; the arguments and errors are those of :func:`predict`."""
     require_tilt(procedure, model)
     scatter = _usual_noise(model) if noise is None else noise
     read = scatter / sqrt(samples or procedure.samples) / model.sensitivity
@@ -167,7 +139,7 @@ def predict_mounting(
     return PredictedMounting({name: degrees(getattr(straight, name)) for name in ANGLES}, jig)
 
 
-def along_ramp(procedure: Procedure) -> Procedure:
+def _along_ramp(procedure: Procedure) -> Procedure:
     """Return a ramp as positions on the way between its turning points, by which its uncertainty is predicted."""
     turns = [position.temperature or 0.0 for position in procedure.positions]
     ways = pairwise([procedure.reference or turns[-1], *turns])
@@ -192,52 +164,43 @@ def predict(
     sensors: int = 1,
     base: CalibrationRecord | None = None,
 ) -> PredictedUncertainty:
-    """Predict the standard uncertainty of every coefficient from the design alone.
+    """Predict the standard uncertainty of every coefficient that some equal sensors reach, from the design alone.
 
-    Parameters
-    ----------
-    jig : float, optional
-        Standard uncertainty of a set angle, degrees; None counts with a perfect one.
-    thermometer : float, optional
-        Standard uncertainty of a temperature, °C; None counts with the step of the sensor's own thermometer.
-    table_lean : float, optional
-        Standard uncertainty of the table's lean, degrees; None counts with a level one.
-    noise : float, optional
-        Standard deviation of one sample, unit; None takes that of the model's virtual part.
-    samples : int, optional
-        Per position; None is the procedure's.
-    orientation : Orientation
-        How the sensor sits on the fixture.
-    sensors : int
-        How many alike sit on the fixture.
-    base : CalibrationRecord, optional
-        The sensor's own calibration, where the procedure takes one.
-
+    A jig (degrees) or lean of the table (degrees) that is not stated counts as none, a thermometer (°C) as the step of
+    the sensor's own, the noise of a sample (unit) as that of the model's virtual part; ``samples`` are per position.
     EstimateError: the positions cannot determine what the procedure asks for; the message states what to add.
     UsageError: the device is no tilt sensor.
     """
     require_tilt(procedure, model)
     if procedure.ramp is not None:
-        procedure = along_ramp(procedure)
+        procedure = _along_ramp(procedure)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
-    warmth = model.thermometer_rounding if thermometer is None else thermometer
-    bench = BenchUncertainty(jig, warmth, table_lean)
+    bench = BenchUncertainty(jig, model.thermometer_rounding if thermometer is None else thermometer, table_lean)
     design = design_of(identity, procedure, bench, nominal=model, base=base)
     scatter = _usual_noise(model) if noise is None else noise
-    count = samples or procedure.samples
-    adc = rounding_of_means(scatter**2, model.resolution, len(procedure.positions)) if model.resolution else 0.0
-    drift = _usual_drift(model, base)
+    drift, positions = _usual_drift(model, base), procedure.positions
+    settings = [None, *((position.gravity, position.heading) for position in positions)]
+    planned = [
+        PlannedPosition(
+            position.name,
+            orientation.seen(position.gravity),
+            position.temperature if position.temperature is not None else design.reference,
+            position.heading,
+            held=setting == before,
+        )
+        for position, (before, setting) in zip(positions, pairwise(settings), strict=True)
+    ]
     prediction = predict_uncertainty(
         design,
-        _planned(procedure, orientation, design.reference),
-        scatter / sqrt(count),
+        planned,
+        scatter / sqrt(samples or procedure.samples),
         sensitivity=model.sensitivity,
         drift=drift,
-        adc=adc,
+        adc=rounding_of_means(scatter**2, model.resolution, len(positions)) if model.resolution else 0.0,
         sensors=sensors,
         level=procedure.determines.level,
     )
-    one_heading = len({(position.heading or 0.0) % 360.0 for position in procedure.positions}) == 1
+    one_heading = len({(position.heading or 0.0) % 360.0 for position in positions}) == 1
     uncovered = LEAN if one_heading and table_lean is None and not design.free else ""
     return PredictedUncertainty(design, prediction, scatter, drift, model.unit, not_covered=uncovered)
 
@@ -261,17 +224,3 @@ def _usual_drift(model: Model, base: CalibrationRecord | None) -> float:
         usual = model.default_truth(0).drift.values() if model.default_truth else ()
         slopes = np.array([terms[0] for terms in usual if terms] or [0.0])
     return float(np.sqrt(np.mean(slopes**2)))
-
-
-def _planned(procedure: Procedure, orientation: Orientation, reference: float) -> Sequence[PlannedPosition]:
-    settings = [None, *((position.gravity, position.heading) for position in procedure.positions)]
-    return [
-        PlannedPosition(
-            position.name,
-            orientation.seen(position.gravity),
-            position.temperature if position.temperature is not None else reference,
-            position.heading,
-            held=setting == before,
-        )
-        for position, (before, setting) in zip(procedure.positions, pairwise(settings), strict=True)
-    ]

@@ -40,53 +40,53 @@ FAR = 0.5
 
 
 def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
-    """Calibrate the drift of a sensor from its ramp.
+    """Calibrate the drift of a sensor from its ramp; its first measurement states the attitude.
 
-    Parameters
-    ----------
-    sensor : MeasuredSensor
-        With a ``ramp``; its first measurement states the attitude.
-    bench : BenchUncertainty
-        A stated thermometer is an error that all temperatures share; a step of its reading, the sensor's own or as the
-        record shows it, averages.
-
-    Raises
-    ------
-    EstimateError
-        The record does not separate a thermal lag from drift, a channel is stuck, or there is no sensitivity to stand
-        in.
+    A stated thermometer is an error that all temperatures share; a step of its reading averages. An EstimateError where
+    the record does not separate a thermal lag from drift, a channel is stuck, or no sensitivity is there to stand in.
     """
     if sensor.ramp is None:
         raise EstimateError(f"{procedure.name} takes a continuous record, and there is none of {sensor.sensor.serial}")
     record, attitude = sensor.ramp, sensor.measurements[0]
-    reference = _reference(_range(record.temperature), procedure)
+    low, high = _range(record.temperature)
+    stated = procedure.reference
+    reference = stated if stated is not None and low <= stated <= high else round((low + high) / 2.0, 1)
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
-    _require_temperatures(record)
-    _require_not_stuck(record, design.channels)
+    if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
+        raise EstimateError(
+            f"the temperature goes from {low:g} to {high:g}, and not within {TEMPERATURES[0]:g} to {TEMPERATURES[1]:g} "
+            "°C: convert counts or kelvin to °C first"
+        )
+    for channel, noise, value in zip(design.channels, record.noise, record.readings[0], strict=True):
+        if noise == 0.0:
+            raise EstimateError(
+                f"{channel} reads {value:g} in all {record.rows} rows: it is stuck, not without drift; is it connected?"
+            )
     fit = fit_ramp(record, reference=reference, highest=procedure.determines.drift)
-    # The turns of the temperature are not reached by an element that follows them.
-    element = ThermalLag(fit.lag)(record.time, record.temperature)
-    # The inverse filter amplifies the thermometer's noise, which the means average.
-    temperatures = _range(element if fit.lag >= 0.0 else fit.means.temperature(fit.lag) + reference)
+    # The turns of the temperature are not reached by an element that follows them. The inverse filter amplifies the
+    # thermometer's noise, which the means average.
+    element = fit.means.temperature(fit.lag) + reference
+    limits = _range(ThermalLag(fit.lag)(record.time, record.temperature) if fit.lag >= 0.0 else element)
     design = replace(design, drift=fit.order, reference=reference)
     groups = _groups(fit, record, attitude)
-    found = _estimate(fit, design, np.array(attitude.gravity), temperatures, groups, bench)
+    estimate = _estimate(fit, design, np.array(attitude.gravity), limits, groups, bench)
     if record.jumps:
-        found = replace(found, notes=(*found.notes, record.jumps))
-    made = record_of(found, design, replace(sensor, measurements=groups), procedure)
+        estimate = replace(estimate, notes=(*estimate.notes, record.jumps))
+    made = record_of(estimate, design, replace(sensor, measurements=groups), procedure)
     _require_attitude(made, sensor)
     coefficients, standard = made.coefficients, made.uncertainty.standard
     if fit.uses_lag and coefficients.thermal is not None:
-        lagged = replace(coefficients.thermal, lag=round_to(fit.lag, fit.u_lag))
-        coefficients = replace(coefficients, thermal=lagged)
+        coefficients = replace(coefficients, thermal=replace(coefficients.thermal, lag=round_to(fit.lag, fit.u_lag)))
         standard = {**standard, "temperature.lag": significant(fit.u_lag, 4)}
-    uncertain = _u_temperature(fit, record, bench.thermometer, sensor.thermometer)
-    reading = {**made.uncertainty.single_reading, **({"temperature": significant(uncertain, 4)} if uncertain else {})}
+    u_temperature = _u_temperature(fit, record, bench.thermometer, sensor.thermometer)
+    reading = made.uncertainty.single_reading
+    if u_temperature:
+        reading = {**reading, "temperature": significant(u_temperature, 4)}
     return replace(
         made,
         coefficients=coefficients,
         uncertainty=replace(made.uncertainty, standard=standard, single_reading=reading),
-        limits=replace(made.limits, temperature=temperatures),
+        limits=replace(made.limits, temperature=limits),
         fit=made.fit.replaced(
             cross_validation=CrossValidation(
                 order=fit.order,
@@ -112,29 +112,12 @@ def _u_temperature(fit: RampFit, record: RampRecord, stated: float | None, own: 
     return hypot(stated or 0.0, random, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
 
 
-def _require_temperatures(record: RampRecord) -> None:
-    low, high = _range(record.temperature)
-    if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
-        raise EstimateError(
-            f"the temperature goes from {low:g} to {high:g}, and not within {TEMPERATURES[0]:g} to {TEMPERATURES[1]:g} "
-            "°C: convert counts or kelvin to °C first"
-        )
-
-
-def _require_not_stuck(record: RampRecord, channels: Sequence[str]) -> None:
-    for channel, noise, value in zip(channels, record.noise.tolist(), record.readings[0].tolist(), strict=True):
-        if noise == 0.0:
-            raise EstimateError(
-                f"{channel} reads {value:g} in all {record.rows} rows: it is stuck, not without drift; is it connected?"
-            )
-
-
-def _require_attitude(found: CalibrationRecord, sensor: MeasuredSensor) -> None:
+def _require_attitude(made: CalibrationRecord, sensor: MeasuredSensor) -> None:
     """Refuse a record in another attitude than is stated, where a base calibration shows it."""
     if sensor.base is None:
         return
-    known, offsets = sensor.base.coefficients, found.coefficients.offset
-    for channel, before, after, row in zip(known.channels, known.offset, offsets, known.sensitivity, strict=True):
+    base, offsets = sensor.base.coefficients, made.coefficients.offset
+    for channel, before, after, row in zip(base.channels, base.offset, offsets, base.sensitivity, strict=True):
         off = abs(float(after - before)) / float(np.max(np.abs(row)))
         if off > FAR:
             raise EstimateError(
@@ -147,33 +130,36 @@ def _range(temperatures: Array) -> tuple[float, float]:
     return round(float(temperatures.min()), 3), round(float(temperatures.max()), 3)
 
 
-def _reference(temperatures: tuple[float, float], procedure: Procedure) -> float:
-    """Return the reference temperature of the procedure, or the middle of a record that does not contain it, °C."""
-    low, high = temperatures
-    stated = procedure.reference
-    return stated if stated is not None and low <= stated <= high else round((low + high) / 2.0, 1)
-
-
 def _estimate(
     fit: RampFit,
     design: Design,
     gravity: Array,
-    temperatures: tuple[float, float],
+    limits: tuple[float, float],
     groups: Sequence[Measurement],
     bench: BenchUncertainty,
 ) -> Estimate:
-    """Return the coefficients with their covariance: that of the record, and what is stated of the bench."""
-    coefficients = _coefficients(fit, design, gravity, temperatures)
-    names = tuple(name for model in coefficients.models for name in model.coefficients)
+    """Return the coefficients that the record shows, and those that stand in, with their covariance."""
+    channels = design.channels
+    coefficients = Coefficients(
+        channels,
+        design.axes,
+        np.zeros(len(channels)),
+        np.array([[channel == axis for axis in design.axes] for channel in channels], dtype=float),
+        Thermal(design.reference, limits, fit.coefficients[:, 1:].copy(), np.zeros((len(channels), 0))),
+        nonlinearity=np.zeros((len(channels), design.nonlinearity)) if design.nonlinearity else None,
+    )
+    stands_in = {name: prior.value for name, prior in design.priors.items()}
+    coefficients = with_vector(coefficients, list(stands_in), np.array(list(stands_in.values())))
+    offset = fit.coefficients[:, 0] - coefficients.predict(gravity[None, :])[0]
+    coefficients = replace(coefficients, offset=offset)
     by_model = fit.means.powers(fit.lag, fit.order) @ fit.coefficients.T
     modelled = np.array([by_model[part].mean(axis=0) for _, part in _parts(fit)])
-    residuals = np.array([[group.summaries[c].mean for c in design.channels] for group in groups]) - modelled
     return Estimate(
         coefficients=coefficients,
-        uncertain=reduce(add, _sources(fit, design, coefficients, gravity, names, bench)),
+        uncertain=reduce(add, _sources(fit, design, coefficients, gravity, bench)),
         positions=tuple(group.position for group in groups),
-        residuals=residuals,
-        dof=max(len(fit.means.leg) - fit.order - 1, 0) * len(design.channels),
+        residuals=np.array([[group.summaries[c].mean for c in channels] for group in groups]) - modelled,
+        dof=max(len(fit.means.leg) - fit.order - 1, 0) * len(channels),
         chi_square=None,
         p=None,
         stated=False,
@@ -181,44 +167,20 @@ def _estimate(
     )
 
 
-def _coefficients(fit: RampFit, design: Design, gravity: Array, temperatures: tuple[float, float]) -> Coefficients:
-    """Return the coefficients that the record shows, and those that stand in."""
-    channels = design.channels
-    coefficients = Coefficients(
-        channels,
-        design.axes,
-        np.zeros(len(channels)),
-        np.array([[channel == axis for axis in design.axes] for channel in channels], dtype=float),
-        Thermal(design.reference, temperatures, fit.coefficients[:, 1:].copy(), np.zeros((len(channels), 0))),
-        nonlinearity=np.zeros((len(channels), design.nonlinearity)) if design.nonlinearity else None,
-    )
-    known = {name: prior.value for name, prior in design.priors.items()}
-    coefficients = with_vector(coefficients, list(known), np.array(list(known.values())))
-    return replace(coefficients, offset=fit.coefficients[:, 0] - coefficients.predict(gravity[None, :])[0])
-
-
 def _sources(
-    fit: RampFit,
-    design: Design,
-    coefficients: Coefficients,
-    gravity: Array,
-    names: Sequence[str],
-    bench: BenchUncertainty,
+    fit: RampFit, design: Design, coefficients: Coefficients, gravity: Array, bench: BenchUncertainty
 ) -> Iterator[Uncertain]:
-    """Yield what each source adds to the uncertainty of the coefficients."""
-    index = {name: k for k, name in enumerate(names)}
-    unit = np.eye(len(names))
-    offsets = unit[:, [index[f"offset.{channel}"] for channel in design.channels]]
-    drifts = [
-        [f"offset.{channel}", *(f"temperature.offset.{channel}.{power}" for power in range(1, fit.order + 1))]
-        for channel in design.channels
-    ]
-    by_record = unit[:, [index[name] for own in drifts for name in own]]
+    """Yield what each source adds to the uncertainty of the coefficients: the record, and what is stated."""
+    names = [name for model in coefficients.models for name in model.coefficients]
+    column = dict(zip(names, np.eye(len(names)), strict=True))
+    offsets = np.stack([column[f"offset.{channel}"] for channel in design.channels], axis=1)
+    terms = ("offset.{}", *(f"temperature.offset.{{}}.{power}" for power in range(1, fit.order + 1)))
+    by_record = np.stack([column[term.format(channel)] for channel in design.channels for term in terms], axis=1)
 
     def errors(source: str, by: Array, covariance: Array) -> Uncertain:
         return Uncertain.errors([""] * len(covariance), covariance, source=source).through(by, names)
 
-    yield errors(NOISE, by_record, fit.covariance[:-1, :-1])
+    yield errors(NOISE, by_record, fit.covariance)
     if fit.loop_covariance.any():
         yield errors(HYSTERESIS, by_record, fit.loop_covariance)
     readings = [
@@ -227,10 +189,10 @@ def _sources(
     ]
     # An offset follows a sensitivity that stands in: the reading is what it was.
     stands_in = [
-        prior.u * (unit[index[name]] - derivative * offsets[:, c])
-        for c, (model, reading) in enumerate(zip(coefficients.models, readings, strict=True))
+        prior.u * (column[name] - derivative * offset)
+        for model, reading, offset in zip(coefficients.models, readings, offsets.T, strict=True)
         for name, derivative in zip(model.coefficients, reading.by_coefficient[0].tolist(), strict=True)
-        if (prior := design.priors.get(name)) is not None and prior.u and name in index
+        if (prior := design.priors.get(name)) is not None and prior.u and name in column
     ]
     if stands_in:
         yield errors(PRIOR, np.stack(stands_in, axis=1), np.eye(len(stands_in)))
@@ -254,62 +216,56 @@ def _parts(fit: RampFit) -> Iterator[tuple[str, NDArray[np.intp]]]:
 def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Measurement]:
     """Return parts of the legs as positions: what they read, and at which temperature of the thermometer."""
     means, groups = fit.means, []
-    element = means.temperature(0.0)
+    temperatures = means.temperature(0.0) + means.reference
     for name, part in _parts(fit):
         n = max(round(record.rows / len(means.leg) * len(part)), 1)
         summaries = {
             channel: SampleSummary(float(values.mean()), float(noise), n, float(noise) / sqrt(n))
             for channel, values, noise in zip(attitude.summaries, means.readings[part].T, record.noise, strict=True)
         }
-        temperature = float(element[part].mean()) + fit.reference
+        temperature = float(temperatures[part].mean())
         groups.append(replace(attitude, position=name, temperature=temperature, summaries=summaries, when={}))
     return groups
 
 
 def _hysteresis(fit: RampFit, channels: Sequence[str]) -> dict[str, Hysteresis]:
     """Return the largest loop that is left, per channel."""
-    at = np.argmax(np.abs(fit.loops), axis=0).tolist()
-    return {
-        channel: Hysteresis(
-            difference=significant(float(fit.loops[k, c]), 4),
-            between=(
-                f"down at {fit.places[k] + fit.reference:.1f} °C",
-                f"up at {fit.places[k] + fit.reference:.1f} °C",
-            ),
-        )
-        for c, (channel, k) in enumerate(zip(channels, at, strict=True))
-    }
+    largest = {}
+    for channel, loop in zip(channels, fit.loops.T, strict=True):
+        k = int(np.argmax(np.abs(loop)))
+        at = f"at {fit.places[k] + fit.means.reference:.1f} °C"
+        largest[channel] = Hysteresis(difference=significant(float(loop[k]), 4), between=(f"down {at}", f"up {at}"))
+    return largest
 
 
 def _ramp_record(fit: RampFit, channels: Sequence[str]) -> RampFitRecord:
     def by_channel(values: Array) -> dict[str, float]:
         return {channel: significant(value, 3) for channel, value in zip(channels, values.tolist(), strict=True)}
 
+    legs = [
+        RampLeg(
+            way=leg.way,
+            temperature=(round(leg.low, 2), round(leg.high, 2)),
+            seconds=round(leg.seconds, 1),
+            pace=significant(leg.pace, 3),
+            polynomial=by_channel(polynomial),
+            lagged=by_channel(lagged),
+        )
+        for leg, polynomial, lagged in zip(fit.means.legs, fit.polynomial, fit.lagged, strict=True)
+    ]
     return RampFitRecord(
         lag=round_to(fit.found_lag, fit.u_lag),
         u_lag=significant(fit.u_lag, 4),
         used=fit.uses_lag,
         explained_percent=by_channel(100.0 * fit.explained),
-        legs=tuple(
-            RampLeg(
-                way=leg.way,
-                temperature=(round(leg.low, 2), round(leg.high, 2)),
-                seconds=round(leg.seconds, 1),
-                pace=significant(leg.pace, 3),
-                polynomial=by_channel(polynomial),
-                lagged=by_channel(lagged),
-            )
-            for leg, polynomial, lagged in zip(fit.means.legs, fit.polynomial, fit.lagged, strict=True)
-        ),
+        legs=tuple(legs),
     )
 
 
 def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
     lag = f"a thermal lag of {plus_minus(fit.found_lag, fit.u_lag)} s"
-    explains = " and ".join(
-        f"{100.0 * part:.1f} % in {channel}"
-        for channel, part in zip(design.channels, fit.explained.tolist(), strict=True)
-    )
+    parts = zip(design.channels, fit.explained.tolist(), strict=True)
+    explains = " and ".join(f"{100.0 * part:.1f} % in {channel}" for channel, part in parts)
     notes = [
         f"{lag} is used: it makes the residuals of every leg smaller when it is fitted to the other legs, and explains "
         f"the difference between the ways up and down ({explains})"

@@ -10,15 +10,15 @@ the mean, and the file states by how much. A unit's own run always wins.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
 from tiltcal.calibration.estimate_record import rounded_covariance
-from tiltcal.calibration.joint_fit import observed_sensor
+from tiltcal.calibration.joint_fit import fit_jointly, observed_sensor
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.hysteresis import ALIKE
@@ -36,39 +36,35 @@ ROOM = 25.0
 """Reference temperature where none was measured, °C."""
 
 
-@dataclass(frozen=True)
-class OrderChoice:
-    """The order that was chosen, and why.
+def calibrate_sweep(
+    sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
+) -> list[CalibrationRecord]:
+    """Calibrate sensors by positions at many temperatures, with the order of the drift that the readings warrant.
 
-    Attributes
-    ----------
-    errors : mapping of int to float
-        Mean square error of predicting a position that was left out, over its variance, by order.
+    All have one order, at most that of the procedure. The file states the error of each order, and hysteresis.
+    EstimateError: the positions are too few to leave one out.
     """
+    errors = order_errors(sensors, procedure, bench)
+    order, highest = min(errors, key=lambda order: errors[order][1]), max(errors)
+    calibrations = fit_jointly(sensors, with_order(procedure, order), bench)
+    if highest > order:
+        widest = fit_jointly(sensors, with_order(procedure, highest), bench)
+        calibrations = [_with_open_order(record, wider) for record, wider in zip(calibrations, widest, strict=True)]
+    by_order = {str(tried): significant(error, 4) for tried, (error, _) in errors.items()}
+    validation = CrossValidation(order=order, error_by_order=by_order)
+    return [
+        replace(
+            record,
+            fit=record.fit.replaced(cross_validation=validation, hysteresis=_hysteresis(record, sensor.measurements)),
+        )
+        for record, sensor in zip(calibrations, sensors, strict=True)
+    ]
 
-    order: int
-    errors: Mapping[int, float]
 
-    @property
-    def highest(self) -> int:
-        """The highest order that was tried."""
-        return max(self.errors)
-
-
-def choose_order(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty) -> OrderChoice:
-    """Choose the order of the drift that predicts left-out positions best.
-
-    Parameters
-    ----------
-    sensors : sequence of MeasuredSensor
-        All of them have the same order.
-    procedure : Procedure
-        Its ``drift`` is the highest order that is tried.
-
-    Raises
-    ------
-    EstimateError
-        The positions are too few to leave one out.
+def order_errors(
+    sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
+) -> dict[int, tuple[float, float]]:
+    """Return by order how well it predicts left-out positions: their mean square error over its variance, and deviance.
 
     Notes
     -----
@@ -80,23 +76,18 @@ def choose_order(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench:
     Source: A. Gelman, J. Hwang and A. Vehtari, *Understanding predictive information criteria for Bayesian models*,
     Statistics and Computing 24 (2014) 997.
     """
-    errors: dict[int, float] = {}
-    deviance: dict[int, float] = {}
+    errors: dict[int, tuple[float, float]] = {}
     for order in range(1, procedure.determines.drift + 1):
         try:
             error, variance = _left_out(sensors, with_order(procedure, order), bench)
         except EstimateError:
             break
-        errors[order] = float(np.mean(error**2 / variance))
-        deviance[order] = _deviance(errors[order], variance)
+        mean = float(np.mean(error**2 / variance))
+        factor = max(mean, 1.0)
+        errors[order] = mean, float(len(variance) * (np.log(factor) + mean / factor) + np.sum(np.log(variance)))
     if not errors:
         raise EstimateError("the sweep has too few temperatures to leave one out: add some between and beyond them")
-    return OrderChoice(min(deviance, key=lambda order: deviance[order]), errors)
-
-
-def _deviance(error: float, variance: Array) -> float:
-    factor = max(error, 1.0)
-    return float(len(variance) * (np.log(factor) + error / factor) + np.sum(np.log(variance)))
+    return errors
 
 
 def with_order(procedure: Procedure, order: int) -> Procedure:
@@ -104,18 +95,7 @@ def with_order(procedure: Procedure, order: int) -> Procedure:
     return replace(procedure, determines=procedure.determines.replaced(drift=order, cross_validated=False))
 
 
-def swept(
-    calibration: CalibrationRecord, measurements: Sequence[Measurement], choice: OrderChoice
-) -> CalibrationRecord:
-    """Add to a calibration how its order was chosen, and how far the way up differs from the way down."""
-    validation = CrossValidation(
-        order=choice.order, error_by_order={str(order): significant(error, 4) for order, error in choice.errors.items()}
-    )
-    loops = _hysteresis(calibration, measurements)
-    return replace(calibration, fit=calibration.fit.replaced(cross_validation=validation, hysteresis=loops))
-
-
-def with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) -> CalibrationRecord:
+def _with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) -> CalibrationRecord:
     """Return a calibration whose drift has terms of 0 up to a higher order, and the uncertainty of that order.
 
     ``highest`` is from the same measurements, with the higher order.
@@ -135,8 +115,8 @@ def with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) 
 
 def _left_out(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty) -> tuple[Array, Array]:
     """Return the error of predicting each position from the others, and the variance of that error, unit."""
-    errors: list[float] = []
-    variances: list[float] = []
+    errors: list[Array] = []
+    variances: list[Array] = []
     observed = [observed_sensor(sensor, procedure, bench).observations for sensor in sensors]
     for number in range(len(sensors[0].measurements)):
         rest = [
@@ -144,38 +124,36 @@ def _left_out(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: Be
             for sensor in sensors
         ]
         estimates = estimate_jointly([observed_sensor(sensor, procedure, bench) for sensor in rest])
-        for observations, estimate in zip(observed, estimates, strict=True):
+        for observations, fitted in zip(observed, estimates, strict=True):
             seen = observations[number]
-            predicted, variance = _prediction(estimate, seen)
-            noise = np.where(seen.u > 0.0, seen.u, estimate.estimated_noise or 1.0)
-            errors.extend((seen.mean - predicted).tolist())
-            variances.extend((noise**2 + variance).tolist())
-    return np.array(errors), np.array(variances)
+            predicted, variance = _prediction(fitted, seen)
+            noise = np.where(seen.u > 0.0, seen.u, fitted.estimated_noise or 1.0)
+            errors.append(seen.mean - predicted)
+            variances.append(noise**2 + variance)
+    return np.concatenate(errors), np.concatenate(variances)
 
 
-def _prediction(estimate: Estimate, position: Observation) -> tuple[Array, Array]:
+def _prediction(fitted: Estimate, position: Observation) -> tuple[Array, Array]:
     """Return the readings that an estimate predicts in a position, unit, and the variances of the prediction."""
-    coefficients = estimate.coefficients
-    gravity, temperature = np.array([position.gravity]), np.array([position.temperature], dtype=float)
+    names, u = fitted.uncertain.names, fitted.uncertain.u
+    gravity, temperature = position.gravity[None], np.array([position.temperature], dtype=float)
 
-    def predicted(values: Array) -> Array:
-        return np.asarray(with_vector(coefficients, estimate.uncertain.names, values).predict(gravity, temperature)[0])
+    def predicted(vector: Array) -> Array:
+        return np.asarray(with_vector(fitted.coefficients, names, vector).predict(gravity, temperature)[0])
 
-    at = vector_of(coefficients, estimate.uncertain.names)
-    slopes = central_differences(predicted, at, estimate.uncertain.u)
-    return predicted(at), np.einsum("ik,kl,il->i", slopes, estimate.uncertain.covariance, slopes)
+    at = vector_of(fitted.coefficients, names)
+    slopes = central_differences(predicted, at, u)
+    return predicted(at), np.einsum("ik,kl,il->i", slopes, fitted.uncertain.covariance, slopes)
 
 
 def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Hysteresis]:
     """Return the largest difference of residuals at one temperature that was met twice, per channel, unit."""
     residuals = calibration.fit.residuals
+    met = [measurement for measurement in measurements if measurement.temperature is not None]
     met_twice = [
-        (first.position, second.position)
-        for first, second in combinations(measurements, 2)
-        if first.gravity == second.gravity
-        and first.temperature is not None
-        and second.temperature is not None
-        and abs(first.temperature - second.temperature) <= ALIKE
+        (one.position, other.position)
+        for one, other in combinations(met, 2)
+        if one.gravity == other.gravity and abs((one.temperature or 0.0) - (other.temperature or 0.0)) <= ALIKE
     ]
     loops = {}
     for channel in calibration.coefficients.channels:
@@ -189,15 +167,8 @@ def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measureme
 def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSensor) -> CalibrationRecord:
     """Add the mean temperature curves of a sensor's model to its calibration, and record that they are assumed.
 
-    Parameters
-    ----------
-    calibration : CalibrationRecord
-        Without temperature terms of its own.
-    sensor : MeasuredSensor
-        The mean temperature of its measurements is the reference: there the unit was measured.
-
-    EstimateError: the calibration has temperature terms of its own, which are better, or the model's curves are not
-        known.
+    The mean temperature of its measurements is the reference. EstimateError: the calibration has temperature terms of
+    its own, which are better, or the model's curves are not known.
     """
     population = None if sensor.nominal is None else sensor.nominal.population
     if population is None:

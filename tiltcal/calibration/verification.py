@@ -15,16 +15,15 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.core.attitude import Vector, tilt_from_gravity
+from tiltcal.core.attitude import tilt_from_gravity
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import AXES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.uncertainty import length_tolerance
 
 PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
 
-_STEEP = cos(radians(89.0))
+STEEP = cos(radians(89.0))
 """The slope of an arcsine is followed up to this far from level."""
 
 ANGLE, DIRECTION = 1.959964, 2.447747
@@ -35,16 +34,9 @@ ANGLE, DIRECTION = 1.959964, 2.447747
 class VerifiedPosition:
     """One position as set, and as the calibration reads it.
 
-    Attributes
-    ----------
-    expected, measured : dict of str to float
-        Tilt per axis, degrees; NaN where the arcsine has no angle.
-    direction : float or None
-        Angle between the direction as set and as read, degrees; None of a sensor that has no three axes.
-    flag : int
-        As ``tiltcal apply`` would flag the mean reading.
-    expanded : float
-        Expanded uncertainty (95 %) of the error, degrees, from the jig and the noise.
+    ``expected`` and ``measured`` are the tilt of each axis, degrees, NaN where the arcsine has no angle; ``direction``
+    is the angle between both directions, degrees, of a sensor of three axes; ``flag`` is that of ``apply``;
+    ``expanded`` is the uncertainty (95 %) of the error from the jig and the noise, degrees.
     """
 
     position: str
@@ -71,14 +63,9 @@ class VerifiedPosition:
 
 @dataclass(frozen=True)
 class Verification:
-    """How a calibration reads positions that it was not fitted to, judged by a limit.
+    """How a calibration reads positions that it was not fitted to, judged by the largest error that passes, degrees.
 
-    Attributes
-    ----------
-    limit : float
-        The largest error of a tilt that passes, degrees.
-    jig : float or None
-        Stated standard uncertainty of a set angle, degrees; None: the positions count as exact.
+    Without a stated ``jig`` (standard uncertainty of a set angle, degrees) the positions count as exact.
     """
 
     sensor: SensorIdentity
@@ -140,62 +127,42 @@ class Verification:
 def verify_positions(
     calibration: CalibrationRecord, measurements: Sequence[Measurement], jig: float | None = None
 ) -> tuple[VerifiedPosition, ...]:
-    """Return every position of a sensor, as its calibration reads it.
-
-    Parameters
-    ----------
-    measurements : sequence of Measurement
-        In positions that were set.
-    jig : float, optional
-        Standard uncertainty of a set angle, degrees.
-    """
+    """Return every position of a sensor, as its calibration reads it; ``jig`` is that of a set angle, degrees."""
     coefficients = calibration.coefficients
     # What is judged is the sensor's own frame, in which positions are set; the mounting is the application's.
     length = length_tolerance(calibration.uncertainty, coefficients, calibration.limits)
     compensation = Compensation(replace(coefficients, mounting=None), replace(calibration.limits, length=length))
+    axes, whole = compensation.axes, len(compensation.axes) == 3
     found = []
     for measurement in measurements:
+        temperature = None if measurement.temperature is None else np.array([measurement.temperature])
         readings = np.array([[measurement.summaries[channel].mean for channel in coefficients.channels]])
-        result = compensation(
-            readings, None if measurement.temperature is None else np.array([measurement.temperature])
-        )
-        expected = _tilt(measurement.gravity)
-        whole = len(compensation.axes) == 3
+        result = compensation(readings, temperature)
+        x, y, z = measurement.gravity
+        expected = {**tilt_from_gravity(measurement.gravity), "z": 90.0 - degrees(acos(max(-1.0, min(1.0, z))))}
+        read = result.gravity[0]
+        direction = None
+        noise = [0.0]
+        if whole:
+            apart = np.linalg.norm(np.cross(measurement.gravity, read))
+            direction = degrees(float(np.arctan2(apart, np.dot(measurement.gravity, read))))
+        for channel in set(coefficients.channels) & set(coefficients.axes):
+            # Of three axes the direction is judged, whose error does not grow where one axis nears the vertical.
+            up = {"x": x, "y": y, "z": z}[channel]
+            slope = 1.0 if whole else max(sqrt(1.0 - min(up**2, 1.0)), STEEP)
+            u = measurement.summaries[channel].u
+            noise.append(degrees(u / abs(coefficients.own_sensitivity(channel)) / slope))
         found.append(
             VerifiedPosition(
                 measurement.position,
-                {axis: expected[axis] for axis in compensation.axes},
-                dict(zip(compensation.axes, result.tilt[0].tolist(), strict=True)),
-                _between(measurement.gravity, result.gravity[0].tolist()) if whole else None,
+                {axis: expected[axis] for axis in axes},
+                dict(zip(axes, result.tilt[0].tolist(), strict=True)),
+                direction,
                 int(result.flag[0]),
-                (DIRECTION if whole else ANGLE) * hypot(jig or 0.0, _noise(calibration, measurement, whole)),
+                (DIRECTION if whole else ANGLE) * hypot(jig or 0.0, max(noise)),
             )
         )
     return tuple(found)
-
-
-def _noise(calibration: CalibrationRecord, measurement: Measurement, whole: bool) -> float:
-    """Return the largest standard uncertainty of a tilt, degrees, that the noise of the mean readings makes."""
-    coefficients = calibration.coefficients
-    largest = 0.0
-    for channel in coefficients.channels:
-        if channel not in coefficients.axes or channel not in AXES:
-            continue
-        own = abs(coefficients.own_sensitivity(channel))
-        # Of three axes the direction is judged, whose error does not grow where one axis nears the vertical.
-        slope = 1.0 if whole else max(sqrt(1.0 - min(measurement.gravity[AXES.index(channel)] ** 2, 1.0)), _STEEP)
-        largest = max(largest, degrees(measurement.summaries[channel].u / own / slope))
-    return largest
-
-
-def _tilt(gravity: Vector) -> dict[str, float]:
-    return {**tilt_from_gravity(gravity), "z": 90.0 - degrees(acos(max(-1.0, min(1.0, gravity[2]))))}
-
-
-def _between(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the angle between two directions, degrees."""
-    cross = np.cross(a, b)
-    return degrees(float(np.arctan2(hypot(*cross), np.dot(a, b))))
 
 
 def _finite(value: float) -> float | None:

@@ -29,7 +29,7 @@ def command(calibrations: tuple[Path, ...], mounting: str, output: Path) -> None
     sensitivity, nominal or of a --base, is no information. Positions of one journal count once. A file without
     positions enters by its values and their covariance.
     """
-    from tiltcal.calibration.summary import summary
+    from tiltcal.calibration.wording import summary
     from tiltcal.library.calibration import combine
 
     check_writable(output)

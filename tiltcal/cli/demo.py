@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tiltcal.calibration.summary import summary
+from tiltcal.calibration.wording import summary
 from tiltcal.cli import options
 from tiltcal.cli.apply import command as apply
 from tiltcal.cli.report import write_report

@@ -39,7 +39,7 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
     PROCEDURE free needs no known positions: a three-axis sensor is held still in twelve or more attitudes, and gravity
     is 1 g in each. It does not determine the mounting.
     """
-    from tiltcal.calibration.summary import level_summary, mounting_summary, summary
+    from tiltcal.calibration.wording import level_summary, mounting_summary, summary
     from tiltcal.files.procedure import find_procedure
     from tiltcal.library.fit import fit
     from tiltcal.logs.fit import FOUND_ONLY

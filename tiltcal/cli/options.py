@@ -102,6 +102,14 @@ def _as_number(value: Any) -> Any:
     return value
 
 
+class Grouped(click.Option):
+    """An option of a command below the heading of a group of declared ones."""
+
+    def __init__(self, *names: Any, group: str, **how: Any) -> None:
+        super().__init__(*names, **how)
+        self.group = group
+
+
 class Declared(click.Option):
     """An option of a declaration, below the heading of its group."""
 

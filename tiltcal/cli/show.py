@@ -25,7 +25,7 @@ def command(calibration: Path, matrix: bool) -> None:
     """
     from tiltcal.calibration.pair_summary import pair_summary
     from tiltcal.calibration.record import record_in
-    from tiltcal.calibration.summary import summary
+    from tiltcal.calibration.wording import summary
     from tiltcal.errors import UsageError
     from tiltcal.files.calibration import CalibrationRecord
     from tiltcal.files.document import read_document

@@ -1,14 +1,11 @@
-"""Detectors of a sensor that is still, moves, is knocked, or is stuck at one value.
+"""Detectors of a sensor that is stuck at one value, is still, is moved or knocked, and of samples that are far off.
 
-They work on the samples of a position; the bench, recorded logs and the characterisation of noise use them with limits
-of their own. Those of a record of any length are in :mod:`tiltcal.core.rows`, those that need positions in
-:mod:`tiltcal.bench.checks` and :mod:`tiltcal.logs.static_intervals`, that of a turning stage in
-:mod:`tiltcal.core.pair.stage`.
+The bench, recorded logs and the characterisation of noise use them with limits of their own. Samples that are all alike
+are not still: a sensor at rest has noise, and one whose reading does not change although its noise is larger than half
+a step of the reading is stuck. Those that need positions are in :mod:`tiltcal.bench.checks` and
+:mod:`tiltcal.logs.positions`, that of a turning stage in :mod:`tiltcal.core.pair.stage`.
 
-Samples that are all alike are not still: a sensor at rest has noise, and one whose reading does not change although its
-noise is larger than half a step of the reading is stuck.
-
-Source: QARTOD's flat line test for stuck readings.
+Sources: QARTOD's flat line test for stuck readings; Tedaldi, Pretto and Menegatti (2014) for the scatter in windows.
 """
 
 from __future__ import annotations
@@ -22,6 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.samples import SampleSummary, noise_under_rounding
+
+Span = tuple[int, int]
+"""First row and the row behind the last."""
+Numbers = NDArray[np.intp]
+"""Numbers of rows."""
 
 CHANCE = 1e-6
 """Probability of identical samples below which they are no chance."""
@@ -53,30 +55,33 @@ FLICKER = 0.5
 TILTED = 0.1
 """How far a channel's axis has to move before its reading must change, g."""
 
+STILLEST = 0.01
+"""The share of the windows of a record that counts as its stillest part."""
+
 _SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
 _SIGMA_OF_NEAREST = 1.267  # and over the root mean square of the nearest 90 % of them
 _EXACT = 1.0 + 1e-9  # arithmetic may leave the last digits of a scatter that is the largest of a flicker
-_MANY, _SAMPLE = 1 << 13, 1 << 11  # values of which a sample is taken first, and those of the sample
+_PIECE = 1 << 14  # rows whose sums are formed at once: a sum of more would lose the noise in its last digits
+_BLOCK, _MOST_BLOCKS, _FEWEST_BLOCKS = 16, 1 << 16, 8  # rows of a block, doubled where there are too many blocks
+_ODD_RUN = 3.0  # a run of identical rows is stuck if it is so many times longer than the longest that chance makes
+
+
+def run_bounds(mask: Mask) -> tuple[Numbers, Numbers]:
+    """Return the first rows of the runs of True, and the rows behind their last."""
+    framed = np.zeros(len(mask) + 2, dtype=bool)
+    framed[1:-1] = mask
+    edges = np.flatnonzero(framed[1:] != framed[:-1])
+    return edges[::2], edges[1::2]
 
 
 # ---------------------------------------------------------------------------------------------------------------- stuck
 
 
 def noise_of_positions(summaries: Sequence[SampleSummary], step: float) -> float:
-    """Return the noise that a channel has in several positions, before rounding.
+    """Return the noise that a channel has in several positions, before rounding to a ``step``, unit; 0 if none shows.
 
-    Parameters
-    ----------
-    summaries : sequence of SampleSummary
-        Of its samples in each position.
-    step : float
-        Of the reading, unit; 0 where it is continuous.
-
-    Returns
-    -------
-    float
-        Unit; 0 where none is shown. A reading that flickers between two values scatters by up to half a step however
-        small its noise is: that shows nothing of a position in which the reading stands still.
+    A reading that flickers between two values scatters by up to half a step however small its noise is: that shows
+    nothing of a position in which the reading stands still. ``step`` is 0 where the reading is continuous.
     """
     scatters = [summary.std**2 * (summary.n - 1) / summary.n for summary in summaries]
     if step and np.median(scatters) <= (FLICKER * step) ** 2 * _EXACT:
@@ -86,22 +91,56 @@ def noise_of_positions(summaries: Sequence[SampleSummary], step: float) -> float
 
 
 def identical_by_chance(count: int, noise: float, step: float) -> bool:
-    """Return whether noise can leave so many samples in one step of the reading.
-
-    Parameters
-    ----------
-    count : int
-        Of the samples that are identical.
-    noise : float
-        Standard deviation of the samples, in their unit.
-    step : float
-        Of the reading, same unit.
-    """
+    """Return whether noise (a standard deviation) can leave so many samples in one step of the reading, same unit."""
     if noise == 0.0:
         return True
     # Of normal noise no step holds more than the one in the middle.
     most = erf(step / noise / sqrt(8.0))
     return most > 0.0 and count * log(most) >= log(CHANCE)
+
+
+def repeated_rows(columns: Sequence[Array]) -> Mask:
+    """Return which rows are the same in all columns as the row before, shape (n,); NaN repeats nothing."""
+    same = np.zeros(len(columns[0]), dtype=bool)
+    same[1:] = True
+    for column in columns:
+        same[1:] &= column[1:] == column[:-1]
+    return same
+
+
+def stuck_spans(columns: Sequence[Array], shortest: int) -> list[Span]:
+    """Return runs of so many identical rows or more, where the noise of the rest makes such runs no chance."""
+    starts, ends = run_bounds(repeated_rows(columns))
+    long = ends - starts >= shortest - 1
+    stuck = list(zip((starts[long] - 1).tolist(), ends[long].tolist(), strict=True))
+    if not stuck:
+        return stuck
+    lost = lost_rows(columns, stuck)
+    for column in columns:
+        noise = stillest(window_scatter([column], lost, shortest))
+        if noise is None:
+            return stuck
+        changes = np.abs(np.diff(column))
+        # Noise of half a step changes every other reading: a run of identical ones is then no chance.
+        if noise >= float(np.min(changes, initial=inf, where=changes > 0.0)) / 2:
+            return stuck
+    return []
+
+
+def stuck_rows(columns: Sequence[Array]) -> Span | None:
+    """Return the longest run of rows that are identical in all columns, if it is longer than chance makes one."""
+    same = repeated_rows(columns)
+    starts, ends = run_bounds(same)
+    if not len(starts):
+        return None
+    longest = int(np.argmax(ends - starts))
+    start, end = int(starts[longest]) - 1, int(ends[longest])  # a run begins with the row that the others repeat
+    rows, length = len(same), end - start
+    others = max(int(same.sum()) - length + 1, 1) / max(rows - length, 2)
+    if others >= 0.9:
+        return None  # a reading that hardly ever changes: rest looks like that
+    likely = log(max(rows, 3)) / -log(others)
+    return (start, end) if length > 10 + _ODD_RUN * likely else None
 
 
 # ---------------------------------------------------------------------------------------------------------------- still
@@ -110,118 +149,135 @@ def identical_by_chance(count: int, noise: float, step: float) -> bool:
 def is_still(
     change: float, uncertainty: float, limit: float, *, sigmas: float = 4.0, shown: bool = False, coverage: float = 2.0
 ) -> bool:
-    """Return whether a change along a line through some samples is none.
+    """Return whether a change along a line through some samples, of :func:`tiltcal.core.samples.drift`, is none.
 
-    Parameters
-    ----------
-    change, uncertainty : float
-        Of :func:`tiltcal.core.samples.drift`.
-    limit : float
-        The largest change that counts as none, same unit.
-    sigmas : float
-        A change below this many of its standard uncertainties is noise.
-    shown : bool
-        The change must be shown to be within the limit: noise that might hide a larger one is no excuse.
-    coverage : float
-        Standard uncertainties within which it is shown.
+    ``limit`` is the largest change that counts as none; one below so many ``sigmas`` of its uncertainty is noise.
+    ``shown`` asks that it is shown to be within the limit, by ``coverage`` standard uncertainties.
     """
     return abs(change) <= (limit - coverage * uncertainty if shown else max(limit, sigmas * uncertainty))
+
+
+def lost_rows(columns: Sequence[Array], stuck: Sequence[Span]) -> Mask:
+    """Return the rows in which a value is missing or stuck, shape (n,)."""
+    lost = np.zeros(len(columns[0]), dtype=bool)
+    for column in columns:
+        lost |= ~np.isfinite(column)
+    for start, end in stuck:
+        lost[start:end] = True
+    return lost
+
+
+def window_scatter(columns: Sequence[Array], lost: Mask, window: int) -> Array:
+    """Return the standard deviation in every window of so many rows, all columns together (root of the sum of squares).
+
+    Shape (n - window + 1,); infinite where a window holds a lost row.
+    """
+    scatter = np.empty(max(len(lost) - window + 1, 0))
+    for start in range(0, len(scatter), _PIECE):
+        rows = slice(start, min(start + _PIECE, len(scatter)) + window - 1)
+        gone = lost[rows]
+        some = bool(gone.any())
+        squares = np.zeros(len(gone) - window + 1)
+        for column in columns:
+            # Squares of what is far from zero would lose the noise in their last digits.
+            part = column[rows]
+            centre = part[~gone].mean() if some and not gone.all() else part.mean()
+            part = np.where(gone, 0.0, part - centre) if some else part - centre
+            squares += _window_sums(part * part, window) - _window_sums(part, window) ** 2 / window
+        if some:
+            squares[_window_sums(gone.astype(float), window) > 0.5] = inf
+        scatter[start : start + _PIECE] = np.sqrt(np.maximum(squares, 0.0) / (window - 1))
+    return scatter
+
+
+def _window_sums(values: Array, window: int) -> Array:
+    """Return the sums over windows of so many values."""
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    return np.asarray(sums[window:] - sums[:-window])
+
+
+def stillest(scatter: Array, *, varying: bool = False) -> float | None:
+    """Return the scatter in the stillest part of the windows, the :data:`STILLEST` quantile; None without any.
+
+    ``varying`` leaves out the windows in which nothing changes.
+    """
+    most, count, smallest = int(STILLEST * len(scatter)) + 2, 0, np.empty(0)
+    for start in range(0, len(scatter), 16 * _PIECE):
+        piece = scatter[start : start + 16 * _PIECE]
+        piece = piece[np.isfinite(piece) & (piece > 0.0)] if varying else piece[np.isfinite(piece)]
+        count += len(piece)
+        smallest = np.concatenate([smallest, piece])
+        if len(smallest) > most:
+            smallest = np.partition(smallest, most - 1)[:most]
+    if not count:
+        return None
+    place = STILLEST * (count - 1)
+    low = int(place)
+    return float(np.quantile(np.sort(smallest)[low : low + 2], place - low))
 
 
 # ---------------------------------------------------------------------------------------------------------------- moved
 
 
-def jumps(means: Array, rounding: ArrayLike = 0.0) -> Mask:
-    """Return the blocks before and behind a difference of block means that stands out: a step, a turn.
+def moved_rows(columns: Sequence[Array], steps: Sequence[float]) -> list[Span]:
+    """Return the rows in which the sensor was moved, of columns whose readings have ``steps``, 0 where continuous.
 
-    Parameters
-    ----------
-    means : ndarray, shape (blocks, channels)
-        NaN where a block has none.
-    rounding : array_like, shape (channels,)
-        Standard deviation that rounding gives, below which no difference stands out.
+    Means of short blocks differ from their neighbours by the noise, and by what it wanders from one to the next; in a
+    block that differs by far more, or scatters by far more within, the sensor was moved. How much is usual the median
+    says, which a knock or two does not shift.
     """
-    changes = np.diff(means, axis=0)
-    difference = np.abs(changes - np.nanmedian(changes, axis=0))
-    usual = np.maximum(_SIGMA_OF_MEDIAN * np.nanmedian(difference, axis=0), rounding)
-    far = difference > JUMP * usual
-    none = np.zeros((1, far.shape[1]), dtype=np.bool_)
-    return np.asarray(np.concatenate([far, none]) | np.concatenate([none, far]))
+    size = _BLOCK
+    while len(columns[0]) > size * _MOST_BLOCKS:
+        size *= 2
+    blocks = len(columns[0]) // size
+    if blocks < _FEWEST_BLOCKS:
+        return []
+    disturbed = np.zeros(blocks, dtype=bool)
+    for column, step in zip(columns, steps, strict=True):
+        samples = column[: blocks * size].reshape(blocks, size)
+        counts = np.isfinite(samples).sum(axis=1).astype(np.float64)
+        counts[counts < 2] = np.nan  # of one sample there is no scatter
+        mean = np.nansum(samples, axis=1) / counts
+        scatter = np.sqrt(np.nansum((samples - mean[:, None]) ** 2, axis=1) / counts)
+        rounding = step / sqrt(12.0)
+        disturbed |= jumps(mean, rounding) | bursts(scatter, rounding)
+    starts, ends = run_bounds(disturbed)
+    return list(zip((starts * size).tolist(), (ends * size).tolist(), strict=True))
+
+
+def jumps(means: Array, rounding: ArrayLike = 0.0) -> Mask:
+    """Return the blocks before and behind a difference of block means, shape (blocks,), that stands out: a turn.
+
+    No difference stands out below ``rounding``, the standard deviation that rounding gives.
+    """
+    changes = np.diff(means)
+    difference = np.abs(changes - np.nanmedian(changes))
+    far = difference > JUMP * np.maximum(_SIGMA_OF_MEDIAN * np.nanmedian(difference), rounding)
+    return np.asarray(np.append(far, False) | np.append(False, far))
 
 
 def bursts(scatter: Array, rounding: ArrayLike = 0.0) -> Mask:
     """Return the blocks whose standard deviation stands out: a knock, a vibration; see :func:`jumps`."""
-    usual = np.maximum(np.nanmedian(scatter, axis=0), rounding)
-    return np.asarray(scatter > BURST * usual)
+    return np.asarray(scatter > BURST * np.maximum(np.nanmedian(scatter), rounding))
 
 
-def outliers(samples: Sequence[float] | Array, step: float = 0.0) -> NDArray[np.intp]:
-    """Return the samples of one channel that stand far out of the others; none of fewer than eight.
+# ------------------------------------------------------------------------------------------------------------- outlying
 
-    Parameters
-    ----------
-    samples : sequence of float
-        Of a sensor at rest.
-    step : float
-        Of the reading, in the unit of the samples: a distance of two steps is no outlier.
+
+def outliers(samples: Sequence[float] | Array, step: float = 0.0) -> Numbers:
+    """Return the samples of one channel at rest that stand far out of the others; none of fewer than eight.
+
+    A distance of two steps of the reading is no outlier.
     """
-    distance, limit, _ = distances(np.asarray(samples, dtype=float))
-    return np.flatnonzero(distance > max(limit, 2.0 * step)) if distance is not None else np.empty(0, np.intp)
-
-
-def distances(values: Array) -> tuple[Array | None, float, float]:
-    """Return how far each sample is from the median, beyond what distance it is far off, and the median.
-
-    Where none is far off, the distances are None, and the limit is a lower bound of it, which many samples show sooner.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-        At least one; of fewer than eight none is an outlier.
-    """
-    centre = _median(values)
+    values = np.asarray(samples, dtype=float)
     if len(values) < FEWEST_SAMPLES:
-        return None, inf, centre
-    farthest = max(float(values.max()) - centre, centre - float(values.min()))
-    bound = OUTLYING * _SIGMA_OF_MEDIAN * _least_median_distance(values, centre)
-    if farthest <= bound:
-        return None, bound, centre
-    distance = np.abs(values - centre)
-    limit = OUTLYING * _SIGMA_OF_MEDIAN * _median(distance)
-    if farthest > limit:
-        # Where more than half of the samples are in one step, that median is 0; the nearest 90 % are not.
-        count = max(1, round(0.9 * len(values)))
-        nearest = np.partition(distance, count - 1)[:count]
-        limit = max(limit, OUTLYING * _SIGMA_OF_NEAREST * float(np.sqrt(np.mean(nearest**2))))
-    return (distance if farthest > limit else None), limit, centre
-
-
-def _least_median_distance(values: Array, centre: float) -> float:
-    """Return a number that the median distance from the centre reaches; 0 where a few of the samples show none."""
-    if len(values) < _MANY:
-        return 0.0
-    count = int(0.47 * _SAMPLE)
-    near = float(np.partition(np.abs(values[:: len(values) // _SAMPLE] - centre), count)[count])
-    # It does where not more than half of the samples are nearer.
-    nearer = np.count_nonzero(values < centre + near) - np.count_nonzero(values <= centre - near)
-    return near / _EXACT if nearer <= (len(values) - 1) // 2 else 0.0
-
-
-def _median(values: Array) -> float:
-    """Return the median of numbers without a missing one; of many, it is sought among those near that of a sample."""
-    middle = len(values) // 2
-    if len(values) >= _MANY:
-        few = np.sort(values[:: len(values) // _SAMPLE])
-        lower, upper = few[[int(share * len(few)) for share in (0.46, 0.54)]]
-        below = int(np.count_nonzero(values < lower))
-        near = np.compress((values >= lower) & (values <= upper), values)
-        if below < middle < below + len(near):
-            return _middle(near, middle - below, even=len(values) % 2 == 0)
-    return _middle(values, middle, even=len(values) % 2 == 0)
-
-
-def _middle(values: Array, place: int, *, even: bool) -> float:
-    """Return the value of a place by size; of an even number, the mean of it and the one before."""
-    parted = np.partition(values, place)
-    upper = float(parted[place])
-    return (float(parted[:place].max()) + upper) / 2.0 if even else upper
+        return np.empty(0, np.intp)
+    distance = np.abs(values - np.median(values))
+    limit = max(OUTLYING * _SIGMA_OF_MEDIAN * float(np.median(distance)), 2.0 * step)
+    if float(distance.max()) <= limit:
+        return np.empty(0, np.intp)
+    # Where more than half of the samples are in one step, that median is 0; the nearest 90 % are not.
+    count = max(1, round(0.9 * len(values)))
+    nearest = np.partition(distance, count - 1)[:count]
+    limit = max(limit, OUTLYING * _SIGMA_OF_NEAREST * float(np.sqrt(np.mean(nearest**2))))
+    return np.flatnonzero(distance > limit)

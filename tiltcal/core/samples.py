@@ -1,7 +1,7 @@
 """The samples of a position: their mean and its uncertainty, from one position and from several.
 
-Sums of up to some thousand samples are rounded once (:func:`math.fsum`), and longer ones are made in an order that does
-not depend on the processor, so a replayed session gives the same digits everywhere.
+Sums of up to some thousand samples are rounded once (:func:`math.fsum`), so a replayed session gives the same digits
+everywhere.
 
 Ten block means leave nine degrees of freedom: weights made of such variances would cost a fifth of what weighting can
 give. Positions at one bench have much the same noise. Where their variances scatter no more than chance makes them, all
@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import chain, pairwise
+from itertools import pairwise
 from math import exp, fsum, hypot, inf, pi, sqrt
 from operator import mul
 
@@ -33,54 +33,27 @@ from tiltcal.core.model import Array
 BLOCKS = 10
 """Number of blocks whose means show correlation that std/sqrt(n) does not see."""
 
-_FEW, _MANY = 4096, 1 << 14
-"""Samples up to which a sum is rounded once, and those that are summed up together, within the processor's cache."""
+_FEW, _MANY = 4096, 1 << 14  # samples up to which a sum is rounded once, and those that are summed up together
+_FLOOR = 1e-5  # of the median variance, that a reading that never changed counts as: 0 has no logarithm
+_COARSE = 0.5  # of the reading's step, below which noise leaves a rounding error in a mean
+_FEW_POSITIONS = 0.25  # relative standard deviations by which the scatter of rounded readings counts as lower
+_SPREAD = 0.27  # standard deviation of the correlation of ten block means
+_MARGIN = 0.5  # standard deviations above its mean of a correlation that counts
+_CORRELATED_DOF = 2.0  # of a position's ten block means that are strongly correlated
+_ENOUGH = 5.0  # correlation times that a block should have
 
 _SAME_NOISE = 0.01
 """Variances are one where chance scatters their logarithms as much with at least this probability."""
-
-_FLOOR = 1e-5
-"""A variance below this share of the median counts as that: a reading that never changed has no logarithm."""
 
 _CORRELATED, _POSSIBLE = 4.0, 1.5
 """Standard deviations above the correlation of white noise's block means from which it is no chance; and from which it
 counts, without a remark: white noise shows as much in one session of fifteen."""
 
-_MARGIN, _SPREAD = 0.5, 0.27
-"""Count with a correlation that is this many standard deviations above the mean; that of ten block means."""
-
-_CORRELATED_DOF = 2.0
-"""Degrees of freedom of a position's ten block means that are strongly correlated."""
-
-_ENOUGH = 5.0
-"""Correlation times that a block should have."""
-
-_BY_TIME = np.array(
-    [
-        (0.02, -0.093, 1.010),
-        (0.1, -0.064, 1.055),
-        (0.2, -0.019, 1.120),
-        (0.3, 0.030, 1.193),
-        (0.4, 0.078, 1.269),
-        (0.5, 0.122, 1.345),
-        (0.7, 0.193, 1.494),
-        (1.0, 0.267, 1.707),
-        (1.4, 0.330, 1.971),
-        (2.0, 0.384, 2.329),
-        (3.0, 0.428, 2.854),
-        (5.0, 0.464, 3.722),
-        (10.0, 0.489, 5.346),
-        (30.0, 0.505, 9.400),
-    ]
-)
-"""Correlation time of noise with an exponential memory, in blocks; the correlation that ten block means show of it on
-average (Magnus, theorem 6); the true over the apparent uncertainty of their mean."""
-
-_COARSE = 0.5
-"""Noise below this share of the reading's step leaves a rounding error in a mean."""
-
-_FEW_POSITIONS = 0.25
-"""Count with a scatter of rounded readings that is lower by this many of its relative standard deviations."""
+# Of noise with an exponential memory: its correlation time in blocks, the correlation that ten block means show of it
+# on average (Magnus, theorem 6), and the true over the apparent uncertainty of their mean.
+_TIMES = (0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0, 30.0)
+_SHOWN = (-0.093, -0.064, -0.019, 0.030, 0.078, 0.122, 0.193, 0.267, 0.330, 0.384, 0.428, 0.464, 0.489, 0.505)
+_FACTORS = (1.010, 1.055, 1.120, 1.193, 1.269, 1.345, 1.494, 1.707, 1.971, 2.329, 2.854, 3.722, 5.346, 9.400)
 
 
 @dataclass(frozen=True)
@@ -120,63 +93,35 @@ def summarise(samples: Sequence[float] | Array, resolution: float = 0.0) -> Samp
     std/sqrt(n) does not see it; fewer than twenty samples have no blocks, and std/sqrt(n) it is. Rounding is added:
     noise of half a step or more averages it out, a reading that never changes is uncertain by step/sqrt(12).
     """
-    return summary_of([moments_of(np.asarray(samples, dtype=float))], resolution)
-
-
-@dataclass(frozen=True)
-class Moments:
-    """The sums of some samples of a channel, from which the summary of many more follows."""
-
-    n: int
-    total: float  # sum of the samples
-    mean: float
-    squares: float  # sum of the squares about the mean
-    low: float  # the smallest sample
-    high: float  # and the largest
-    first: int  # number of the first block
-    blocks: Sequence[tuple[float, int]]  # sum and number of the samples of each block, as far as they are among these
-
-
-def moments_of(values: Array, first: int = 0, edges: Sequence[int] = ()) -> Moments:
-    """Sum up some samples, shape (n,), of which ``first`` is the number of the first block.
-
-    ``edges`` are where blocks begin among them, and the end of the last; ten equal ones without.
-    """
-    n, size = len(values), len(values) // BLOCKS
-    edges = edges or range(0, BLOCKS * size + 1, max(size, 1))
-    runs, low, high = list(pairwise((0, *edges, n))), float(values.min()), float(values.max())
-    summands = _summands(values, runs)
-    total = fsum(chain.from_iterable(summands))
+    values = np.asarray(samples, dtype=float)
+    n, low = len(values), float(values.min())
     # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
-    mean = low if low == high else total / n
-    blocks = [(fsum(run), end - start) for run, (start, end) in zip(summands, runs, strict=True)]
-    (squares,) = _summands(values, [(0, n)], mean)
-    return Moments(n, total, mean, fsum(squares), low, high, first, blocks[1:-1])
-
-
-def summary_of(parts: Sequence[Moments], resolution: float = 0.0) -> SampleSummary:
-    """Return what :func:`summarise` returns of the samples of all parts, in order."""
-    n = sum(part.n for part in parts)
-    alike = min(part.low for part in parts) == max(part.high for part in parts)
-    mean = parts[0].low if alike else fsum(part.total for part in parts) / n
-    squares = fsum(part.squares + part.n * (part.mean - mean) ** 2 for part in parts)
-    std = sqrt(squares / (n - 1)) if n > 1 else 0.0
-    noise, dof, correlation = _type_a(_block_means(parts) if n >= 2 * BLOCKS else [], n, std)
+    mean = low if low == values.max() else exact_sum(values) / n
+    std = sqrt(exact_sum(values, mean) / (n - 1)) if n > 1 else 0.0
+    noise, dof, correlation = std / sqrt(n), float(max(n - 1, 1)), None
+    if n >= 2 * BLOCKS:
+        size = n // BLOCKS
+        means = [exact_sum(values[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
+        centre = fsum(means) / BLOCKS
+        off = [value - centre for value in means]
+        squares = fsum(value**2 for value in off)
+        noise, dof = sqrt(squares / (BLOCKS - 1) / BLOCKS), BLOCKS - 1.0
+        correlation = fsum(value * other for value, other in pairwise(off)) / squares if squares > 0.0 else None
     step = rounding_uncertainty(std, resolution)
     return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
 
 
-def _block_means(parts: Sequence[Moments]) -> list[float]:
-    """Return the means of ten blocks, each of as many of the parts' blocks."""
-    count = max(part.first + len(part.blocks) for part in parts)
-    sums, counts = [0.0] * count, [0] * count
-    for part in parts:
-        for number, (total, size) in enumerate(part.blocks, start=part.first):
-            sums[number] += total
-            counts[number] += size
-    each = count // BLOCKS
-    groups = [slice(each * group, each * (group + 1)) for group in range(BLOCKS)]
-    return [fsum(sums[group]) / sum(counts[group]) for group in groups]
+def exact_sum(values: Array, mean: float | None = None) -> float:
+    """Return the sum of values, shape (n,), or of the squares of their distances from a mean.
+
+    That of few values is rounded once; many are made sums of some each first, in an order that no processor changes.
+    """
+    parts: list[float] = []
+    for begin in range(0, len(values), _MANY):
+        some = values[begin : begin + _MANY]
+        some = some if mean is None else np.square(some - mean)
+        parts += some.tolist() if len(values) <= _FEW else [float(some.sum())]
+    return fsum(parts)
 
 
 def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:
@@ -194,34 +139,6 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
     rest = fsum([(value - slope * time) ** 2 for time, value in zip(later, off, strict=True)])
     span = times[-1] - times[0]
     return slope * span, sqrt(rest / max(n - 2, 1) / spread) * span
-
-
-def _summands(values: Array, runs: Sequence[tuple[int, int]], mean: float | None = None) -> list[list[float]]:
-    """Return numbers that have the sum of each run: of few values these, of many the pairwise sums of some each.
-
-    With a mean, they are those of the squares of the distances from it.
-    """
-    parts: list[list[float]] = [[] for _ in runs]
-    for begin in range(0, len(values), _MANY):
-        some = values[begin : begin + _MANY]
-        some = some if mean is None else np.square(some - mean)
-        for part, (start, end) in zip(parts, runs, strict=True):
-            if start < begin + _MANY and begin < end:
-                run = some[max(start - begin, 0) : end - begin]
-                part.extend(run.tolist() if len(values) <= _FEW else [float(run.sum())])
-    return parts
-
-
-def _type_a(means: Sequence[float], n: int, std: float) -> tuple[float, float, float | None]:
-    """Return the mean's standard uncertainty from the scatter of block means, its dof, and the blocks' correlation."""
-    if not means:
-        return std / sqrt(n), float(max(n - 1, 1)), None
-    centre = fsum(means) / BLOCKS
-    off = [mean - centre for mean in means]
-    squares = fsum(value**2 for value in off)
-    neighbours = fsum(value * other for value, other in pairwise(off))
-    correlation = neighbours / squares if squares > 0.0 else None
-    return sqrt(squares / (BLOCKS - 1) / BLOCKS), BLOCKS - 1.0, correlation
 
 
 # Rounding
@@ -302,9 +219,7 @@ def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | No
     above = (mean + 1.0 / BLOCKS) / error
     if above <= _POSSIBLE:
         return None
-    time, factor = (
-        float(np.interp(mean + _MARGIN * error, _BY_TIME[:, 1], column)) for column in _BY_TIME[:, [0, 2]].T
-    )
+    time, factor = (float(np.interp(mean + _MARGIN * error, _SHOWN, column)) for column in (_TIMES, _FACTORS))
     return CorrelatedNoise(factor, max(_ENOUGH * time, 1.0), above > _CORRELATED)
 
 
@@ -376,8 +291,7 @@ def _common(variance: Array, dof: Array) -> tuple[float, float]:
     spread = float(np.var(logs, ddof=1))
     if chdtrc(count - 1, (count - 1) * spread / by_chance) > _SAME_NOISE:
         return float(np.sum(dof * variance) / np.sum(dof)), inf
-    more = (
-        spread - by_chance
-    )  # the trigamma function of half the degrees of freedom, which is above 1 over its argument
+    # The trigamma function of half the degrees of freedom, which is above 1 over its argument.
+    more = spread - by_chance
     half = float(brentq(lambda y: float(polygamma(1, y)) - more, min(0.1, more**-0.5 / 2.0), 1.0 + 1.0 / more))
     return float(np.exp(np.mean(logs) + digamma(half) - np.log(half))), 2.0 * half

@@ -23,12 +23,11 @@ import hashlib
 import json
 import os
 import re
-from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, overload
+from typing import Any, BinaryIO
 from zlib import crc32
 
 import msgspec
@@ -51,8 +50,6 @@ HEADER_LIMIT = 16_000_000
 """Bytes of the first line, which holds the procedure and, of a mounting, the base calibration."""
 LINE_LIMIT = 4_000_000
 """Bytes of an event's line."""
-BLOCK = 4096
-"""Events that are in memory at once."""
 
 _BUS = re.compile("[a-z]")
 _BYTES = re.compile("(?:[0-9a-f]{2})*")
@@ -70,45 +67,28 @@ class Event:
     payload: tuple[Any, ...]
 
 
-class Events(Sequence[Event]):
-    """The events of a journal that was checked, read from its file in blocks: a night of six sensors has millions.
+@dataclass(frozen=True)
+class Events(Collection[Event]):
+    """The events of a journal that was checked, read from its file one by one: a night of six sensors has millions."""
 
-    ``starts`` are the places where their lines begin, and where the last one ends.
-    """
-
-    def __init__(self, path: Path, starts: array[int]) -> None:
-        self._path = path
-        self._starts = starts
-        self._count = len(starts) - 1
-        self._first = 0
-        self._block: list[bytes] = []
+    path: Path
+    count: int
 
     def __len__(self) -> int:
-        return self._count
+        return self.count
 
-    @overload
-    def __getitem__(self, index: int) -> Event: ...
+    def __contains__(self, event: object) -> bool:
+        return any(event == one for one in self)
 
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Event]: ...
-
-    def __getitem__(self, index: int | slice) -> Event | Sequence[Event]:
-        if isinstance(index, slice):
-            return [self[k] for k in range(*index.indices(self._count))]
-        place = range(self._count)[index]
-        if not self._first <= place < self._first + len(self._block):
-            self._first = place - place % BLOCK
-            self._block = self._lines(self._first, min(self._first + BLOCK, self._count))
-        number = place + 2
-        return _event_of(_loads(_body(self._block[place - self._first]), self._path, number), number)
-
-    def _lines(self, first: int, last: int) -> list[bytes]:
-        with open(self._path, "rb") as stream:
-            stream.seek(self._starts[first])
-            lines = stream.read(self._starts[last] - self._starts[first]).split(b"\n")[:-1]
-        if len(lines) < last - first:
-            raise JournalError("the journal was made shorter while it was read", file=self._path, line=first + 2)
-        return lines
+    def __iter__(self) -> Iterator[Event]:
+        with open(self.path, "rb") as stream:
+            stream.readline(HEADER_LIMIT)
+            for number in range(2, self.count + 2):
+                line = stream.readline(LINE_LIMIT)
+                if not line.endswith(b"\n"):
+                    why = "the journal was made shorter while it was read"
+                    raise JournalError(why, file=self.path, line=number)
+                yield _event_of(_loads(_body(line[:-1]), self.path, number), number)
 
 
 @dataclass(frozen=True)
@@ -159,8 +139,7 @@ def _read(stream: BinaryIO, path: Path) -> Journal:
     header, crc = _header(line[:-1], path)
     version = header.pop("tiltcal-journal")
     accepted: list[Event] = []
-    starts, digest = array("Q", [len(line)]), hashlib.sha256(line)
-    size, number, torn = len(line), 1, False
+    digest, size, number, torn = hashlib.sha256(line), len(line), 1, False
     end: dict[str, Any] | None = None
     while line := stream.readline(LINE_LIMIT):
         number += 1
@@ -175,14 +154,14 @@ def _read(stream: BinaryIO, path: Path) -> Journal:
         size += len(line)
         if event.kind == END:
             end = event.payload[0]
-            if end != {"events": len(starts) - 1, "sha256": digest.hexdigest()}:
+            if end != {"events": number - 2, "sha256": digest.hexdigest()}:
                 raise JournalError("the end record does not fit the lines before it", file=path, line=number)
         else:
-            starts.append(size)
             digest.update(line)
             if event.kind == POSITION:
                 accepted.append(event)
-    return Journal(path, version, header, Events(path, starts), tuple(accepted), end, size, torn, crc, digest)
+    events = Events(path, number - 1 - torn - (end is not None))
+    return Journal(path, version, header, events, tuple(accepted), end, size, torn, crc, digest)
 
 
 def _too_long(path: Path, number: int) -> JournalError:
@@ -377,7 +356,10 @@ class RecordedAnswer(Record, kw_only=True):
 
 
 class AcceptedPosition(Struct):
-    """An accepted position: the lines of its samples, none in format 1, and which of them were left out, from 0."""
+    """An accepted position: the lines of its samples, none in format 1, and which of them were left out, from 0.
+
+    ``sensors`` are mean, std, n and temperature of each, by serial number; the first journals had them in order.
+    """
 
     position: str
     sensors: Mapping[str, Mapping[str, Any]] | tuple[Mapping[str, Any], ...] = ()
@@ -388,20 +370,19 @@ class AcceptedPosition(Struct):
     @property
     def n(self) -> int:
         """The samples that count."""
-        return next((int(values.get("n", 0)) for values in self.values), 0)
+        return self._count("n")
 
     @property
     def left_out(self) -> int:
         """The samples that were far off."""
-        return next((int(values.get("left_out", 0)) for values in self.values), 0)
+        return self._count("left_out")
 
-    @property
-    def values(self) -> list[Mapping[str, Any]]:
-        """Mean, std, n and temperature of each sensor."""
-        return list(self.sensors.values() if isinstance(self.sensors, Mapping) else self.sensors)
+    def _count(self, key: str) -> int:
+        values = self.sensors.values() if isinstance(self.sensors, Mapping) else self.sensors
+        return next((int(one.get(key, 0)) for one in values), 0)
 
     def by_serial(self, serials: Sequence[str]) -> Mapping[str, Mapping[str, Any]]:
-        """Return mean, std, n and temperature by serial number; the first journals had them in order."""
+        """Return mean, std, n and temperature by serial number."""
         return self.sensors if isinstance(self.sensors, Mapping) else dict(zip(serials, self.sensors, strict=False))
 
 
@@ -412,29 +393,19 @@ def accepted_position(event: Event) -> AcceptedPosition:
 
 def _is_event(line: Any) -> bool:
     """Return whether a line has the elements of its kind, each of its type."""
-    if not isinstance(line, list) or len(line) < 2 or not _is_count(line[0]):
-        return False
-    _, kind, *payload = line
-    match kind:
-        case "live" | "resumed":
-            return not payload
-        case "a":
+    match line:
+        case [int(dt_ns), "live" | "resumed"]:
+            return _is_count(dt_ns)
+        case [int(dt_ns), "a" | "p" as kind, content]:
             with suppress(msgspec.ValidationError):
-                return len(payload) == 1 and msgspec.convert(payload[0], RecordedAnswer) is not None
-        case "p":
-            with suppress(msgspec.ValidationError):
-                return len(payload) == 1 and msgspec.convert(payload[0], AcceptedPosition) is not None
-        case "end":
-            return len(payload) == 1 and isinstance(payload[0], dict)
-        case str() if kind == HARDWARE_ERROR or _BUS.fullmatch(kind):
-            out, back, *device = payload if len(payload) in (2, 3) else (None, None)
-            said = isinstance(back, str) if kind == HARDWARE_ERROR else _is_bytes(back)
-            return said and _is_bytes(out) and all(map(_is_count, device))
+                msgspec.convert(content, RecordedAnswer if kind == ANSWER else AcceptedPosition)
+                return _is_count(dt_ns)
+        case [int(dt_ns), "end", dict()]:
+            return _is_count(dt_ns)
+        case [int(dt_ns), str(kind), str(out), str(back), *device] if len(device) < 2:
+            known = kind == HARDWARE_ERROR or (_BUS.fullmatch(kind) and _BYTES.fullmatch(back))
+            return bool(known and _BYTES.fullmatch(out)) and all(map(_is_count, [dt_ns, *device]))
     return False
-
-
-def _is_bytes(value: Any) -> bool:
-    return isinstance(value, str) and _BYTES.fullmatch(value) is not None
 
 
 def _is_count(value: Any) -> bool:

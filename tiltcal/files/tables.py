@@ -93,61 +93,6 @@ class Segment:
     line: int | None
 
 
-class Direction(Record, kw_only=True):
-    """The direction that points up, as a row of a table gives it."""
-
-    gx: Annotated[Number | None, about("with `gy` and `gz` up, where the position is not the procedure's")] = None
-    gy: Annotated[Number | None, about("likewise")] = None
-    gz: Annotated[Number | None, about("likewise")] = None
-
-    def vector(self, row: Document) -> Vector | None:
-        """Return the direction as a unit vector, None where the row has none; an InputError where it is incomplete."""
-        parts = {"gx": self.gx, "gy": self.gy, "gz": self.gz}
-        missing = [name for name, value in parts.items() if value is None]
-        if len(missing) == len(parts):
-            return None
-        if missing:
-            raise row.error(f"{', '.join(missing)} is missing; a direction has all of gx, gy and gz")
-        with row.locating():
-            return normalised([value or 0.0 for value in parts.values()])
-
-
-class SegmentRow(Direction, kw_only=True):
-    """One row of a segments file."""
-
-    position: Annotated[Text, about("its name, the procedure's or another one")]
-    start: Annotated[Count, about("first row of the log, counted from 0 after its header")]
-    end: Annotated[Count, about("the row after the last one")]
-
-
-def read_segments(segments: Table) -> list[Segment]:
-    """Read and check a segments file.
-
-    ``segments`` are CSV with the columns ``position,start,end`` and, all three or none, ``gx,gy,gz``; or a JSON list of
-    objects with these keys; or such rows. A position may come more than once: in consecutive rows they are parts of one
-    placement that was interrupted, elsewhere the sensor was put there again. An InputError names file, line and column.
-    """
-    path = segments if isinstance(segments, str | Path) else "the segments"
-    read = []
-    for row in table_rows(segments, path, keys_of(SegmentRow)):
-        stated = row.read(SegmentRow)
-        if stated.start >= stated.end:
-            raise row.error(f"the end {stated.end} is not after the start {stated.start}; the end is exclusive", "end")
-        read.append(Segment(stated.position, stated.start, stated.end, stated.vector(row), row.line))
-    if not read:
-        raise InputError("the file has no segment", file=path)
-    for before, after in pairwise(sorted(read, key=lambda segment: segment.start)):
-        if after.start < before.end:
-            also = "and" if before.line is None else f"and, by line {before.line},"
-            raise InputError(
-                f"rows {after.start} to {min(before.end, after.end) - 1} belong to {after.name!r} {also} to "
-                f"{before.name!r}; segments do not overlap",
-                file=path,
-                line=after.line,
-            )
-    return read
-
-
 @dataclass(frozen=True)
 class TabledPosition:
     """One row of a table of positions.
@@ -165,6 +110,32 @@ class TabledPosition:
     line: int | None
 
 
+class Direction(Record, kw_only=True):
+    """The direction that points up, as a row of a table gives it."""
+
+    gx: Annotated[Number | None, about("with `gy` and `gz` up, where the position is not the procedure's")] = None
+    gy: Annotated[Number | None, about("likewise")] = None
+    gz: Annotated[Number | None, about("likewise")] = None
+
+    def vector(self, row: Document) -> Vector | None:
+        """Return the direction as a unit vector, None where the row has none; an InputError where it is incomplete."""
+        missing = [name for name in ("gx", "gy", "gz") if getattr(self, name) is None]
+        if len(missing) == 3:
+            return None
+        if missing:
+            raise row.error(f"{', '.join(missing)} is missing; a direction has all of gx, gy and gz")
+        with row.locating():
+            return normalised([self.gx or 0.0, self.gy or 0.0, self.gz or 0.0])
+
+
+class SegmentRow(Direction, kw_only=True):
+    """One row of a segments file."""
+
+    position: Annotated[Text, about("its name, the procedure's or another one")]
+    start: Annotated[Count, about("first row of the log, counted from 0 after its header")]
+    end: Annotated[Count, about("the row after the last one")]
+
+
 class TabledRow(Direction, kw_only=True):
     """One row of a table of positions, as it stands in its file."""
 
@@ -172,22 +143,41 @@ class TabledRow(Direction, kw_only=True):
     x: Annotated[Number | None, about("mean reading, unit; needed where the sensor has the channel")] = None
     y: Annotated[Number | None, about("likewise")] = None
     z: Annotated[Number | None, about("likewise")] = None
-    ux: Annotated[
-        AboveZero | None,
-        about("standard uncertainty of the mean, unit, in every row or none; else its rounding counts"),
-    ] = None
+    ux: Annotated[AboveZero | None, about("standard uncertainty of the mean, unit, in every row or none")] = None
     uy: Annotated[AboveZero | None, about("likewise")] = None
     uz: Annotated[AboveZero | None, about("likewise")] = None
     n: Annotated[FromOne | None, about("number of samples behind the means")] = None
     temperature: Annotated[Temperature | None, about("°C")] = None
 
 
-def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition]:
-    """Read and check a table of positions, in the order of the file.
+def read_segments(segments: Table) -> list[Segment]:
+    """Read and check a segments file: the columns ``position,start,end`` and, all three or none, ``gx,gy,gz``.
 
-    ``table`` is CSV with the columns ``position``, a mean for each channel (``x``, ...), and optionally a direction
-    (``gx``, ``gy``, ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``; or a JSON
-    list of objects with these keys; or such rows. An InputError names file, line and column.
+    A position may come more than once: in consecutive rows they are parts of one placement that was interrupted,
+    elsewhere the sensor was put there again. An InputError names file, line and column.
+    """
+    path = segments if isinstance(segments, str | Path) else "the segments"
+    read = []
+    for row in table_rows(segments, path, keys_of(SegmentRow)):
+        stated = row.read(SegmentRow)
+        if stated.start >= stated.end:
+            raise row.error(f"the end {stated.end} is not after the start {stated.start}; the end is exclusive", "end")
+        read.append(Segment(stated.position, stated.start, stated.end, stated.vector(row), row.line))
+    if not read:
+        raise InputError("the file has no segment", file=path)
+    for before, after in pairwise(sorted(read, key=lambda segment: segment.start)):
+        if after.start < before.end:
+            also = "and" if before.line is None else f"and, by line {before.line},"
+            both = f"rows {after.start} to {min(before.end, after.end) - 1} belong to {after.name!r} {also} to"
+            raise InputError(f"{both} {before.name!r}; segments do not overlap", file=path, line=after.line)
+    return read
+
+
+def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition]:
+    """Read and check a table of positions, in the order of the file; an InputError names file, line and column.
+
+    Its columns are ``position``, a mean for each channel (``x``, ...), and optionally a direction (``gx``, ``gy``,
+    ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``.
     """
     absent = [f"{lead}{axis}" for axis in AXES if axis not in channels for lead in ("", "u")]
     keys = {key: needed or key in channels for key, needed in keys_of(TabledRow).items() if key not in absent}
@@ -196,13 +186,10 @@ def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition
     if not positions:
         raise InputError("the table has no position", file=path)
     stated = [position for position in positions if position.u is not None]
-    if stated and len(stated) < len(positions):
-        silent = next(position for position in positions if position.u is None)
-        raise InputError(
-            f"{silent.name} has no uncertainty, and {stated[0].name} has one: give it for every position, or for none",
-            file=path,
-            line=silent.line,
-        )
+    silent = next((position for position in positions if position.u is None), None)
+    if stated and silent is not None:
+        why = f"{silent.name} has no uncertainty, and {stated[0].name} has one: give it for every position, or for none"
+        raise InputError(why, file=path, line=silent.line)
     return positions
 
 

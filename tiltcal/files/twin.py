@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import product
-from math import radians
+from math import inf, radians
 from pathlib import Path
 from typing import Annotated
 
@@ -134,15 +134,12 @@ class StageFile(TwinFile, kw_only=True):
 
 
 def read_twin(path: str | Path, seed: int | None = None) -> tuple[str | None, Truth]:
-    """Read and check a twin file; an InputError names file, line and key.
-
-    Return the sensor model that it is for, None where it fits any, and the truth; ``seed`` replaces the file's.
-    """
+    """Read and check a twin file; an InputError names file, line and key."""
     return twin_of(read_document(path), seed)
 
 
 def twin_of(document: Document, seed: int | None = None) -> tuple[str | None, Truth]:
-    """Return the sensor model that a twin file is for, and the truth; errors are those of :func:`read_twin`."""
+    """Return the sensor model that a twin file is for, None where it fits any, and the truth with another seed."""
     body = document.body("twin")
     section, place = body.data.get("truth"), body.at("truth")
     file = body.read(StageFile if isinstance(section, dict) and "disk" in section else TwinFile)
@@ -183,20 +180,16 @@ def _truth_of(section: TruthSection, place: Document) -> Truth:
     )
     for channel, temperature in product(channels, (*TEMPERATURES, truth.ambient)):
         up = (float(channel == "x"), float(channel == "y"), float(channel == "z"))
-        if not _reads(truth, channel, up, temperature):
+        try:
+            reading = truth.reading(channel, up, temperature)
+        except OverflowError:
+            reading = inf
+        if not abs(reading) <= LARGEST:
             raise place.error(
                 f"{channel} would read more than {LARGEST:g} at {temperature:g} °C: look at its coefficients, at the "
                 "reference temperature and at ambient"
             )
     return truth
-
-
-def _reads(truth: Truth, channel: str, up: tuple[float, float, float], temperature: float) -> bool:
-    """Return whether a reading is one that a sensor could give."""
-    try:
-        return abs(truth.reading(channel, up, temperature)) <= LARGEST
-    except OverflowError:
-        return False
 
 
 def _stage_of(section: StageSection, place: Document) -> Truth:
@@ -208,10 +201,15 @@ def _stage_of(section: StageSection, place: Document) -> Truth:
         stated["gradient"] = (disk.gradient.differential, disk.gradient.cross)
     if parts is not None:
         place.require_keys(parts, CHANNELS, "disk", "accelerometers", complete=True)
-        stated["accelerometers"] = tuple(_accelerometer_of(parts[name]) for name in CHANNELS)
+        stated["accelerometers"] = tuple(
+            Accelerometer(
+                one.scale,
+                radians(one.misalignment),
+                radians(one.phase_error),
+                one.offset,
+                one.drift,
+                one.second_order,
+            )
+            for one in map(parts.__getitem__, CHANNELS)
+        )
     return StageTruth.of(Disk(**stated), Truth.seed)
-
-
-def _accelerometer_of(part: AccelerometerSection) -> Accelerometer:
-    angles = radians(part.misalignment), radians(part.phase_error)
-    return Accelerometer(part.scale, *angles, part.offset, part.drift, part.second_order)

@@ -10,7 +10,7 @@ from typing import Any, Unpack, overload
 
 from tiltcal.calibration.comparison import Comparison, compare_records
 from tiltcal.calibration.record import compensation_of, limits_of, record_in, stated_mounting, with_mounting
-from tiltcal.calibration.summary import summary
+from tiltcal.calibration.wording import summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
 from tiltcal.errors import UsageError

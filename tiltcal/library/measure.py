@@ -16,14 +16,13 @@ from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, 
 from tiltcal.calibration.checks import require_no_jig, unchecked
 from tiltcal.calibration.level import NO_LEVEL
 from tiltcal.calibration.prediction import predict
-from tiltcal.calibration.summary import NOT_FOLLOWED, level_summary, summary, verdict
+from tiltcal.calibration.wording import NOT_FOLLOWED, level_summary, summary, verdict
 from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.model import link_in_words
 from tiltcal.errors import HardwareError, JournalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
-from tiltcal.files.base_calibration import bases_of
 from tiltcal.files.bench import BenchFile
-from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, bases_of, read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Procedure, find_procedure

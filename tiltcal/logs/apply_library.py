@@ -5,18 +5,19 @@ Between two calibrations gravity is interpolated from what both make of a row, a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from itertools import pairwise
 from math import cos, inf, radians
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.calibration.record import limits_of
-from tiltcal.calibration.summary import objections
-from tiltcal.core.flags import NO_TEMPERATURE, OUTSIDE_TIME, SUSPECT, mark_columns
+from tiltcal.calibration.record import limits_of, stated_mounting, with_mounting
+from tiltcal.calibration.season import CalibrationFolder, SensorHistory
+from tiltcal.calibration.wording import objections
+from tiltcal.core.flags import OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.heading import HEADING, full_circle
 from tiltcal.core.model import Array
 from tiltcal.core.mounting_angles import mounting_matrix
@@ -24,20 +25,21 @@ from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
 from tiltcal.files.uncertainty import length_tolerance
-from tiltcal.logs.columns import TEMPERATURE, TIME, SensorColumns, named_columns
-from tiltcal.logs.kernel import Kernel, LagCorrection, PreparedCalibration, RoleValues, RowRemarks, prepare
+from tiltcal.logs.columns import TIME, named_columns
+from tiltcal.logs.kernel import (
+    Kernel,
+    PreparedCalibration,
+    PreparedSensor,
+    RoleValues,
+    RowRemarks,
+    prepare,
+    tilt_kernel,
+)
 from tiltcal.logs.log import LogReader, Table
 from tiltcal.logs.options import ApplyOptions, silent
 from tiltcal.logs.streams import sha256_of
 from tiltcal.logs.text_to_numbers import no_time_yet
-from tiltcal.options import complete
 from tiltcal.stated_arguments import require_from_zero
-
-if TYPE_CHECKING:
-    from tiltcal.calibration.season import CalibrationFolder, SensorHistory
-    from tiltcal.files.calibration import CalibrationRecord
-
-T = TypeVar("T")
 
 FARTHEST_TURN = 5.0
 """Degrees by which two mountings may differ to have others between them."""
@@ -57,11 +59,7 @@ _WITHOUT_UNCERTAINTY: ApplyOptions = {
 }
 
 
-def prepare_library(
-    library: CalibrationFolder,
-    log: LogReader,
-    options: ApplyOptions,
-) -> PreparedCalibration:
+def prepare_library(library: CalibrationFolder, log: LogReader, options: ApplyOptions) -> PreparedCalibration:
     """Find the calibrations of a log's sensors and make them ready.
 
     UsageError: the log and the options do not name a sensor of the folder, or name different ones.
@@ -72,10 +70,10 @@ def prepare_library(
     start = None if options["start"] is None else moment(options["start"]).timestamp()
     for problem in library.index.problems:
         say(f"note: left out: {problem}")
-    found = _serials(library, log, options)
-    leads = [lead for _, lead in found]
-    parts = []
-    for history in [library.history(serial) for serial, _ in found]:
+    prepared: list[PreparedCalibration] = []
+    sensors = []
+    for serial, lead in _serials(library, log, options):
+        history = library.history(serial)
         for remark in history.remarks:
             say(f"note: {remark}")
         for calibration in history.calibrations[:-1]:
@@ -83,13 +81,17 @@ def prepare_library(
                 say(f"note: {calibration.name}: {objection}")
         if options["uncertainty"]:
             _say_stability(history, options["stability"], say)
-        parts.append(_prepare_sensor(history, options, start, log.name))
-    others = parts[0].roles
-    named = named_columns(options["columns"], [name for part in parts for name in part.channels], others)
-    roles = others if start is not None and named.get(TIME, TIME) not in log.names else (TIME, *others)
-    if leads == [""]:
-        return replace(parts[0], roles=roles)
-    return _bench(leads, parts, log.names, roles)
+        origin = {
+            "calibration": ", ".join(calibration.name for calibration in history.calibrations),
+            "sha256": ", ".join(sha256_of(calibration.path) for calibration in history.calibrations),
+        }
+        prepared.append(prepare(history.calibrations[-1].record, options, origin=origin))
+        (last,) = prepared[-1].sensors
+        sensors.append(replace(last, kernel=LibraryKernel(history, options, last, start, log.name), lead=lead))
+    whole = replace(prepared[0], sensors=tuple(sensors))
+    named = named_columns(options["columns"], whole.channels, whole.roles)
+    needs_time = start is None or named.get(TIME, TIME) in log.names
+    return replace(whole, roles=(TIME, *whole.roles)) if needs_time else whole
 
 
 def _serials(library: CalibrationFolder, log: LogReader, options: ApplyOptions) -> list[tuple[str, str]]:
@@ -136,74 +138,44 @@ def _say_stability(history: SensorHistory, stability: float | None, say: Callabl
         )
 
 
-def _prepare_sensor(
-    history: SensorHistory, options: ApplyOptions, start: float | None, log: str
-) -> PreparedCalibration:
-    calibrations = history.calibrations
-    origin = {
-        "calibration": ", ".join(calibration.name for calibration in calibrations),
-        "sha256": ", ".join(sha256_of(calibration.path) for calibration in calibrations),
-    }
-    template = prepare(calibrations[-1].record, options, origin=origin)
-    kernel = LibraryKernel(history, options, template, start, log)
-    alone = complete(ApplyOptions, {name: options[name] for name in ("first_order", "mounting")})
-    readings = template.readings and _prepare_sensor(history, alone, start, log)
-    return replace(template, kernel=kernel, readings=readings)
-
-
 class LibraryKernel:
     """The compensation of a sensor by the calibrations before and after each row.
 
     Between two, gravity is interpolated from what both make of a row; the worse flag counts. Before the first and after
     the last, and of different mountings, the nearer in time is taken. An uncertainty is that of the calibration at the
-    middle of a step, of which there are 64 between two.
-
-    Parameters
-    ----------
-    template : PreparedCalibration
-        The last calibration: each compensation gives its columns, and adds to its remarks.
-    start : float or None
-        When the time of the log is 0, seconds since 1970; None where its time counts from 1970.
+    middle of a step, of which there are 64 between two. ``last`` is the last calibration, whose columns each gives;
+    ``start`` is when the time of the log is 0, seconds since 1970.
     """
 
     def __init__(
-        self,
-        history: SensorHistory,
-        options: ApplyOptions,
-        template: PreparedCalibration,
-        start: float | None,
-        log: str,
+        self, history: SensorHistory, options: ApplyOptions, last: PreparedSensor, start: float | None, log: str
     ) -> None:
-        self.columns, self._remarks = template.kernel.columns, template.remarks[""]
+        self.columns = last.kernel.columns
+        self._remarks = last.remarks if last.judge is None else RowRemarks()
         self._options: ApplyOptions = {**options, "say": silent}
         self._plain: ApplyOptions = {**self._options, **_WITHOUT_UNCERTAINTY}
         self._start, self._log = start, log
-        last = history.calibrations[-1].record
-        mounting = last.coefficients.mounting
         records = [one.record for one in history.calibrations]
         if options["mounting"]:  # it replaces that of each
-            records = [replace(one, coefficients=replace(one.coefficients, mounting=mounting)) for one in records]
+            mounting = stated_mounting(options["mounting"])
+            records = [with_mounting(one, mounting) for one in records]
         self._length = max(length_tolerance(one.uncertainty, one.coefficients, one.limits) for one in records)
-        rails = limits_of(last).reading
-        self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in last.coefficients.channels}
+        rails = limits_of(records[-1]).reading
+        self._rails = {channel: rails.get(channel, (-inf, inf)) for channel in last.channels}
         dated = zip(history.calibrations, records, strict=True)
         self._history = replace(history, calibrations=tuple(replace(one, record=record) for one, record in dated))
         self._dates = np.array([calibration.date.timestamp() for calibration in history.calibrations])
         self._joined = [_joined(self._history, k) for k in range(len(records) - 1)]
-        self._edges = _steps(self._dates) if options["uncertainty"] else self._dates
+        edges = _steps(self._dates) if options["uncertainty"] else self._dates
         middles = [self._dates[k : k + 2].mean() for k, joined in enumerate(self._joined) if not joined]
-        self._edges = np.unique([*self._edges, *middles])
+        self._edges = np.unique([*edges, *middles])
         self._kernels: dict[tuple[float, bool, bool], Kernel] = {}
         self._last: float | None = None
-        thermal = last.coefficients.thermal
-        self._correct_lag = LagCorrection(0.0 if thermal is None else thermal.lag)
 
     def __call__(self, values: RoleValues) -> Table:
         time = self._times(values)
-        values, lost = self._correct_lag(replace(values, time=time))
         table = self._compensated(values, time)
-        table = mark_columns(table, (time < self._dates[0]) | (time > self._dates[-1]), SUSPECT, OUTSIDE_TIME)
-        return table if lost is None else mark_columns(table, lost, SUSPECT, NO_TEMPERATURE)
+        return mark_columns(table, (time < self._dates[0]) | (time > self._dates[-1]), SUSPECT, OUTSIDE_TIME)
 
     def _compensated(self, values: RoleValues, time: Array) -> Table:
         steps = np.searchsorted(self._edges, time, "right")
@@ -236,12 +208,11 @@ class LibraryKernel:
         """Return the compensation by the calibration of a time: without uncertainty, and counted for the remarks."""
         if (key := (time, plain, counts)) not in self._kernels:
             dated = [one.record for one in self._history.calibrations if one.date.timestamp() == time]
-            record = _without_lag(dated[0] if dated else self._history.at(time, self._options["stability"]))
+            record = dated[0] if dated else self._history.at(time, self._options["stability"])
             # With them stated, nothing looks for the sensor's model in each step.
             record = replace(record, limits=replace(record.limits, reading=self._rails, length=self._length))
-            options = self._plain if plain else self._options
-            remarks = self._remarks if counts else RowRemarks()
-            self._kernels[key] = prepare(record, options, remarks=remarks).kernel
+            options, remarks = self._plain if plain else self._options, self._remarks if counts else RowRemarks()
+            self._kernels[key] = tilt_kernel(record, options, remarks)
         return self._kernels[key]
 
     def _times(self, values: RoleValues) -> Array:
@@ -323,91 +294,6 @@ def _interpolated(before: Mapping[str, Any], after: Mapping[str, Any], share: Ar
     return table
 
 
-def _without_lag(record: CalibrationRecord) -> CalibrationRecord:
-    """Return a calibration whose thermal lag is left to the temperatures, which go on from one step to the next."""
-    coefficients = record.coefficients
-    if coefficients.thermal is None or not coefficients.thermal.lag:
-        return record
-    thermal = replace(coefficients.thermal, lag=0.0)
-    return replace(record, coefficients=replace(coefficients, thermal=thermal))
-
-
-@dataclass(frozen=True)
-class BenchKernel:
-    """The compensation of several sensors whose readings stand side by side in one log.
-
-    Attributes
-    ----------
-    parts : sequence of (SensorColumns, Kernel)
-        Where the columns of each sensor stand among the readings, and its compensation.
-    """
-
-    parts: Sequence[tuple[SensorColumns, Kernel]]
-    columns: tuple[str, ...]
-
-    def __call__(self, values: RoleValues) -> Table:
-        table = {}
-        own = values.readings.T
-        for number, (sensor, kernel) in enumerate(self.parts):
-            part = replace(
-                values,
-                readings=own[list(sensor.readings)].T,
-                temperature=values.temperature if sensor.thermometer is None else own[sensor.thermometer],
-                count=None if values.count is None else values.count[:, number],
-            )
-            table.update({f"{sensor.lead}{name}": column for name, column in kernel(part).items()})
-        return table
-
-
-def _bench(
-    leads: Sequence[str], parts: Sequence[PreparedCalibration], names: Sequence[str], roles: tuple[str, ...]
-) -> PreparedCalibration:
-    """Return the calibrations of several sensors as one; ``leads`` are what the names of their columns begin with."""
-    kernels: list[tuple[SensorColumns, Kernel]] = []
-    readings = [part.readings for part in parts if part.readings is not None]
-    channels: list[str] = []
-    for lead, part in zip(leads, parts, strict=True):
-        first = len(channels)
-        channels += [f"{lead}{channel}" for channel in part.channels]
-        own = tuple(range(first, len(channels)))
-        thermometer = f"{lead}{TEMPERATURE}"
-        if thermometer in names:
-            channels.append(thermometer)
-        columns = SensorColumns(lead, own, len(channels) - 1 if thermometer in names else None)
-        kernels.append((columns, part.kernel))
-
-    def led(wanted: Callable[[PreparedCalibration], Sequence[str]]) -> tuple[str, ...]:
-        return tuple(f"{lead}{name}" for lead, part in zip(leads, parts, strict=True) for name in wanted(part))
-
-    def led_values(wanted: Callable[[PreparedCalibration], Mapping[str, T]]) -> dict[str, T]:
-        return {
-            f"{lead}{name}": value
-            for lead, part in zip(leads, parts, strict=True)
-            for name, value in wanted(part).items()
-        }
-
-    return PreparedCalibration(
-        BenchKernel(kernels, led(lambda part: part.kernel.columns)),
-        tuple(channels),
-        led_values(lambda part: part.units),
-        led(lambda part: part.angles),
-        led(lambda part: part.watched),
-        {
-            "software": parts[0].origin["software"],
-            **{key: ", ".join(part.origin[key] for part in parts) for key in ("calibration", "sha256", "serial")},
-        },
-        roles,
-        vectors=parts[0].vectors,
-        averaging=parts[0].averaging,
-        sensors=tuple(columns for columns, _ in kernels),
-        lagged=any(part.lagged for part in parts),
-        readings=_bench(leads, readings, names, roles) if len(readings) == len(parts) else None,
-        remarks=led_values(lambda part: part.remarks),
-    )
-
-
-def _taken(values: RoleValues, rows: slice | NDArray[np.intp]) -> RoleValues:
+def _taken(values: RoleValues, rows: NDArray[np.intp]) -> RoleValues:
     """Return some of the rows."""
-    if isinstance(rows, slice) and rows == slice(0, len(values)):
-        return values
     return replace(values, **{name: column[rows] for name, column in vars(values).items() if column is not None})

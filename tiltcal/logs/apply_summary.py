@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiltcal.core.flags import FLAGS, REASONS, count_flags
 from tiltcal.core.model import Array
@@ -49,7 +49,7 @@ class ColumnWidths:
         return self._largest if self._counts.any() else None
 
 
-@dataclass
+@dataclass(repr=False)
 class ApplySummary:
     """The counts of an applied log: rows by flag and by reason.
 
@@ -71,39 +71,27 @@ class ApplySummary:
 
     def add(self, table: Table, bad_rows: int = 0) -> None:
         """Count some rows, and those of them that could not be parsed."""
-        if "flag" not in table:
-            table = {**table, **self._worst(table)}
-        flag, reason = (np.asarray(table[name], np.uint16) for name in ("flag", "reason"))
         for name, widths in self.widths.items():
             widths.add(np.asarray(table[name], dtype=float))
-        self.rows += len(flag)
+        flags, reasons = [], []
+        for lead in [name.removesuffix("flag") for name in table if name.rpartition("_")[2] == "flag"]:
+            flags.append(np.asarray(table[f"{lead}flag"], np.uint16))
+            reasons.append(np.asarray(table[f"{lead}reason"], np.uint16))
+            if lead:
+                of_sensor = self.sensors.setdefault(lead.removesuffix("_"), ApplySummary())
+                of_sensor.add({"flag": flags[-1], "reason": reasons[-1]})
+        self.rows += len(flags[0])
         self.bad_rows += bad_rows
-        count_flags(self.flags, self.reasons, flag, reason)
+        count_flags(self.flags, self.reasons, np.maximum.reduce(flags), np.bitwise_or.reduce(reasons))
 
-    def _worst(self, table: Table) -> Table:
-        """Count the rows of each of several sensors; return the worst flag of each row and all its reasons."""
-        worst: dict[str, NDArray[np.uint16]] = {}
-        for lead in (name.removesuffix("flag") for name in table if name.endswith("_flag")):
-            flag, reason = (np.asarray(table[lead + name], np.uint16) for name in ("flag", "reason"))
-            self.sensors.setdefault(lead.removesuffix("_"), ApplySummary()).add({"flag": flag, "reason": reason})
-            worst["flag"] = np.maximum(worst.get("flag", flag), flag)
-            worst["reason"] = worst.get("reason", reason) | reason
-        return worst
-
-    def as_data(self) -> dict[str, object]:
+    def as_data(self) -> dict[str, Any]:
         """Return the counts as plain data, every flag and reason that occurred."""
-        widths = {name: {"median": width.median, "largest": width.largest} for name, width in self.widths.items()}
-        return {
-            "rows": self.rows,
-            **self._counts(),
-            "bad_rows": self.bad_rows,
-            **({"uncertainty": widths} if widths else {}),
-            **(
-                {"sensors": {serial: sensor._counts() for serial, sensor in self.sensors.items()}}
-                if self.sensors
-                else {}
-            ),
-        }
+        data = {"rows": self.rows, **self._counts(), "bad_rows": self.bad_rows}
+        if self.widths:
+            data["uncertainty"] = {n: {"median": w.median, "largest": w.largest} for n, w in self.widths.items()}
+        if self.sensors:
+            data["sensors"] = {serial: sensor._counts() for serial, sensor in self.sensors.items()}
+        return data
 
     def _counts(self) -> dict[str, dict[str, int]]:
         return {
@@ -115,17 +103,9 @@ class ApplySummary:
         """Return the counts in words, one line for each."""
         lines = [counted(self.rows, "row")]
         for serial, summary in (self.sensors or {"": self}).items():
-            lead = f"{serial} " if serial else ""
-            lines += [
-                f"  {lead}flag {flag} {name}: {summary.flags[flag]}"
-                for flag, name in FLAGS.items()
-                if summary.flags[flag]
-            ]
-            lines += [
-                f"  {lead}reason {bit} {why}: {summary.reasons[bit]}"
-                for bit, why in REASONS.items()
-                if summary.reasons[bit]
-            ]
+            lead = f"  {serial} " if serial else "  "
+            for what, names, counts in (("flag", FLAGS, summary.flags), ("reason", REASONS, summary.reasons)):
+                lines += [f"{lead}{what} {code} {name}: {counts[code]}" for code, name in names.items() if counts[code]]
         if self.bad_rows:
             lines.append(f"  {counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
         if self.widths:

@@ -20,8 +20,7 @@ from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.files.base_calibration import bases_of
-from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
+from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, bases_of, read_calibration
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.record import Record, keys_of
@@ -30,13 +29,13 @@ from tiltcal.files.tables import Segment, SegmentRow, TabledRow, read_positions,
 from tiltcal.logs.columns import named_columns, require_celsius, require_unit
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
-from tiltcal.logs.interval_samples import SOAKS, TO_THE_END, Rails
 from tiltcal.logs.log import Progress
+from tiltcal.logs.numbers import RecordedReadings, read_readings
 from tiltcal.logs.options import FitOptions
-from tiltcal.logs.ramp import read_ramp
-from tiltcal.logs.recorded_readings import RecordedReadings, read_readings
-from tiltcal.logs.static_detection import WINDOWS, choice_table, find_still, still_segments
-from tiltcal.logs.static_intervals import (
+from tiltcal.logs.positions import (
+    SOAKS,
+    TO_THE_END,
+    Rails,
     StaticInterval,
     intervals_of,
     intervals_of_table,
@@ -44,6 +43,8 @@ from tiltcal.logs.static_intervals import (
     require_positions,
     unplaced,
 )
+from tiltcal.logs.ramp import read_ramp
+from tiltcal.logs.still import WINDOWS, choice_table, find_still
 from tiltcal.logs.streams import imported_meanwhile, sha256_of
 from tiltcal.stated_arguments import require_name
 
@@ -105,15 +106,7 @@ def fit_recorded(
 
 @dataclass(frozen=True)
 class FitPositions:
-    """The positions of recorded data.
-
-    Attributes
-    ----------
-    provenance : Provenance
-        Names and checksums of what was read.
-    ramp : RampRecord or None
-        Of a ramp, the continuous record.
-    """
+    """The positions of recorded data, names and checksums of what was read, and of a ramp its continuous record."""
 
     measurements: Sequence[Measurement]
     provenance: Provenance
@@ -187,19 +180,11 @@ class FitSource:
         """Return positions in the directions of a procedure, or in those that the segments give."""
         thermal = procedure.determines.drift or procedure.determines.gain
         soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if thermal else 0.0
-        intervals, provenance = self._whole(sensor, procedure) if self.finds else self._given(sensor, procedure, soak)
+        intervals, provenance = self._intervals(sensor, procedure, soak)
         return FitPositions(placed(intervals, procedure, file=self._name), provenance)
 
     def ramp(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
-        """Return the continuous record of a ramp: the whole log, or the rows of its one segment.
-
-        Raises
-        ------
-        InputError
-            A file is wrong, or there are several segments; the message names file and line.
-        EstimateError
-            The record has too few rows.
-        """
+        """Return the continuous record of a ramp: the whole log, or the rows of its one segment."""
         segment = None
         if self.segments is not None:
             segment, *more = read_segments(_path_or_rows(self.segments, "the segments", SegmentRow))
@@ -228,23 +213,15 @@ class FitSource:
         return FitPositions([attitude], provenance.replaced(log=log), found)
 
     def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
-        """Positions of a sensor of three channels whose directions the readings will show.
-
-        Raises
-        ------
-        InputError
-            A file is wrong; the message names file and line.
-        EstimateError
-            No static intervals are found.
-        """
+        """Return positions of a sensor of three channels whose directions the readings will show."""
         if not self.finds:
-            intervals, provenance = self._given(sensor)
+            intervals, provenance = self._intervals(sensor)
             return FitPositions(unplaced(intervals), provenance)
         windows = WINDOWS if self.window is None else (self.window,)
         record = self._record(sensor)
-        chosen, tried = find_still(record, windows)
+        chosen, tried = find_still(record.columns, windows)
         say(choice_table(chosen, tried, sensor.unit))
-        found = still_segments(chosen)
+        found = chosen.segments
         intervals = intervals_of(record, found, self.rails, file=record.name)
         attitudes = [] if chosen.fit is None else chosen.fit.attitudes.tolist()
         for interval, (x, y, z) in zip(intervals, attitudes, strict=True):
@@ -267,31 +244,30 @@ class FitSource:
             return str(self.segments) if isinstance(self.segments, str | Path) else "the segments"
         return str(self.data) if isinstance(self.data, str | Path) else "the table"
 
-    def _given(
+    def _intervals(
         self, sensor: SensorIdentity, procedure: Procedure | None = None, soak: float = 0.0
     ) -> tuple[list[StaticInterval], Provenance]:
         """Return what the sensor read in the segments or the table that were given, and where these come from.
 
-        Their names are checked before the log is read, which may be long, if the procedure has to say directions.
+        The whole log is the one position of a procedure where none were given. Their names are checked before the log
+        is read, which may be long, if the procedure has to say directions.
         """
-        if self.segments is None:
+        if self.table:
             table = read_positions(_path_or_rows(self.data, "the table", TabledRow), sensor.channels)
             if procedure is not None:
                 require_positions(table, procedure, file=self._name)
             return intervals_of_table(table), self._provenance()
-        segments = read_segments(_path_or_rows(self.segments, "the segments", SegmentRow))
+        whole = self.finds and procedure is not None
+        if procedure is not None and whole:
+            segments = [Segment(procedure.positions[0].name, 0, TO_THE_END, None, None)]
+        else:
+            segments = read_segments(_path_or_rows(self.segments, "the segments", SegmentRow))
         if procedure is not None:
             require_positions(segments, procedure, file=self._name)
         record = self._record(sensor)
-        intervals = intervals_of(record, segments, self.rails, file=self._name, soak=soak)
-        return intervals, self._provenance(record, _origin(self.segments, SegmentsRecord), _times(intervals))
-
-    def _whole(self, sensor: SensorIdentity, procedure: Procedure) -> tuple[list[StaticInterval], Provenance]:
-        """What the sensor read in the one position of a procedure, which is the whole log."""
-        record = self._record(sensor)
-        whole = [Segment(procedure.positions[0].name, 0, TO_THE_END, None, None)]
-        intervals = intervals_of(record, whole, self.rails, file=record.name)
-        return intervals, self._provenance(record, times=_times(intervals))
+        intervals = intervals_of(record, segments, self.rails, file=record.name if whole else self._name, soak=soak)
+        origin = None if whole else _origin(self.segments, SegmentsRecord)
+        return intervals, self._provenance(record, origin, _times(intervals))
 
     def _record(self, sensor: SensorIdentity) -> RecordedReadings:
         """Read the log."""

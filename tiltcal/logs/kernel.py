@@ -2,64 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 import tiltcal
 from tiltcal.calibration.record import compensation_of, mounting_in_words, stated_mounting, with_mounting
-from tiltcal.calibration.summary import objections
-from tiltcal.core.compensation import Compensated, Compensation
-from tiltcal.core.flags import MISSING, NO_DIRECTION, NO_TEMPERATURE, SUSPECT, Mask, mark
+from tiltcal.calibration.wording import objections
+from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
+from tiltcal.core.earth_compensation import EarthFrameCompensation
+from tiltcal.core.earth_uncertainty import EarthUncertainty
+from tiltcal.core.flags import NO_DIRECTION, Mask
 from tiltcal.core.model import Array
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.core.uncertainty_columns import uncertainty_columns, with_shares
+from tiltcal.core.uncertainty_propagation import Propagation
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord
 from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.logs.apply_summary import ColumnWidths
 from tiltcal.logs.cf_attributes import COUNT, DEGREE
-from tiltcal.logs.columns import HEADING, TIME, SensorColumns
+from tiltcal.logs.columns import HEADING, TIME
 from tiltcal.logs.log import Table
 from tiltcal.logs.means import GroupSize
 from tiltcal.logs.options import ApplyOptions, require_consistent, vectors
 from tiltcal.options import complete
 from tiltcal.printable import counted
 
-if TYPE_CHECKING:
-    from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
-    from tiltcal.core.compensation import KernelChunk
-    from tiltcal.core.earth_compensation import EarthFrameCompensation
-    from tiltcal.core.uncertainty_propagation import Propagation
-
 _USUAL = 0.005  # g, by which the median length of gravity of a log may differ from 1 g without a remark
 
 
 @dataclass(frozen=True)
 class RoleValues:
-    """The values of some rows of a log, by role; NaN where one is missing.
+    """The values of n rows of a log, by role: NaN where one is missing, None where the log has none.
 
-    Attributes
-    ----------
-    readings : ndarray, shape (n, channels)
-        Raw readings, in the order of the calibration's channels.
-    temperature : ndarray, shape (n,), or None
-        °C; None where the log has none.
-    time : ndarray, shape (n,), or None
-        Seconds; None where the kernel does not ask for it.
-    magnetometer, velocity : ndarray, shape (n, 3), or None
-        In the unit of their columns; None where they are not asked for.
-    heading : ndarray, shape (n,), or None
-        Degrees; None where it is not asked for.
-    count : ndarray of int, shape (n,), of several sensors (n, sensors), or None
-        Of how many rows of the log each row is the mean; None where it is none.
+    ``readings`` (n, channels) are in the order of the channels, ``temperature`` (n,) in °C, ``time`` (n,) in seconds,
+    ``magnetometer`` and ``velocity`` (n, 3) in the unit of their columns, ``heading`` (n,) in degrees; ``count`` (n,)
+    is of how many rows each row is the mean.
     """
 
     readings: Array
@@ -80,12 +66,10 @@ class Kernel(Protocol):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns that a call gives; ``flag`` and ``reason`` are among them."""
+        """Names of the columns that a call gives, in order; ``flag`` and ``reason`` are among them."""
         ...
 
-    def __call__(self, values: RoleValues) -> Table:
-        """Return the columns of some rows, under the names and in the order of :attr:`columns`."""
-        ...
+    def __call__(self, values: RoleValues) -> Table: ...
 
 
 class RowRemarks:
@@ -113,13 +97,7 @@ class RowRemarks:
 
 
 class LagCorrection:
-    """The temperature of the sensing element in place of the thermometer's; it remembers the rows before.
-
-    Parameters
-    ----------
-    lag : float
-        Of the element behind the thermometer, seconds.
-    """
+    """The temperature of the sensing element in place of the thermometer's; it remembers the rows before."""
 
     def __init__(self, lag: float) -> None:
         self._lag = ThermalLag(lag) if lag else None
@@ -137,47 +115,35 @@ class LagCorrection:
 
 
 class TiltKernel:
-    """The compensation of a tilt sensor, and what is added to it, in this order.
+    """The compensation of a tilt sensor, then the uncertainty of its angles, then heading and earth velocities.
 
-    Parameters
-    ----------
-    uncertain : CompensationWithUncertainty, optional
-        Adds the uncertainty of every angle.
-    earth : EarthFrameCompensation, optional
-        Adds heading and earth velocities.
-    averaged : bool
-        Rows are means of :attr:`RoleValues.count` rows: uncertainties have a random and a common share.
-    lag : float
-        By how much its element is later than the thermometer, s. Rows without a time are compensated with the
-        temperature of the thermometer, and have flag 3 and reason 16.
-    remarks : RowRemarks, optional
-        Counts the rows.
+    Where ``averaged`` rows are means of :attr:`RoleValues.count` rows, and uncertainties have a random and a common
+    share. ``remarks`` counts the rows.
     """
 
     def __init__(
         self,
         compensation: Compensation,
-        uncertain: CompensationWithUncertainty | None = None,
+        propagation: Propagation | None = None,
         earth: EarthFrameCompensation | None = None,
-        lag: float = 0.0,
         averaged: bool = False,
         remarks: RowRemarks | None = None,
     ) -> None:
-        self._compensation, self._uncertain, self._earth = compensation, uncertain, earth
-        self._correct_lag = LagCorrection(lag)
-        self._averaged = averaged
-        self._remarks = remarks or RowRemarks()
-        names = [*compensation.columns]
-        if uncertain is not None:
-            names += uncertainty_columns(compensation.angles, averaged=averaged)
-        self._own = len(names)
-        self.columns = (*names, *(() if earth is None else earth.columns))
+        self._compensation, self._propagation, self._earth = compensation, propagation, earth
+        self._averaged, self._remarks = averaged, remarks or RowRemarks()
+        uncertain = () if propagation is None else uncertainty_columns(compensation.angles, averaged=averaged)
+        self._uncertain = len(uncertain)
+        self.columns = (*compensation.columns, *uncertain, *(() if earth is None else earth.columns))
+
+    @property
+    def expanded(self) -> tuple[str, ...]:
+        """Names of the columns that hold half widths of 95 % intervals."""
+        own = () if self._propagation is None else tuple(f"U95_{angle}" for angle in self._compensation.angles)
+        return (*own, *(() if self._earth is None else self._earth.expanded))
 
     def __call__(self, values: RoleValues) -> Table:
-        values, lost = self._correct_lag(values)
         out = Compensated.empty(len(values), len(self._compensation.axes))
         table = self._compensation.table(out)
-        own = self._own - len(table)
         added = np.empty((len(self.columns) - len(table), len(values)))
         with np.errstate(all="ignore"):
             for chunk in self._compensation.chunks(values.readings, values.temperature, out):
@@ -185,22 +151,19 @@ class TiltKernel:
                 self._remarks.add(chunk, on_edge=self._compensation.on_edge)
                 if values.count is not None:
                     chunk = replace(chunk, share=1.0 / np.maximum(values.count[rows], 1))
-                if self._uncertain is not None:
-                    self._add_uncertainties(self._uncertain.propagation, chunk, added[:own, rows])
+                if self._propagation is not None:
+                    self._add_uncertainties(self._propagation, chunk, added[: self._uncertain, rows])
                 if self._earth is not None:
                     given = (values.magnetometer, values.heading, values.velocity)
-                    added[own:, rows] = self._earth(
+                    added[self._uncertain :, rows] = self._earth(
                         chunk, *(None if values is None else values[rows] for values in given)
                     )
-        if lost is not None:
-            mark(out, lost & (out.flag != MISSING), SUSPECT, NO_TEMPERATURE)
         return table | dict(zip(self.columns[len(table) :], added, strict=True))
 
     def _add_uncertainties(self, propagation: Propagation, chunk: KernelChunk, out: Array) -> None:
         if self._averaged:
-            out[...] = with_shares(
-                propagation(chunk, rounded=False), propagation(replace(chunk, share=0.0), rounded=False)
-            )
+            common = propagation(replace(chunk, share=0.0), rounded=False)
+            out[...] = with_shares(propagation(chunk, rounded=False), common)
         else:
             propagation(chunk, out.reshape(2, -1, out.shape[1]))
 
@@ -217,59 +180,74 @@ class PairKernel:
 
 
 @dataclass(frozen=True)
-class PreparedCalibration:
-    """A calibration, ready for the rows of one log: a kernel may remember those that have passed.
+class PreparedSensor:
+    """A sensor, or pairs, ready for the rows of one log.
 
     Attributes
     ----------
-    channels : tuple of str
-        The readings that it takes.
     units : mapping of str to str
         Of each reading; of pairs that of the stage angle alone: the unit of the others does not matter.
-    angles : tuple of str
-        The added columns that are angles.
-    watched : tuple of str
-        The columns to be summed up.
     origin : mapping of str to str
-        What a file made with it should state: ``software``; of a file ``calibration`` and ``sha256``; of a sensor
-        ``serial``.
-    roles : tuple of str
-        The roles that the log must have besides readings, such as ``time``; the temperature is taken where it is there.
-    optional_roles : tuple of str
-        Roles that are taken where the log has them.
-    vectors : mapping of str to tuple of str
-        The three columns of ``magnetometer`` and ``velocity``, where these are asked for.
-    averaging : GroupSize or None
-        How rows are put into means before the kernel sees them.
-    readings : PreparedCalibration or None
+        What a file made with it should state: ``software``; of a file ``calibration`` and ``sha256``; ``serial``.
+    angles, watched : tuple of str
+        The added columns that are angles, and those to be summed up.
+    lag : float
+        By how much its element is later than the thermometer, s.
+    judge : Kernel or None
         What judges the readings of which means are made.
-    remarks : mapping of str to RowRemarks
-        The remarks on the rows, by what the names of a sensor's columns begin with.
-    sensors : tuple of SensorColumns
-        Where the readings of each sensor stand among the channels; empty for a sensor whose columns have no lead.
-    lagged : bool
-        Whether the kernel follows a thermal lag, so that times have to go on.
+    lead : str
+        What the names of its columns begin with.
     """
 
     kernel: Kernel
     channels: tuple[str, ...]
     units: Mapping[str, str]
-    angles: tuple[str, ...]
-    watched: tuple[str, ...]
     origin: Mapping[str, str]
+    angles: tuple[str, ...] = ()
+    watched: tuple[str, ...] = ()
+    lag: float = 0.0
+    judge: Kernel | None = None
+    remarks: RowRemarks = field(default_factory=RowRemarks)
+    lead: str = ""
+
+
+@dataclass(frozen=True)
+class PreparedCalibration:
+    """The calibrations of the sensors of a log, ready for its rows.
+
+    ``roles`` are those that the log must have besides readings, such as ``time``; ``vectors`` are the three columns of
+    ``magnetometer`` and ``velocity``, where these are asked for; ``averaging`` is how rows are put into means before.
+    """
+
+    sensors: tuple[PreparedSensor, ...]
     roles: tuple[str, ...] = ()
-    optional_roles: tuple[str, ...] = ()
     vectors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     averaging: GroupSize | None = None
-    sensors: tuple[SensorColumns, ...] = ()
-    lagged: bool = False
-    readings: PreparedCalibration | None = None
-    remarks: Mapping[str, RowRemarks] = field(default_factory=dict)
+
+    def led(self, wanted: Callable[[PreparedSensor], tuple[str, ...]]) -> tuple[str, ...]:
+        """Return names of all sensors, each with the lead of its sensor."""
+        return tuple(f"{sensor.lead}{name}" for sensor in self.sensors for name in wanted(sensor))
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The readings."""
+        return self.led(lambda sensor: sensor.channels)
+
+    @property
+    def angles(self) -> tuple[str, ...]:
+        """The added columns that are angles."""
+        return self.led(lambda sensor: sensor.angles)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of all columns that are added to the log."""
-        return self.kernel.columns if self.averaging is None else (COUNT, *self.kernel.columns)
+        return (*(() if self.averaging is None else (COUNT,)), *self.led(lambda sensor: sensor.kernel.columns))
+
+    @property
+    def origin(self) -> dict[str, str]:
+        """What a file made with them should state."""
+        joined = {key: ", ".join(one.origin[key] for one in self.sensors) for key in self.sensors[0].origin}
+        return {**joined, "software": self.sensors[0].origin["software"]}
 
 
 def prepare(
@@ -278,18 +256,8 @@ def prepare(
     *,
     file: Path | None = None,
     origin: Mapping[str, str] | None = None,
-    remarks: RowRemarks | None = None,
 ) -> PreparedCalibration:
-    """Make a calibration ready.
-
-    Parameters
-    ----------
-    file : Path, optional
-        The calibration's file, for messages.
-    origin : mapping of str to str, optional
-        What is known of that file.
-    remarks : RowRemarks, optional
-        On the rows of other calibrations too.
+    """Make a calibration ready; ``file`` is its file, for messages, ``origin`` what is known of it.
 
     UsageError: the calibration is of pairs, and the options are for tilt.
     InputError: the calibration cannot be applied.
@@ -298,101 +266,96 @@ def prepare(
     named, size, say = vectors(options), GroupSize.of(options["average"], options["every"]), options["say"]
     stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}
     if isinstance(calibration, PairRecord):
-        return _of_pairs(calibration, options, stated, str(file or "the calibration"))
+        return PreparedCalibration((_of_pairs(calibration, options, stated, str(file or "the calibration")),))
     if not isinstance(calibration, CalibrationRecord):
         raise UsageError(f"name a calibration or its file, not {calibration!r}")
     if options["mounting"]:
-        calibration = _mounted(calibration, options)
+        replaced = calibration.coefficients.mounting
+        if replaced is not None:
+            say(f"note: --mounting replaces the mounting of the calibration, {mounting_in_words(replaced)}")
+        calibration = with_mounting(calibration, stated_mounting(options["mounting"]))
     coefficients, sensor = calibration.coefficients, calibration.sensor
-    stated["serial"] = sensor.serial
     for objection in objections(calibration):
         say(f"note: the calibration of {sensor.serial}: {objection}")
-    remarks, readings = remarks or RowRemarks(), None
-    if size is not None:
-        readings = prepare(calibration, complete(ApplyOptions, {"first_order": options["first_order"]}))
-        calibration = replace(calibration, limits=replace(calibration.limits, length=inf))
+    remarks = RowRemarks()
     try:
-        compensation = compensation_of(calibration, first_order=options["first_order"])
-        uncertain = _uncertain(calibration, compensation, options) if options["uncertainty"] else None
-        if uncertain is not None and size is not None:
-            say("note: the noise of readings counts as white: a mean of n rows has 1/√n of it")
-        earth = _earth(compensation, uncertain, options) if named else None
+        kernel = tilt_kernel(calibration, options, remarks if size is None else RowRemarks())
+        plain = complete(ApplyOptions, {"first_order": options["first_order"]})
+        judge = None if size is None else tilt_kernel(calibration, plain, remarks)
     except EstimateError as failure:
         raise InputError(str(failure), file=file) from failure
-    lag = 0.0 if coefficients.thermal is None else coefficients.thermal.lag
+    if judge is not None and options["uncertainty"]:
+        say("note: the noise of readings counts as white: a mean of n rows has 1/√n of it")
     return PreparedCalibration(
-        TiltKernel(compensation, uncertain, earth, lag, size is not None, remarks),
-        coefficients.channels,
-        dict.fromkeys(coefficients.channels, sensor.unit),
-        compensation.angles,
-        (*(uncertain.expanded if uncertain else ()), *(earth.expanded if earth else ())),
-        stated,
+        (
+            PreparedSensor(
+                kernel,
+                coefficients.channels,
+                dict.fromkeys(coefficients.channels, sensor.unit),
+                {**stated, "serial": sensor.serial},
+                compensation_of(calibration).angles,
+                kernel.expanded,
+                0.0 if coefficients.thermal is None else coefficients.thermal.lag,
+                judge,
+                remarks,
+            ),
+        ),
         (
             *((HEADING,) if named and "magnetometer" not in named else ()),
             *((TIME,) if size is not None and size.seconds else ()),
         ),
-        (TIME,) if lag else (),
         named,
         size,
-        readings=readings,
-        remarks={"": remarks},
-        lagged=bool(lag),
     )
 
 
-def _of_pairs(
-    calibration: PairRecord, options: ApplyOptions, origin: Mapping[str, str], file: str
-) -> PreparedCalibration:
+def tilt_kernel(calibration: CalibrationRecord, options: ApplyOptions, remarks: RowRemarks) -> TiltKernel:
+    """Return the kernel of a calibration; report what its uncertainty has to assume. An EstimateError where none is."""
+    averaged = options["average"] is not None or options["every"] is not None
+    if averaged:  # the lengths of readings are judged, not that of their mean
+        calibration = replace(calibration, limits=replace(calibration.limits, length=inf))
+    compensation = compensation_of(calibration, first_order=options["first_order"])
+    propagation = None
+    if options["uncertainty"]:
+        noise = options["reading_noise"]
+        stated, assumed = stated_uncertainty(calibration.uncertainty, calibration.coefficients, reading_noise=noise)
+        for remark in assumed:
+            options["say"](f"note: {remark}")
+        propagation = Propagation(compensation, calibration.coefficients, stated)
+    earth = None
+    if options["magnetometer"] or options["velocity"]:
+        earth = _earth(compensation, propagation, options, averaged)
+    return TiltKernel(compensation, propagation, earth, averaged, remarks)
+
+
+def _of_pairs(calibration: PairRecord, options: ApplyOptions, origin: Mapping[str, str], file: str) -> PreparedSensor:
     for name in ("first_order", "uncertainty", "mounting", "magnetometer", "velocity", "average", "every"):
         if options[name]:
             raise UsageError(
                 f"--{name.replace('_', '-')} is for tilt calibrations; {file} is of pairs, which have no tilt"
             )
-    matched = PairCompensation(calibration.matchings, calibration.spin.phase)
-    units = {channel: DEGREE for channel in matched.channels if channel == calibration.spin.phase}
-    return PreparedCalibration(PairKernel(matched), matched.channels, units, (), (), origin)
-
-
-def _mounted(calibration: CalibrationRecord, options: ApplyOptions) -> CalibrationRecord:
-    """Return the calibration in the stated mounting; report one that is replaced."""
-    replaced = calibration.coefficients.mounting
-    if replaced is not None:
-        options["say"](f"note: --mounting replaces the mounting of the calibration, {mounting_in_words(replaced)}")
-    return with_mounting(calibration, stated_mounting(options["mounting"]))
+    phase = calibration.spin.phase
+    matched = PairCompensation(calibration.matchings, phase)
+    units = {channel: DEGREE for channel in matched.channels if channel == phase}
+    return PreparedSensor(PairKernel(matched), matched.channels, units, origin)
 
 
 def _earth(
-    compensation: Compensation, uncertain: CompensationWithUncertainty | None, options: ApplyOptions
+    compensation: Compensation, propagation: Propagation | None, options: ApplyOptions, averaged: bool
 ) -> EarthFrameCompensation:
     """Return what adds heading and earth velocities; report which north they count from."""
-    from tiltcal.core.earth_compensation import EarthFrameCompensation
-    from tiltcal.core.earth_uncertainty import EarthUncertainty
-
     say, noise, declination = options["say"], options["magnetometer_noise"], options["declination"]
     if options["magnetometer"] and declination is None:
         say("note: heading counts from magnetic north: there is no --declination")
     if not options["magnetometer"] and declination:
-        say(f"note: the declination of {options['declination']:g}° is added to the heading of the log")
-    if uncertain is not None and options["magnetometer"] and noise is None:
+        say(f"note: the declination of {declination:g}° is added to the heading of the log")
+    if propagation is not None and options["magnetometer"] and noise is None:
         say("note: the magnetometer counts as exact (--magnetometer-noise)")
     return EarthFrameCompensation(
         compensation,
-        averaged=options["average"] is not None or options["every"] is not None,
+        averaged=averaged,
         magnetometer=bool(options["magnetometer"]),
         velocity=bool(options["velocity"]),
         declination=declination or 0.0,
-        uncertainty=None if uncertain is None else EarthUncertainty(uncertain.propagation, noise or 0.0),
+        uncertainty=None if propagation is None else EarthUncertainty(propagation, noise or 0.0),
     )
-
-
-def _uncertain(
-    calibration: CalibrationRecord, compensation: Compensation, options: ApplyOptions
-) -> CompensationWithUncertainty:
-    """Return the kernel that adds uncertainties; report what it has to assume."""
-    from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
-
-    noise = options["reading_noise"]
-    stated, remarks = stated_uncertainty(calibration.uncertainty, calibration.coefficients, reading_noise=noise)
-    for remark in remarks:
-        options["say"](f"note: {remark}")
-    return CompensationWithUncertainty(compensation, calibration.coefficients, stated)

@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import SensorColumns
-from tiltcal.logs.log import LogBlock, Table
+from tiltcal.logs.log import LogBlock, LogReader, Table
 from tiltcal.logs.text_to_numbers import no_time_yet, texts_of_times
 from tiltcal.stated_arguments import is_number
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 _DURATION = re.compile(r"([0-9.]+) *(ms|s|min|h|d)?")
 _FROM_TILT = ("tilt_", "pitch", "roll", "inclination", "heading", "v_", "u_", "U95_")  # columns begin so
+_GROUP = "\0group"
 _SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 
@@ -67,14 +68,10 @@ class BlockOfMeans(LogBlock):
 
     Attributes
     ----------
-    counts : ndarray of int, shape (n, sensors)
-        Of how many rows the readings of each sensor are the mean.
     rows : ndarray of int, shape (n,)
         In how many rows at least one sensor has all its readings.
-    flags : ndarray of uint8, shape (n, sensors)
-        The worst flag of a reading of each sensor, at the rail or of a length of gravity that is not 1 g; else 0.
-    reasons : ndarray of uint16, shape (n, sensors)
-        Which of the two.
+    flags, reasons : ndarray of uint8 and of uint16, shape (n, sensors)
+        The worst flag of a reading of each sensor at the rail or of a length of gravity that is not 1 g, and which.
     apart : ndarray of bool, shape (n,)
         Whether their headings differ so much that the mean of their directions is 5 % shorter than they are.
     """
@@ -88,27 +85,14 @@ class BlockOfMeans(LogBlock):
 
 @dataclass(frozen=True)
 class Means:
-    """Puts the rows of a log into means.
-
-    Attributes
-    ----------
-    sensors : sequence of SensorColumns
-        Where the readings stand.
-    judged : callable
-        Compensates readings one by one.
-    time, heading : int or None
-        Where the time and a heading stand.
-    log : str or None
-        What messages call the log.
-    """
+    """Puts the rows of a log into means; ``judged`` compensates readings of ``sensors`` one by one."""
 
     size: GroupSize
-    names: Sequence[str]
+    log: LogReader
     sensors: Sequence[SensorColumns]
     judged: Callable[[LogBlock], Table]
     time: int | None = None
     heading: int | None = None
-    log: str | None = None
 
     def blocks(self, blocks: Iterable[LogBlock]) -> Iterator[BlockOfMeans]:
         """Yield the means of the rows of blocks with all their columns; the last mean may be of fewer rows."""
@@ -129,8 +113,7 @@ class Means:
 
     def added(self, block: LogBlock, table: Table) -> Table:
         """Return the columns of a block of means: the count, and its flags, of readings and of headings apart too."""
-        if not isinstance(block, BlockOfMeans):
-            raise TypeError("a block of means is needed")
+        block = cast("BlockOfMeans", block)
         marked = dict(table)
         for sensor, flags, reasons in zip(self.sensors, block.flags.T, block.reasons.T, strict=True):
             judged = {name: table[name] for name in (f"{sensor.lead}flag", f"{sensor.lead}reason")}
@@ -148,7 +131,7 @@ class Means:
         time = block.values[self.time or 0]
         timed = np.isfinite(time)
         if not timed.any() and any(np.isfinite(block.readings(sensor.readings)).any() for sensor in self.sensors):
-            raise InputError(no_time_yet(len(time), "to which mean of --every they belong"), file=self.log)
+            raise InputError(no_time_yet(len(time), "to which mean of --every they belong"), file=self.log.name)
         place = np.maximum.accumulate(np.where(timed, np.arange(len(time)), 0))
         # Whole microseconds are exact where seconds are not; a border within half of one is where the row is.
         micros = np.rint(np.where(timed, time, time[place]) * 1e6) + 0.5
@@ -196,7 +179,6 @@ class Means:
         """Return the columns of the means, with their types; whole numbers become decimal."""
         import polars as pl
 
-        group = "\0group"
         kinds = frame.schema
         expressions = [
             (pl.col(name).fill_nan(None) if kind.is_float() else pl.col(name)).mean()
@@ -204,18 +186,14 @@ class Means:
             else pl.col(name).first()
             for name, kind in kinds.items()
         ]
-        taken = frame.with_columns(pl.Series(group, groups)).filter(pl.Series(used))
-        means = taken.group_by(group, maintain_order=True).agg(expressions).drop(group)
-        exact = {
-            self.names[index]: pl.Series(column).fill_nan(None)
-            for index, column in values.items()
-            if index != self.time  # it has a unit and a moment of its own
-        }
-        name = None if self.time is None else self.names[self.time]
-        if name is not None and self.time is not None and kinds.get(name) == pl.String:
-            exact[name] = texts_of_times(values[self.time], frame[name]).zip_with(
-                pl.Series(np.isfinite(values[self.time])), means[name]
-            )
+        taken = frame.with_columns(pl.Series(_GROUP, groups)).filter(pl.Series(used))
+        means = taken.group_by(_GROUP, maintain_order=True).agg(expressions).drop(_GROUP)
+        exact = {self.log.names[index]: pl.Series(column).fill_nan(None) for index, column in values.items()}
+        if self.time is not None:  # it has a unit and a moment of its own
+            name, times = self.log.names[self.time], values[self.time]
+            del exact[name]
+            if kinds.get(name) == pl.String:
+                exact[name] = texts_of_times(times, frame[name]).zip_with(pl.Series(np.isfinite(times)), means[name])
         return means.with_columns(**exact)
 
 

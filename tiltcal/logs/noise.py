@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.disturbances import moved_rows, stuck_rows
+from tiltcal.core.detection import moved_rows, stuck_rows
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.noise import FEWEST_SAMPLES, ChannelNoise, NoiseScale, characterise
 from tiltcal.drivers import find_model

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.core.detection import Span
 from tiltcal.core.noise import FLICKER, RANGE_OF_100, ChannelNoise, Limit, NoiseScale, SampleSize, sample_size
-from tiltcal.core.rows import Span
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_above_zero
 

@@ -25,9 +25,9 @@ LOCAL_GRAVITY = (9.7, 9.9)
 SHORTEST_WINDOW = 4
 """Rows of a window over which a sensor can be still."""
 
-_MEANS, _SEASON = "Means", "Calibrations over time"
-_EARTH, _FURTHER = "Heading and velocity", "Further options"
+_MEANS, _SEASON, _EARTH, _FURTHER = "Means", "Calibrations over time", "Heading and velocity", "Further options"
 _UNCERTAINTIES = "Uncertainties of the bench"
+_flag = partial(Option, metavar="", default=False, check=require_boolean)
 
 
 def silent(line: str) -> None:
@@ -39,34 +39,16 @@ class ApplyOptions(TypedDict, total=False):
 
     columns: Annotated[
         Mapping[str, str] | str,
-        Option(
-            "The column of each reading, such as x=VoutX,temperature=T; without a header a number.",
-            "ROLE=NAME,…",
-            default="",
-        ),
+        Option("Columns, such as x=VoutX,temperature=T, or numbers from 1.", "ROLE=NAME,…", default=""),
     ]
     uncertainty: Annotated[
-        bool,
-        Option(
-            "Add of each angle u_tilt_x (standard uncertainty) and U95_tilt_x (95 % interval).",
-            "",
-            default=False,
-            check=require_boolean,
-        ),
+        bool, _flag("Add of each angle u_tilt_x (standard uncertainty) and U95_tilt_x (95 % interval).")
     ]
-    skip_bad_rows: Annotated[
-        bool,
-        Option(
-            "Keep rows that cannot be parsed, with flag 9, instead of an error.",
-            "",
-            default=False,
-            check=require_boolean,
-        ),
-    ]
+    skip_bad_rows: Annotated[bool, _flag("Keep rows that cannot be parsed, with flag 9.")]
     average: Annotated[
         int | None,
         Option(
-            "Average the readings of each N rows before they are converted; adds count.",
+            "Average readings of each N rows first; adds count.",
             "N",
             _MEANS,
             check=partial(require_whole, least=1, what="rows"),
@@ -74,30 +56,17 @@ class ApplyOptions(TypedDict, total=False):
     ]
     every: Annotated[
         str | float | timedelta | None,
-        Option(
-            "Average the readings of each TIME, such as 10s, 5min or 1h; adds count.",
-            "TIME",
-            _MEANS,
-        ),
+        Option("Average readings of each TIME first, such as 10s, 5min, 1h.", "TIME", _MEANS),
     ]
     serial: Annotated[
         str | None,
-        Option(
-            "The sensor, where neither the log nor its columns (S_x) name it.",
-            "S",
-            _SEASON,
-            check=require_text_or_none,
-        ),
+        Option("The sensor, where neither log nor columns (S_x) name it.", "S", _SEASON, check=require_text_or_none),
     ]
-    start: Annotated[
-        str | date | None,
-        Option("When the time of the log is 0, such as 2026-05-01T12:00:00Z.", "TIME", _SEASON),
-    ]
+    start: Annotated[str | date | None, Option("When the log's time is 0, such as 2026-05-01T12:00Z.", "TIME", _SEASON)]
     stability: Annotated[
         float | None,
         Option(
-            "How far the offset wanders in one day, as a standard deviation in mg (over n days √n times as far) "
-            "[estimated from the calibrations].",
+            "How far the offset wanders in a day, as a standard deviation in mg [from half of its changes].",
             "MG",
             _SEASON,
             check=require_from_zero,
@@ -105,69 +74,32 @@ class ApplyOptions(TypedDict, total=False):
     ]
     magnetometer: Annotated[
         Sequence[str] | str,
-        Option(
-            "The columns of the magnetic field along x, y, z: adds heading, degrees clockwise from north.",
-            "MX,MY,MZ",
-            _EARTH,
-            default=(),
-        ),
+        Option("Columns of the magnetic field: adds heading, clockwise from north.", "MX,MY,MZ", _EARTH, default=()),
     ]
     velocity: Annotated[
         Sequence[str] | str,
         Option(
-            "The columns of a velocity along x, y, z: adds v_east, v_north, v_up. Its heading is that of the "
-            "magnetometer, or of a column (heading=NAME among the columns).",
+            "Columns of a velocity: adds v_east, v_north, v_up, by the heading of the magnetometer or of a column "
+            "(heading=NAME).",
             "U,V,W",
             _EARTH,
             default=(),
         ),
     ]
-    declination: Annotated[
-        float | None,
-        Option(
-            "How far magnetic north is east of true north; added to every heading.",
-            "DEG",
-            _EARTH,
-        ),
-    ]
+    declination: Annotated[float | None, Option("Magnetic north east of true north; added to headings.", "DEG", _EARTH)]
     magnetometer_noise: Annotated[
         float | None,
-        Option(
-            "Standard uncertainty of a component of the field, in its unit [0].",
-            "UNIT",
-            _EARTH,
-            check=require_from_zero,
-        ),
+        Option("Standard uncertainty of a component [0].", "UNIT", _EARTH, check=require_from_zero),
     ]
     mounting: Annotated[
         Mapping[str, float] | str,
-        Option(
-            "How the sensor sits, such as roll=180 (then pitch=, then yaw=), in place of the calibration's mounting; "
-            "it counts as exact.",
-            "roll=DEG,…",
-            _FURTHER,
-            default="",
-        ),
+        Option("How the sensor sits, exactly: roll, then pitch=, then yaw=.", "roll=DEG,…", _FURTHER, default=""),
     ]
     reading_noise: Annotated[
         float | None,
-        Option(
-            "Standard uncertainty of a reading, in its unit [that of a sample at the bench].",
-            "UNIT",
-            _FURTHER,
-            check=require_from_zero,
-        ),
+        Option("Standard uncertainty of a reading [that of a sample].", "UNIT", _FURTHER, check=require_from_zero),
     ]
-    first_order: Annotated[
-        bool,
-        Option(
-            "Use Cross-axis Compensation, eq. 6, in place of the whole matrix.",
-            "",
-            _FURTHER,
-            default=False,
-            check=require_boolean,
-        ),
-    ]
+    first_order: Annotated[bool, _flag("Use Cross-axis Compensation, eq. 6, not the matrix.", group=_FURTHER)]
     unit: Annotated[
         str | None,
         Option(
@@ -218,6 +150,11 @@ def _require_local_gravity(name: str, gravity: Any) -> None:
 def _require_boolean_or_none(name: str, value: Any) -> None:
     if value is not None:
         require_boolean(name, value)
+
+
+def _uncertainty(of: str, otherwise: str) -> Option:
+    """Return the option of a standard uncertainty in degrees."""
+    return Option(f"Standard uncertainty of {of}, degrees; {otherwise}", "DEGREES", _UNCERTAINTIES)
 
 
 class FitOptions(TypedDict, total=False):
@@ -278,14 +215,7 @@ class FitOptions(TypedDict, total=False):
             check=partial(require_whole, least=SHORTEST_WINDOW, what="rows"),
         ),
     ]
-    jig: Annotated[
-        float | None,
-        Option(
-            "Standard uncertainty of a set angle, degrees; without it, it is estimated from the residuals.",
-            "DEGREES",
-            _UNCERTAINTIES,
-        ),
-    ]
+    jig: Annotated[float | None, _uncertainty("a set angle", "without it, it is estimated from the residuals.")]
     thermometer: Annotated[
         float | None,
         Option(
@@ -294,14 +224,7 @@ class FitOptions(TypedDict, total=False):
             _UNCERTAINTIES,
         ),
     ]
-    table_lean: Annotated[
-        float | None,
-        Option(
-            "Standard uncertainty of the lean of the table, degrees; all positions share it.",
-            "DEGREES",
-            _UNCERTAINTIES,
-        ),
-    ]
+    table_lean: Annotated[float | None, _uncertainty("the lean of the table", "all positions share it.")]
     heading: Annotated[
         float | None,
         Option("Standard uncertainty of a heading, degrees.", "DEGREES", _UNCERTAINTIES, name="heading-uncertainty"),

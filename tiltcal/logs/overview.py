@@ -42,7 +42,7 @@ def look_over(
         blocks = log.rows(sorted({*where.values(), *(() if time is None else (time,))}), time, needs_time=True)
         tables = ((block, {name: block.values[index] for name, index in where.items()}) for block in blocks)
     else:
-        tables = CompensatedLog.of(log, prepared, options).blocks(time)
+        tables = CompensatedLog(log, prepared, options).blocks(time)
     overview = ColumnStatistics(prepared.angles)
     for block, table in read_ahead(iter(tables)):
         shown = np.stack([np.asarray(table[angle], float) for angle in prepared.angles]).T

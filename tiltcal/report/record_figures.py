@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.calibration.fleet import CoefficientDistribution, ModelFleet
-from tiltcal.calibration.labels import unit_of, words
+from tiltcal.calibration.wording import unit_of, words
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.model import Array
 from tiltcal.core.noise import ChannelNoise, NoiseScale

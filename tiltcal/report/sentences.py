@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tiltcal.calibration.fleet import FleetHistory
-from tiltcal.calibration.summary import fit_lines, mounting_fit_lines, objections
 from tiltcal.calibration.tilt_uncertainty import TiltUncertainty
+from tiltcal.calibration.wording import fit_lines, mounting_fit_lines, objections
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files import record
 from tiltcal.files.calibration import CalibrationRecord

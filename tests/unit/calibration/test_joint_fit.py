@@ -7,7 +7,7 @@ import pytest
 
 from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.calibration.summary import verdict
+from tiltcal.calibration.wording import verdict
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import find_procedure

@@ -15,7 +15,7 @@ from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.level import NO_LEVEL, NO_NOISE, level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.calibration.summary import level_summary
+from tiltcal.calibration.wording import level_summary
 from tiltcal.core.model import Array, Mounting, vector_of, with_vector
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError, UsageError

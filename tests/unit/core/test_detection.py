@@ -1,12 +1,28 @@
-"""Still, moved and stuck, against counts and probabilities worked out by hand and by scipy."""
+"""Still, moved and stuck, against numpy, scipy and counts by hand."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import scipy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
-from tiltcal.core.detection import bursts, distances, identical_by_chance, is_still, jumps, outliers
+from tiltcal.core.detection import (
+    bursts,
+    identical_by_chance,
+    is_still,
+    jumps,
+    lost_rows,
+    outliers,
+    repeated_rows,
+    run_bounds,
+    stillest,
+    stuck_spans,
+    window_scatter,
+)
+from tiltcal.core.model import Array
 
 REST = np.random.default_rng(1).normal(0.0, 1.0, (2000, 2))
 
@@ -25,8 +41,8 @@ def test_a_step_and_a_knock_stand_out() -> None:
     blocks[20:] += 5.0
     knocked = blocks[31, :, 1]
     blocks[31, :, 1] = knocked.mean() + 8.0 * (knocked - knocked.mean())
-    assert np.flatnonzero(jumps(blocks.mean(axis=1)).any(axis=1)).tolist() == [19, 20]
-    assert np.flatnonzero(bursts(blocks.std(axis=1))[:, 1]).tolist() == [31]
+    assert np.flatnonzero(jumps(blocks.mean(axis=1)[:, 0])).tolist() == [19, 20]
+    assert np.flatnonzero(bursts(blocks.std(axis=1)[:, 1])).tolist() == [31]
 
 
 @pytest.mark.parametrize(
@@ -44,11 +60,55 @@ def test_one_sample_of_a_hundred_that_is_off() -> None:
     assert outliers(samples, step=1.0).tolist() == [37]
 
 
-@pytest.mark.parametrize("decimals", [0, 1, 9])
-@pytest.mark.parametrize("n", [9, 8192, 20_001])
-def test_the_median_is_that_of_numpy(n: int, decimals: int) -> None:
-    """Of noise on a drift, and of blocks that lie apart, of which a sample shows the wrong half."""
-    noise = np.random.default_rng(n).normal(size=n)
-    for samples in (noise + np.arange(n) / n, np.where(np.arange(n) % (n // 2048 or 1) == 0, 50.0, noise)):
-        rounded = np.round(samples, decimals)
-        assert distances(rounded)[2] == np.median(rounded)
+def test_runs() -> None:
+    for mask, expected in (("", []), ("..", []), ("##", [(0, 2)]), ("#.#", [(0, 1), (2, 3)]), (".##.", [(1, 3)])):
+        starts, ends = run_bounds(np.array([mark == "#" for mark in mask], dtype=bool))
+        assert list(zip(starts.tolist(), ends.tolist(), strict=True)) == expected
+
+
+def test_a_missing_value_repeats_nothing() -> None:
+    columns = np.array([[1.0, 1.0, 1.0, 2.0], [3.0, 3.0, np.nan, np.nan]])
+    assert repeated_rows(columns).tolist() == [False, True, False, False]
+
+
+def test_a_run_of_a_noisy_reading_is_stuck_and_of_a_coarse_one_not() -> None:
+    samples = np.rint(REST)  # noise of a whole step
+    samples[100:140] = samples[100]
+    assert stuck_spans(samples.T, 40) == stuck_spans(samples.T, 25) == [(100, 140)]
+    assert stuck_spans(samples.T, 41) == []
+    assert not stuck_spans(np.rint(0.3 + 0.08 * REST).T, 25)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    values=arrays(float, (60, 3), elements=st.integers(-800, 800).map(lambda eighths: eighths / 8)),
+    window=st.integers(2, 60),
+    level=st.sampled_from([0.0, 1e5]),
+)
+def test_the_scatter_is_the_standard_deviation(values: Array, window: int, level: float) -> None:
+    found = window_scatter(values.T + level, np.zeros(60, dtype=bool), window)
+    expected = [np.sqrt(np.sum(np.var(values[start : start + window], axis=0, ddof=1))) for start in range(61 - window)]
+    assert found == pytest.approx(expected, rel=1e-6, abs=1e-4)
+
+
+def test_small_noise_far_down_a_long_log_is_not_lost() -> None:
+    rng = np.random.default_rng(4)
+    log = np.repeat([[1e4, -1e4, 0.0]], 200_000, axis=0) + 1e-3 * rng.normal(size=(200_000, 3))
+    scatter = window_scatter(log.T, np.zeros(200_000, dtype=bool), 100)
+    assert scatter[-1] == pytest.approx(np.sqrt(np.sum(np.var(log[-100:], axis=0, ddof=1))), rel=1e-6)
+    assert len(scatter) == 199_901
+
+
+def test_a_window_with_a_lost_row_is_never_still() -> None:
+    columns = np.zeros((3, 50))
+    columns[1, 40] = np.nan
+    scatter = window_scatter(columns, lost_rows(columns, [(20, 21)]), 10)
+    assert np.flatnonzero(np.isinf(scatter)).tolist() == [*range(11, 21), *range(31, 41)]
+
+
+def test_the_stillest_part_is_the_quantile_of_numpy() -> None:
+    """The scatter falls towards the end of the record, so what was kept first is not what counts."""
+    for n in (1, 3, 101, 600_000):
+        scatter = np.random.default_rng(n).exponential(size=n) * np.linspace(2.0, 1.0, n)
+        assert stillest(np.append(scatter, [np.inf, 0.0]), varying=True) == np.quantile(scatter, 0.01)
+    assert stillest(np.array([np.inf])) is None

@@ -141,7 +141,7 @@ def test_intervals_hold_the_truth(channels: int, mounting: Mounting | None, comp
     up = up + np.cross(since, up - matrix[2])
     of_g = known.sensitivity + sensitivity.reshape(rows, channels, channels)
     readings = 1000.0 + offset + np.einsum("nij,nj->ni", of_g, up[:, :channels])
-    table = TiltKernel(compensation, uncertain, earth)(
+    table = TiltKernel(compensation, uncertain.propagation, earth)(
         RoleValues(
             readings + draw.normal(scale=noise, size=readings.shape),
             magnetometer=field + draw.normal(scale=field_noise, size=(rows, 3)) if compass else None,

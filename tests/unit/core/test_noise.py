@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from support import coloured_noise as coloured
 
 import tiltcal
-from tiltcal.core.disturbances import moved_rows, stuck_rows
+from tiltcal.core.detection import moved_rows, stuck_rows
 from tiltcal.core.noise import ChannelNoise, Kind, allan_variance, characterise, degrees_of_freedom, limits, sample_size
 
 DT = 0.01

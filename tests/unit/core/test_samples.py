@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.core.samples import drift, moments_of, summarise, summary_of
+from tiltcal.core.samples import drift, summarise
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=50))
@@ -30,19 +30,6 @@ def test_the_mean_of_a_long_run_is_as_good_as_its_samples(spread: float) -> None
     exact = sum(map(Fraction, samples.tolist()))
     size = float(np.mean(np.abs(samples)))
     assert abs(summarise(samples).mean - float(exact) / len(samples)) <= 2 * np.finfo(float).eps * size
-
-
-def test_the_summary_of_parts_is_that_of_all_samples() -> None:
-    """Blocks of 123 samples, which the parts cut."""
-    samples = 100.0 + np.cumsum(np.random.default_rng(3).normal(size=1234))
-    edges = [(0, 123, 246, 369, 400), (0, 92, 215, 338, 461, 500), (0, 84, 207, 330, 334)]
-    parts = [
-        moments_of(part, first, edge)
-        for part, first, edge in zip(np.split(samples, [400, 900]), (0, 3, 7), edges, strict=True)
-    ]
-    whole, found = summarise(samples), summary_of(parts)
-    assert (found.mean, found.std, found.u) == pytest.approx((whole.mean, whole.std, whole.u), rel=1e-12)
-    assert found.correlation == pytest.approx(whole.correlation, rel=1e-9)
 
 
 def test_white_noise_averages_down() -> None:
@@ -102,8 +89,7 @@ def test_drift_is_the_lines_change() -> None:
 
 
 def test_drift_uncertainty_covers_noise() -> None:
-    rng = np.random.default_rng(4)
-    times = [0.1 * k for k in range(40)]
+    rng, times = np.random.default_rng(4), [0.1 * k for k in range(40)]
     ratios = [change / u for change, u in (drift(times, rng.normal(size=40).tolist()) for _ in range(500))]
     assert np.std(ratios) == pytest.approx(1.0, abs=0.12)
 

@@ -16,20 +16,6 @@ def chamber(seconds):
     return 5.0 + 20.0 * np.abs((seconds / 2000.0 + 1.0) % 2.0 - 1.0)
 
 
-def delayed(seconds, constant):
-    """The solution of constant dE/dt + E = chamber."""
-    found = solve_ivp(
-        lambda t, e: (chamber(t) - e) / constant,
-        (seconds[0], seconds[-1]),
-        [chamber(seconds[0])],
-        t_eval=seconds,
-        max_step=20.0,
-        rtol=1e-8,
-        atol=1e-8,
-    )
-    return found.y[0]
-
-
 @pytest.fixture(scope="module")
 def seconds():
     """Irregular times, with a gap of 100 s."""
@@ -37,25 +23,25 @@ def seconds():
     return times[(times < 1500.0) | (times > 1600.0)]
 
 
-def test_an_element_that_is_later_follows_the_differential_equation(seconds):
-    element = ThermalLag(120.0)(seconds, chamber(seconds))
-    assert np.max(np.abs(element - delayed(seconds, 120.0))) < 0.005
+@pytest.fixture(scope="module")
+def delayed(seconds):
+    """The solution of 120 s dE/dt + E = chamber."""
+    span, start = (seconds[0], seconds[-1]), [chamber(seconds[0])]
+    settings = {"t_eval": seconds, "max_step": 20.0, "rtol": 1e-8, "atol": 1e-8}
+    return solve_ivp(lambda t, e: (chamber(t) - e) / 120.0, span, start, **settings).y[0]
 
 
-def test_an_element_that_is_earlier_is_found_from_its_late_thermometer(seconds):
-    error = ThermalLag(-120.0)(seconds, delayed(seconds, 120.0)) - chamber(seconds)
-    uncorrected = delayed(seconds, 120.0) - chamber(seconds)
+def test_the_element_follows_the_differential_equation(seconds, delayed):
+    assert np.max(np.abs(ThermalLag(120.0)(seconds, chamber(seconds)) - delayed)) < 0.005
+    error = ThermalLag(-120.0)(seconds, delayed) - chamber(seconds)
     # The smoothed derivative is wrong for a moment after each turn.
-    assert np.sqrt(np.mean(error**2)) < np.sqrt(np.mean(uncorrected**2)) / 10
+    assert np.sqrt(np.mean(error**2)) < np.sqrt(np.mean((delayed - chamber(seconds)) ** 2)) / 10
 
 
 @pytest.mark.parametrize("lag", [120.0, -120.0])
 def test_blocks_of_rows_continue_each_other(seconds, lag):
-    temperature = chamber(seconds)
-    whole = ThermalLag(lag)(seconds, temperature)
-    stream = ThermalLag(lag)
-    edges = [0, 1, 2, 700, 701, 2900, len(seconds)]
-    parts = [stream(seconds[a:b], temperature[a:b]) for a, b in pairwise(edges)]
+    whole, stream = ThermalLag(lag)(seconds, chamber(seconds)), ThermalLag(lag)
+    parts = [stream(seconds[a:b], chamber(seconds[a:b])) for a, b in pairwise([0, 1, 2, 700, 701, 2900, len(seconds)])]
     assert np.concatenate(parts) == pytest.approx(whole, abs=1e-9)
 
 
@@ -65,13 +51,8 @@ def test_rows_far_apart_lie_behind_a_steady_ramp_by_the_lag():
     assert element[1:] == pytest.approx(20.0 + (seconds[1:] - 120.0) * 0.5 / 60.0, abs=0.01)
 
 
-def test_a_missing_row_is_missing_and_the_others_go_on():
-    seconds, temperature = np.arange(5.0), np.array([20.0, 20.0, np.nan, 20.0, 20.0])
-    element = ThermalLag(10.0)(seconds, temperature)
-    assert np.isnan(element).tolist() == [False, False, True, False, False]
-    assert element[[0, 1, 3, 4]] == pytest.approx(20.0)
-
-
-def test_time_that_goes_back_begins_anew():
-    seconds, temperature = np.array([0.0, 60.0, 120.0, 0.0, 60.0]), np.array([0.0, 10.0, 20.0, 50.0, 50.0])
-    assert ThermalLag(100.0)(seconds, temperature)[3:] == pytest.approx([50.0, 50.0])
+def test_a_missing_row_and_time_that_goes_back():
+    element = ThermalLag(10.0)(np.arange(5.0), np.array([20.0, 20.0, np.nan, 20.0, 20.0]))
+    assert element == pytest.approx([20.0, 20.0, np.nan, 20.0, 20.0], nan_ok=True)
+    back = ThermalLag(100.0)(np.array([0.0, 60.0, 120.0, 0.0, 60.0]), np.array([0.0, 10.0, 20.0, 50.0, 50.0]))
+    assert back[3:] == pytest.approx([50.0, 50.0])

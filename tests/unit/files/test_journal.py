@@ -45,7 +45,7 @@ def test_what_was_written_is_read(path: Path) -> None:
     journal = read_journal(path)
     assert journal.header["serial"] == "Ä-1"
     assert [(event.dt_ns, event.kind, *event.payload) for event in journal.events] == EVENTS
-    assert journal.events[0] == Event(2, 48000, "s", ("100000", "008f20"))
+    assert next(iter(journal.events)) == Event(2, 48000, "s", ("100000", "008f20"))
     assert journal.end is not None
     assert not journal.torn
 

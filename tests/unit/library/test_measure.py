@@ -23,8 +23,8 @@ from tiltcal.bench.setup import Setup
 from tiltcal.cli.main import run
 from tiltcal.drivers.bus.clock import SystemClock
 from tiltcal.errors import InputError, Stopped, UsageError
-from tiltcal.files.base_calibration import BaseFile
 from tiltcal.files.bench import BenchFile, BenchSensor
+from tiltcal.files.calibration import BaseFile
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import find_procedure
 

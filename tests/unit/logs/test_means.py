@@ -182,7 +182,7 @@ def test_the_uncertainty_of_a_mean_holds(cal: Calibration, count: int) -> None:
     with_noise = reading + noise / np.sqrt(count)
     # A mean of `count` rows is told apart from a single one by its count alone.
     log = {"x": np.repeat(with_noise, 1), "y": 2.5 + 2.0 * g_y}
-    kernel = prepare(cal.record, complete(ApplyOptions, {"uncertainty": True, "average": count})).kernel
+    kernel = prepare(cal.record, complete(ApplyOptions, {"uncertainty": True, "average": count})).sensors[0].kernel
     table = kernel(RoleValues(np.column_stack([log["x"], log["y"]]), count=np.full(trials, count)))
     error = np.abs(table["tilt_x"] - np.degrees(np.arcsin(g_x)))
     assert 0.94 < np.mean(error <= table["U95_tilt_x"]) < 0.96

@@ -14,10 +14,10 @@ from math import atan2, ceil, floor, pi
 
 import numpy as np
 
+from tiltcal.core.detection import run_bounds
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.pair.model import FEWEST_TURNS
-from tiltcal.core.rows import run_bounds
 from tiltcal.errors import EstimateError
 
 STANDSTILL = 0.05  # turns in a whole record below which the stage does not turn

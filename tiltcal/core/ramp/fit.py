@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array
 from tiltcal.core.ramp.means import LAGS, TINY, RampMeans, least_squares, lowest
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
-from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
 
 RESOLVED = 2.0
@@ -46,20 +45,22 @@ TURNS, BEHIND_TURN = 3.0, 0.1
 """Hysteresis gets from one side to the other in this part of a leg's range where the residuals there have so many times
 the mean square of the others."""
 
+ONE_SIDED, TWO_SIDED = 1.645, 1.96
+"""Standard deviations within which a normal variable is in 95 % of cases, to one side and to both."""
+
+PLACES = 8
+"""Temperatures at which the ways are compared."""
+
 _LOOP_TERMS = 3  # of the polynomial of a loop: a play of a cubic, and Rayleigh's loop, have three
-_RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])  # variance of noise that lasts over that of white noise
-_PRIOR = np.concatenate([[0.5], np.full(22, 0.5 / 22)])  # half of the weight is on white noise alone
-_WIDER = 1.2  # of the variance of noise that lasts: 1.96 deviations of a mixture of sizes hold less than 95 %
-_DISTANCES = (1, 2, 4, 8)  # of second differences, in means: a step of the thermometer may last several
 
 
 @dataclass(frozen=True)
 class RampFit:
     """The drift that a record shows.
 
-    ``coefficients``, shape (channels, order + 1), are the reading at the ``reference`` temperature in °C, unit, and its
+    ``coefficients``, shape (channels, order + 1), are the reading at the reference temperature, unit, and its
     polynomial, unit/°C, ..., of the temperature that is later by ``lag``, s, 0 where none is used. ``covariance`` is of
-    them, channel by channel, and of the lag; ``loop_covariance`` is what the loop adds to that of the coefficients.
+    them, channel by channel; ``loop_covariance`` is what the loop adds to it.
 
     ``found_lag`` is the lag that describes the record best, s, used or not, with its standard uncertainty ``u_lag``,
     and ``explained`` the part of the loop's square that it explains, shape (channels,). ``loops``, unit, shape (places,
@@ -71,7 +72,6 @@ class RampFit:
     the mean square error of that over the variance of the residuals.
     """
 
-    reference: float
     coefficients: Array
     lag: float
     covariance: Array
@@ -101,11 +101,8 @@ class RampFit:
 def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampFit:
     """Find the drift of a record from a reference temperature in °C, its order, at most the ``highest``, and its lag.
 
-    Raises
-    ------
-    EstimateError
-        The legs do not separate lag and drift, or one lag does not describe the turns; the message has the pace to
-        take.
+    An EstimateError, with the pace to take, where the legs do not separate lag and drift, or one lag does not describe
+    the turns.
     """
     means = RampMeans(record, legs_of(record), reference, highest)
     if means.lag(highest) < 0.0:
@@ -114,8 +111,7 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     plain = {order: _left_out(means, order, lambda *_: 0.0) for order in orders}
     lagged = {order: _left_out(means, order, means.lag) for order in orders}
     order_alone, order = (min(errors, key=lambda one: float(np.mean(errors[one]))) for errors in (plain, lagged))
-    found_lag, *by_lag = _with_lag(means, order)
-    u_lag = sqrt(by_lag[1][-1, -1])
+    found_lag, u_lag, *by_lag = _with_lag(means, order)
     _require_lag_resolved(means.legs, found_lag, u_lag)
     gained = np.mean(plain[order_alone] - lagged[order], axis=1) > 0.0
     used = bool(
@@ -124,25 +120,28 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
         and abs(found_lag) > RESOLVED * u_lag
         and means.cost(means.powers(means.lag(order), order)) < _cost_of_hysteresis(means, order)
     )
-    places = means.shared_temperatures()
+    element, up = means.temperature(0.0), means.rising > 0.0
+    low, high = max(element[up].min(), element[~up].min()), min(element[up].max(), element[~up].max())
+    places = low + (high - low) * (np.arange(PLACES) + 0.5) / PLACES
     loops = [_loops(means, places, lag, order) for lag in (0.0, found_lag)]
-    explained = 1.0 - np.mean(loops[1] ** 2, axis=0) / np.maximum(np.mean(loops[0] ** 2, axis=0), TINY)
     u_element, lag = 0.0, found_lag if used else 0.0
     coefficients, covariance, loop_covariance = _beside_loop(means, lag, order if used else order_alone)
     if used:
         coefficients, covariance = by_lag
         _require_one_lag(means, found_lag, order, record.step)
-        if found_lag < 0.0:
-            in_log = means.averaged(ThermalLag(found_lag)(record.time, record.temperature)) - reference
-            u_element = float(np.sqrt(np.mean((in_log - means.temperature(found_lag)) ** 2)))
+        if lag < 0.0:
+            u_element = float(np.sqrt(np.mean((means.temperature_in_log(lag) - means.temperature(lag)) ** 2)))
+    # Rounding of the thermometer does not average out at the turns.
+    slopes = np.pad(coefficients[:, 1:] * np.arange(1, coefficients.shape[1]), ((0, 0), (0, 1)))
+    for block, slope in zip(_blocks(slopes), slopes, strict=True):
+        covariance[block, block] += np.outer(slope, slope) * means.shift**2
     return RampFit(
-        reference=reference,
         coefficients=coefficients,
         lag=lag,
-        covariance=covariance + _of_rounded_temperature(means, coefficients),
+        covariance=covariance,
         found_lag=found_lag,
         u_lag=u_lag,
-        explained=explained,
+        explained=1.0 - np.mean(loops[1] ** 2, axis=0) / np.maximum(np.mean(loops[0] ** 2, axis=0), TINY),
         places=places,
         loops=loops[1] if used else loops[0],
         loop_covariance=loop_covariance,
@@ -154,15 +153,15 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     )
 
 
-def _with_lag(means: RampMeans, order: int) -> tuple[float, Array, Array]:
-    """Return the lag that all channels share, polynomials of shape (channels, order + 1), and their covariance."""
+def _with_lag(means: RampMeans, order: int) -> tuple[float, float, Array, Array]:
+    """Return the lag that all channels share, s, its u, polynomials (channels, order + 1), and their covariance."""
     lag, noises = means.lag(order), list[Array]()
     for _ in range(2):
         designs = _lag_designs(means, lag, order)
-        noises = noises or [noise_covariance(means, *one) for one in zip(designs, means.readings.T, strict=True)]
+        noises = noises or list(map(means.noise_covariance, designs, means.readings.T))
         solution, covariance = _generalised_least_squares(designs, 1, means.readings, noises)
         lag += float(solution[-1])
-    return lag, solution[:-1].reshape(-1, order + 1), covariance
+    return lag, sqrt(covariance[-1, -1]), solution[:-1].reshape(-1, order + 1), covariance[:-1, :-1]
 
 
 def _lag_designs(means: RampMeans, lag: float, order: int) -> list[Array]:
@@ -175,33 +174,50 @@ def _lag_designs(means: RampMeans, lag: float, order: int) -> list[Array]:
 def _beside_loop(means: RampMeans, lag: float, order: int) -> tuple[Array, Array, Array]:
     """Return polynomials for a given lag that lie between the ways, their covariance, and what the loop adds to it.
 
-    A reading is on one way or the other: half of their difference is that of a rectangular distribution.
+    A reading is on one way or the other, half of their difference from the middle.
     """
     from scipy.special import chdtri
 
     x, p, channels = means.powers(lag, order), order + 1, means.readings.shape[1]
     ways = x[:, :_LOOP_TERMS] * means.rising[:, None]
     of_ways = slice(p, p + ways.shape[1])
-    coefficients, covariance = np.zeros((channels, p)), np.zeros((channels * p + 1, channels * p + 1))
-    added = np.zeros((channels * p, channels * p))
-    for c, values in enumerate(means.readings.T):
+    coefficients, (covariance, added) = np.zeros((channels, p)), np.zeros((2, channels * p, channels * p))
+    for c, (block, values) in enumerate(zip(_blocks(coefficients), means.readings.T, strict=True)):
         design = np.column_stack([x, ways])
         if lag == 0.0:
             design = _with_turns(means, design, values)
         # Not weighted by the noise that lasts: it would follow one way of a loop here and the other there.
         solve = np.linalg.pinv(design)
-        solution, of_solution = solve @ values, solve @ noise_covariance(means, design, values) @ solve.T
-        half = solution[of_ways]
-        start = c * p
-        if half @ np.linalg.solve(of_solution[of_ways, of_ways], half) > chdtri(len(half), CHANCE):
-            loop = slice(start, start + len(half))
-            added[loop, loop] = np.outer(half, half) / 3.0
+        solution, of_solution = solve @ values, solve @ means.noise_covariance(design, values) @ solve.T
+        half, of_half = solution[of_ways], of_solution[of_ways, of_ways]
+        if half @ np.linalg.solve(of_half, half) > chdtri(len(half), CHANCE):
+            loop = slice(block.start, block.start + len(half))
+            noise_on_ways = _mean_square(x, of_solution[:p, :p]) + _mean_square(x[:, : len(half)], of_half)
+            loop_square = _mean_square(x[:, : len(half)], np.outer(half, half))
+            added[loop, loop] = of_half + loop_weight(sqrt(loop_square / noise_on_ways)) * np.outer(half, half)
         else:
-            noise = noise_covariance(means, x, values)
+            noise = means.noise_covariance(x, values)
             solution, of_solution = _generalised_least_squares([x], 0, values[:, None], [noise])
-        coefficients[c] = solution[:p]
-        covariance[start : start + p, start : start + p] = of_solution[:p, :p]
+        coefficients[c], covariance[block, block] = solution[:p], of_solution[:p, :p]
     return coefficients, covariance, added
+
+
+def _mean_square(x: Array, covariance: Array) -> float:
+    return float(np.mean(np.einsum("ij,jk,ik->i", x, covariance, x)))
+
+
+def loop_weight(ratio: float) -> float:
+    """Return what half a loop's square counts, so that 1.96 standard uncertainties hold 95 % of readings on both ways.
+
+    Of a half loop of so many standard uncertainties they must reach its end and 1.645 of these beyond.
+    """
+    return min((((ratio + ONE_SIDED) / TWO_SIDED) ** 2 - 1.0) / ratio**2, 1.0)
+
+
+def _blocks(polynomials: Array) -> list[slice]:
+    """Return where the coefficients of each channel are, for polynomials of shape (channels, p)."""
+    channels, p = polynomials.shape
+    return [slice(c * p, (c + 1) * p) for c in range(channels)]
 
 
 def _with_turns(means: RampMeans, design: Array, values: Array) -> Array:
@@ -234,10 +250,9 @@ def _cost_of_hysteresis(means: RampMeans, order: int) -> float:
     Rayleigh's loop (1887) grows from both turns: its two ways are parabolas between them.
     """
     element = means.temperature(0.0)
-    low, high = (
-        np.array([bound(element[means.leg == k]) for k in range(len(means.legs))]) for bound in (np.min, np.max)
-    )
-    grown = means.rising * (element - low[means.leg]) * (high[means.leg] - element)
+    legs = [element[means.leg == k] for k in range(len(means.legs))]
+    low, high = (np.array([bound(leg) for leg in legs])[means.leg] for bound in (np.min, np.max))
+    grown = means.rising * (element - low) * (high - element)
     widest = max(leg.high - leg.low for leg in means.legs) / 2.0
     widths = np.geomspace(widest / 1000.0, widest, LAGS)
     return min(
@@ -289,14 +304,13 @@ def _require_one_lag(means: RampMeans, lag: float, order: int, step: float) -> N
     turns = [means.temperature(centre + apart) + means.temperature(centre - apart) - 2.0 * means.temperature(centre)]
     if lag > 0.0:
         turns.append(np.exp((means.time[0] - means.time) / lag))
-    x, y = means.powers(lag, order), means.readings
+    shared, x, y = np.stack(turns, axis=1), means.powers(lag, order), means.readings
     slopes = x[:, :-1] @ (np.arange(1, order + 1)[:, None] * least_squares(x, y)[1:])
-    shared = np.stack(turns, axis=1)
     designs = [
         np.column_stack([design, slope[:, None] * shared])
         for design, slope in zip(_lag_designs(means, lag, order), slopes.T, strict=True)
     ]
-    noises = [noise_covariance(means, *one) for one in zip(designs, y.T, strict=True)]
+    noises = list(map(means.noise_covariance, designs, y.T))
     solution, covariance = _generalised_least_squares(designs, 1 + len(turns), y, noises)
     sizes, of_sizes = solution[-len(turns) :], covariance[-len(turns) :, -len(turns) :]
     times = sqrt(float(sizes @ np.linalg.solve(of_sizes, sizes)) / chdtri(len(sizes), TURNING))
@@ -311,51 +325,6 @@ def _require_one_lag(means: RampMeans, lag: float, order: int, step: float) -> N
         f"at {pace:.2g} °C/min the residuals turn with the temperature, by up to {off:.2g} °C of it: one lag of "
         f"{lag:.0f} s does not describe the record, because the element {cause}"
     )
-
-
-def noise_covariance(means: RampMeans, design: Array, values: Array) -> Array:
-    """Return the covariance of the noise of one channel: white, and a process whose correlation decays with time.
-
-    Their sizes and the correlation time are not known. The restricted likelihood (Patterson and Thompson, 1971) weighs
-    them, and the covariance is the mean over what it allows: an estimate of them alone would make intervals too narrow.
-
-    Parameters
-    ----------
-    design : ndarray, shape (means, p)
-        Columns that the noise is left by; the first is constant.
-    values : ndarray, shape (means,)
-    """
-    n, p = design.shape
-    x = np.linalg.qr(design)[0]
-    off = values - x @ (x.T @ values)
-    # A process that took up what lasts a few means, such as steps of the thermometer, would take up the drift with it.
-    second = [off[2 * k :] - 2.0 * off[k:-k] + off[: -2 * k] for k in _DISTANCES if 2 * k < n]
-    least = min(max(float(np.mean(some**2)) / 6.0 for some in second), float(off @ off) / (n - p)) + TINY
-    likelihood, variances = [], []
-    for _, eigenvalues, vectors in means.correlations:
-        xr, yr = vectors.T @ x, vectors.T @ values
-        weight = 1.0 / (1.0 + _RATIOS[:, None] * np.maximum(eigenvalues, 0.0))
-        normal = np.einsum("ni,rn,nj->rij", xr, weight, xr, optimize=True)
-        solution = np.linalg.solve(normal, ((weight * yr) @ xr)[:, :, None])[:, :, 0]
-        square = np.sum(weight * (yr - solution @ xr.T) ** 2, axis=1)
-        variance = np.maximum(square / (n - p), least)
-        determinant = np.linalg.slogdet(normal)[1] - np.sum(np.log(weight), axis=1)
-        likelihood.append(np.log(_PRIOR) - 0.5 * ((n - p) * np.log(variance) + square / variance + determinant))
-        variances.append(variance)
-    weights = np.exp(np.array(likelihood) - np.max(likelihood))
-    parts = weights / weights.sum() * np.array(variances)
-    covariance = float(parts.sum()) * np.eye(n)
-    for (correlation, _, _), part in zip(means.correlations, parts, strict=True):
-        covariance += _WIDER * float(part @ _RATIOS) * correlation
-    return covariance
-
-
-def _of_rounded_temperature(means: RampMeans, coefficients: Array) -> Array:
-    """Return what rounding of the thermometer, which does not average out at the turns, adds to the covariance."""
-    from scipy.linalg import block_diag
-
-    slopes = np.pad(coefficients[:, 1:] * np.arange(1, coefficients.shape[1]), ((0, 0), (0, 1)))
-    return np.asarray(block_diag(*[np.outer(slope, slope) * means.shift**2 for slope in slopes], 0.0))
 
 
 def _generalised_least_squares(

@@ -1,4 +1,4 @@
-"""A record of a ramp in few means of consecutive rows, and the temperature of the element in them for any lag."""
+"""A record of a ramp in few means of consecutive rows: the temperature of the element for any lag, and the noise."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from tiltcal.core.ramp.record import Leg, RampRecord, averaged, row_noise
 from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
 
-PLACES = 8
-"""Temperatures at which the ways are compared."""
+LAGS = 14  # of either sign that are tried first
+TINY = np.finfo(float).tiny
 
 _MEANS = 256  # of a record that is fitted
 _NOISE_SHARE = 0.02  # what noise of a thermometer that is later may add to a mean, in parts of the loop
 _FEWEST_MEANS = 12  # of a leg, however noisy the thermometer
 _END_WEIGHT = 4.0  # the end of a line through n points has this weight over n (its leverage)
-LAGS = 14  # of either sign that are tried first
 _LASTS = np.geomspace(1.0 / 64.0, 1.2, 8)  # how long noise lasts, in times of the record; the last as a random walk
-TINY = np.finfo(float).tiny
+_RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])  # variance of noise that lasts over that of white noise
+_PRIOR = np.concatenate([[0.5], np.full(22, 0.5 / 22)])  # half of the weight is on white noise alone
+_WIDER = 1.2  # of the variance of noise that lasts: 1.96 deviations of a mixture of sizes hold less than 95 %
+_DISTANCES = (1, 2, 4, 8)  # of second differences, in means: a step of the thermometer may last several
 
 
 class RampMeans:
@@ -31,8 +33,8 @@ class RampMeans:
 
     ``readings``, unit, shape (means, channels), belong to the legs of the numbers ``leg`` at the times ``time``, s;
     ``rising`` is 1 on the way up, -1 on the way down, and ``scale`` the scatter about a polynomial by which errors of
-    several channels are compared, unit. Because rounding does not average out at the turns, the curve may be shifted by
-    ``shift``, °C.
+    several channels are compared, unit; ``reference`` is in °C. Because rounding does not average out at the turns, the
+    curve may be shifted by ``shift``, °C.
 
     Where the thermometer is ``late``, the noise of a row becomes |lag| (e_end - e_start) / t in a mean over a time t:
     means are so long that it hides no loop.
@@ -41,7 +43,7 @@ class RampMeans:
     def __init__(
         self, record: RampRecord, legs: Sequence[Leg], reference: float, highest: int, *, late: bool = False
     ) -> None:
-        self._record, self._reference, self._highest = record, reference, highest
+        self._record, self.reference, self._highest = record, reference, highest
         rows, degrees = len(record.time), sum(leg.high - leg.low for leg in legs)
         # Over a whole step of the thermometer its rounding averages out; parts of one would look like noise that lasts.
         steps = degrees / record.step if record.step else np.inf
@@ -75,15 +77,19 @@ class RampMeans:
         """
         time, temperature = self._record.time, self._record.temperature
         rows = ThermalLag(lag)(time, temperature) if lag >= 0.0 else temperature - lag * self._slope
-        return self.averaged(rows) - self._reference
+        return self.averaged(rows) - self.reference
+
+    def temperature_in_log(self, lag: float) -> Array:
+        """Return the temperature as the filter of a log makes it, °C from the reference, shape (means,)."""
+        return self.averaged(ThermalLag(lag)(self._record.time, self._record.temperature)) - self.reference
 
     def powers(self, lag: float, order: int) -> Array:
         """Return the powers 0 to ``order`` of the temperature of the element, shape (means, order + 1)."""
         if lag not in self._powers:
-            self._powers[lag] = self.powers_of(self.temperature(lag))
+            self._powers[lag] = self._powers_of(self.temperature(lag))
         return self._powers[lag][:, : order + 1]
 
-    def powers_of(self, element: Array) -> Array:
+    def _powers_of(self, element: Array) -> Array:
         """Return the means of all powers of a temperature that changes steadily in a mean."""
         powers, k = np.vander(element, self._highest + 1, increasing=True), np.arange(2, self._highest + 1)
         steps = np.concatenate([np.gradient(element[self.leg == number]) for number in range(len(self.legs))])
@@ -118,16 +124,41 @@ class RampMeans:
                 np.clip(limit[:-behind], low[behind:], high[behind:]) for limit in (low, high)
             )
             behind *= 2
-        return self.powers_of(self.averaged(low) - self._reference)
+        return self._powers_of(self.averaged(low) - self.reference)
 
-    def shared_temperatures(self) -> Array:
-        """Return temperatures that the ways up and down have in common, °C from the reference, shape (places,)."""
-        element, up = self.temperature(0.0), self.rising > 0.0
-        low, high = max(element[up].min(), element[~up].min()), min(element[up].max(), element[~up].max())
-        return np.asarray(low + (high - low) * (np.arange(PLACES) + 0.5) / PLACES)
+    def noise_covariance(self, design: Array, values: Array) -> Array:
+        """Return the covariance of the noise of one channel: white, and a process whose correlation decays with time.
+
+        Their sizes and the correlation time are not known. The restricted likelihood (Patterson and Thompson, 1971)
+        weighs them, and the covariance is the mean over what it allows: an estimate of them alone would make intervals
+        too narrow. Values, shape (means,), are left by columns, shape (means, p), of which the first is constant.
+        """
+        n, p = design.shape
+        x = np.linalg.qr(design)[0]
+        off = values - x @ (x.T @ values)
+        # A process that took up what lasts a few means, such as steps of the thermometer, would take up the drift too.
+        second = [off[2 * k :] - 2.0 * off[k:-k] + off[: -2 * k] for k in _DISTANCES if 2 * k < n]
+        least = min(max(float(np.mean(some**2)) / 6.0 for some in second), float(off @ off) / (n - p)) + TINY
+        likelihood, variances = [], []
+        for _, eigenvalues, vectors in self._correlations:
+            xr, yr = vectors.T @ x, vectors.T @ values
+            weight = 1.0 / (1.0 + _RATIOS[:, None] * np.maximum(eigenvalues, 0.0))
+            normal = np.einsum("ni,rn,nj->rij", xr, weight, xr, optimize=True)
+            solution = np.linalg.solve(normal, ((weight * yr) @ xr)[:, :, None])[:, :, 0]
+            square = np.sum(weight * (yr - solution @ xr.T) ** 2, axis=1)
+            variance = np.maximum(square / (n - p), least)
+            determinant = np.linalg.slogdet(normal)[1] - np.sum(np.log(weight), axis=1)
+            likelihood.append(np.log(_PRIOR) - 0.5 * ((n - p) * np.log(variance) + square / variance + determinant))
+            variances.append(variance)
+        weights = np.exp(np.array(likelihood) - np.max(likelihood))
+        parts = weights / weights.sum() * np.array(variances)
+        covariance = float(parts.sum()) * np.eye(n)
+        for (correlation, _, _), part in zip(self._correlations, parts, strict=True):
+            covariance += _WIDER * float(part @ _RATIOS) * correlation
+        return covariance
 
     @cached_property
-    def correlations(self) -> list[tuple[Array, Array, Array]]:
+    def _correlations(self) -> list[tuple[Array, Array, Array]]:
         """Correlations that decay with time, each with its eigenvalues and eigenvectors."""
         distance = np.abs(self.time[:, None] - self.time) / np.ptp(self.time)
         return [(block, *np.linalg.eigh(block)) for block in (np.exp(-distance / lasts) for lasts in _LASTS)]
@@ -146,10 +177,9 @@ def lowest(cost: Callable[[float], float], grid: Array) -> tuple[float, float]:
 
     costs = [cost(value) for value in grid.tolist()]
     best = int(np.argmin(costs))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    options = {"xatol": 1e-5 * float(high - low)}
-    found = minimize_scalar(cost, bounds=(float(low), float(high)), method="bounded", options=options)
-    return (float(found.x), float(found.fun)) if found.fun < costs[best] else (float(grid[best]), costs[best])
+    low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, len(grid) - 1)])
+    refined = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-5 * (high - low)})
+    return (float(refined.x), float(refined.fun)) if refined.fun < costs[best] else (float(grid[best]), costs[best])
 
 
 def least_squares(x: Array, y: Array) -> Array:

@@ -18,22 +18,15 @@ from tiltcal.errors import EstimateError
 MOST = 4096
 """Means that a record has at least, where it has so many rows."""
 
-TURN = 0.2
-"""Part of the whole range of temperature by which it must come back for a leg to end."""
-
-SMALLEST_RANGE = 2.0
-"""°C; below it no drift is distinguished from noise."""
-
-OVERLAP = 0.5
-"""Part of the whole range that the ways up and the ways down must both cover."""
-
-FEWEST_STEPS, FEWEST_ROWS = 8, 32
-"""Steps of the thermometer that the whole range must have, and rows of a record."""
-
+_FEWEST_ROWS = 32  # of a record
 _STEPS = 4.0  # usual steps by which a ramp of few rows may change from one row to the next
 _GAP = 10.0  # usual intervals without a row, after which any temperature may follow
 _BURST = 0.8  # of the mean interval, within which rows belong to one burst, which counts as one row
 _FIRST = 5  # rows whose median is the temperature that a record begins with
+_TURN = 0.2  # of the whole range, by which the temperature must come back for a leg to end
+_SMALLEST_RANGE = 2.0  # °C; below it no drift is distinguished from noise
+_FEWEST_STEPS = 8  # of the thermometer, that the whole range must have
+_OVERLAP = 0.5  # of the whole range, that the ways up and the ways down must both cover
 _SQUARE_OF_90_PERCENT = 2.706  # what the square of a normal variable of variance 1 is below in 90 % of cases
 
 
@@ -61,19 +54,16 @@ def ramp_record(time: Array, temperature: Array, readings: Sequence[Array], firs
     Times in s, temperatures in °C and the readings of each channel are of shape (n,), NaN where one is missing;
     ``first`` is the number of the first row. An EstimateError where there are too few rows, or too many jump.
     """
-    columns = (time, temperature, *readings)
     counts, jumps = _without_jumps(time, temperature, first)
-    for column in columns:
-        counts &= np.isfinite(column)
-    columns = tuple(column[counts] for column in columns)
-    rows = len(columns[0])
-    if rows < FEWEST_ROWS:
+    table = np.stack([time, temperature, *readings], axis=1)
+    table = table[counts & np.isfinite(table).all(axis=1)]
+    rows = len(table)
+    if rows < _FEWEST_ROWS:
         raise EstimateError(f"the record has {rows} rows with time, temperature and readings: too few")
-    times = columns[0]
-    bursts = np.flatnonzero(np.diff(times, prepend=-np.inf) >= _BURST * np.ptp(times) / rows)
-    means = [averaged(column, bursts[:: max(len(bursts) // MOST, 1)]) for column in columns]
-    noise = np.array([np.sqrt(np.mean(np.diff(column) ** 2) / 2.0) for column in columns[2:]])
-    return RampRecord(means[0], means[1], np.stack(means[2:], axis=1), noise, rows, jumps, even_step(columns[1]))
+    bursts = np.flatnonzero(np.diff(table[:, 0], prepend=-np.inf) >= _BURST * np.ptp(table[:, 0]) / rows)
+    means = averaged(table, bursts[:: max(len(bursts) // MOST, 1)])
+    noise = np.sqrt(np.mean(np.diff(table[:, 2:], axis=0) ** 2, axis=0) / 2.0)
+    return RampRecord(means[:, 0], means[:, 1], means[:, 2:], noise, rows, jumps, even_step(table[:, 1]))
 
 
 def averaged(values: Array, starts: NDArray[np.intp]) -> Array:
@@ -89,7 +79,7 @@ def _without_jumps(time: Array, temperature: Array, first: int) -> tuple[Mask, s
     """
     counts = np.ones(len(time), dtype=bool)
     rows = np.flatnonzero(np.isfinite(time) & np.isfinite(temperature))
-    if len(rows) < FEWEST_ROWS:
+    if len(rows) < _FEWEST_ROWS:
         return counts, ""
     values, intervals = temperature[rows], np.diff(time[rows])
     steps = np.abs(np.diff(values))
@@ -151,19 +141,32 @@ def legs_of(record: RampRecord) -> list[Leg]:
     if np.any(np.diff(record.time) <= 0.0):
         raise EstimateError("the time of the record goes back or stands still: name its column of times, in order")
     whole = float(np.ptp(record.temperature))
-    if not whole >= SMALLEST_RANGE:
+    if not whole >= _SMALLEST_RANGE:
         raise EstimateError(
-            f"the temperature changes by {whole:.2g} °C in the record: a drift takes at least {SMALLEST_RANGE:g} °C, "
+            f"the temperature changes by {whole:.2g} °C in the record: a drift takes at least {_SMALLEST_RANGE:g} °C, "
             "up and down again"
         )
-    if record.step * FEWEST_STEPS > whole:
+    if record.step * _FEWEST_STEPS > whole:
         raise EstimateError(
             f"the temperature changes by {whole:.2g} °C in steps of {record.step:.2g} °C, too coarse to separate drift "
-            f"from rounding: let it change by at least {FEWEST_STEPS * record.step:.2g} °C, or read a finer thermometer"
+            f"from rounding: let it change by at least {_FEWEST_STEPS * record.step:.2g} °C, or read a finer "
+            "thermometer"
         )
-    bounds = [*_turns(record.temperature, TURN * whole), len(record.time)]
-    legs = [_leg(record, start, end) for start, end in pairwise(bounds)]
-    _require_both_ways(legs, whole)
+    legs = [_leg(record, *ends) for ends in pairwise([*_turns(record.temperature, _TURN * whole), len(record.time)])]
+    pace = f"{max(leg.pace for leg in legs):.2g} °C/min"
+    up, down = ([leg for leg in legs if leg.rising is way] for way in (True, False))
+    if not up or not down:
+        raise EstimateError(
+            f"the temperature goes only {legs[0].way}, and one way does not separate a thermal lag from drift: let it "
+            f"come back over the same temperatures, at {pace} or slower"
+        )
+    shared = min(max(leg.high for leg in way) for way in (up, down))
+    shared -= max(min(leg.low for leg in way) for way in (up, down))
+    if shared < _OVERLAP * whole:
+        raise EstimateError(
+            f"the ways up and down share {max(shared, 0.0):.2g} °C of {whole:.2g} °C, too little to separate "
+            f"a thermal lag from drift: let the temperature come all the way back, at {pace} or slower"
+        )
     return legs
 
 
@@ -190,20 +193,3 @@ def _leg(record: RampRecord, start: int, end: int) -> Leg:
     seconds = float(np.ptp(middle)) if len(middle) > 1 else float(np.ptp(time))
     pace = 0.8 * (high - low) / seconds * 60.0 if seconds > 0.0 else 0.0
     return Leg(start, end, low, high, bool(t[-1] > t[0]), float(np.ptp(time)), pace)
-
-
-def _require_both_ways(legs: list[Leg], whole: float) -> None:
-    pace = f"{max(leg.pace for leg in legs):.2g} °C/min"
-    up, down = ([leg for leg in legs if leg.rising is way] for way in (True, False))
-    if not up or not down:
-        raise EstimateError(
-            f"the temperature goes only {legs[0].way}, and one way does not separate a thermal lag from drift: let it "
-            f"come back over the same temperatures, at {pace} or slower"
-        )
-    highest = min(max(leg.high for leg in way) for way in (up, down))
-    lowest = max(min(leg.low for leg in way) for way in (up, down))
-    if highest - lowest < OVERLAP * whole:
-        raise EstimateError(
-            f"the ways up and down share {max(highest - lowest, 0.0):.2g} °C of {whole:.2g} °C, too little to separate "
-            f"a thermal lag from drift: let the temperature come all the way back, at {pace} or slower"
-        )

@@ -1,4 +1,4 @@
-"""A calibration in a few lines of text: coefficients with their standard uncertainties, and how well the data fit."""
+"""A calibration in words: labels of its coefficients, their standard uncertainties, and how well the data fit."""
 
 from __future__ import annotations
 
@@ -33,9 +33,13 @@ LOOKS_LIKE, LARGEST_BEND = 0.8, 0.1
 """Residuals look like non-linearity where a square and a cube of less than the second explain this share of them."""
 
 
+_POWERS = {"1": "", "2": "²", "3": "³"}
+_SHAPES = {"2": "square", "3": "cube"}
+
+
 def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:
     """Return all coefficients and tilts with their uncertainties, how well the positions fit, and the notes."""
-    lines = [*_lines(calibration), *tilt_uncertainty_lines(calibration), *mounting_lines(calibration)]
+    lines = [*_coefficient_lines(calibration), *tilt_uncertainty_lines(calibration), *mounting_lines(calibration)]
     return "\n".join(lines + [f"  {note}" for note in calibration.fit.notes if notes])
 
 
@@ -96,21 +100,22 @@ def mounting_lines(calibration: CalibrationRecord) -> Iterator[str]:
         yield "  gimbal lock: at a pitch of ±90° only roll and yaw together are determined"
 
 
-def _lines(calibration: CalibrationRecord) -> Iterator[str]:
+def _coefficient_lines(calibration: CalibrationRecord) -> Iterator[str]:
     sensor, coefficients, u = calibration.sensor, calibration.coefficients, calibration.uncertainty
     yield f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)"
     for name, value in values(coefficients).items():
         match name.split("."):
             case ["offset", channel]:
-                label, unit = f"offset {channel}         ", f" {sensor.unit}"
+                label = f"offset {channel}         "
             case ["sensitivity", channel, axis]:
-                label, unit = f"sensitivity {channel}{axis}   ", f" {sensor.unit}/g"
+                label = f"sensitivity {channel}{axis}   "
             case ["nonlinearity", channel, power]:
-                label, unit = f"nonlinearity {channel}^{power}", ""
+                label = f"nonlinearity {channel}^{power}"
             case [_, what, channel, power]:
                 label = f"{what} {channel} over T  "
-                unit = f" {sensor.unit if what == 'offset' else '1'}/°C{'' if power == '1' else f'^{power}'}"
-        yield f"  {label} {_pair(value, u[name]) if name in u else f'{value:>12.6g}'}{unit}"
+        unit = unit_of(name, sensor.unit)
+        shown = _pair(value, u[name]) if name in u else f"{value:>12.6g}"
+        yield f"  {label} {shown} {unit}".rstrip()
     if coefficients.thermal is not None and coefficients.thermal.lag:
         yield f"  thermal lag       {_pair(coefficients.thermal.lag, u.get('temperature.lag', 0.0))} s"
     yield from (f"  {line}" for line in fit_lines(calibration))
@@ -228,3 +233,66 @@ def _probability(fit: FitRecord) -> float | None:
 def _pair(value: float, u: float) -> str:
     number, _, uncertainty = plus_minus(value, u).partition(" ")
     return f"{number:>12} {uncertainty}"
+
+
+def words(name: str) -> str:
+    """Return a coefficient in words, such as ``Sensitivity of x to y`` for ``sensitivity.x.y``."""
+    match name.split("."):
+        case ["offset", channel]:
+            return f"Offset of {channel}"
+        case ["sensitivity", channel, axis] if channel == axis:
+            return f"Sensitivity of {channel}"
+        case ["sensitivity", channel, axis]:
+            return f"Sensitivity of {channel} to {axis}"
+        case ["nonlinearity", channel, power]:
+            return f"Nonlinearity of {channel}, {_SHAPES.get(power, power)}"
+        case ["temperature", "offset", channel, power]:
+            return f"Drift of offset {channel}, ΔT{_raised(power)}"
+        case ["temperature", "sensitivity", channel, power]:
+            return f"Drift of sensitivity {channel}, ΔT{_raised(power)}"
+        case ["mounting", "turn", axis]:
+            return f"Turn of the mounting about {axis}"
+    return name
+
+
+def symbol(name: str) -> tuple[str, str]:
+    """Return a coefficient's letter and its index, such as ``S`` and ``xy``."""
+    match name.split("."):
+        case ["offset", channel]:
+            return "u", f"0{channel}"
+        case ["sensitivity", channel, axis]:
+            return "S", channel + axis
+        case ["nonlinearity", channel, power]:
+            return "n", channel + power
+        case ["temperature", "offset", channel, power]:
+            return "d", channel + power
+        case ["temperature", "sensitivity", channel, power]:
+            return "e", channel + power
+        case ["mounting", "turn", axis]:
+            return "r", axis
+    return name, ""
+
+
+def unit_of(name: str, unit: str) -> str:
+    """Return the unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number.
+
+    ValueError: there is no such coefficient.
+    """
+    match name.split("."):
+        case ["offset", _]:
+            return unit
+        case ["sensitivity", *_]:
+            return f"{unit}/g"
+        case ["mounting", "turn", _]:
+            return "°"
+        case ["temperature", "lag"]:
+            return "s"
+        case ["nonlinearity", *_]:
+            return ""
+        case ["temperature", kind, _, power]:
+            return f"{unit if kind == 'offset' else '1'}/°C{_raised(power)}"
+    raise ValueError(f"there is no coefficient {name!r}")
+
+
+def _raised(power: str) -> str:
+    return _POWERS.get(power, f"^{power}")

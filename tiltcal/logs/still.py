@@ -17,14 +17,22 @@ from math import cos, inf, radians, sqrt
 
 import numpy as np
 
+from tiltcal.core.detection import (
+    Numbers,
+    Span,
+    lost_rows,
+    repeated_rows,
+    run_bounds,
+    stillest,
+    stuck_spans,
+    window_scatter,
+)
 from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
+from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
-from tiltcal.core.rows import LongRuns, Rows, Span, Stillest, lost_rows, stuck_spans, window_scatter
 from tiltcal.core.samples import BLOCKS
 from tiltcal.errors import EstimateError
 from tiltcal.files.tables import Segment
-from tiltcal.logs.row_sums import Numbers, RowSums
-from tiltcal.logs.streams import read_ahead
 
 WINDOWS = (200, 100, 50, 25)
 """Rows of the windows that are tried."""
@@ -38,8 +46,8 @@ STUCK = 25
 SAME_DIRECTION_COSINE = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
 
-_BLOCK = 1 << 14
-"""Rows that are read at once."""
+_PIECE = 1 << 18
+"""Rows that are summed up at once."""
 
 
 @dataclass(frozen=True)
@@ -71,33 +79,35 @@ class StaticDetection:
         """Expanded uncertainty (95 %) of the unknowns on average, g; infinite where nothing judges them."""
         return inf if self.fit is None else self.fit.expanded
 
+    @property
+    def segments(self) -> list[Segment]:
+        """The still intervals as segments, named in their order; those of one attitude have one name."""
+        digits = len(str(len(self.intervals)))
+        return [
+            Segment(f"still-{number:0{digits}}", start, end, None, None)
+            for number, spans in enumerate(self.intervals, start=1)
+            for start, end in spans
+        ]
 
-def find_still(readings: Rows, windows: Sequence[int] = WINDOWS) -> tuple[StaticDetection, tuple[StaticDetection, ...]]:
-    """Find the still intervals of readings of x, y, z, unit, NaN where one is missing, by the best threshold.
+
+def find_still(
+    columns: Sequence[Array], windows: Sequence[int] = WINDOWS
+) -> tuple[StaticDetection, tuple[StaticDetection, ...]]:
+    """Find the still intervals of columns x, y, z, unit, NaN where a value is missing, by the best threshold.
 
     It returns the choice, and all that were tried, the strictest of each window first. An EstimateError where no
-    threshold finds more attitudes than there are unknowns. The readings are read several times.
+    threshold finds more attitudes than there are unknowns.
     """
-    stuck = stuck_spans(readings, STUCK)
-    tried = tuple(_choices(readings, stuck, windows))
+    lost = lost_rows(columns, stuck_spans(columns, STUCK))
+    tried = _choices(columns, lost, windows)
     best = min(tried, key=lambda choice: choice.expanded, default=None)
     if best is None or best.fit is None or best.expanded == inf:
-        raise EstimateError(_too_few(tried, readings, stuck))
+        raise EstimateError(_too_few(tried, int(lost.sum())))
     # What is left over shows the scatter no better than this. A choice that is better by less has but left out some
     # attitude that fits badly, and would be surer of itself than it is.
     tolerance = 1.0 + 1.0 / sqrt(2.0 * (len(best.intervals) - UNKNOWNS))
     good = [choice for choice in tried if choice.expanded <= tolerance * best.expanded]
     return max(good, key=lambda choice: (choice.distinct, -choice.expanded)), tried
-
-
-def still_segments(choice: StaticDetection) -> list[Segment]:
-    """Return the still intervals as segments, named in their order; those of one attitude have one name."""
-    digits = len(str(len(choice.intervals)))
-    return [
-        Segment(f"still-{number:0{digits}}", start, end, None, None)
-        for number, spans in enumerate(choice.intervals, start=1)
-        for start, end in spans
-    ]
 
 
 def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit: str) -> str:
@@ -118,64 +128,58 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
     return "\n".join(lines)
 
 
-class StillSpans:
-    """Collects the rows in which a log is still over a window, by standard deviations of all channels, unit."""
-
-    def __init__(self, window: int, thresholds: Sequence[float]) -> None:
-        self._middle, self._thresholds = window // 2, thresholds
-        # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
-        self._still = [LongRuns(max(self._middle, 2)) for _ in thresholds]
-
-    def add(self, scatter: Array) -> None:
-        """Take the scatter in the next windows, shape (n,); see :func:`tiltcal.core.rows.window_scatter`."""
-        low, high = float(np.min(scatter, initial=inf)), float(np.max(scatter, initial=0.0))
-        for found, threshold in zip(self._still, self._thresholds, strict=True):
-            if low <= threshold < high:
-                found.add(scatter <= threshold)
-            else:
-                found.add_alike(len(scatter), high <= threshold)
-
-    def result(self) -> list[Numbers]:
-        """Return the first rows and the rows behind the last by each threshold, shape (spans, 2), in order."""
-        return [np.array(found.result(), dtype=np.intp).reshape(-1, 2) + self._middle for found in self._still]
-
-
-def _choices(readings: Rows, stuck: Sequence[Span], windows: Sequence[int]) -> list[StaticDetection]:
-    still = list(_still(readings, stuck, windows))
-    sums = RowSums(readings, np.concatenate([np.empty(0, np.intp), *(spans.ravel() for *_, spans in still)]))
-    attitudes = [_attitudes(sums, spans[sums.change(*spans.T)]) for *_, spans in still]
-    bounds = [part for found in attitudes for spans in found for part in (spans.ravel(), block_bounds(spans)[1])]
-    sums = RowSums(readings, np.concatenate([np.empty(0, np.intp), *bounds]))
-    return [
-        StaticDetection(window, multiple, noise, tuple(map(_as_spans, found)), _fit(readings, sums, found))
+def _choices(columns: Sequence[Array], lost: Mask, windows: Sequence[int]) -> tuple[StaticDetection, ...]:
+    still = [(window, *found) for window in windows for found in _still(columns, lost, window)]
+    if not still:
+        return ()
+    # A span in which nothing changes is stuck; its first row need not repeat the row before it.
+    changes = np.cumsum(~repeated_rows(columns), dtype=np.int32)
+    moving = [spans[changes[spans[:, 1] - 1] > changes[spans[:, 0]]] for *_, spans in still]
+    sums = RowSums(columns, moving)
+    attitudes = [_attitudes(sums, spans) for spans in moving]
+    sums = RowSums(
+        columns, [part for found in attitudes for spans in found for part in (spans, block_bounds(spans)[1])]
+    )
+    return tuple(
+        StaticDetection(window, multiple, noise, tuple(map(_as_spans, found)), _fit(columns, sums, found))
         for (window, multiple, noise, _), found in zip(still, attitudes, strict=True)
-    ]
+    )
 
 
-def _still(
-    readings: Rows, stuck: Sequence[Span], windows: Sequence[int]
-) -> Iterator[tuple[int, float, float, Numbers]]:
-    """Yield each window, threshold in units of the noise, noise, and the spans that are still by it.
+def _still(columns: Sequence[Array], lost: Mask, window: int) -> Iterator[tuple[float, float, Numbers]]:
+    """Yield each threshold in units of the noise, the noise, and the spans that are still by it, shape (spans, 2)."""
+    scatter = window_scatter(columns, lost, window)
+    noise = stillest(scatter, varying=True)
+    for multiple in MULTIPLES if noise else ():
+        spans = np.stack(run_bounds(scatter <= multiple * (noise or 0.0)), axis=1)
+        # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
+        yield multiple, noise or 0.0, spans[np.diff(spans)[:, 0] >= max(window // 2, 2)] + window // 2
 
-    The scatter is worked out twice, once for the noise: it takes no longer than keeping it in a file.
+
+class RowSums:
+    """Sums of the rows of columns between any two of some bounds, from one pass over them.
+
+    A value that is missing counts as zero.
     """
-    stillest = [Stillest(len(readings)) for _ in windows]
-    for scatter in read_ahead(window_scatter(readings, stuck, windows)):
-        for least, piece in zip(stillest, scatter, strict=True):
-            least.add(piece[np.isfinite(piece) & (piece > 0.0)])
-    noise = [least.result() or 0.0 for least in stillest]  # 0 where there is no window
-    still = [
-        StillSpans(window, [multiple * each for multiple in MULTIPLES])
-        for window, each in zip(windows, noise, strict=True)
-    ]
-    for scatter in read_ahead(window_scatter(readings, stuck, windows)):
-        for found, piece in zip(still, scatter, strict=True):
-            found.add(piece)
-    for window, each, found in zip(windows, noise, still, strict=True):
-        if each:
-            yield from (
-                (window, multiple, each, spans) for multiple, spans in zip(MULTIPLES, found.result(), strict=True)
-            )
+
+    def __init__(self, columns: Sequence[Array], bounds: Sequence[Numbers]) -> None:
+        rows = len(columns[0])
+        inside = np.unique(np.concatenate([np.arange(0, rows, _PIECE), *map(np.ravel, bounds)]))
+        inside = inside[inside < rows]
+        self._bounds, self._sums = np.append(inside, rows), np.zeros((len(inside) + 1, len(columns)))
+        # Sums about values amid the others keep their digits.
+        self._centres = np.array([np.nan_to_num(column[inside]).mean() for column in columns])
+        for start in range(0, rows, _PIECE):
+            first, last = np.searchsorted(inside, [start, start + _PIECE])
+            for k, column in enumerate(columns):
+                values = np.nan_to_num(column[start : start + _PIECE] - self._centres[k])
+                self._sums[first + 1 : last + 1, k] = np.add.reduceat(values, inside[first:last] - start)
+        np.cumsum(self._sums, axis=0, out=self._sums)
+
+    def between(self, starts: Numbers, ends: Numbers) -> Array:
+        """Return the sums of the rows from each start to before each end, shape (k, columns)."""
+        first, last = np.searchsorted(self._bounds, starts), np.searchsorted(self._bounds, ends)
+        return np.asarray(self._sums[last] - self._sums[first] + np.multiply.outer(ends - starts, self._centres))
 
 
 def _attitudes(sums: RowSums, spans: Numbers) -> list[Numbers]:
@@ -193,17 +197,17 @@ def _attitudes(sums: RowSums, spans: Numbers) -> list[Numbers]:
     return np.split(spans, cuts)
 
 
-def _fit(readings: Rows, sums: RowSums, attitudes: Sequence[Numbers]) -> FreeFit | None:
+def _fit(columns: Sequence[Array], sums: RowSums, attitudes: Sequence[Numbers]) -> FreeFit | None:
     if not attitudes:
         return None
-    means, uncertainties = zip(*(mean_of(readings, sums, spans) for spans in attitudes), strict=True)
+    means, uncertainties = zip(*(mean_of(columns, sums, spans) for spans in attitudes), strict=True)
     try:
         return fit_free(np.array(means), np.array(uncertainties))
     except EstimateError:
         return None
 
 
-def mean_of(readings: Rows, sums: RowSums, spans: Numbers) -> tuple[Array, Array]:
+def mean_of(columns: Sequence[Array], sums: RowSums, spans: Numbers) -> tuple[Array, Array]:
     """Return the mean of an attitude and its standard uncertainty, by :func:`tiltcal.core.samples.summarise`."""
     starts, ends = spans.T
     n = int((ends - starts).sum())
@@ -211,8 +215,8 @@ def mean_of(readings: Rows, sums: RowSums, spans: Numbers) -> tuple[Array, Array
     mean = each.sum(axis=0) / n
     size = n // BLOCKS
     if size < 2:
-        rows = np.concatenate([readings[start:end] for start, end in _as_spans(spans)])
-        return mean, np.asarray(rows.std(axis=0, ddof=1) / sqrt(n))
+        rows = [np.concatenate([column[start:end] for start, end in _as_spans(spans)]) for column in columns]
+        return mean, np.asarray(np.std(rows, axis=1, ddof=1) / sqrt(n))
     which, bounds = block_bounds(spans)
     up_to = (np.cumsum(each, axis=0) - each)[which] + sums.between(starts[which], bounds)
     return mean, np.asarray((np.diff(up_to, axis=0) / size).std(axis=0, ddof=1) / sqrt(BLOCKS))
@@ -232,13 +236,9 @@ def _as_spans(spans: Numbers) -> tuple[Span, ...]:
     return tuple(zip(*spans.T.tolist(), strict=True))
 
 
-def _too_few(tried: Sequence[StaticDetection], readings: Rows, stuck: Sequence[Span]) -> str:
+def _too_few(tried: Sequence[StaticDetection], lost: int) -> str:
     most = max((len(choice.intervals) for choice in tried), default=0)
     windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried)) or "any number of"
-    lost = sum(
-        int(lost_rows(readings[start : start + _BLOCK], start, stuck).sum())
-        for start in range(0, len(readings), _BLOCK)
-    )
     why = f" ({lost} rows are missing, or stuck at one value)" if lost else ""
     return (
         "no threshold finds enough attitudes to determine the sensor and check the result: at most "

@@ -1,0 +1,350 @@
+"""A recorded log as positions: what the sensor read while it was held still, ready for the estimator."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from decimal import Decimal
+from difflib import get_close_matches
+from itertools import groupby
+from math import sqrt
+from sys import maxsize
+from typing import Any
+
+import numpy as np
+
+from tiltcal.calibration.measurement import Measurement, at_rail
+from tiltcal.core.attitude import Vector
+from tiltcal.core.detection import (
+    LEFT_OUT,
+    TEMPERATURE_JUMP,
+    TILTED,
+    identical_by_chance,
+    noise_of_positions,
+    outliers,
+)
+from tiltcal.core.model import AXES, Array
+from tiltcal.core.quantisation import resolution
+from tiltcal.core.samples import SampleSummary, summarise
+from tiltcal.errors import InputError
+from tiltcal.files.moments import stamp_of
+from tiltcal.files.procedure import Position, Procedure
+from tiltcal.files.tables import Segment, TabledPosition
+from tiltcal.logs.numbers import RecordedReadings
+
+FEWEST_ROWS = 2
+"""Samples that a segment needs for a standard deviation."""
+
+TO_THE_END = maxsize
+"""The end of a segment that has the rest of the log."""
+
+SOAKS = 3
+"""Soaks up to the end of a segment over which the temperature is judged."""
+
+FEWEST_FOR_A_RISE, CERTAIN = 4, 3.0
+"""The least number of samples that can show a rise, and the standard deviations by which it exceeds their scatter."""
+
+Rails = Mapping[str, tuple[float, float]]
+"""The lowest and the highest reading of channels, unit."""
+
+
+@dataclass(frozen=True)
+class StaticInterval:
+    """The readings of a sensor while it was held in one attitude.
+
+    ``name`` is another one for each interval, ``position`` that of the file, the same where the sensor was put there
+    again; ``gravity`` is up in the sensor frame, None where the file does not say it. ``warming`` is by how much the
+    temperature rose, °C; ``where`` says how it is found again; ``times`` are those of its first and last row, s.
+    """
+
+    name: str
+    position: str
+    gravity: Vector | None
+    summaries: Mapping[str, SampleSummary]
+    temperature: float | None
+    line: int | None
+    warming: float = 0.0
+    where: Mapping[str, Any] = field(default_factory=dict)
+    times: tuple[float, float] | None = None
+
+
+def intervals_of(
+    record: RecordedReadings, segments: Sequence[Segment], rails: Rails, *, file: str, soak: float = 0.0
+) -> list[StaticInterval]:
+    """Return what the sensor read in each interval, without the samples that are far off the others or missing.
+
+    Segments of one name that follow each other are parts of one interval. One that reaches beyond the log, has samples
+    at a rail or too many far off or missing, or is stuck is refused; ``file`` is where the segments stand, and a
+    temperature is judged over ``soak`` seconds.
+    """
+    step = resolution(record.columns)
+    whole = [replace(one, end=len(record)) if one.end == TO_THE_END else one for one in segments]
+    groups = [list(parts) for _, parts in groupby(whole, key=lambda segment: (segment.name, segment.gravity))]
+    names = _distinct([parts[0].name for parts in groups])
+    ends = [0, *(parts[-1].end for parts in groups)]
+    intervals = []
+    for parts, name in zip(groups, names, strict=True):
+        interval = _LogInterval(record, parts, file)
+        previous = max((end for end in ends if end <= parts[0].start), default=0)
+        intervals.append(interval.read(name, step, rails, soak, previous))
+    _require_not_stuck(intervals, step, file)
+    return intervals
+
+
+def intervals_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterval]:
+    """Return what a table of positions states of each."""
+    step = 10.0 ** -max(_digits(mean) for position in positions for mean in position.mean.values())
+    names = _distinct([position.name for position in positions])
+    return [
+        StaticInterval(
+            name,
+            position.name,
+            position.gravity,
+            _tabled(position, step),
+            position.temperature,
+            position.line,
+            where={} if position.line is None else {"line": position.line},
+        )
+        for position, name in zip(positions, names, strict=True)
+    ]
+
+
+def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: str) -> list[Measurement]:
+    """Return measurements in known directions.
+
+    The procedure says the direction of a position that is only named, and its temperature where none was recorded.
+    Refused are a temperature that did not stand still where it counts or is missing in some, and a stuck channel.
+    """
+    known = {position.name: position for position in procedure.positions}
+    if procedure.determines.drift or procedure.determines.gain:
+        for interval in intervals:
+            _require_steady(interval, procedure, file)
+        _require_temperatures(intervals, file)
+    measurements = [_placed(interval, known) for interval in intervals]
+    for axis, channel in enumerate(AXES):
+        read = [measurement for measurement in measurements if channel in measurement.summaries]
+        reach = [measurement.gravity[axis] for measurement in read]
+        means = {measurement.summaries[channel].mean for measurement in read}
+        if len(means) == 1 and max(reach) - min(reach) > TILTED:
+            why = f"{channel} reads {means.pop():g} in every position: it is stuck; is it connected?"
+            raise InputError(why, file=file)
+    return measurements
+
+
+def unplaced(intervals: Sequence[StaticInterval]) -> list[Measurement]:
+    """Return measurements in free positions, whose directions a fit will find."""
+    return [
+        Measurement(interval.name, (0.0, 0.0, 1.0), None, interval.temperature, interval.summaries, interval.where)
+        for interval in intervals
+    ]
+
+
+def require_positions(named: Iterable[Segment] | Iterable[TabledPosition], procedure: Procedure, *, file: str) -> None:
+    """Refuse segments or tabled positions without a direction whose names the procedure does not have."""
+    known = [position.name for position in procedure.positions]
+    for segment in named:
+        if segment.gravity is None and segment.name not in known:
+            near = get_close_matches(segment.name, known, n=1)
+            meant = f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(known)}"
+            why = f"{procedure.name} has no position {segment.name!r}{meant}, and no gx, gy, gz are given for it"
+            raise InputError(why, file=file, line=segment.line)
+
+
+def rise(values: Array) -> float:
+    """Return the rise of a line through values, shape (n,), from first to last, less what their scatter explains."""
+    n = len(values)
+    if n < FEWEST_FOR_A_RISE:
+        return 0.0
+    off, places = values - values.mean(), np.arange(n) - (n - 1) / 2
+    spread = n * (n**2 - 1.0) / 12.0
+    slope = float(off @ places) / spread
+    scatter = sqrt(max(float(off @ off) - slope**2 * spread, 0.0) / (n - 2) / spread)
+    return float(np.sign(slope)) * max(abs(slope) - CERTAIN * scatter, 0.0) * (n - 1)
+
+
+@dataclass(frozen=True)
+class _LogInterval:
+    """One attitude of a log: segments of one name that follow each other."""
+
+    record: RecordedReadings
+    parts: Sequence[Segment]
+    file: str
+
+    def read(self, name: str, step: float, rails: Rails, soak: float, previous: int) -> StaticInterval:
+        """Return what the sensor read; ``previous`` is the row behind the interval before."""
+        for part in self.parts:
+            if part.end > len(self.record):
+                raise self._refusal(f"ends at row {part.end}; {self.record.name} has {len(self.record)} rows", part)
+            if part.end - part.start < FEWEST_ROWS:
+                why = f"has {part.end - part.start} row; at least {FEWEST_ROWS} are needed"
+                raise self._refusal(why, part)
+        samples, left_out = self._samples(step)
+        for channel, (low, high) in rails.items():
+            values = samples[channel]
+            beyond = values[~((low < values) & (values < high))]
+            if len(beyond):
+                raise self._refusal(at_rail(channel, f"{beyond[0]:.6g} in {len(beyond)} of its rows", (low, high)))
+        temperatures = self._temperatures()
+        times = self._finite(self.record.time)
+        first = self.parts[0]
+        rows = tuple((part.start, part.end) for part in self.parts)
+        return StaticInterval(
+            name,
+            first.name,
+            first.gravity,
+            {channel: summarise(values, step) for channel, values in samples.items()},
+            summarise(temperatures).mean if len(temperatures) else None,
+            first.line,
+            self._warming(rise(temperatures), soak, previous),
+            {"rows": rows if len(rows) > 1 else rows[0], **({"left_out": left_out} if left_out else {})}
+            | ({"time": stamp_of(float(times[-1]))} if len(times) else {}),
+            (float(times[0]), float(times[-1])) if len(times) else None,
+        )
+
+    def _rows_of(self, column: Array) -> Array:
+        parts = sorted(self.parts, key=lambda part: part.start)
+        return np.concatenate([column[part.start : part.end] for part in parts])
+
+    def _finite(self, column: Array | None) -> Array:
+        values = np.empty(0) if column is None else self._rows_of(column)
+        return values[np.isfinite(values)]
+
+    def _samples(self, step: float) -> tuple[dict[str, Array], int]:
+        """Return the samples that count by channel, and how many rows are missing or far off, which are few."""
+        columns = {
+            c: self._rows_of(column) for c, column in zip(self.record.channels, self.record.columns, strict=True)
+        }
+        there = np.logical_and.reduce([np.isfinite(values) for values in columns.values()])
+        why = next((f"{c} has no number" for c, values in columns.items() if not np.isfinite(values).all()), "")
+        columns = {channel: values[there] for channel, values in columns.items()}
+        usable = np.ones(int(there.sum()), dtype=bool)
+        for channel, values in columns.items():
+            far = outliers(values, step)
+            usable[far] = False
+            if len(far):
+                why = f"{channel} reads {values[far[0]]:.6g} where the other samples read {np.median(values):.6g}"
+        left_out = len(there) - int(usable.sum())
+        self._require_few(left_out, why)
+        return {channel: values[usable] for channel, values in columns.items()}, left_out
+
+    def _temperatures(self) -> Array:
+        """Return the temperatures, °C, without the few that jump."""
+        values = self._finite(self.record.temperature)
+        far = outliers(values)
+        far = far[np.abs(values[far] - np.median(values)) > TEMPERATURE_JUMP] if len(far) else far
+        if len(far):
+            self._require_few(len(far), f"the thermometer reads {values[far[0]]:g} °C")
+        return np.delete(values, far)
+
+    def _warming(self, own: float, soak: float, previous: int) -> float:
+        """Return by how much the temperature rises in the interval, or up to its end over several soaks, °C.
+
+        A short segment of a steady ramp looks still, and the sensor is as far behind its thermometer as in a long one.
+        Without times it is judged over as many times its own rows. ``soak`` is in seconds; 0 judges its rows alone.
+        """
+        start, end, time = self.parts[0].start, self.parts[-1].end, self.record.time
+        if self.record.temperature is None or not soak:
+            return own
+        begin = max(previous, start - (SOAKS - 1) * (end - start))
+        if time is not None and np.isfinite(time[end - 1]):
+            early = np.flatnonzero(~(time[:end] >= time[end - 1] - soak))
+            begin = int(early[-1]) + 1 if len(early) else 0
+        before = np.asarray(self.record.temperature[min(begin, start) : end])
+        return own if begin >= start else max(own, rise(before[np.isfinite(before)]), key=abs)
+
+    def _require_few(self, count: int, why: str) -> None:
+        rows = sum(part.end - part.start for part in self.parts)
+        if count > max(1, LEFT_OUT * rows) or rows - count < FEWEST_ROWS:
+            raise self._refusal(f"{count} of its {rows} samples are far off or missing: {why}; choose other rows")
+
+    def _refusal(self, why: str, part: Segment | None = None) -> InputError:
+        part = part or self.parts[0]
+        return InputError(f"segment {part.name}: {why}", file=self.file, line=part.line)
+
+
+def _placed(interval: StaticInterval, known: Mapping[str, Position]) -> Measurement:
+    """Return what was measured in the direction that the file states, or in that of the procedure's position."""
+    if interval.gravity is None:
+        position = known[interval.position]
+    else:
+        heading = known[interval.position].heading if interval.position in known else None
+        position = Position(interval.position, "", interval.gravity, heading=heading)
+    return Measurement(
+        interval.name,
+        position.gravity,
+        position.tilt,
+        position.temperature if interval.temperature is None else interval.temperature,
+        interval.summaries,
+        interval.where,
+        position.heading,
+        position.stage,
+    )
+
+
+def _require_steady(interval: StaticInterval, procedure: Procedure, file: str) -> None:
+    """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
+    allowed, seconds = procedure.soak.drift, procedure.soak.thermometer or SOAKS * procedure.soak.seconds
+    if abs(interval.warming) > allowed:
+        raise InputError(
+            f"segment {interval.name}: the temperature drifts by {interval.warming:+.2f} °C up to its end, more than "
+            f"the {allowed:g} °C that {procedure.name} allows in {seconds:g} s: thermometer and sensor are apart while "
+            "they change; take rows where both stand still, or go slower",
+            file=file,
+            line=interval.line,
+        )
+
+
+def _require_temperatures(intervals: Sequence[StaticInterval], file: str) -> None:
+    """Refuse intervals of which only some have a temperature: the procedure's is no stand-in for one that was lost."""
+    measured = [interval for interval in intervals if interval.temperature is not None]
+    silent = next((interval for interval in intervals if interval.temperature is None), None)
+    if measured and silent is not None:
+        raise InputError(
+            f"segment {silent.name}: there is no temperature in its rows, and {measured[0].name} has one; choose rows "
+            "that have it, or fill it in",
+            file=file,
+            line=silent.line,
+        )
+
+
+def _require_not_stuck(intervals: Sequence[StaticInterval], step: float, file: str) -> None:
+    """Refuse a channel that stood at one value where its own noise would have moved it.
+
+    The noise is that of all segments before rounding: a converter that is coarser than the noise stands still, too.
+    """
+    for channel in intervals[0].summaries:
+        noise = noise_of_positions([interval.summaries[channel] for interval in intervals], step)
+        for interval in intervals:
+            summary = interval.summaries[channel]
+            if summary.std == 0.0 and not identical_by_chance(summary.n, noise, step):
+                raise InputError(
+                    f"segment {interval.position}: all samples of {channel} are identical, and elsewhere they scatter "
+                    f"by {noise:.3g}: it was stuck, not still; choose other rows",
+                    file=file,
+                    line=interval.line,
+                )
+
+
+def _tabled(position: TabledPosition, step: float) -> dict[str, SampleSummary]:
+    """Summaries as far as a table gives them: without a stated uncertainty, means are known to its last digit."""
+    means, n, rounding = position.mean.items(), position.n or 1, step / sqrt(12)
+    if position.u is None:
+        return {name: SampleSummary(mean, 0.0, n, rounding, rounding, resolution=step) for name, mean in means}
+    return {name: SampleSummary(mean, position.u[name] * sqrt(n), n, position.u[name]) for name, mean in means}
+
+
+def _digits(number: float) -> int:
+    """Return how many digits a number has behind the point."""
+    exponent = Decimal(repr(float(number))).normalize().as_tuple().exponent
+    return max(0, -exponent) if isinstance(exponent, int) else 0
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """Return the names, numbered from the second of a kind on."""
+    seen: Counter[str] = Counter()
+    distinct = []
+    for name in names:
+        seen[name] += 1
+        distinct.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return distinct
