@@ -199,7 +199,7 @@ class TestRefusals:
         ("columns", "said"),
         [
             ("x=VoutX", "log.nc: there is no column 'VoutX'"),
-            ("x=note", "variable 'note' holds"),
+            ("x=note", "column 'note' holds"),
             ("x=spectrum", "column 'spectrum' has 2 dimensions (time, f)"),
             ("x=site", "column 'site' has 0 dimensions"),
         ],

@@ -46,6 +46,7 @@ Examples:
     group="Calibrations over time",
     help="A folder in place of CALIBRATION: each row takes those of its time.",
 )
+@options.topic
 @options.declared(ApplyOptions)
 @click.option(
     "--scheduler",
@@ -61,11 +62,17 @@ Examples:
     help="Print the summary as JSON; on stderr if the rows go to stdout.",
 )
 def command(
-    files: tuple[str, ...], calibrations: Path | None, output: str, scheduler: str | None, as_json: bool, **how: Any
+    files: tuple[str, ...],
+    calibrations: Path | None,
+    output: str,
+    scheduler: str | None,
+    as_json: bool,
+    topic: str | None,
+    **how: Any,
 ) -> int:
     """Convert the raw readings of LOG to tilt with quality flags.
 
-    LOG is CSV, Parquet, NetCDF-4, or - for CSV on standard input; the name of OUT selects its format. OUT has the
+    LOG is CSV, Parquet, NetCDF-4, a bag of ROS, or - for CSV on standard input; OUT's name is its format. OUT has the
     columns of LOG, g_x and tilt_x (degrees) of each axis, pitch, roll and inclination of three axes, of pairs the
     matched sums and the gradient; flag (1 pass, 3 suspect, 4 fail, 9 missing), and reason, a sum: 1 arcsine beyond ±1,
     2 temperature and 8 tilt outside the calibrated range, 4 at the rail, 16 no temperature, 32 not a number, 64 outside
@@ -76,6 +83,7 @@ def command(
     from tiltcal.logs.apply import prepare_any
 
     calibration, logs = (Path(files[0]), files[1:]) if calibrations is None else (calibrations, files)
+    logs = tuple(options.of_topic(log, topic) for log in logs)
     if not logs:
         raise UsageError(f"no LOG is given behind {calibration}; see `tiltcal apply --help`")
     if calibrations is not None and len(logs) > 1:

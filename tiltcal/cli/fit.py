@@ -32,18 +32,22 @@ Examples:
 @click.argument("log", type=click.Path(path_type=Path))
 @options.file_option("-o", "--output", required=True, help="The calibration file to write.")
 @options.file_option("--segments-out", metavar="FILE", help="Write the static intervals that were found.")
+@options.topic
 @options.declared(FitOptions)
-def command(procedure: str, log: Path, segments_out: Path | None, output: Path, **settings: Any) -> None:
-    """Calibrate from a recorded LOG (CSV, Parquet or NetCDF-4) and its segments, by the positions of PROCEDURE.
+def command(
+    procedure: str, log: Path, segments_out: Path | None, output: Path, topic: str | None, **settings: Any
+) -> None:
+    """Calibrate from a recorded LOG and its segments, by the positions of PROCEDURE.
 
-    PROCEDURE free needs no known positions: a three-axis sensor is held still in twelve or more attitudes, and gravity
-    is 1 g in each. It does not determine the mounting.
+    LOG is CSV, Parquet, NetCDF-4 or a bag of ROS. PROCEDURE free needs no known positions: a three-axis sensor is held
+    still in twelve or more attitudes, and gravity is 1 g in each. It does not determine the mounting.
     """
     from tiltcal.calibration.wording import level_summary, mounting_summary, summary
     from tiltcal.files.procedure import find_procedure
     from tiltcal.library.fit import fit
     from tiltcal.logs.fit import FOUND_ONLY
 
+    log = Path(options.of_topic(str(log), topic))
     determines = find_procedure(procedure, settings["tilt"]).determines
     if segments_out is not None and (not determines.free or settings["table"] or settings["segments"] is not None):
         raise UsageError(FOUND_ONLY)

@@ -38,6 +38,7 @@ Examples:
     metavar="x=NAME,...",
     help="The column of each reading of LOG [x, y, z, if present] and of time; a number without a header.",
 )
+@options.topic
 @click.option("--skip-bad-rows", is_flag=True, help="Count rows of LOG that cannot be parsed as missing.")
 @options.file_option("--calibration", metavar="CAL.yaml", help="The calibration of the sensor, for results in g and °.")
 @click.option(
@@ -63,6 +64,7 @@ def command(
     rate: float | None,
     output: Path | None,
     columns: str,
+    topic: str | None,
     skip_bad_rows: bool,
     calibration: Path | None,
     unit: str | None,
@@ -85,6 +87,7 @@ def command(
     from tiltcal.logs.noise_summary import NoiseTarget
     from tiltcal.report.record_figures import draw_noise
 
+    log = log and options.of_topic(log, topic)
     if address is None:
         _refuse_for_log(log, samples, seconds, output)
     else:

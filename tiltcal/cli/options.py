@@ -61,6 +61,16 @@ class Command(click.Command):
                 formatter.write_dl(records)
 
 
+topic = click.option(
+    "--topic", metavar="NAME", help="Of a bag of ROS: the topic of sensor_msgs/Imu, if it has several."
+)
+
+
+def of_topic(log: str, topic: str | None) -> str:
+    """Return a log with its topic, as the library takes it."""
+    return log if topic is None else f"{log}::{topic}"
+
+
 command = partial(click.command, cls=Command)
 """Make a command of a function."""
 

@@ -119,11 +119,11 @@ def _tilt_page(
 
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:
     """Return the overview of a log; apply the calibration if the log is raw."""
+    from tiltcal.logs.apply import look_over
     from tiltcal.logs.columns import TIME, named_columns
     from tiltcal.logs.formats import open_log
     from tiltcal.logs.kernel import prepare
     from tiltcal.logs.options import ApplyOptions
-    from tiltcal.logs.overview import look_over
     from tiltcal.options import complete
     from tiltcal.report.record_figures import ReportedLog
 

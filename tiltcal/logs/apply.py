@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.calibration.record import record_in
 from tiltcal.calibration.season import CalibrationFolder
-from tiltcal.core.flags import NO_TEMPERATURE, SUSPECT, mark_columns
+from tiltcal.core.column_statistics import ColumnStatistics
+from tiltcal.core.flags import MISSING, NO_TEMPERATURE, NOT_A_NUMBER, SUSPECT, mark_columns
 from tiltcal.core.heading import VELOCITY, FieldLength
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.atomic import require_apart
@@ -37,13 +39,16 @@ from tiltcal.logs.kernel import LagCorrection, PreparedCalibration, RoleValues, 
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import Means
 from tiltcal.logs.options import ApplyOptions, require_consistent
-from tiltcal.logs.streams import STANDARD, log_sink, sha256_of, with_writeback
+from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of, with_writeback
 from tiltcal.stated_arguments import require_path
 
 NO_TIME = (
     "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "
     "compensated with the thermometer's temperature, flag 3 (--columns time=NAME)"
 )
+
+_ABSENT = {"flag": MISSING, "reason": NOT_A_NUMBER}
+"""What a cell counts as that holds no flag or no reason."""
 
 Applied = CalibrationRecord | PairRecord | CalibrationFolder | str | Path
 """What can be applied: a calibration, its file, or a folder of them, of which each row takes that of its time."""
@@ -233,6 +238,38 @@ class CompensatedLog:
                 part = part if late is None else mark_columns(part, late, SUSPECT, NO_TEMPERATURE)
             table |= {f"{sensor.lead}{name}": column for name, column in part.items()}
         return table
+
+
+def look_over(
+    log: LogReader, prepared: PreparedCalibration, options: ApplyOptions, time: int | None = None
+) -> tuple[ColumnStatistics, bool]:
+    """Return what a report shows of a log, and whether it has the columns that the calibration would add.
+
+    ``time`` is where the time stands, in seconds or ISO 8601; rows are counted where there is none.
+
+    InputError: a row cannot be parsed, or the log is damaged.
+    """
+    wanted = (*prepared.angles, *_ABSENT)
+    compensated = set(wanted) <= set(log.names)
+    tables: Iterable[tuple[LogBlock, Table]]
+    if compensated:
+        where = {name: log.names.index(name) for name in wanted}
+        blocks = log.rows(sorted({*where.values(), *(() if time is None else (time,))}), time, needs_time=True)
+        tables = ((block, {name: block.values[index] for name, index in where.items()}) for block in blocks)
+    else:
+        tables = CompensatedLog(log, prepared, options).blocks(time)
+    overview = ColumnStatistics(prepared.angles)
+    for block, table in read_ahead(iter(tables)):
+        shown = np.stack([np.asarray(table[angle], float) for angle in prepared.angles]).T
+        flag, reason = (_small(np.asarray(table[name]), absent) for name, absent in _ABSENT.items())
+        times = overview.rows + np.arange(float(len(flag))) if time is None else block.values[time]
+        overview.add(times, shown, flag, reason)
+    return overview, compensated
+
+
+def _small(column: NDArray[Any], absent: int) -> NDArray[Any]:
+    """Return flags or reasons as whole numbers."""
+    return np.where((column >= 0) & (column <= 65535), column, absent).astype(np.uint16)
 
 
 def _in_order(blocks: Iterable[LogBlock], time: int, name: str) -> Iterator[LogBlock]:

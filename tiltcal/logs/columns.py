@@ -31,11 +31,6 @@ class SensorColumns:
         """The readings and the thermometer."""
         return self.readings if self.thermometer is None else (*self.readings, self.thermometer)
 
-    def of(self, columns: Sequence[int]) -> SensorColumns:
-        """Return where the columns stand in a log; ``columns`` are the places of those that they stand among."""
-        thermometer = None if self.thermometer is None else columns[self.thermometer]
-        return SensorColumns(self.lead, tuple(columns[index] for index in self.readings), thermometer)
-
 
 def named_columns(
     columns: Mapping[str, str] | str, channels: Sequence[str], others: Sequence[str] = ()
@@ -107,10 +102,7 @@ def locate_columns(
 def locate_readings(
     log: LogReader, channels: Sequence[str], named: Mapping[str, str], unit: str, others: Sequence[str] = ()
 ) -> dict[str, int]:
-    """Find the columns of the readings in a log whose unit was named, as :func:`locate_columns` does.
-
-    InputError: a column is missing, or states another unit.
-    """
+    """Find the columns of readings in a unit that was named, else an InputError, as :func:`locate_columns` does."""
     where = locate_columns(log, channels, named, others)
     require_unit(log, [where[channel] for channel in channels], unit, "the --unit")
     require_celsius(log, where)

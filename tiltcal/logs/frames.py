@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import describe, seconds_since_1970
 from tiltcal.logs.columns import TIME, common_dimension
@@ -29,56 +28,72 @@ Units = Mapping[str, str | None]
 
 
 class FrameReader(LogReader):
-    """A frame, read like a log of one block.
+    """A frame, read like a log of one block; ``source`` is the log whose rows it has, if it is none by itself.
 
     UsageError: it is of no known kind.
     InputError: it has no row, or its columns are not of one length.
     """
 
-    def __init__(self, frame: Any, *, name: str = "the frame") -> None:
-        super().__init__(LogSource(BytesIO(), "", name))
-        self._frame: _Table | _Arrays | _Dataset
+    def __init__(self, frame: Any, *, name: str = "the frame", source: LogSource | None = None) -> None:
+        super().__init__(source or LogSource(BytesIO(), "", name))
+        self._frame: TableFrame | ArrayFrame | DatasetFrame
         if hasattr(frame, "data_vars") and hasattr(frame, "dims"):
-            self._frame = _Dataset(frame)
+            self._frame = DatasetFrame(frame)
         else:
-            self._frame = _Arrays(frame) if isinstance(frame, Mapping) else _Table(_eager(frame, name))
+            self._frame = ArrayFrame(frame) if isinstance(frame, Mapping) else TableFrame(_eager(frame, name))
         self.names = tuple(self._frame.named)
         self.notes = {str(key): str(note) for key, note in dict(getattr(frame, "attrs", None) or {}).items()}
+        self._timed = False
 
     def has_times(self, name: str, beside: int) -> bool:
         dimensions = self._frame.dimensions
-        return super().has_times(name, beside) and dimensions(name) == dimensions(self.names[beside])
+        if not super().has_times(name, beside) or dimensions(name) != dimensions(self.names[beside]):
+            return False
+        with suppress(InputError):
+            seconds_since_1970(np.empty(0), self._frame.unit(name))
+            return True
+        return False
 
     def unit(self, column: int) -> str | None:
         return self._frame.unit(self.names[column])
 
+    def dimension(self, columns: Sequence[int]) -> str:
+        """Return along what columns have their rows; an InputError where one has several, or they differ."""
+        return common_dimension({self.names[k]: self._frame.dimensions(self.names[k]) for k in columns}, self.name)
+
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
-        names = [self.names[index] for index in columns]
-        dimension = common_dimension({name: self._frame.dimensions(name) for name in names}, self.name)
-        values: dict[int, Array] = {}
-        wrong = None
-        for index, name in zip(columns, names, strict=True):
-            column = self._frame.column(name)
+        yield self._block(self._frame, columns, time, frames)
+
+    def _block(
+        self,
+        frame: TableFrame | ArrayFrame | DatasetFrame,
+        columns: Sequence[int],
+        time: int | None,
+        frames: bool,
+        first: int = 0,
+    ) -> LogBlock:
+        """Return the rows of a frame, which are those of the log from ``first`` on."""
+        import polars as pl
+
+        dimension, values, wrong = self.dimension(columns), {}, None
+        for index in columns:
+            column = frame.column(self.names[index])
             absent = column.null_count() == len(column)  # a column without a value may have any type
             values[index] = np.full(len(column), np.nan) if absent else self._values(column, index, time)
             if index == time:
-                if not np.isfinite(values[index]).any():
-                    wrong = self._wrong_time(column, index, 0)
-                values[index] = seconds_since_1970(values[index], self._frame.unit(name))
-        if len({len(column) for column in values.values()}) > 1:
+                self._timed = self._timed or bool(np.isfinite(values[index]).any())
+                wrong = None if self._timed else self._wrong_time(column, index, first)
+                values[index] = seconds_since_1970(values[index], self.unit(index), self.name)
+        rows = {len(column) for column in values.values()}
+        if len(rows) > 1:
             raise InputError("the columns differ in length", file=self.name)
-        if values and not len(next(iter(values.values()))):
+        if 0 in rows:
             raise InputError("the log has columns and no rows", file=self.name)
-        yield LogBlock(values, frame=self._rows_along(dimension, names[0]) if frames else None, wrong_time=wrong)
-
-    def _rows_along(self, dimension: str, reading: str) -> pl.DataFrame:
-        """Return all columns that have the rows of a reading."""
-        import polars as pl
-
-        rows = len(self._frame.column(reading))
-        alike = [name for name in self.names if [str(each) for each in self._frame.dimensions(name)] == [dimension]]
-        columns = {name: self._frame.column(name) for name in alike}
-        return pl.DataFrame({name: column for name, column in columns.items() if len(column) == rows})
+        if not frames:
+            return LogBlock(values, wrong_time=wrong)
+        alike = {name: frame.column(name) for name in self.names if frame.dimensions(name) == (dimension,)}
+        typed = pl.DataFrame({name: column for name, column in alike.items() if len(column) in rows})
+        return LogBlock(values, frame=typed, wrong_time=wrong)
 
     def of_means(self, blocks: Sequence[tuple[LogBlock, Table]], channels: Sequence[int], units: Units) -> Any:
         """Return the means of a frame, of its own kind, with columns behind them; see :meth:`with_columns`."""
@@ -113,7 +128,7 @@ def rows_of(frame: Any, name: str, keys: Collection[str] = ()) -> list[dict[str,
             raise UsageError(f"{name} is a list of rows: each is a mapping, such as {{'position': 'level', 'x': 2.5}}")
         rows = [dict(row) for row in frame]
     else:
-        rows = _Table(_eager(frame, name)).rows()
+        rows = TableFrame(_eager(frame, name)).rows()
     return [{key: _cell(cell) for key, cell in row.items() if not _is_missing(cell)} for row in rows]
 
 
@@ -132,7 +147,7 @@ def _eager(frame: Any, name: str) -> Any:
         ) from None
 
 
-class _Table:
+class TableFrame:
     """A polars, pandas or pyarrow frame, by way of narwhals.
 
     The index of pandas is a column where it has a name; one of moments or durations without a name is ``time``.
@@ -172,7 +187,7 @@ class _Table:
                 return typed
         return _of_objects(column.to_list())
 
-    def of_rows(self, rows: pl.DataFrame) -> _Table:
+    def of_rows(self, rows: pl.DataFrame) -> TableFrame:
         """Return other rows as a frame of this kind."""
         import narwhals.stable.v2 as nw
 
@@ -183,7 +198,7 @@ class _Table:
         if self._index is not None:
             made = nw.maybe_set_index(made, self._index)
             made.to_native().index.name = self._index_name
-        table = _Table(made)
+        table = TableFrame(made)
         table._stating = self._stating
         return table
 
@@ -199,7 +214,7 @@ class _Table:
         return made if metadata is None else made.replace_schema_metadata(metadata)
 
 
-class _Arrays:
+class ArrayFrame:
     """A dict of arrays."""
 
     def __init__(self, arrays: Mapping[str, Any]) -> None:
@@ -215,14 +230,14 @@ class _Arrays:
     def column(self, name: str) -> pl.Series:
         return _series(self.named[name])
 
-    def of_rows(self, rows: pl.DataFrame) -> _Arrays:
-        return _Arrays({name: rows[name].to_numpy() for name in rows.columns})
+    def of_rows(self, rows: pl.DataFrame) -> ArrayFrame:
+        return ArrayFrame({name: rows[name].to_numpy() for name in rows.columns})
 
     def with_columns(self, table: Table, reading: str, units: Units) -> dict[str, Any]:
         return self._given | {name: np.ascontiguousarray(values) for name, values in table.items()}
 
 
-class _Dataset:
+class DatasetFrame:
     """An xarray Dataset, whose readings are variables along one dimension and state their unit."""
 
     def __init__(self, data: Any) -> None:
@@ -242,13 +257,13 @@ class _Dataset:
     def column(self, name: str) -> pl.Series:
         return _series(self._variable(name).values)
 
-    def of_rows(self, rows: pl.DataFrame) -> _Dataset:
+    def of_rows(self, rows: pl.DataFrame) -> DatasetFrame:
         (dimension,) = self._variable(rows.columns[0]).dims
         columns = {
             self.named[name]: (dimension, rows[name].to_numpy(), self._variable(name).attrs) for name in rows.columns
         }
         made = self._data.drop_dims(dimension).assign(columns)
-        return _Dataset(made.set_coords([name for name in columns if name in self._data.coords]))
+        return DatasetFrame(made.set_coords([name for name in columns if name in self._data.coords]))
 
     def with_columns(self, table: Table, reading: str, units: Units) -> Any:
         variable = self._variable(reading)
@@ -278,6 +293,8 @@ def _series(values: Any) -> pl.Series:
     array, masked = np.ma.getdata(values), np.flatnonzero(np.ma.getmaskarray(values).ravel())
     if array.dtype.kind == "O":
         return _of_objects(np.ma.filled(values, None).tolist())
+    if array.dtype.kind == "S":
+        array = np.char.decode(array, errors="replace")
     if array.dtype.kind in "mM" and np.datetime_data(array.dtype) not in (("ms", 1), ("us", 1), ("ns", 1)):
         array = array.astype(f"{array.dtype.kind}8[us]")
     if array.dtype.kind == "f" and array.dtype.itemsize not in (4, 8):

@@ -168,35 +168,28 @@ class TiltKernel:
             propagation(chunk, out.reshape(2, -1, out.shape[1]))
 
 
+@dataclass(frozen=True)
 class PairKernel:
     """The matched sums of pairs of accelerometers."""
 
-    def __init__(self, compensation: PairCompensation) -> None:
-        self._compensation = compensation
-        self.columns = compensation.columns
+    compensation: PairCompensation
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        return self.compensation.columns
 
     def __call__(self, values: RoleValues) -> Table:
-        return self._compensation(values.readings)
+        return self.compensation(values.readings)
 
 
 @dataclass(frozen=True)
 class PreparedSensor:
     """A sensor, or pairs, ready for the rows of one log.
 
-    Attributes
-    ----------
-    units : mapping of str to str
-        Of each reading; of pairs that of the stage angle alone: the unit of the others does not matter.
-    origin : mapping of str to str
-        What a file made with it should state: ``software``; of a file ``calibration`` and ``sha256``; ``serial``.
-    angles, watched : tuple of str
-        The added columns that are angles, and those to be summed up.
-    lag : float
-        By how much its element is later than the thermometer, s.
-    judge : Kernel or None
-        What judges the readings of which means are made.
-    lead : str
-        What the names of its columns begin with.
+    ``units`` are those of the readings, of pairs that of the stage angle alone; ``origin`` is what a file made with it
+    should state: software, calibration, sha256, serial; ``watched`` are columns to be summed up; ``lag`` is by how much
+    the element is later than the thermometer, s; ``judge`` judges the readings of which means are made; the names of
+    its columns begin with ``lead``.
     """
 
     kernel: Kernel

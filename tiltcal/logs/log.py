@@ -29,21 +29,11 @@ Progress = Callable[[int, int | None], None]
 class LogBlock:
     """Some rows of a log, in order.
 
-    Attributes
-    ----------
-    values : mapping of int to ndarray, shape (n,)
-        The number columns that were asked for, by index; NaN where a value is missing, and in every column of a row
-        that could not be parsed.
-    faults : collection of int
-        Rows that could not be parsed and were kept.
-    frame : polars.DataFrame or None
-        All columns with their types, where the format has types or they were asked for.
-    counts : ndarray of int, shape (n, sensors), or None
-        Of how many rows of the log the readings of each sensor are the mean; None where they are none.
-    bad_rows : int
-        Rows among those of means that could not be parsed.
-    wrong_time : InputError or None
-        What is wrong with a time that is no time, where no row up to here has one.
+    ``values`` are the number columns that were asked for, by index, shape (n,), NaN where a value is missing and in
+    rows that could not be parsed, which ``faults`` names; ``frame`` has all columns with their types, where these were
+    asked for. Of means ``counts``, shape (n, sensors), says of how many rows the readings of each sensor are the mean,
+    and ``bad_rows`` how many of these could not be parsed. ``wrong_time`` is what is wrong with a time that is no time,
+    where no row up to here has one.
     """
 
     values: Mapping[int, Array]
@@ -86,20 +76,11 @@ class LogSource:
 
 
 class LogReader(ABC):
-    """A recorded log, read once from its beginning to its end.
-
-    Attributes
-    ----------
-    header_line : int or None
-        The line that names them; None where the file has no lines.
-    notes : mapping of str to str
-        What the file states about itself.
-    bytes_read : int
-        Bytes read so far, as far as the format shows it.
-    """
+    """A recorded log, read once from its beginning to its end; ``notes`` is what it states about itself."""
 
     names: tuple[str, ...]
     header_line: int | None = None
+    """The line that names the columns; None where the file has no lines."""
 
     def __init__(self, source: LogSource) -> None:
         self.source = source
@@ -124,18 +105,10 @@ class LogReader(ABC):
     def rows(
         self, columns: Sequence[int], time: int | None = None, *, frames: bool = False, needs_time: bool = False
     ) -> Iterator[LogBlock]:
-        """Yield the rows, block after block.
+        """Yield the rows, block after block, with the numbers of some columns; with ``frames`` all with their types.
 
-        Parameters
-        ----------
-        columns : sequence of int
-            Indices of the columns that hold needed numbers.
-        time : int, optional
-            The one of them that may hold moments, which become seconds.
-        frames : bool
-            Give each block all columns with their types.
-        needs_time : bool
-            Refuse a column of times that begins with what is none; without it, these are missing.
+        ``time`` is the one of the columns that may hold moments, which become seconds; where ``needs_time``, one that
+        begins with what is no time is refused.
 
         InputError: a row cannot be parsed, a needed column holds no numbers, or the file is damaged; once the iterator
             comes to it.
@@ -187,18 +160,10 @@ class LogReader(ABC):
 
 
 class LogWriter(ABC):
-    """The rows of a log on their way out, with columns behind their own.
+    """The rows of a log on their way out to ``sink``, with the ``added`` columns behind their own.
 
-    Parameters
-    ----------
-    sink : BinaryIO
-        Where they go; it can be read as well, but for standard output.
-    added : sequence of str
-        Names of the columns behind the log's own.
-    origin : mapping of str to str
-        What the added columns were made with: ``software``, ``calibration``, ...
-    units : mapping of str to str or None
-        The unit of added columns that have that of a column of the log; None where that one states none.
+    ``origin`` is what these were made with: ``software``, ``calibration``, ...; ``units`` has the unit of those that
+    have that of a column of the log, None where that one states none.
     """
 
     frames = False

@@ -66,14 +66,9 @@ class GroupSize:
 class BlockOfMeans(LogBlock):
     """Some means of rows of a log, in order.
 
-    Attributes
-    ----------
-    rows : ndarray of int, shape (n,)
-        In how many rows at least one sensor has all its readings.
-    flags, reasons : ndarray of uint8 and of uint16, shape (n, sensors)
-        The worst flag of a reading of each sensor at the rail or of a length of gravity that is not 1 g, and which.
-    apart : ndarray of bool, shape (n,)
-        Whether their headings differ so much that the mean of their directions is 5 % shorter than they are.
+    In ``rows`` rows, shape (n,), at least one sensor has all its readings; ``flags`` and ``reasons``, (n, sensors), are
+    the worst of readings at the rail or of a length of gravity that is not 1 g; where ``apart``, (n,), the headings
+    differ so much that the mean of their directions is 5 % shorter than they are.
     """
 
     counts: NDArray[np.int64]

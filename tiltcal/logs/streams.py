@@ -18,7 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from select import select
 from types import FrameType
-from typing import BinaryIO, Protocol, TypeVar, cast
+from typing import BinaryIO, TypeVar, cast
 
 from tiltcal.errors import InputError, UsageError
 
@@ -31,12 +31,6 @@ _LOOK = 0.2  # seconds until a wait for bytes looks whether Ctrl-C came
 _OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")  # how the engine ends its message where the system refuses
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
 _WRITEBACK = 32 << 20  # bytes of a result that go to the disk together
-
-
-class ByteReader(Protocol):
-    """What the bytes of a CSV log are read from."""
-
-    def read(self, size: int, /) -> bytes: ...
 
 
 @contextmanager
@@ -177,11 +171,6 @@ class PipeReader:
     """What arrives from a pipe, a device or a terminal, of which nothing was read yet; Ctrl-C ends the wait for it.
 
     The engine that parses rows handles signals in its own way, and lets a read go on after one.
-
-    Attributes
-    ----------
-    interrupted : bool
-        Whether Ctrl-C has ended the stream, where it may; see :meth:`ended_by_ctrl_c`.
     """
 
     def __init__(self, stream: BinaryIO) -> None:

@@ -130,7 +130,5 @@ def unread_time(cells: pl.Series, name: str) -> tuple[int, str] | None:
 
 def no_time_yet(rows: int, use: str) -> str:
     """Return what is wrong with a log that begins with ``rows`` rows without a time; ``use`` is what needs it."""
-    return (
-        f"none of the first rows ({rows}) has a time, which decides {use}: write it in seconds, or in ISO 8601 such as "
-        f"{_EXAMPLE}"
-    )
+    how = f"write it in seconds, or in ISO 8601 such as {_EXAMPLE}"
+    return f"none of the first rows ({rows}) has a time, which decides {use}: {how}"

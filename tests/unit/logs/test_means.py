@@ -16,9 +16,8 @@ import tiltcal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.library.apply import apply_log
 from tiltcal.library.calibration import Calibration, read
-from tiltcal.logs.formats.csv_dialect import Dialect
-from tiltcal.logs.formats.csv_rows import CsvBlock, RowGrammar
-from tiltcal.logs.formats.csv_types import ColumnTypes
+from tiltcal.logs.formats.csv import ColumnTypes
+from tiltcal.logs.formats.csv_rows import CsvBlock, Dialect, RowGrammar
 from tiltcal.logs.kernel import RoleValues, prepare
 from tiltcal.logs.means import GroupSize
 from tiltcal.logs.options import ApplyOptions

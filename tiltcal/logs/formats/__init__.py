@@ -5,9 +5,11 @@ A new format is a module with a reader and a writer, and a line in :data:`FORMAT
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,7 +18,7 @@ from tiltcal.logs.log import LogReader, LogSource, LogWriter, Progress
 from tiltcal.logs.streams import STANDARD, log_source
 from tiltcal.stated_arguments import require_boolean
 
-CSV, NETCDF = "csv", "netcdf"
+CSV, NETCDF, ROSBAG = "csv", "netcdf", "rosbag"
 
 FORMATS: Mapping[str, str] = {
     ".csv": CSV,
@@ -24,6 +26,7 @@ FORMATS: Mapping[str, str] = {
     ".pq": "parquet",
     ".nc": NETCDF,
     ".nc4": NETCDF,
+    **dict.fromkeys((".mcap", ".db3", ".bag"), ROSBAG),
 }
 """The format of a log by the end of its name: a module here, imported when a log of the format is opened."""
 
@@ -32,8 +35,9 @@ UNKNOWN = (".gz", ".bz2", ".xz", ".zst", ".zip", ".xlsx", ".xls", ".json", ".fea
 
 
 def log_format(name: str | Path) -> str:
-    """Return the format of a log by its name."""
-    return FORMATS.get(Path(name).suffix.lower(), CSV)
+    """Return the format of a log by its name; a folder, and a file with a topic behind ``::``, are a bag of ROS."""
+    place, topic, _ = str(name).partition("::")
+    return ROSBAG if topic or os.path.isdir(place) else FORMATS.get(Path(name).suffix.lower(), CSV)
 
 
 def _imported(format_name: str, half: str) -> Any:
@@ -46,6 +50,8 @@ def require_way(log: str | Path, output: str | Path) -> None:
     if Path(output).suffix.lower() in UNKNOWN:
         raise UsageError(f"{output}: a log is written as .csv or .parquet, or stays .nc: name one of these")
     was_netcdf, is_netcdf = (log_format(name) == NETCDF for name in (log, output))
+    if log_format(output) == ROSBAG:
+        raise UsageError(f"{output}: no bag is written: name a .csv or .parquet")
     if was_netcdf and not is_netcdf:
         raise UsageError(f"{log} is NetCDF and stays it: name an output that ends in .nc, with -o")
     if is_netcdf and not was_netcdf:
@@ -62,16 +68,9 @@ def open_log(
     live: bool = False,
     progress: Progress | None = None,
 ) -> Iterator[LogReader]:
-    """Open a log of any format, or a frame; the other arguments are those of :class:`LogSource`.
+    """Open a log of any format by its path, ``-`` for CSV on standard input, or a frame, as :class:`LogSource` has it.
 
-    Parameters
-    ----------
-    log : str, Path or frame
-        A file, ``-`` for CSV on standard input, or a frame; see :mod:`tiltcal.logs.frames`.
-    name : str, optional
-        What messages call the log, in place of its own name.
-    live : bool
-        Let Ctrl-C end a stream that has no end of its own.
+    ``name`` is what messages call it, in place of its own name; where ``live``, Ctrl-C ends a stream that has no end.
 
     InputError: the file is not what its name says, is empty or damaged.
     UsageError: the file cannot be opened, or the library that its format takes is not there.
@@ -85,7 +84,8 @@ def open_log(
     path = str(log)
     reader = _imported(log_format(path), "Reader")
     called = name or ("standard input" if path == STANDARD else path)
-    with log_source(path, live=live) as (stream, size):
+    bag = log_format(path) == ROSBAG
+    with nullcontext((BytesIO(), None)) if bag else log_source(path, live=live) as (stream, size):
         opened: LogReader = reader(LogSource(stream, path, called, size, skip_bad_rows, digest, progress))
         try:
             yield opened

@@ -1,6 +1,6 @@
 """CSV: a log read block by block so that its size does not matter, and written with columns behind its own.
 
-:mod:`tiltcal.logs.formats.csv_dialect` finds how it is written, :mod:`tiltcal.logs.formats.csv_rows` defines a row.
+:mod:`tiltcal.logs.formats.csv_rows` finds how it is written, and defines a row.
 """
 
 from __future__ import annotations
@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.formats.csv_dialect import UTF8_BOM, BlankSeparated, Dialect, dialect_of
-from tiltcal.logs.formats.csv_rows import CsvBlock, RowGrammar
+from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, Dialect, RowGrammar, between_commas, dialect_of
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
-from tiltcal.logs.streams import ByteReader, refused_by_system
-from tiltcal.logs.text_to_numbers import unread_time
+from tiltcal.logs.streams import refused_by_system
+from tiltcal.logs.text_to_numbers import numbers, unread_time
 
 if TYPE_CHECKING:
     import polars as pl
@@ -29,18 +28,15 @@ _BLOCK = 6 << 20
 _TOP = 1 << 16  # bytes in which the dialect is looked for
 _LONGEST_ROW = 16 << 20
 _UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
+_LOSES_ITSELF = r"^\s*[+-]?(?:0\d|\d{16})"
+"""What a number begins with that a double would not give back as it stood."""
 
 
 class CsvReader(LogReader):
     """A log in CSV, read by ``block`` bytes at a time.
 
-    Attributes
-    ----------
-    header : bytes
-        The first line as it stands, byte-order mark and all, without its line end; the columns, between commas, in a
-        log without a header or with blanks between its fields.
-    line_end : str
-        LF or CRLF, as the first line has it.
+    ``header`` is the first line as it stands, byte-order mark and all, without its line end; in a log without a header,
+    or with blanks between its fields, the columns between commas. ``line_end`` is LF or CRLF, as the first line has it.
 
     InputError: the file is empty or no text, or its header names a column twice.
     """
@@ -51,7 +47,6 @@ class CsvReader(LogReader):
         super().__init__(source)
         self._block, self._line = block, 1
         self._digest = sha256() if source.digest else None
-        self._rows: ByteReader = self
         top = self._top()
         first, end, self._pending = top.partition(b"\n")
         self.header = first.removesuffix(b"\r")
@@ -67,8 +62,6 @@ class CsvReader(LogReader):
             self.header, self._pending = self.dialect.separator.join(self.names).encode(), top
         elif self.dialect.has_blanks:
             self.header = ",".join(self.names).encode()
-        if self.dialect.has_blanks:
-            self._rows, self._pending = BlankSeparated(self._pending, self), b""
         self._line += self.dialect.has_header
 
     @property
@@ -119,8 +112,6 @@ class CsvReader(LogReader):
         if not frames:
             yield from self._parsed(RowGrammar(self.dialect, columns, time))
             return
-        from tiltcal.logs.formats.csv_types import ColumnTypes
-
         types = ColumnTypes(self.dialect, columns, time, file=self.name)
         for block in self._parsed(RowGrammar(self.dialect, columns, time, types.others)):
             yield types.typed(block)
@@ -130,6 +121,8 @@ class CsvReader(LogReader):
         time, timed = grammar.time, grammar.time is None
         empty = True
         for data, unended in self._lines():
+            if self.dialect.has_blanks:
+                data = between_commas(data)
             block = grammar.parse(data, unended=unended)
             if block.faults and not self.source.skip_bad_rows:
                 row = min(block.faults)
@@ -148,7 +141,7 @@ class CsvReader(LogReader):
 
     def _lines(self) -> Iterator[tuple[bytes, bool]]:
         """Whole lines, and whether they are the very last one, which had no end."""
-        pending, more = b"", self._pending or self._rows.read(self._block)
+        pending, more = b"", self._pending or self.read(self._block)
         while more:
             if cut := more.rfind(b"\n") + 1:
                 yield b"".join((pending, memoryview(more)[:cut])), False
@@ -156,7 +149,7 @@ class CsvReader(LogReader):
             else:
                 pending += more
             self._refuse_endless(pending)
-            more = self._rows.read(self._block)
+            more = self.read(self._block)
         if pending and not self.interrupted:
             yield pending + b"\n", True
 
@@ -167,6 +160,88 @@ class CsvReader(LogReader):
 
     def _error(self, message: str, row: int = 0) -> InputError:
         return InputError(message, file=self.name, line=self._line + row)
+
+
+class ColumnTypes:
+    """The types of a log's columns on its way to a format whose columns have types, or to means.
+
+    Text has none, so the first block of rows decides: a column whose cells are all numbers there, or missing, is one of
+    numbers. Numbers that would not come back as they were written, such as a serial number ``0042`` or more digits than
+    a double holds, are text. The needed columns are numbers anyway, but for a time: in ISO 8601 it is a moment, whole
+    numbers of many digits stay whole, and what is neither is text. Empty columns are text.
+
+    InputError: a column has no name.
+    """
+
+    def __init__(self, dialect: Dialect, needed: Sequence[int], time: int | None, *, file: str) -> None:
+        names = dialect.names
+        if "" in names:
+            raise InputError(
+                f"column {names.index('') + 1} has no name, which Parquet and means need: name it in the header",
+                file=file,
+                line=1,
+            )
+        self._dialect, self._time, self._file = dialect, time, file
+        self._needed = tuple(index for index in needed if index != time)
+        self.others = tuple(index for index in range(len(names)) if index not in self._needed)
+        self._types: dict[int, pl.DataType] = {}
+        self._row = 0
+
+    def typed(self, block: CsvBlock) -> CsvBlock:
+        """Return a block with its columns as a frame.
+
+        InputError: a column of numbers goes on with something else.
+        """
+        import polars as pl
+
+        columns = {name: self._column(block, index) for index, name in enumerate(self._dialect.names)}
+        self._row += len(block)
+        return replace(block, frame=pl.DataFrame(columns))
+
+    def _type(self, block: CsvBlock, index: int) -> pl.DataType:
+        """Return the type of a column, by the sound cells of the first block."""
+        import polars as pl
+
+        cells = block.texts[index].clone().scatter([*block.faults], None)
+        values, wrong = numbers(self._dialect.with_points(cells))
+        if wrong is not None:
+            moments = index == self._time and np.isfinite(block.values[index][wrong]).any()
+            return pl.Datetime("us", "UTC") if moments else pl.String()
+        if not np.isfinite(values).any():
+            return pl.String()
+        if not cells.str.contains(_LOSES_ITSELF).any():
+            return pl.Float64()
+        if index != self._time:
+            return pl.String()
+        whole = cells.str.strip_chars().cast(pl.Int64, strict=False)
+        return pl.Int64() if (whole.is_null().to_numpy() == np.isnan(values)).all() else pl.Float64()
+
+    def _column(self, block: CsvBlock, index: int) -> pl.Series:
+        import polars as pl
+
+        if index in self._needed:
+            return pl.Series(block.values[index]).fill_nan(None)
+        if index not in self._types:
+            self._types[index] = self._type(block, index)
+        kind, cells = self._types[index], block.texts[index]
+        if isinstance(kind, pl.String):
+            return cells
+        if isinstance(kind, pl.Datetime):  # to the microsecond; what no calendar reaches is missing
+            micros = pl.Series(np.rint(block.values[index] * 1e6)).fill_nan(None)
+            return micros.cast(pl.Int64, strict=False).cast(kind)
+        values, wrong = numbers(self._dialect.with_points(cells))
+        column = pl.Series(values).fill_nan(None)
+        rows = set() if wrong is None else {*np.flatnonzero(wrong).tolist()}
+        if isinstance(kind, pl.Int64):
+            column = cells.str.strip_chars().cast(kind, strict=False)
+            rows |= {*np.flatnonzero(np.isfinite(values) & column.is_null().to_numpy()).tolist()}
+        if refused := sorted(rows - {*block.faults}):
+            raise InputError(
+                f"row {self._row + refused[0]}: column {self._dialect.names[index]!r} holds {cells[refused[0]]!r}, and "
+                "numbers above it: Parquet and means need one type in a column; mend it, or write CSV without them",
+                file=self._file,
+            )
+        return column
 
 
 class CsvWriter(LogWriter):

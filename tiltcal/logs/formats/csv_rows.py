@@ -1,4 +1,11 @@
-"""Rows of a CSV log: our own rule on what a row is, in front of the engine that parses its numbers.
+"""The grammar of a CSV log: how it is written, and our own rule on what a row is, in front of the engine.
+
+How it is written is recognised at its top. Fields are separated by commas, semicolons, tabs or blanks; numbers between
+semicolons or tabs may have a decimal comma. Fields between blanks are handed on to the reader as between commas; a
+``#`` in front of their names is none of them.
+
+A log whose first line holds nothing but numbers has no header: its columns are called by number, counted from 1. A
+first line that merely counts (0,1,2 or 1,2,3), as some programs write above columns that nobody named, is a header.
 
 CSV readers differ in silence on short and long rows, on a row that a power cut tore, on blank lines and odd numbers. So
 the grammar is our own, and the same for every row of every file:
@@ -17,6 +24,7 @@ which says what is wrong with which row. A row that breaks a rule is kept as one
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -26,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.logs.formats.csv_dialect import UTF8_BOM, Dialect
+from tiltcal.logs.columns import is_number
 from tiltcal.logs.log import LogBlock
 from tiltcal.logs.text_to_numbers import is_cut, numbers, seconds
 from tiltcal.printable import counted
@@ -38,20 +46,84 @@ _LF, _QUOTE, _POINT, _ZERO, _NINE = b'\n".09'
 _PIECE = 1 << 16  # bytes: as many as stay in the cache with what is made of them
 _OF_NUMBERS = b"0123456789+-."
 _UNUSED = "\x1f\x1e\x1d\x1c\x01\x02\x03\x04\x05\x06\x0e\x0f\x10\x11\x12\x13\x14\x15\x16\x17"
+UTF8_BOM = b"\xef\xbb\xbf"
+
+_MARGINS = re.compile(rb"^[ \t]+|[ \t]+(?=\r?$)", re.MULTILINE)
+_GAPS = re.compile(rb"[ \t]+")
+_DECIMAL_COMMA = r"(?:^|{0})[ \t]*[+-]?\d*,\d+(?:[eE][+-]?\d+)?[ \t]*(?={0}|\r?$)"
+_SWAPPED = str.maketrans(".,", ",.")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How the rows of a CSV log are written; ``has_blanks``: these are between fields in place of the separator."""
+
+    names: tuple[str, ...]
+    separator: str = ","
+    decimal: str = "."
+    has_header: bool = True
+    has_blanks: bool = False
+
+    def with_point(self, cell: str) -> str:
+        """Return a cell with its decimal mark as a point; a point in place of a decimal comma is no longer one."""
+        return cell if self.decimal == "." else cell.translate(_SWAPPED)
+
+    def with_points(self, cells: pl.Series, *, moments: bool = False) -> pl.Series:
+        """Return cells likewise; of ``moments``, which may have a point nevertheless, points stay."""
+        if self.decimal == ".":
+            return cells
+        marks = ([","], ["."]) if moments else ([".", ","], [",", "."])
+        return cells.str.replace_many(*marks)
+
+
+def dialect_of(top: str) -> Dialect:
+    """Return how a log is written whose first lines these are, the last of them perhaps torn.
+
+    csv.Error: the header cannot be parsed.
+    """
+    first, _, rows = top.partition("\n")
+    first, second = first.removesuffix("\r"), rows.partition("\n")[0].removesuffix("\r")
+    if (names := _numbered(first.split())) and "," not in first:
+        return Dialect(names, has_header=False, has_blanks=len(names) > 1)
+    names = tuple(first.removeprefix("#").split())
+    if len(names) > 1 and "," not in first + second and len(second.split()) == len(names):
+        return Dialect(names, has_blanks=True)
+    for separator in ";\t":
+        if separator not in first or first.count(separator) != second.count(separator):
+            continue
+        comma = re.search(_DECIMAL_COMMA.format(separator), first + "\n" + rows, re.MULTILINE) is not None
+        cells = [cell.translate(_SWAPPED) if comma else cell for cell in first.split(separator)]
+        names = _numbered(cells)
+        if names or "," not in first:
+            return Dialect(names or _named(first, separator), separator, "," if comma else ".", not names)
+    names = _numbered(first.split(","))
+    return Dialect(names or _named(first, ","), has_header=not names)
+
+
+def _named(header: str, separator: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in next(csv.reader([header], delimiter=separator, strict=True), []))
+
+
+def _numbered(fields: list[str]) -> tuple[str, ...]:
+    """Return the columns' numbers where the fields of a first line are a row of numbers; none where they are names."""
+    filled = [field.strip() for field in fields if field.strip()]  # a cell of a first row may be missing
+    if not filled or not all(map(is_number, filled)):
+        return ()
+    counted = filled in ([str(first + k) for k in range(len(filled))] for first in (0, 1))
+    return () if counted and len(fields) > 1 else tuple(str(place) for place in range(1, len(fields) + 1))
+
+
+def between_commas(lines: bytes) -> bytes:
+    """Return whole lines whose fields are separated by blanks as CSV."""
+    return _GAPS.sub(b",", _MARGINS.sub(b"", lines))
 
 
 @dataclass(frozen=True, kw_only=True)
 class CsvBlock(LogBlock):
     """Some rows of a CSV log, in order, with what is wrong with which row.
 
-    Attributes
-    ----------
-    text : bytes
-        The rows in UTF-8, each with a LF.
-    encoding : str
-        ``utf-8``, or ``latin-1`` where the bytes were no UTF-8: encode the text with it to have the bytes again.
-    texts : mapping of int to polars.Series of String, length n
-        The text columns that were asked for; null where a cell is empty.
+    ``text`` has the rows in UTF-8, each with a LF; encoded as ``encoding``, UTF-8 or Latin-1, they are the bytes again.
+    ``texts`` are the text columns that were asked for, null where a cell is empty.
     """
 
     faults: Mapping[int, str]

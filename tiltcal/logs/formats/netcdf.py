@@ -19,37 +19,29 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.files.moments import to_the_second
-from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement, seconds_since_1970
-from tiltcal.logs.columns import common_dimension
-from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
-from tiltcal.logs.text_to_numbers import seconds
+from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement
+from tiltcal.logs.frames import DatasetFrame, FrameReader
+from tiltcal.logs.log import LogBlock, LogSource, LogWriter, Table
 
 if TYPE_CHECKING:
     import polars as pl
 
-_ROWS = 1 << 16
-"""Of a block, or as many as a chunk of the file holds, which is unpacked as a whole."""
-
-_MOST_ROWS = 1 << 21
-"""Of a block, however long the chunks are that a file declares."""
+_ROWS, _MOST_ROWS = 1 << 16, 1 << 21
+"""Of a block: as many, or as a chunk of the file holds, which is unpacked as a whole, and how many at most."""
 
 _CLASSIC = b"CDF"
-
-_TEXT = "OSUT"
-"""The kinds of a column of text."""
 
 _OF_THE_SYSTEM = re.compile(r"errno = (\d+)")
 """What the library's message holds on a full disk, and on all else that the system refuses."""
 
 
-class NetcdfReader(LogReader):
+class NetcdfReader(FrameReader):
     """A log in NetCDF-4: its columns are all variables; those that hold readings have one dimension, the same.
 
     UsageError: the libraries are not there.
@@ -57,7 +49,6 @@ class NetcdfReader(LogReader):
     """
 
     def __init__(self, source: LogSource) -> None:
-        super().__init__(source)
         try:
             import h5netcdf  # noqa: F401  (what xarray reads with)
             import xarray
@@ -65,128 +56,67 @@ class NetcdfReader(LogReader):
             why = f"NetCDF needs xarray and h5netcdf ({failure}): pip install 'tiltcal[netcdf]'"
             raise UsageError(why) from failure
         if source.stream.read(3) == _CLASSIC:
-            self._refuse("this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW")
-        with self._refusing_damage():
-            self._require_own_data()
+            why = "this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW"
+            raise InputError(why, file=source.name)
+        with _refusing_damage(source.name):
+            _require_own_data(source)
             # An index would hold a whole variable in memory, as many rows as the file declares.
-            self._data = xarray.open_dataset(
+            self.data = xarray.open_dataset(
                 Path(source.path),
                 engine="h5netcdf",
                 decode_times=False,
                 decode_coords=False,
                 create_default_indexes=False,
             )
-        self.names = tuple(str(name) for name in self._data.variables)
-        self.file_attributes = dict(self._data.attrs)
-        self.notes = {str(name): str(note) for name, note in self.file_attributes.items()}
-
-    def _require_own_data(self) -> None:
-        """Refuse a file whose data stand in other files, which HDF5 would read wherever they are."""
-        import h5py
-
-        with h5py.File(self.source.path) as file:
-            for name in file:
-                link = file.get(name, getlink=True)
-                variable = None if isinstance(link, h5py.ExternalLink) else file[name]
-                if variable is None or getattr(variable, "external", None) or getattr(variable, "is_virtual", False):
-                    self._refuse(f"variable {name!r} keeps its data in another file: copy them into this one")
+        super().__init__(self.data, source=source)
 
     def close(self) -> None:
-        self._data.close()
-
-    def unit(self, column: int) -> str | None:
-        unit = self._data[self.names[column]].attrs.get("units")
-        return None if unit is None else str(unit)
-
-    def has_times(self, name: str, beside: int) -> bool:
-        if not super().has_times(name, beside) or self._data[name].dims != self._data[self.names[beside]].dims:
-            return False
-        try:
-            seconds_since_1970(np.empty(0), self.unit(self.names.index(name)))
-        except InputError:
-            return False
-        return self._data[name].dtype.kind in f"iuf{_TEXT}"
-
-    def dimension(self, columns: Sequence[int]) -> str:
-        """Along which the columns have their rows.
-
-        InputError: a column has none or several, they differ, or there is no row.
-        """
-        names = [self.names[index] for index in columns]
-        dimension = common_dimension({name: self._data[name].dims for name in names}, self.name)
-        if not self._data.sizes[dimension]:
-            self._refuse(f"the log has no rows: dimension {dimension!r} is empty")
-        return dimension
-
-    def attributes(self, name: str) -> Mapping[str, Any]:
-        """Return the attributes of a variable that its decoding has left."""
-        return dict(self._data[name].attrs)
+        self.data.close()
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         dimension = self.dimension(columns)
-        text = time if time is not None and self._data[self.names[time]].dtype.kind in _TEXT else None
-        numbers = [index for index in columns if index != text]
-        for index in numbers:
-            self._require_numbers(self.names[index])
-        total, step, timed = self._data.sizes[dimension], self._step(columns), False
-        for start in range(0, total, step):
-            rows, wrong = slice(start, min(start + step, total)), None
-            with self._refusing_damage():
-                read = {index: self._data[self.names[index]].isel({dimension: rows}).values for index in columns}
-                values = {index: np.asarray(read[index], dtype=float) for index in numbers}
-            if text is not None:
-                cells = _cells(read[text])
-                values[text] = seconds(cells)
-                timed = timed or bool(np.isfinite(values[text]).any())
-                wrong = None if timed else self._wrong_time(cells, text, start)
-            if time is not None:
-                values[time] = seconds_since_1970(values[time], self.unit(time), self.name)
-            self.bytes_read = (self.source.size or 0) * rows.stop // total
-            yield LogBlock(values, frame=self._frame(dimension, rows) if frames else None, wrong_time=wrong)
-
-    def _frame(self, dimension: str, rows: slice) -> pl.DataFrame:
-        """Return some rows of every variable that has this dimension alone."""
-        import polars as pl
-
-        with self._refusing_damage():
-            along = [name for name in self.names if self._data[name].dims == (dimension,)]
-            return pl.DataFrame({name: self._data[name].isel({dimension: rows}).values for name in along})
-
-    def _step(self, columns: Sequence[int]) -> int:
-        """Rows of a block: whole chunks, or each would be unpacked for every block that has a part of it."""
-        chunks = [self._data[self.names[index]].encoding.get("chunksizes") or (1,) for index in columns]
+        self._require_packed_numbers(columns)
+        chunks = [self.data[self.names[index]].encoding.get("chunksizes") or (1,) for index in columns]
         longest = max(int(chunk[0]) for chunk in chunks)
-        return min(-(-_ROWS // longest) * longest, _MOST_ROWS)
+        total, step = self.data.sizes[dimension], min(-(-_ROWS // longest) * longest, _MOST_ROWS)
+        for start in range(0, max(total, 1), step):
+            rows = slice(start, min(start + step, total))
+            with _refusing_damage(self.name):
+                block = self._block(DatasetFrame(self.data.isel({dimension: rows})), columns, time, frames, start)
+            self.bytes_read = (self.source.size or 0) * rows.stop // total
+            yield block
 
-    def _require_numbers(self, name: str) -> None:
-        kind = self._data[name].dtype
-        if kind.kind not in "iuf":
-            self._refuse(f"variable {name!r} holds {kind}, not numbers: name another, or make numbers of it")
-        for attribute in ("scale_factor", "add_offset"):
-            packed = self._data[name].encoding.get(attribute, 1.0)
-            if np.asarray(packed).dtype.kind not in "iuf":
-                self._refuse(f"variable {name!r}: its attribute {attribute} is {packed!r}, no number: correct it")
-
-    def _refuse(self, why: str) -> NoReturn:
-        raise InputError(why, file=self.name)
-
-    @contextmanager
-    def _refusing_damage(self) -> Iterator[None]:
-        """Put the libraries' complaints as ours."""
-        try:
-            yield
-        except InputError:
-            raise
-        except Exception as failure:
-            raise InputError(f"this is no NetCDF-4 file, or a damaged one: {failure}", file=self.name) from failure
+    def _require_packed_numbers(self, columns: Sequence[int]) -> None:
+        for name in (self.names[index] for index in columns):
+            for attribute in ("scale_factor", "add_offset"):
+                packed = self.data[name].encoding.get(attribute, 1.0)
+                if np.asarray(packed).dtype.kind not in "iuf":
+                    why = f"variable {name!r}: its attribute {attribute} is {packed!r}, no number: correct it"
+                    raise InputError(why, file=self.name)
 
 
-def _cells(values: NDArray[Any]) -> pl.Series:
-    """Return text as text, also where the file has it as bytes."""
-    import polars as pl
+def _require_own_data(source: LogSource) -> None:
+    """Refuse a file whose data stand in other files, which HDF5 would read wherever they are."""
+    import h5py
 
-    cells = values.tolist()
-    return pl.Series([cell.decode(errors="replace") if isinstance(cell, bytes) else str(cell) for cell in cells])
+    with h5py.File(source.path) as file:
+        for name in file:
+            link = file.get(name, getlink=True)
+            variable = None if isinstance(link, h5py.ExternalLink) else file[name]
+            if variable is None or getattr(variable, "external", None) or getattr(variable, "is_virtual", False):
+                why = f"variable {name!r} keeps its data in another file: copy them into this one"
+                raise InputError(why, file=source.name)
+
+
+@contextmanager
+def _refusing_damage(log: str) -> Iterator[None]:
+    """Put the libraries' complaints as ours."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as failure:
+        raise InputError(f"this is no NetCDF-4 file, or a damaged one: {failure}", file=log) from failure
 
 
 class NetcdfWriter(LogWriter):
@@ -201,7 +131,7 @@ class NetcdfWriter(LogWriter):
         rows = iter(blocks)
         first = next(rows)
         columns, chunk = list(first[0].values), len(first[0])
-        dimension, like = log.dimension(columns), log.attributes(log.names[columns[0]])
+        dimension, like = log.dimension(columns), log.data[log.names[columns[0]]].attrs
         are_means = first[0].counts is not None
         if not are_means:
             log.source.stream.seek(0)
@@ -210,7 +140,7 @@ class NetcdfWriter(LogWriter):
         with _refusing_to_add(log.name), h5netcdf.File(self._sink, "w" if are_means else "r+") as file:
             if are_means:
                 means = [first, *rows]
-                _write_frames(file, log, dimension, [block.framed() for block, _ in means])
+                _write_frames(file, log.data, dimension, [block.framed() for block, _ in means])
                 rows = iter(means[1:])
             for name in self._added:
                 self._create(file, name, dimension, like, chunk)
@@ -248,11 +178,10 @@ class NetcdfWriter(LogWriter):
             shuffle=True,
             fillvalue=None if whole else np.nan,
         )
-        for key, value in describe(name, self._added, like, self._units, dimension).items():
-            variable.attrs[key] = value
+        variable.attrs.update(describe(name, self._added, like, self._units, dimension))
 
 
-def _write_frames(file: Any, log: NetcdfReader, dimension: str, frames: Sequence[pl.DataFrame]) -> None:
+def _write_frames(file: Any, data: Any, dimension: str, frames: Sequence[pl.DataFrame]) -> None:
     """Write means with the attributes of the log and of its variables."""
     import h5py
     import polars as pl
@@ -264,10 +193,10 @@ def _write_frames(file: Any, log: NetcdfReader, dimension: str, frames: Sequence
         kind = {"i": "f8", "u": "f8", "f": "f8", "b": "i1"}.get(values.dtype.kind)
         variable = file.create_variable(name, (dimension,), kind or h5py.string_dtype())
         variable[...] = values.astype(kind or object)
-        variable.attrs.update(log.attributes(name))
+        variable.attrs.update(data[name].attrs)
         if values.dtype.kind == "b":
             variable.attrs["dtype"] = "bool"  # as xarray marks it
-    file.attrs.update(log.file_attributes)
+    file.attrs.update(data.attrs)
 
 
 @contextmanager

@@ -36,10 +36,7 @@ _OF_THE_ENGINE = "ARROW:schema"
 
 
 class ParquetReader(LogReader):
-    """A log in Parquet; see :class:`tiltcal.logs.log.LogReader`.
-
-    InputError: the file is no Parquet file, damaged, or without a row.
-    """
+    """A log in Parquet; an InputError where the file is none, damaged, or without a row."""
 
     def __init__(self, source: LogSource) -> None:
         import polars as pl

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.formats.csv import CsvReader
-from tiltcal.logs.formats.csv_dialect import Dialect
-from tiltcal.logs.formats.csv_rows import RowGrammar
+from tiltcal.logs.formats.csv_rows import Dialect, RowGrammar
 from tiltcal.logs.log import LogSource
 
 NAMES = ("time", "x", "y")

@@ -11,8 +11,7 @@ import pytest
 from tests.support.row_grammar import cells_of, readings_of
 from tiltcal.logs.formats import csv_rows
 from tiltcal.logs.formats.csv import CsvReader
-from tiltcal.logs.formats.csv_dialect import Dialect
-from tiltcal.logs.formats.csv_rows import RowGrammar
+from tiltcal.logs.formats.csv_rows import Dialect, RowGrammar
 from tiltcal.logs.log import LogSource
 
 NAMES = ("time", "station", "x", "y")
