@@ -50,12 +50,7 @@ _BUILT_IN = {
 
 
 def find_model(name: str) -> Model:
-    """Return the sensor model with this name.
-
-    Parameters
-    ----------
-    name : str
-        As the user types it, such as ``sca100t-d02``.
+    """Return the sensor model with this name, as the user types it, such as ``sca100t-d02``.
 
     UsageError: no model has this name (near names are offered), a plug-in claims the name of another model, or a
         plug-in cannot be loaded.
@@ -102,10 +97,10 @@ def _plug_ins_on(path: tuple[str, ...]) -> Mapping[str, list[EntryPoint]]:
     """Search every package that is installed on a path, which takes longer than all else at the look-up of a model."""
     from importlib.metadata import entry_points
 
-    found: dict[str, list[EntryPoint]] = {}
+    by_name: dict[str, list[EntryPoint]] = {}
     for entry in entry_points(group=PLUG_INS):
-        found.setdefault(entry.name, []).append(entry)
-    return found
+        by_name.setdefault(entry.name, []).append(entry)
+    return by_name
 
 
 def _refuse_rivals(name: str, claims: list[EntryPoint]) -> None:
@@ -124,22 +119,17 @@ def _loaded(entry: EntryPoint) -> Model:
     """Load the model of an entry point, and turn every failure of its import into a UsageError."""
     from tiltcal.drivers.model import Model
 
+    where = f"sensor model {entry.name!r} of package {_package(entry)!r}"
     try:
         model = entry.load()
     except Exception as cause:
-        raise UsageError(
-            f"sensor model {entry.name!r} of package {_package(entry)!r}: loading {entry.value!r} failed with "
-            f"{type(cause).__name__}: {cause}"
-        ) from cause
+        raise UsageError(f"{where}: loading {entry.value!r} failed with {type(cause).__name__}: {cause}") from cause
     if not isinstance(model, Model):
-        raise UsageError(
-            f"sensor model {entry.name!r} of package {_package(entry)!r}: {entry.value!r} is a "
-            f"{type(model).__name__}, not a tiltcal.drivers.model.Model"
-        )
+        kind = type(model).__name__
+        raise UsageError(f"{where}: {entry.value!r} is a {kind}, not a tiltcal.drivers.model.Model")
     if model.name != entry.name:
         raise UsageError(
-            f"sensor model {entry.name!r} of package {_package(entry)!r}: {entry.value!r} is named "
-            f"{model.name!r}; the entry point must have the model's own name"
+            f"{where}: {entry.value!r} is named {model.name!r}; the entry point must have the model's own name"
         )
     return model
 

@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
 from tiltcal.drivers.columns import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.converters import SCHEMES as CONVERTERS
-from tiltcal.drivers.model import Model, Reading, deviation_within, link_in_words
+from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words
 from tiltcal.drivers.virtual import StreamingPart, Tolerances, VirtualLine, uniform
 from tiltcal.errors import BusError, DeviceFault
 
@@ -208,6 +208,7 @@ class PulseTrains:
 
 ZERO = 0.5
 """Nominal duty cycle at 0 g."""
+DUTY = "{:.6f} duty"
 
 EDGES_AT_ONCE = 256
 """The largest number of edges to take in one transaction."""
@@ -229,10 +230,8 @@ class Adxl202Sentences:
         """Return a new sentence, and the link statistics, as text; the errors are those of :meth:`read`."""
         self.discard()
         sentence = self._next()
-        said = _in_words(sentence.duty, f"{sentence.periods[0]:g} ticks")
-        if sentence.temperature is not None:
-            said["temperature"] = f"{sentence.temperature:.1f} °C"
-        return said | {"link": link_in_words(self._counts)}
+        said = in_words(Reading(sentence.duty, sentence.temperature), "xy", DUTY, trimmed=True)
+        return said | {"period": f"{sentence.periods[0]:g} ticks", "link": link_in_words(self._counts)}
 
     def read(self) -> Reading:
         """Return the next undamaged sentence: the duty cycles of x and y, and the temperature where it is sent, °C."""
@@ -290,7 +289,7 @@ class Adxl202Edges:
         """Return a new period, and the link statistics, as text; the errors are those of :meth:`read`."""
         self.discard()
         cycle = self._next()
-        said = _in_words(cycle.duty, f"{cycle.period / 1e6:.6g} ms")
+        said = in_words(Reading(cycle.duty), "xy", DUTY) | {"period": f"{cycle.period / 1e6:.6g} ms"}
         return said | {"link": link_in_words(self.link_statistics())}
 
     def read(self) -> Reading:
@@ -326,10 +325,6 @@ class Adxl202Edges:
             # After a reconnection the edges are numbered from the start.
             self._trains.restart()
             raise
-
-
-def _in_words(duty: tuple[float, float], period: str) -> dict[str, str]:
-    return {"x": f"{duty[0]:.6f} duty", "y": f"{duty[1]:.6f} duty", "period": period}
 
 
 PERIOD = 0.010
@@ -438,9 +433,6 @@ def _model(name: str, extent: str, duty_per_g: float, noise_density: float) -> M
         offset_spread=OFFSET_SPREAD,
         sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
         rails=(0.0, 1.0),
-        resolution=0.0,
-        # The sensor streams: a read waits for the next sentence.
-        interval=0.0,
         thermometer=True,
         driver=Adxl202Sentences,
         twin=virtual_sentences,

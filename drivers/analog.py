@@ -199,7 +199,6 @@ class TiltPart:
             rails=(LOWEST_SANE, HIGHEST_SANE),
             resolution=front_end.step * NOMINAL / supply.volts,
             interval=self.interval,
-            thermometer=False,
             not_modelled=(
                 *self.not_modelled,
                 "response time: a new position and a new temperature take effect at once, without ringing",
@@ -371,12 +370,10 @@ def thermistor_at(address: Address) -> Model:
             "mcp3208+spi:///dev/spidev0.1?channel=3&vref=5.0&beta=3950&r0=10000&t0=25&fixed=10000",
         ),
         # It has no channel, so these values have no effect.
-        offset=0.0,
         sensitivity=1.0,
         offset_spread=0.0,
         sensitivity_spread=0.0,
         rails=(-inf, inf),
-        resolution=0.0,
         interval=0.01,
         thermometer=True,
         not_modelled=(

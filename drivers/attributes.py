@@ -17,24 +17,20 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.attributes import ACCELERATION, LETTER, as_text
 from tiltcal.drivers.columns import (
     OF_G,
-    SEPARATORS,
-    SERIAL_COLUMNS,
     TEMPERATURE,
     ColumnLayout,
     columns_of,
-    draw_truth,
-    numbers_in_words,
-    with_numbers,
+    model_of_numbers,
 )
-from tiltcal.drivers.model import Model, Reading
+from tiltcal.drivers.model import Model, Reading, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
 
@@ -65,7 +61,7 @@ class IioSensor:
         said = dict(self._settings)
         if "scale" in said and (per_count := float(said["scale"])):
             said["scale"] += f" m/s² a count, sensitivity={OF_G['m/s2'] / per_count:.6g}"
-        return said | numbers_in_words(AXES, self.read())
+        return said | in_words(self.read(), AXES, "{:g}", trimmed=True)
 
     def read(self) -> Reading:
         """Return the raw values.
@@ -114,7 +110,7 @@ class PythonSensor:
 
     def probe(self) -> Mapping[str, str]:
         """Return a reading as text."""
-        return numbers_in_words(self._columns.channels, self.read())
+        return in_words(self.read(), self._columns.channels, "{:g}", trimmed=True)
 
     def read(self) -> Reading:
         """Return the numbers of the object.
@@ -173,73 +169,58 @@ class VirtualAttributes(VirtualPart):
         return {**numbers, TEMPERATURE: self._celsius()}
 
 
-def _iio_at(address: Address) -> Model:
-    model = with_numbers(IIO, _stated(address, unit="count", sensitivity=str(SCALE)), AXES, False)
-    return replace(model, default_truth=partial(draw_truth, AXES, model.offset, model.sensitivity))
-
-
-def _python_at(address: Address) -> Model:
-    columns = columns_of(address, "x,y,z")
-    model = with_numbers(PYTHON, _stated(address, unit="m/s2"), columns.channels, TEMPERATURE in columns.names)
-    return replace(
-        model,
-        driver=partial(PythonSensor, columns),
-        twin=partial(VirtualAttributes, columns),
-        default_truth=partial(draw_truth, columns.channels, model.offset, model.sensitivity),
-    )
-
-
 def _stated(address: Address, unit: str, **of_the_virtual: str) -> Address:
     """Return the address with the unit that it means, and of a virtual device with what it leaves out."""
     defaults = {"unit": unit, **(of_the_virtual if address.simulated else {})}
     return replace(address, options={**defaults, **address.options})
 
 
-_XYZ = ColumnLayout(AXES, SEPARATORS["any"])
 _NOT_MODELLED = (
     "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
     "the memory fault (parity) of other parts",
 )
 _NUMBERS = ("unit", "offset", "sensitivity", "low", "high")
 
-IIO = replace(
-    SERIAL_COLUMNS,
-    name="iio",
-    title="any accelerometer that Linux has a driver for (raw values)",
-    channels=AXES,
-    unit="count",
-    schemes=("iio",),
-    addresses=("iio:device0?sensitivity=16384", "iio:ip:192.168.1.7/device0?sensitivity=16384"),
-    sensitivity=float(SCALE),
-    resolution=1.0,
-    interval=0.01,
-    thermometer=False,
-    driver=IioSensor,
-    twin=partial(VirtualAttributes, None),
-    not_modelled=(*_NOT_MODELLED, "other attributes than name, scale, rate and raw values"),
-    default_truth=partial(draw_truth, AXES, 0.0, float(SCALE)),
-    options=_NUMBERS[1:],
-    configure=_iio_at,
-)
 
-PYTHON = replace(
-    SERIAL_COLUMNS,
-    name="python",
-    title="any object of Python that returns numbers, or has an acceleration",
-    channels=AXES,
-    unit="m/s2",
-    schemes=("python",),
-    addresses=("python:imu:open_sensor",),
-    sensitivity=OF_G["m/s2"],
-    interval=0.01,
-    thermometer=False,
-    driver=partial(PythonSensor, _XYZ),
-    twin=partial(VirtualAttributes, _XYZ),
-    not_modelled=_NOT_MODELLED,
-    default_truth=partial(draw_truth, AXES, 0.0, OF_G["m/s2"]),
-    options=("columns", *_NUMBERS),
-    configure=_python_at,
-)
+def iio_at(address: Address) -> Model:
+    """Return the accelerometer of Linux at an address."""
+    return model_of_numbers(
+        _stated(address, unit="count", sensitivity=str(SCALE)),
+        AXES,
+        thermometer=False,
+        name="iio",
+        title="any accelerometer that Linux has a driver for (raw values)",
+        schemes=("iio",),
+        addresses=("iio:device0?sensitivity=16384", "iio:ip:192.168.1.7/device0?sensitivity=16384"),
+        resolution=1.0,
+        interval=0.01,
+        driver=IioSensor,
+        twin=partial(VirtualAttributes, None),
+        not_modelled=(*_NOT_MODELLED, "other attributes than name, scale, rate and raw values"),
+        options=_NUMBERS[1:],
+        configure=iio_at,
+    )
 
-MODELS = {model.name: model for model in (IIO, PYTHON)}
+
+def python_at(address: Address) -> Model:
+    """Return the object of Python at an address."""
+    columns = columns_of(address, "x,y,z")
+    return model_of_numbers(
+        _stated(address, unit="m/s2"),
+        columns.channels,
+        TEMPERATURE in columns.names,
+        name="python",
+        title="any object of Python that returns numbers, or has an acceleration",
+        schemes=("python",),
+        addresses=("python:imu:open_sensor",),
+        interval=0.01,
+        driver=partial(PythonSensor, columns),
+        twin=partial(VirtualAttributes, columns),
+        not_modelled=_NOT_MODELLED,
+        options=("columns", *_NUMBERS),
+        configure=python_at,
+    )
+
+
+MODELS = {model.name: model for model in (at(parse_address("sim:")) for at in (iio_at, python_at))}
 """By the name that the user types."""

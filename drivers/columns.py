@@ -18,19 +18,19 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property, partial
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from tiltcal.drivers.model import Model, Reading, link_in_words
+from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.model import Model, Reading, in_words, link_in_words
 from tiltcal.drivers.sketch import bare
-from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, StreamingPart, Truth, part_errors
+from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 
 if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
 
@@ -92,8 +92,6 @@ class LineBuffer:
 
     The first piece after the start, or after :meth:`discard`, may be the tail of a line; it is a whole one where the
     device was silent before it.
-
-    clock: times a line, and the silence before it.
     """
 
     def __init__(self, link: Link, clock: Clock) -> None:
@@ -104,9 +102,7 @@ class LineBuffer:
         self._begun = self._emptied = False
 
     def next(self) -> tuple[bytes, bool]:
-        """Return the next line that is not empty, without its end.
-
-        whole: false if its beginning may be missing.
+        """Return the next line that is not empty, without its end, and whether its beginning is there.
 
         BusError: silence, bytes without a line end, or line ends alone.
         """
@@ -116,8 +112,11 @@ class LineBuffer:
                 self._listen()
                 now_ns = self._clock.now_ns()
                 began_ns = now_ns if began_ns is None else began_ns
-                if not self._ready:
-                    self._require_soon(began_ns, now_ns)
+                if not self._ready and now_ns - began_ns > PATIENCE * 1e9:
+                    raise self._given_up(
+                        f"no whole line came in {PATIENCE:g} s, only {shown(self._rest)}: does the device end its "
+                        "lines, and is this its baud rate?"
+                    )
             line, whole = self._ready.popleft(), self._begun
             self._begun = True
             if line:
@@ -135,14 +134,9 @@ class LineBuffer:
         self._rest = b""
         self._begun = self._emptied = False
 
-    def _require_soon(self, began_ns: int, now_ns: int) -> None:
-        if now_ns - began_ns > PATIENCE * 1e9:
-            piece = self._rest
-            self._restart()
-            raise BusError(
-                f"no whole line came in {PATIENCE:g} s, only {shown(piece)}: does the device end its lines, and is "
-                "this its baud rate?"
-            )
+    def _given_up(self, why: str) -> BusError:
+        self._restart()
+        return BusError(why)
 
     def _listen(self) -> None:
         asked_ns = self._clock.now_ns()
@@ -160,11 +154,9 @@ class LineBuffer:
         self._rest = pieces.pop()
         self._ready.extend(pieces)
         if not pieces and len(self._rest) > LONGEST:
-            endless = self._rest
-            self._restart()
-            raise BusError(
-                f"{len(endless)} bytes came without a line end, beginning with {shown(endless)}: is the baud rate "
-                "right, and does the device send text?"
+            raise self._given_up(
+                f"{len(self._rest)} bytes came without a line end, beginning with {shown(self._rest)}: is the baud "
+                "rate right, and does the device send text?"
             )
 
 
@@ -175,11 +167,7 @@ def shown(line: bytes) -> str:
 
 @dataclass(frozen=True)
 class ColumnLayout:
-    """The meaning of the numbers of a line.
-
-    names: in the order of the line; ``-`` for one that is skipped.
-    separator: A regular expression.
-    """
+    """The meaning of the numbers of a line: their names, ``-`` for a skipped one, and the separator, a pattern."""
 
     names: tuple[str, ...]
     separator: bytes
@@ -230,13 +218,11 @@ class ColumnsSensor:
         """Return the numbers of a new line, and the link statistics, as text; the errors are those of :meth:`read`."""
         self.discard()
         reading = self.read()
-        return numbers_in_words(self._columns.channels, reading) | {"link": link_in_words(self.link_statistics())}
+        said = in_words(reading, self._columns.channels, "{:g}", trimmed=True)
+        return said | {"link": link_in_words(self.link_statistics())}
 
     def read(self) -> Reading:
-        """Return the next line of numbers.
-
-        BusError: no data, or no line with the right number of columns.
-        """
+        """Return the next line of numbers; none with the right number of columns is a BusError."""
         for _ in range(UNUSABLE):
             line, whole = self._lines.next()
             # The tail of a line may have as many numbers as a line, with the first one cut.
@@ -263,10 +249,7 @@ class ColumnsSensor:
 
 
 def listened(link: Link, clock: Clock, seconds: float = 2.0) -> tuple[list[bytes], float]:
-    """Return the whole lines that a device prints in some seconds, and how many come in one.
-
-    BusError: as :meth:`LineBuffer.next`.
-    """
+    """Return the whole lines that a device prints in some seconds, and how many come in one."""
     buffer, began_ns, lines = LineBuffer(link, clock), clock.now_ns(), list[bytes]()
     while not lines or clock.now_ns() - began_ns < seconds * 1e9:
         line, whole = buffer.next()
@@ -275,12 +258,7 @@ def listened(link: Link, clock: Clock, seconds: float = 2.0) -> tuple[list[bytes
 
 
 def columns_of(address: Address, default: str | None = None) -> ColumnLayout:
-    """Return the column layout of an address.
-
-    default: the columns if the address names none; without it they are required.
-
-    UsageError: an invalid name, a repeated name, or no reading.
-    """
+    """Return the column layout of an address, which without a default has to name the columns."""
     written = address.text("columns", default)
     names = tuple("-" if name.strip() in SKIPPED else name.strip() for name in written.split(","))
     for name in names:
@@ -299,17 +277,8 @@ def channels_of(names: Sequence[str]) -> tuple[str, ...]:
     return (*(axis for axis in AXES if axis in names), *others)
 
 
-def numbers_in_words(channels: Sequence[str], reading: Reading) -> dict[str, str]:
-    """Return the numbers of a reading as text, by their names."""
-    said = {name: f"{value:g}" for name, value in zip(channels, reading.values, strict=True)}
-    return said if reading.temperature is None else {**said, TEMPERATURE: f"{reading.temperature:.1f} °C"}
-
-
 def require_name(address: Address, name: str) -> None:
-    """Refuse a column whose name is none, or is nearly ``temperature``.
-
-    UsageError: with the address.
-    """
+    """Refuse a column whose name is none, or is nearly ``temperature``."""
     if name != "-" and not _NAME.fullmatch(name):
         address.refuse(f"column {name!r} is neither a name of letters and digits nor - (for one that is skipped)")
     if name != TEMPERATURE and get_close_matches(name.lower(), [TEMPERATURE], cutoff=0.8):
@@ -327,54 +296,14 @@ def virtual_columns(columns: ColumnLayout, truth: Truth, fixture: HeldPose, cloc
     return StreamingPart(truth, fixture, clock, line)
 
 
-def draw_truth(channels: tuple[str, ...], offset: float, sensitivity: float, seed: int) -> Truth:
-    """Return a device near its nominal coefficients; the tolerances are ours.
-
-    offset: nominal, unit.
-    sensitivity: nominal, unit/g.
-    """
-    within = part_errors(seed)
-
-    def row(channel: str) -> dict[str, float]:
-        return {
-            axis: sensitivity * (1.0 + within(0.03, f"sensitivity {axis}"))
-            if axis == channel
-            else sensitivity * within(0.02, f"cross {channel} {axis}")
-            for axis in "xyz"
-        }
-
-    return Truth(
-        channels=channels,
-        offset={channel: offset + sensitivity * within(0.05, f"offset {channel}") for channel in channels},
-        sensitivity={channel: row(channel) for channel in channels},
-        reference=24.0,
-        drift={channel: (sensitivity * within(0.001, f"drift {channel}"),) for channel in channels},
-        noise=dict.fromkeys(channels, abs(sensitivity) * 0.001),
-        seed=seed,
-        jig=JIG,
-        time_constant=TIME_CONSTANT,
-    )
+LIMITS = Tolerances(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.001)
+"""Of a virtual device; they are ours."""
 
 
-def _configured(address: Address) -> Model:
-    """Return the model with the options of the address."""
-    columns = columns_of(address, "x,y,temperature" if address.simulated else None)
-    model = with_numbers(SERIAL_COLUMNS, address, columns.channels, TEMPERATURE in columns.names)
-    return replace(
-        model,
-        driver=partial(ColumnsSensor, columns),
-        twin=partial(virtual_columns, columns),
-        default_truth=partial(draw_truth, columns.channels, model.offset, model.sensitivity),
-    )
-
-
-def with_numbers(
-    model: Model, address: Address, channels: tuple[str, ...], thermometer: bool, unit_option: str = "unit"
+def model_of_numbers(
+    address: Address, channels: tuple[str, ...], thermometer: bool, *, unit_option: str = "unit", **facts: Any
 ) -> Model:
-    """Return the model of a device that sends numbers, with the unit, scale and rails of its address.
-
-    UsageError: an option is wrong, or a virtual device would have other channels than x, y and z.
-    """
+    """Return the model of a device that sends numbers, with the unit, scale and rails of its address."""
     if address.simulated and not set(channels) <= set(AXES):
         address.refuse(
             "the virtual device has x, y, z and temperature alone; a virtual stage with four accelerometers is the "
@@ -382,7 +311,6 @@ def with_numbers(
         )
     unit = address.text(unit_option, "g" if address.simulated else UNSTATED)
     default = OF_G.get(unit)
-    scaled = default is not None or "sensitivity" in address.options
     sensitivity = address.number("sensitivity", default or UNKNOWN)
     if sensitivity == 0.0:
         address.refuse("option sensitivity=0 is impossible: the device would not respond to tilt")
@@ -390,49 +318,46 @@ def with_numbers(
     if low >= high:
         address.refuse(f"option low={low:g} is not below high={high:g}")
     offset = address.number("offset", 0.0)
-    return replace(
-        model,
+    return Model(
         channels=channels,
         unit=unit,
         offset=offset,
         sensitivity=sensitivity,
         offset_spread=OFFSET_SPREAD if "offset" in address.options or default is not None else ANYWHERE,
-        scaled=scaled,
+        sensitivity_spread=0.1,
+        scaled=default is not None or "sensitivity" in address.options,
         rails=(low, high),
         thermometer=thermometer,
+        default_truth=lambda seed: LIMITS.draw(channels, sensitivity, abs(sensitivity) * 0.001, seed, offset),
+        **facts,
     )
 
 
-_ANY = ColumnLayout((*AXES[:2], TEMPERATURE), SEPARATORS["any"])
+def serial_columns_at(address: Address) -> Model:
+    """Return the device that prints the numbers of an address."""
+    columns = columns_of(address, "x,y,temperature" if address.simulated else None)
+    return model_of_numbers(
+        address,
+        columns.channels,
+        TEMPERATURE in columns.names,
+        name="serial-columns",
+        title="any device that prints numbers on a line",
+        schemes=("serial",),
+        addresses=("serial:///dev/ttyUSB0?columns=x,y,temperature",),
+        driver=partial(ColumnsSensor, columns),
+        twin=partial(virtual_columns, columns),
+        not_modelled=(
+            "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
+            "loss and damage on the line",
+            "a receive buffer: lines that are not read at once are lost",
+            "the memory fault (parity) of other parts",
+        ),
+        options=("columns", "separator", "unit", "offset", "sensitivity", "low", "high"),
+        configure=serial_columns_at,
+    )
 
-SERIAL_COLUMNS = Model(
-    name="serial-columns",
-    title="any device that prints numbers on a line",
-    channels=_ANY.channels,
-    unit="g",
-    schemes=("serial",),
-    addresses=("serial:///dev/ttyUSB0?columns=x,y,temperature",),
-    offset=0.0,
-    sensitivity=1.0,
-    offset_spread=OFFSET_SPREAD,
-    sensitivity_spread=0.1,
-    rails=(-RAIL, RAIL),
-    resolution=0.0,
-    # The device streams: a read waits for the next line.
-    interval=0.0,
-    thermometer=True,
-    driver=partial(ColumnsSensor, _ANY),
-    twin=partial(virtual_columns, _ANY),
-    not_modelled=(
-        "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
-        "loss and damage on the line",
-        "a receive buffer: lines that are not read at once are lost",
-        "the memory fault (parity) of other parts",
-    ),
-    default_truth=partial(draw_truth, _ANY.channels, 0.0, 1.0),
-    options=("columns", "separator", "unit", "offset", "sensitivity", "low", "high"),
-    configure=_configured,
-)
+
+SERIAL_COLUMNS = serial_columns_at(parse_address("sim:"))
 
 MODELS = {SERIAL_COLUMNS.name: SERIAL_COLUMNS}
 """By the name that the user types."""

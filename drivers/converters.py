@@ -31,7 +31,7 @@ from functools import partial
 from math import inf
 from typing import TYPE_CHECKING, Protocol
 
-from tiltcal.drivers.bus.link import require_length
+from tiltcal.drivers.bus.link import check_data_line, require_length
 from tiltcal.drivers.bus.spi import SpiPort
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
@@ -218,13 +218,14 @@ class Wiring:
 class VirtualConverter(VirtualPart):
     """A converter whose inputs have the voltages of a wiring."""
 
+    device = "converter"
+
     def __init__(self, wiring: Wiring) -> None:
         super().__init__(wiring.truth, wiring.fixture, wiring.clock)
         self._wiring = wiring
 
     def _silent(self) -> bool:
-        """Return whether the converter does not answer now; of an unplugged one it is a BusError."""
-        return self._truth.fault_on_link(self._clock.now_ns(), "converter").kind == "silent"
+        return self._fault().kind == "silent"
 
 
 # --- TI ADS1115 ---
@@ -305,9 +306,7 @@ def ads1115_config(number: int, full_scale: float, rate: int) -> int:
 
 def _check_config(held: int, config: int) -> None:
     """Raise an error for a dead bus, a converter that was reset, or another device."""
-    if held in (0x0000, 0xFFFF):
-        level = "low" if held == 0 else "high"
-        raise BusError(f"the I2C data line is stuck {level}: check SDA, its pull-up, and the ADS1115's supply")
+    check_data_line(held.to_bytes(2, "big"), "config register")
     if held & ~DONE == RESET & ~DONE != config & ~DONE:
         raise DeviceFault("the ADS1115 lost its settings, so its supply failed for a moment: check its supply")
     if held & ~DONE != config & ~DONE:
@@ -412,17 +411,8 @@ class Mcp3208:
         """Convert one input, 0 to 7, against ground, V."""
         command = bytes([0b110 | number >> 2, (number & 0b11) << 6, 0])
         answer = require_length(self._link.exchange(command), len(command), "frame")
-        # The bit before the result is 0, so a working part never sends only ones.
-        if set(answer) == {0xFF}:
-            raise BusError(
-                f"the data line is stuck high (input {number} reads ones alone): check MISO, chip select and the "
-                "MCP3208's supply"
-            )
-        if set(answer) == {0x00}:
-            raise BusError(
-                f"the data line is stuck low, or input {number} is shorted to ground (it reads zeros alone): check "
-                "MISO and this input"
-            )
+        # The bit before the result is 0, so a working part never sends only ones; zeros may be an input at ground.
+        check_data_line(answer, f"answer for input {number}")
         # The bits before the lowest 12 have no meaning.
         return ((answer[1] & 0x0F) << 8 | answer[2]) * self._reference / CODES
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -25,16 +25,13 @@ from typing import TYPE_CHECKING
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT
 from tiltcal.drivers.columns import (
-    SERIAL_COLUMNS,
     TEMPERATURE,
     TIME,
     channels_of,
-    draw_truth,
-    numbers_in_words,
+    model_of_numbers,
     require_name,
-    with_numbers,
 )
-from tiltcal.drivers.model import Model, Reading
+from tiltcal.drivers.model import Model, Reading, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
@@ -82,11 +79,7 @@ _COLUMN = re.compile(r"([^@:*]+)@(0[xX][0-9a-fA-F]{1,8}|[0-9]{1,9})(?::([a-z0-9]
 
 @dataclass(frozen=True)
 class RegisterColumn:
-    """One number in registers.
-
-    first: register, counted from 0.
-    code: of :mod:`struct`.
-    """
+    """One number in registers: the first register, counted from 0, and its code in :mod:`struct`."""
 
     name: str
     first: int
@@ -98,19 +91,10 @@ class RegisterColumn:
         """Number of its registers."""
         return struct.calcsize(f">{self.code}") // 2
 
-    @property
-    def step(self) -> float:
-        """Step of the number, in its unit; 0 of a float."""
-        return 0.0 if self.code in "fd" else abs(self.scale)
-
 
 @dataclass(frozen=True)
 class RegisterLayout:
-    """The numbers and their registers.
-
-    function: code that reads them.
-    order: see :data:`ORDERS`.
-    """
+    """The numbers and their registers, the function code that reads them, and an order of :data:`ORDERS`."""
 
     columns: tuple[RegisterColumn, ...]
     function: int
@@ -122,14 +106,10 @@ class RegisterLayout:
         return channels_of([column.name for column in self.columns])
 
     @property
-    def thermometer(self) -> bool:
-        """Whether one of the numbers is the temperature."""
-        return any(column.name == TEMPERATURE for column in self.columns)
-
-    @property
     def step(self) -> float:
         """The finest step of the readings, in their unit; 0 where one is a float."""
-        return min(column.step for column in self.columns if column.name != TEMPERATURE)
+        readings = [column for column in self.columns if column.name != TEMPERATURE]
+        return min(0.0 if column.code in "fd" else abs(column.scale) for column in readings)
 
     @property
     def requests(self) -> tuple[bytes, ...]:
@@ -167,14 +147,10 @@ class ModbusColumns:
 
     def probe(self) -> Mapping[str, str]:
         """Read every number once, and return them by their names; the errors are those of :meth:`read`."""
-        return numbers_in_words(self._layout.channels, self.read())
+        return in_words(self.read(), self._layout.channels, "{:g}", trimmed=True)
 
     def read(self) -> Reading:
-        """Read every number.
-
-        BusError: no answer, or one of another function or length.
-        DeviceFault: the device refuses, or a number is none (a float that is not finite).
-        """
+        """Read every number; a device that refuses, or sends a number that is not finite, is a DeviceFault."""
         registers: dict[int, bytes] = {}
         for request in self._layout.requests:
             registers.update(self._registers(request))
@@ -236,43 +212,31 @@ class VirtualModbus(VirtualPart):
         function, first, number = struct.unpack(">BHH", out)
         if function != self._layout.function:
             return bytes([function | FAILED, NO_SUCH_FUNCTION])
-        held = self._registers()
+        held: dict[int, bytes] = {}
+        for column in self._layout.columns:
+            data = self._layout.arranged(struct.pack(f">{column.code}", self._number(column)))
+            held.update({column.first + place: data[2 * place : 2 * place + 2] for place in range(column.length)})
         if any(register not in held for register in range(first, first + number)):
             return bytes([function | FAILED, NO_SUCH_REGISTER])
         data = b"".join(held[register] for register in range(first, first + number))
         return bytes([function, len(data)]) + data
 
-    def _registers(self) -> dict[int, bytes]:
-        held = {}
-        for column in self._layout.columns:
-            data = self._layout.arranged(self._packed(column))
-            held.update({column.first + place: data[2 * place : 2 * place + 2] for place in range(column.length)})
-        return held
-
-    def _packed(self, column: RegisterColumn) -> bytes:
-        number = self._number(column.name) / column.scale
+    def _number(self, column: RegisterColumn) -> float:
+        """Return what the registers of a column hold now, rounded and clipped to its type."""
+        now_ns, number = self._clock.now_ns(), self._celsius()
+        if column.name != TEMPERATURE:
+            up, celsius = self._fixture.gravity, self._fixture.temperature(self._truth.lag)
+            number = self._truth.sample(column.name, up, celsius, now_ns, int(now_ns / 1e9 * NUMBERS_PER_SECOND))
+        number /= column.scale
         if column.code in "fd":
-            return struct.pack(f">{column.code}", number)
-        bits = 16 * column.length
-        low, high = (0, 2**bits - 1) if column.code.isupper() else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
-        return struct.pack(f">{column.code}", min(max(round(number), low), high))
-
-    def _number(self, name: str) -> float:
-        if name == TEMPERATURE:
-            return self._celsius()
-        now_ns, temperature = self._clock.now_ns(), self._fixture.temperature(self._truth.lag)
-        return self._truth.sample(
-            name, self._fixture.gravity, temperature, now_ns, int(now_ns / 1e9 * NUMBERS_PER_SECOND)
-        )
+            return number
+        half: int = 1 << 16 * column.length - 1
+        low, high = (0, 2 * half - 1) if column.code.isupper() else (-half, half - 1)
+        return min(max(round(number), low), high)
 
 
 def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
-    """Return the registers of an address.
-
-    default: the columns where the address names none; without it they are required.
-
-    UsageError: a column is wrong, a name is given twice, or there is no reading.
-    """
+    """Return the registers of an address, which without a default has to name the columns."""
     named = [_column(address, text.strip()) for text in address.text("columns", default).split(",")]
     columns = [column for column in named if column.name != "-"]
     names = [column.name for column in columns]
@@ -310,45 +274,38 @@ def _column(address: Address, text: str) -> RegisterColumn:
     return column
 
 
-def _configured(address: Address) -> Model:
-    """Return the model with the options of the address."""
-    layout = layout_of(address, SIMULATED if address.simulated else None)
-    model = with_numbers(MODBUS_COLUMNS, address, layout.channels, layout.thermometer, UNIT)
-    return replace(
-        model,
-        interval=1.0 / address.number("rate", RATE, low=0.001, high=1000.0),
-        driver=partial(ModbusColumns, layout),
-        twin=partial(VirtualModbus, layout),
-        default_truth=partial(draw_truth, layout.channels, model.offset, model.sensitivity),
-    )
-
-
 SIMULATED = "x@0:float32,y@2:float32,temperature@4:float32"
 """Default columns of a virtual device."""
 
-_SIMULATED = layout_of(parse_address("sim:"), SIMULATED)
 
-MODBUS_COLUMNS = replace(
-    SERIAL_COLUMNS,
-    name="modbus-columns",
-    title="any device with numbers in Modbus registers, RTU or TCP",
-    schemes=("modbus",),
-    addresses=(
-        "modbus:///dev/ttyUSB0?unit=1&columns=x@0:int16*0.001,y@1:int16*0.001",
-        "modbus:tcp://192.168.1.7:502?unit=1&columns=x@0:float32,y@2:float32,temperature@4:float32",
-    ),
-    interval=1.0 / RATE,
-    driver=partial(ModbusColumns, _SIMULATED),
-    twin=partial(VirtualModbus, _SIMULATED),
-    not_modelled=(
-        "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
-        "frames and checksums of RTU and TCP: the twin answers what is inside them",
-        "how often a real device renews its registers, and whether it does so between two of them",
-        "the memory fault (parity) of other parts",
-    ),
-    options=("columns", "table", "order", "rate", UNIT, "offset", "sensitivity", "low", "high"),
-    configure=_configured,
-)
+def modbus_columns_at(address: Address) -> Model:
+    """Return the device with the registers of an address."""
+    layout = layout_of(address, SIMULATED if address.simulated else None)
+    return model_of_numbers(
+        address,
+        layout.channels,
+        any(column.name == TEMPERATURE for column in layout.columns),
+        unit_option=UNIT,
+        name="modbus-columns",
+        title="any device with numbers in Modbus registers, RTU or TCP",
+        schemes=("modbus",),
+        addresses=(
+            "modbus:///dev/ttyUSB0?unit=1&columns=x@0:int16*0.001,y@1:int16*0.001",
+            "modbus:tcp://192.168.1.7:502?unit=1&columns=x@0:float32,y@2:float32,temperature@4:float32",
+        ),
+        interval=1.0 / address.number("rate", RATE, low=0.001, high=1000.0),
+        driver=partial(ModbusColumns, layout),
+        twin=partial(VirtualModbus, layout),
+        not_modelled=(
+            "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
+            "frames and checksums of RTU and TCP: the twin answers what is inside them",
+            "how often a real device renews its registers, and whether it does so between two of them",
+            "the memory fault (parity) of other parts",
+        ),
+        options=("columns", "table", "order", "rate", UNIT, "offset", "sensitivity", "low", "high"),
+        configure=modbus_columns_at,
+    )
 
-MODELS = {MODBUS_COLUMNS.name: MODBUS_COLUMNS}
+
+MODELS = {"modbus-columns": modbus_columns_at(parse_address("sim:"))}
 """By the name that the user types."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import sqrt
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -22,14 +22,9 @@ if TYPE_CHECKING:
 class Reading:
     """One sample of every channel.
 
-    Attributes
-    ----------
-    values : tuple of float
-        One per channel of the model, in the model's unit.
-    temperature : float or None
-        The sensor's own thermometer, °C; None where it has none.
-    step : float
-        With which the values were written, in the model's unit, where the model states no resolution and the sample
+    values: one per channel of the model, in the model's unit.
+    temperature: of the sensor's own thermometer, °C; None where it has none.
+    step: with which the values were written, in the model's unit, where the model states no resolution and the sample
         shows one; else 0.
     """
 
@@ -42,27 +37,14 @@ class Sensor(Protocol):
     """The interface of a driver on one link: bytes in, readings out."""
 
     def probe(self) -> Mapping[str, str]:
-        """Check that the device answers plausibly.
-
-        Returns
-        -------
-        mapping of str to str
-            What the device reports about itself, for the operator.
+        """Return what the device reports about itself, for the operator.
 
         HardwareError: it does not answer, or shows a fault.
         """
         ...
 
     def read(self) -> Reading:
-        """Take one sample.
-
-        Raises
-        ------
-        BusError
-            The transaction failed.
-        DeviceFault
-            The bytes show a fault of the device.
-        """
+        """Take one sample; a failed transaction is a BusError, bytes that show a fault of the device a DeviceFault."""
         ...
 
     def discard(self) -> None:
@@ -79,14 +61,8 @@ class Sensor(Protocol):
 class Population:
     """The mean temperature curves of the parts of a model.
 
-    Attributes
-    ----------
-    drift : tuple of float
-        Mean offset, coefficients of 1, T, T², ... with T in °C, in unit.
-    gain : tuple of float
-        Mean relative change of the sensitivity, likewise.
-    drift_spread, gain_spread : float
-        Standard deviation over parts of the slopes, unit/°C and 1/°C.
+    drift, gain: mean offset (unit) and mean relative change of the sensitivity, coefficients of 1, T, T², ... in °C.
+    drift_spread, gain_spread: standard deviation over parts of the slopes, unit/°C and 1/°C.
     """
 
     drift: tuple[float, ...]
@@ -96,92 +72,58 @@ class Population:
     source: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Model:
     """The facts of one sensor model, with its driver and its twin.
 
-    Attributes
-    ----------
-    name : str
-        What the user types, such as ``sca100t-d02``.
-    title : str
-        Maker, part and interface.
-    channels : tuple of str
-        Names of the readings: x, y, z of a tilt sensor, any others of another device.
-    unit : str
-        Unit of a reading: ``count``, ``V`` or ``duty``.
-    schemes : tuple of str
-        Address schemes that it can be connected by.
-    addresses : tuple of str
-        An example address for each way to connect it, the preferred one first.
-    offset : float
-        Nominal reading at 0 g, in unit.
-    sensitivity : float
-        Nominal sensitivity, in unit/g.
-    offset_spread : float
-        Standard deviation of the offset between parts, in g.
-    sensitivity_spread : float
-        Standard deviation of the sensitivity between parts, relative.
-    cross_axis_limit : float
-        Largest sensitivity to each of the other axes, relative; 0 where no source states it.
-    nonlinearity : tuple of float
-        Typical square and cube of the response to a g, pure numbers; empty where no source states them.
-    rails : tuple of float
-        Rails: a reading at or beyond one of these is not a measurement, in unit.
-    resolution : float
-        The step of a reading, in unit; 0 where it is continuous.
-    interval : float
-        Shortest time between two samples that gives a new reading, s.
-    thermometer : bool
-        Whether the sensor reports its own temperature.
-    population : Population or None
-        Its mean temperature curves, if the maker states them.
-    thermometer_step : float
-        The step of this temperature, °C; 0 if it is continuous.
-    driver : callable
-        ``driver(link, clock)`` returns the :class:`Sensor`.
-    twin : callable
-        ``twin(truth, fixture, clock)`` returns a :class:`tiltcal.drivers.bus.link.Link` that answers as the part would:
-        ``fixture`` holds it, in the sensor frame, and ``clock`` has the time of the session.
-    not_modelled : tuple of str
-        What the twin does not model, for ``tiltcal devices``.
-    default_truth : callable or None
-        ``default_truth(seed)`` draws a plausible part, the same one for one seed, for a ``sim:`` address without a twin
-        file.
-    spi : SpiPort or None
-        None where the part has no SPI.
-    options : tuple of str
-        Options of an address that belong to the device and not to its bus, such as the input of x.
-    scaled : bool
-        Whether the nominal offset and sensitivity are known. Without them, a wrong position and a small movement cannot
-        be detected.
-    configure : callable or None
-        ``configure(address)`` returns this model with the facts that these options state; None without such options.
-    bus : Bus or None
-        What opens its ``package:`` addresses: the bus of a package that adds the model, where tiltcal has none.
+    name, title: what the user types, such as ``sca100t-d02``; maker, part and interface.
+    channels, unit: names of the readings (x, y, z of a tilt sensor, any others of another device); their unit, such as
+        ``count``, ``V`` or ``duty``.
+    schemes, addresses: address schemes that it can be connected by; an example for each way, the preferred one first.
+    offset, sensitivity: nominal reading at 0 g, unit; nominal, unit/g.
+    offset_spread, sensitivity_spread: standard deviation between parts, g; relative.
+    rails: a reading at or beyond one of these is not a measurement, unit.
+    resolution: the step of a reading, unit; 0 where it is continuous.
+    interval: shortest time between two samples that gives a new reading, s.
+    thermometer, thermometer_step: whether the sensor reports its own temperature, and its step, °C (0: continuous).
+    driver: ``driver(link, clock)`` returns the :class:`Sensor`.
+    twin: ``twin(truth, fixture, clock)`` returns a :class:`~tiltcal.drivers.bus.link.Link` that answers as the part
+        would: ``fixture`` holds it, in the sensor frame, and ``clock`` has the time of the session.
+    not_modelled: what the twin does not model, for ``tiltcal devices``.
+    default_truth: ``default_truth(seed)`` draws a plausible part, the same one for one seed, for a ``sim:`` address
+        without a twin file.
+    spi: None where the part has no SPI.
+    options: those of an address that belong to the device and not to its bus, such as the input of x.
+    configure: ``configure(address)`` returns this model with the facts that these options state.
+    population: its mean temperature curves, if the maker states them.
+    scaled: whether the nominal offset and sensitivity are known; without them, a wrong position and a small movement
+        cannot be detected.
+    cross_axis_limit: largest sensitivity to each of the other axes, relative; 0 where no source states it.
+    nonlinearity: typical square and cube of the response to a g, pure numbers; empty where no source states them.
+    bus: what opens its ``package:`` addresses: the bus of a package that adds the model, where tiltcal has none.
     """
 
     name: str
     title: str
     channels: tuple[str, ...]
-    unit: str
+    unit: str = "count"
     schemes: tuple[str, ...]
     addresses: tuple[str, ...]
-    offset: float
+    offset: float = 0.0
     sensitivity: float
     offset_spread: float
     sensitivity_spread: float
     rails: tuple[float, float]
-    resolution: float
-    interval: float
-    thermometer: bool
+    resolution: float = 0.0
+    interval: float = 0.0
+    thermometer: bool = False
+    thermometer_step: float = 0.0
     driver: Callable[[Link, Clock], Sensor]
     twin: Callable[[Truth, HeldPose, Clock], Link]
-    not_modelled: tuple[str, ...] = field(default=())
+    not_modelled: tuple[str, ...] = ()
     default_truth: Callable[[int], Truth] | None = None
     spi: SpiPort | None = None
     options: tuple[str, ...] = ()
-    thermometer_step: float = 0.0
     population: Population | None = None
     scaled: bool = True
     configure: Callable[[Address], Model] | None = None
@@ -200,19 +142,13 @@ class Model:
         return set(self.channels) <= {"x", "y", "z"}
 
     def drawn(self, seed: int) -> Truth:
-        """Return a plausible part, the same one for one seed.
-
-        UsageError: the model has no default twin.
-        """
+        """Return a plausible part, the same one for one seed."""
         if self.default_truth is None:
             raise UsageError(f"{self.name} has no default twin; name one with twin=FILE")
         return self.default_truth(seed)
 
     def at(self, address: Address) -> Model:
-        """Return this model as it is connected at an address.
-
-        UsageError: an option of the address is missing or wrong.
-        """
+        """Return this model as it is connected at an address."""
         return self if self.configure is None else self.configure(address)
 
 
@@ -252,12 +188,9 @@ class StreamingSensor(Protocol):
     """A driver that counts lost and damaged data, of a sensor that streams or adds a checksum."""
 
     def link_statistics(self) -> Mapping[str, int]:
-        """Return the link statistics: how much data was used, damaged and lost since the driver began.
+        """Return how much data was used, damaged and lost since the driver began, the used data first.
 
-        Returns
-        -------
-        mapping of str to int
-            Such as ``{"sentences": 120, "damaged": 3, "lost": 1}``: the used data first.
+        Such as ``{"sentences": 120, "damaged": 3, "lost": 1}``.
         """
         ...
 
@@ -274,3 +207,13 @@ class IdentifiedSensor(Protocol):
 def link_in_words(link_statistics: Mapping[str, int]) -> str:
     """Return link statistics as text: ``120 sentences, 3 damaged, 1 lost``."""
     return ", ".join(f"{number} {what}" for what, number in link_statistics.items())
+
+
+def in_words(
+    reading: Reading, channels: Iterable[str] = "xyz", form: str = "{:.0f} count", *, trimmed: bool = False
+) -> dict[str, str]:
+    """Return a reading as text; ``trimmed`` is whether the maker has calibrated the thermometer."""
+    said = {channel: form.format(value) for channel, value in zip(channels, reading.values, strict=False)}
+    if reading.temperature is not None:
+        said["temperature"] = f"{reading.temperature:.1f} °C{'' if trimmed else ' (not trimmed)'}"
+    return said

@@ -11,7 +11,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from tiltcal.drivers.bus.link import check_data_line
 from tiltcal.drivers.bus.spi import SpiPort
+from tiltcal.drivers.model import in_words
 from tiltcal.drivers.registers import (
     I2C,
     SPI,
@@ -22,8 +24,6 @@ from tiltcal.drivers.registers import (
     RegisterSensor,
     Thermometer,
     Write,
-    check_data_line,
-    in_words,
 )
 from tiltcal.drivers.virtual import Tolerances
 from tiltcal.errors import BusError, DeviceFault

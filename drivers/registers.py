@@ -14,9 +14,9 @@ from functools import cached_property, partial
 from math import ceil, inf, sqrt
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
-from tiltcal.drivers.bus.link import require_length
+from tiltcal.drivers.bus.link import check_data_line, require_length
 from tiltcal.drivers.bus.spi import SpiPort
-from tiltcal.drivers.model import Model, Reading, deviation_within, typical_nonlinearity
+from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, typical_nonlinearity
 from tiltcal.drivers.virtual import Tolerances, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
@@ -59,16 +59,10 @@ SPI, I2C = "spi:///dev/spidev0.0", "i2c:///dev/i2c-1?address="
 class Field:
     """A number in registers.
 
-    Attributes
-    ----------
-    at : int
-        The first of its registers.
-    bits, size, shift : int
-        Its bits, its registers, and the bits without a meaning below it.
-    order : str
-        Whether the first register is the ``big`` or the ``little`` end.
-    signed : bool
-        Whether it is two's complement.
+    at, size: the first of its registers, and their number.
+    bits, shift: its bits, and the bits without a meaning below it.
+    order: whether the first register is the ``big`` or the ``little`` end.
+    signed: whether it is two's complement.
     """
 
     at: int
@@ -134,70 +128,33 @@ class Write(NamedTuple):
 class RegisterPart:
     """The facts of a part with registers, with the source of each number beside the row.
 
-    Attributes
-    ----------
-    name, title : str
-        What the user types, and maker, part and buses for the list of devices; ``short`` names it in messages.
-    channels : mapping of str to Field
-        x, y and z, as far as it has them.
-    bursts : tuple of tuple of int
-        The transactions of a sample: first register and number of registers.
-    thermometer : Thermometer or None
-    rails : tuple of int or None
-        Numbers at or beyond which a word is no measurement, where they are not the ends of its field.
-    ranges : mapping of str to Range
-        By the word of the option ``range``, such as ``2g``.
-    rates : mapping of float to int
-        Code by samples per second.
-    range, rate : str, float
-        Without an option of the address.
-    addresses : tuple of str
-        An example for each of its buses, the preferred one first; the virtual part has that one.
-    read, write, pointer : callable
-        The first byte of an SPI frame that reads or writes a register, and that of an I2C transaction.
-    count : int
-        -1 where the address counts down in a burst.
-    spi : SpiPort
-    burst_bytes : int
-        Of a sample on SPI: at the slowest clock they pass in a sample period; 0 where no word can be torn.
-    fastest_on_i2c : float
-        Samples per second that the bus carries at 100 kHz.
-    identity : tuple or None
-        The first register of the part's identity, and the contents that are this part's.
-    reset : Write or None
-    set_up : callable
-        ``set_up(part)`` returns the writes before it measures; each group is read back before the next one begins.
-    settling : callable
-        ``settling(part)`` is the time from the last of them to a sample, s.
-    dropped : int
-        Samples that are no good after that.
-    new_sample : tuple of int or None
-        The status register and the bit of a new sample; without one a sample is taken at any time.
-    cleared_by : int or None
-        The register whose reading clears that bit; None is the status register.
-    held : mapping of int to int
-        Contents after power-up that are not 0, of the virtual part.
-    memory_fault : tuple of int or None
-        The status register and the bit of a fault of the part's memory.
-    limits : Tolerances
-        As delivered.
-    spread : tuple of float or None
-        Standard deviation of offset (g) and sensitivity (relative) over parts, where the limits do not say it.
-    noise_density, corner : float
-        g/√Hz, and the bandwidth as a share of the rate.
-    noise_counts : float
-        Noise of a sample where no source states a density, count.
-    nonlinearity : float
-        Typical, relative to the range.
-    not_modelled : tuple of str
-    begin, take, probe : callable
-        What is special, as functions of the :class:`RegisterSensor`: in place of the reset, of the bursts and of what a
-        probe tells.
-    options : tuple of str
-    configure : callable
-        ``configure(part, address)`` returns the part with the options of an address.
-    bus : Bus or None
-        What opens its ``package:`` addresses, where tiltcal does not have its bus.
+    name, title, short: what the user types; maker, part and buses for the list of devices; its name in messages.
+    channels: x, y and z, as far as it has them.
+    bursts: the transactions of a sample: first register and number of registers.
+    rails: numbers at or beyond which a word is no measurement, where they are not the ends of its field.
+    ranges, rates: by the word of the option ``range``, such as ``2g``; code by samples per second.
+    range, rate: without an option of the address.
+    addresses: an example for each of its buses, the preferred one first; the virtual part has that one.
+    read, write, pointer: the first byte of an SPI frame that reads or writes a register, and that on I2C.
+    count: -1 where the address counts down in a burst.
+    burst_bytes: of a sample on SPI: at the slowest clock they pass in a sample period; 0 where no word can be torn.
+    fastest_on_i2c: samples per second that the bus carries at 100 kHz.
+    identity: the first register of the part's identity, and the contents that are this part's.
+    set_up: ``set_up(part)`` returns the writes before it measures; each group is read back before the next one begins.
+    settling, dropped: ``settling(part)`` is the time from the last of them to a sample, s; samples dropped then.
+    new_sample, cleared_by: status register and bit of a new sample, without which a sample is taken at any time; the
+        register whose reading clears that bit, where it is not the status register.
+    held: contents after power-up that are not 0, of the virtual part.
+    memory_fault: the status register and the bit of a fault of the part's memory.
+    limits, spread: as delivered; standard deviation of offset (g) and sensitivity (relative), where the limits do not
+        say it.
+    noise_density, corner, noise_counts: g/√Hz, and the bandwidth as a share of the rate; noise of a sample where no
+        source states a density, count.
+    nonlinearity: typical, relative to the range.
+    begin, take, probe: what is special, as functions of the :class:`RegisterSensor`: in place of the reset, of the
+        bursts and of what a probe tells.
+    configure: ``configure(part, address)`` returns the part with the options of an address.
+    bus: what opens its ``package:`` addresses, where tiltcal does not have its bus.
     """
 
     name: str
@@ -295,10 +252,8 @@ class RegisterPart:
             name=self.name,
             title=self.title,
             channels=tuple(self.channels),
-            unit="count",
             schemes=self.schemes,
             addresses=self.addresses,
-            offset=0.0,
             sensitivity=self.counts_per_g,
             offset_spread=offset,
             sensitivity_spread=sensitivity,
@@ -485,13 +440,11 @@ class VirtualRegisters(VirtualPart):
 
     @cached_property
     def _commands(self) -> Mapping[int, tuple[int, bool]]:
-        """Register, and whether it is written, by the first byte of a transaction."""
+        """Register, and whether it is written, by the first byte of a transaction; on I2C its length says that."""
         reading, writing = (self._part.read, self._part.write) if self.letter == "s" else (self._part.pointer,) * 2
-        commands: dict[int, tuple[int, bool]] = {}
-        for command, written in ((reading, False), (writing, True)):
-            for register in range(HIGHEST_REGISTER + 1):
-                commands.setdefault(command(register) & 0xFF, (register, written))
-        return commands
+        registers = range(HIGHEST_REGISTER, -1, -1)
+        commands = {writing(register) & 0xFF: (register, True) for register in registers}
+        return commands | {reading(register) & 0xFF: (register, False) for register in registers}
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Answer one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
@@ -538,36 +491,6 @@ class VirtualRegisters(VirtualPart):
                 if (status if part.cleared_by is None else part.cleared_by) in asked:
                     self._taken = sample
         return bytes(held.get(register, 0) for register in asked)
-
-
-def check_data_line(answers: bytes) -> None:
-    """Raise an error for a sample with equal bits: at rest at least one channel measures gravity.
-
-    BusError: every byte is 0xFF, or every byte is 0.
-    """
-    if set(answers) == {0xFF}:
-        raise BusError(
-            "the data line is stuck high (every bit of the sample is 1): check the data line (MISO or SDA), "
-            "chip select and the sensor's supply"
-        )
-    if set(answers) == {0x00}:
-        raise BusError(
-            "the data line is stuck low (every bit of the sample is 0): check the data line (MISO or SDA), "
-            "ground and the sensor's supply"
-        )
-
-
-def in_counts(values: Iterable[float]) -> dict[str, str]:
-    """Return the readings of x, y and z, as far as there are any, as text."""
-    return {channel: f"{value:.0f} count" for channel, value in zip("xyz", values, strict=False)}
-
-
-def in_words(reading: Reading, trimmed: bool = False) -> dict[str, str]:
-    """Return a reading as text; ``trimmed`` is whether the maker has calibrated the thermometer."""
-    said = in_counts(reading.values)
-    if reading.temperature is not None:
-        said["temperature"] = f"{reading.temperature:.1f} °C{'' if trimmed else ' (not trimmed)'}"
-    return said
 
 
 def choose_range(address: Address, ranges: Mapping[str, R], default: R) -> R:

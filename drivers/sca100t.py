@@ -23,10 +23,9 @@ from dataclasses import dataclass, replace
 from math import comb, radians, sin, sqrt
 from typing import TYPE_CHECKING, ClassVar
 
-from tiltcal.drivers.bus.link import require_length
+from tiltcal.drivers.bus.link import check_data_line, require_length
 from tiltcal.drivers.bus.spi import SpiPort
 from tiltcal.drivers.model import Model, Population, Reading, deviation_within, typical_nonlinearity
-from tiltcal.drivers.registers import check_data_line
 from tiltcal.drivers.virtual import REFERENCE, Polynomial, Tolerances, Truth, VirtualPart, normal, part_errors, uniform
 from tiltcal.errors import DeviceFault, UsageError
 
@@ -75,10 +74,7 @@ NOT_MODELLED = (
 
 @dataclass(frozen=True, slots=True)
 class SelfTest:
-    """The result of the self-test of one channel, in which an electrode pushes the proof mass.
-
-    before, deflected, after: word at rest, during the push, and after the recovery, count.
-    """
+    """The self-test of one channel: its word at rest, while an electrode pushes the mass, and after that, count."""
 
     channel: str
     before: int
@@ -103,7 +99,7 @@ class Sca61t:
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
         self._clock = clock
-        self._words: dict[str, int] = {}
+        self._words: tuple[int, ...] = ()
         """Of the last sample."""
 
     def probe(self) -> Mapping[str, str]:
@@ -123,25 +119,26 @@ class Sca61t:
         BusError: the transaction failed, or every bit of the sample is the same.
         DeviceFault: a word that is a fault of the part.
         """
-        answers = []
-        for frame in (*((command, 0, 0) for command in self.COMMANDS.values()), (RWTR, 0)):
-            self._clock.sleep(REFRESH)
-            answers.append(require_length(self._link.exchange(bytes(frame)), len(frame), "frame"))
+        answers = [self._answer(command, 3) for command in self.COMMANDS.values()]
+        answers.append(self._answer(RWTR, 2))
         check_data_line(b"".join(answers))
-        words = map(self._checked, self.COMMANDS, answers)
-        self._words = dict(zip(self.COMMANDS, words, strict=True))
+        self._words = tuple(map(self._checked, self.COMMANDS, answers))
         return Reading(self._values(), decode_temperature(answers[-1]))
 
     def discard(self) -> None:
         """Do nothing: every read is a new conversion."""
 
+    def _answer(self, command: int, length: int) -> bytes:
+        self._clock.sleep(REFRESH)
+        return require_length(self._link.exchange(bytes([command]).ljust(length, b"\0")), length, "frame")
+
     def _said(self) -> dict[str, str]:
         """Return the words for the operator."""
-        return {channel: f"{word} count" for channel, word in self._words.items()}
+        return {channel: f"{word} count" for channel, word in zip(self.COMMANDS, self._words, strict=True)}
 
     def _values(self) -> tuple[float, ...]:
         """Return the readings, count."""
-        return tuple(map(float, self._words.values()))
+        return tuple(map(float, self._words))
 
     def _checked(self, channel: str, frame: bytes) -> int:
         """Return the word of a frame; a fault signal is none."""
@@ -171,7 +168,6 @@ class Sca100t(Sca61t):
         The sensor must lie still. The datasheet forbids both axes at once.
 
         UsageError: another channel than x or y, or an axis that points down, where the push may not reach the rail.
-        BusError, DeviceFault: as :meth:`read`.
         """
         if channel not in ("x", "y"):
             raise UsageError(f"an SCA100T has channels x and y, not {channel!r}")
@@ -195,8 +191,7 @@ class Sca100t(Sca61t):
         return SelfTest(channel, before, deflected, self._word(channel, read))
 
     def _word(self, channel: str, command: int) -> int:
-        self._clock.sleep(REFRESH)
-        frame = require_length(self._link.exchange(bytes([command, 0, 0])), 3, "frame")
+        frame = self._answer(command, 3)
         check_data_line(frame)
         # An element that is pushed is at its rail.
         return Sca61t._checked(self, channel, frame)
@@ -219,15 +214,12 @@ class Sca103t(Sca100t):
         return second if first.passed else first
 
     def _said(self) -> dict[str, str]:
-        plus, minus = self._words.values()
-        return {
-            "x": f"{plus - minus} count",
-            "elements": f"{plus} and {minus} count, together {plus + minus} (2048 but for temperature and supply)",
-        }
+        plus, minus = self._words
+        both = f"{plus} and {minus} count, together {plus + minus} (2048 but for temperature and supply)"
+        return {"x": f"{plus - minus} count", "elements": both}
 
     def _values(self) -> tuple[float, ...]:
-        plus, minus = self._words.values()
-        return (float(plus - minus),)
+        return (float(self._words[0] - self._words[1]),)
 
     def _checked(self, channel: str, frame: bytes) -> int:
         word = decode_word(frame)
@@ -350,10 +342,9 @@ class InclinometerPart:
     """The constants of one part of the family as delivered.
 
     offset_limit: largest offset of either sign, degrees.
-    nonlinearity: typical square and cube of the response, pure numbers; the data sheet states cross-axis sensitivity
-        with them.
     drift, gain: mean offset over the parts in degrees and mean change of the sensitivity in %, coefficients of 1, T,
         T², ... with T in °C; slopes: standard deviation over parts, °/°C and %/°C; source: of both.
+    nonlinearity: typical square and cube of the response; the data sheet states cross-axis sensitivity with them.
     zero: nominal reading at 0 g, count.
     """
 
@@ -433,7 +424,6 @@ class InclinometerPart:
             name=self.name,
             title=self.title,
             channels=self.channels,
-            unit="count",
             schemes=("spi",),
             addresses=("spi:///dev/spidev0.0",),
             offset=self.zero,

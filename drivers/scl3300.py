@@ -17,19 +17,18 @@ captured start-up agree on.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from tiltcal.drivers.bus.link import require_length
+from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.bus.link import check_data_line, require_length
 from tiltcal.drivers.bus.spi import SpiPort
-from tiltcal.drivers.model import Model, Reading, deviation_within, link_in_words, typical_nonlinearity
-from tiltcal.drivers.registers import check_data_line, choose_range, in_counts
+from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words, typical_nonlinearity
+from tiltcal.drivers.registers import choose_range
 from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.bus.link import Link
 
@@ -80,13 +79,7 @@ ATTEMPTS = 12
 
 
 class Answer(NamedTuple):
-    """One decoded answer frame.
-
-    operation: of the request that it answers: write and address, 6 bits.
-    status: return status.
-    data: 16 bits.
-    intact: whether the CRC fits.
-    """
+    """One decoded answer frame: write and address of its request, return status, 16 bits, and whether the CRC fits."""
 
     operation: int
     status: int
@@ -119,26 +112,13 @@ def decode(frame: bytes) -> Answer:
     return Answer(frame[0] >> 2, frame[0] & 0b11, frame[1] << 8 | frame[2], crc8(frame[:3]) == frame[3])
 
 
-def decode_temperature(data: int) -> float:
-    """Return the temperature of a 16-bit word in two's complement, °C."""
-    return -273.0 + data / 18.9
-
-
 def flags_in_words(status: int) -> str:
     """Return the flags of a STATUS word as text."""
     return ", ".join(words for bit, words in FLAGS.items() if status & bit)
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuringRange:
-    """One of the part's modes.
-
-    mode: Murata's number, 1 to 4.
-    extent: in words.
-    bandwidth: -3 dB of the first-order filter, Hz.
-    settling: seconds after the mode was set.
-    noise: standard deviation of one sample, g.
-    """
+class MeasuringRange(NamedTuple):
+    """One of the part's modes: settling after it was set (s), -3 dB of its first-order filter (Hz), noise (g)."""
 
     mode: int
     extent: str
@@ -151,20 +131,18 @@ class MeasuringRange:
         return f"{self.extent} (mode {self.mode}), {self.counts_per_g:.0f} count/g, {self.bandwidth:.0f} Hz"
 
 
-@dataclass(frozen=True, slots=True)
-class Scl3300Part:
+class Scl3300Part(NamedTuple):
     """The constants of one part.
 
-    name: as it is printed on the part.
     identity: data of WHOAMI.
     ranges: mode 1 first.
     words: mode number by the word of the option ``range``, beside ``mode1`` to ``mode4``.
-    offset_limit: largest offset of either sign, g.
-    sensitivity_limit: largest relative error of the sensitivity.
+    offset_limit, sensitivity_limit: largest error of either sign, g and relative.
     nonlinearity: typical square and cube of the response; empty where no source states them.
     """
 
     name: str
+    kind: str
     identity: int
     ranges: tuple[MeasuringRange, ...]
     words: Mapping[str, int]
@@ -174,12 +152,10 @@ class Scl3300Part:
 
 
 class Scl3300:
-    """The driver of an SCL3300-D01 or SCA3300-D01.
+    """The driver of an SCL3300-D01 or SCA3300-D01 in one of its modes.
 
     It sets the part up before the first sample and again after any error. A damaged frame is asked for again; a part
     that was reset in between is an error, since the frames before it may be of another mode.
-
-    measuring: the mode to set.
     """
 
     def __init__(self, part: Scl3300Part, measuring: MeasuringRange, link: Link, clock: Clock) -> None:
@@ -191,18 +167,11 @@ class Scl3300:
         self._counts = {"samples": 0, "damaged": 0, "refused": 0, "out of step": 0, "saturated": 0, "restarts": 0}
 
     def probe(self) -> Mapping[str, str]:
-        """Set the part up and take a sample.
-
-        Returns: part, serial number as it is printed on it, range, words, temperature, and what the line damaged.
-
-        BusError: no answer, a data line that never moves, too many damaged frames, or MISO joined to MOSI.
-        DeviceFault: another part, or a fault that its status shows.
-        """
+        """Set the part up; return what it is and a sample as text. The errors are those of :meth:`read`."""
         self._ready = False
         reading = self.read()
         said = {"part": self._part.name, "serial": self.serial_number(), "range": str(self._range)}
-        said |= in_counts(reading.values)
-        return said | {"temperature": f"{reading.temperature:.1f} °C", "link": link_in_words(self.link_statistics())}
+        return said | in_words(reading, trimmed=True) | {"link": link_in_words(self._counts)}
 
     def serial_number(self) -> str:
         """Return the serial number as it is printed on the part."""
@@ -218,16 +187,16 @@ class Scl3300:
         """
         x, y, z, temperature = self._answers_to(SAMPLE)
         self._counts["samples"] += 1
-        return Reading((float(x.signed), float(y.signed), float(z.signed)), decode_temperature(temperature.signed))
+        return Reading((float(x.signed), float(y.signed), float(z.signed)), -273.0 + temperature.signed / 18.9)
 
     def discard(self) -> None:
         """Do nothing: every read requests the latest words."""
 
     def link_statistics(self) -> Mapping[str, int]:
-        """Return the counts of samples, and of unusable frames.
+        """Return the counts of samples and of unusable frames.
 
-        Returns: samples; answers with a wrong CRC; requests that arrived damaged at the part; answers to another
-            request; samples of a saturated signal path; resets that were noticed.
+        These are: answers with a wrong CRC; requests that arrived damaged at the part; answers to another request;
+        samples of a saturated signal path; resets that were noticed.
         """
         return dict(self._counts)
 
@@ -268,48 +237,54 @@ class Scl3300:
 
         The first start may fail in any way, because the part may be in bank 1 or in power-down.
         """
-        requests = (MODES[self._range.mode - 1], STATUS, STATUS, STATUS, WHOAMI)
-        raw = self._reset(*requests)
-        try:
-            self._require_a_part(requests, raw)
-        except BusError:
-            if first:
-                return UNKNOWN
-            raise
-        answers = self._decoded(requests, raw)
-        echo, _, second, third, whoami = answers
-        if not all(map(Answer.answers, answers, requests)):
-            return UNKNOWN
-        if whoami.status == NORMAL and whoami.data != self._part.identity:
-            if first:
-                return UNKNOWN
-            raise DeviceFault(self._other_part(whoami.data))
-        # Reading STATUS clears what the start has set: the second answer has to be free of errors.
-        if echo.data == self._range.mode - 1 and second.status == third.status == whoami.status == NORMAL:
-            return None
-        if first:
-            return UNKNOWN
-        return third.data if third.status == ERROR else 0
-
-    def _reset(self, mode: bytes, *requests: bytes) -> list[bytes]:
-        """Reset the part and set its mode; return the answers to the mode and to the requests behind it."""
+        mode = MODES[self._range.mode - 1]
         self._exchange(RESET)
         self._clock.sleep(RESET_SECONDS)
         # What answers the reset is not defined.
         self._exchange(mode)
         self._clock.sleep(self._range.settling)
-        return [self._exchange(request) for request in (*requests, requests[-1])]
+        requests = (STATUS, STATUS, STATUS, WHOAMI)
+        echo, answers = self._ask(requests, WHOAMI, checked=not first)
+        _, second, third, whoami = answers
+        if not echo.answers(mode) or not all(map(Answer.answers, answers, requests)):
+            return UNKNOWN
+        right = whoami.data == self._part.identity
+        if not first and whoami.status == NORMAL and not right:
+            raise DeviceFault(self._other_part(whoami.data))
+        # Reading STATUS clears what the start has set: the second answer has to be free of errors.
+        if right and second.status == third.status == whoami.status == NORMAL:
+            return None
+        if first:
+            return UNKNOWN
+        return third.data if third.status == ERROR else 0
+
+    def _ask(self, requests: Sequence[bytes], fetch: bytes, *, checked: bool = True) -> tuple[Answer, list[Answer]]:
+        """Send requests and a frame that fetches the last answer; return the answer to the frame before, and theirs.
+
+        Answers that are damaged or belong to another request are counted; ``checked`` refuses wires that are stuck or
+        shorted.
+        """
+        first, *raw = [self._exchange(request) for request in (*requests, fetch)]
+        if checked:
+            check_data_line(b"".join(raw))
+            # An answer is one frame late: what comes at once is the request itself.
+            if raw[:-1] == list(requests[1:]):
+                raise BusError("each frame comes back as it was sent: MISO is connected to MOSI")
+        late, answers = decode(first), [decode(frame) for frame in raw]
+        self._counts["damaged"] += sum(not answer.intact for answer in (late, *answers))
+        self._counts["out of step"] += sum(
+            answer.intact and answer.status == NORMAL and not answer.answers(request)
+            for answer, request in zip(answers, requests, strict=True)
+        )
+        return late, answers
 
     def _good_answers(self, requests: Sequence[bytes]) -> list[Answer]:
         """Return the answers to requests; repeat the requests until all answers are good."""
         saturated = self._counts["saturated"]
         for _ in range(ATTEMPTS):
-            # The last answer is fetched with the first request again, whose own answer comes with the next sample.
-            late, *raw = [self._exchange(request) for request in (*requests, requests[0])]
-            self._require_a_part(requests, raw)
-            before = self._decoded(None, [late])
-            answers = self._decoded(requests, raw)
-            statuses = {answer.status for answer in (*before, *answers) if answer.intact}
+            # The answer to the frame that fetches the last one comes with the next sample.
+            late, answers = self._ask(requests, requests[0])
+            statuses = {answer.status for answer in (late, *answers) if answer.intact}
             if not statuses <= {NORMAL, ERROR}:
                 self._refuse_restart("it is starting up")
             if ERROR in statuses:
@@ -330,16 +305,6 @@ class Scl3300:
             "speed=500000), shorter wires, and a pull-up on chip select"
         )
 
-    def _decoded(self, requests: Sequence[bytes] | None, raw: Sequence[bytes]) -> list[Answer]:
-        """Decode answers, and count those that are damaged or belong to another request; None is any request."""
-        answers = [decode(frame) for frame in raw]
-        for place, answer in enumerate(answers):
-            if not answer.intact:
-                self._counts["damaged"] += 1
-            elif requests is not None and answer.status == NORMAL and not answer.answers(requests[place]):
-                self._counts["out of step"] += 1
-        return answers
-
     def _flags(self) -> int | None:
         """Return the flags of STATUS before this call; None where the line has damaged too much of them.
 
@@ -347,10 +312,7 @@ class Scl3300:
         third finds none. A fault that stays is there with an error in each. A request that was damaged on the way is
         answered with an error and any data, so an error counts where two answers agree.
         """
-        requests = (STATUS, STATUS, STATUS)
-        late, *raw = [self._exchange(request) for request in (*requests, STATUS)]
-        self._decoded(None, [late])
-        first, second, third = self._decoded(requests, raw)
+        _, (first, second, third) = self._ask((STATUS, STATUS, STATUS), STATUS, checked=False)
         if second.answers(STATUS) and second.status == NORMAL:
             return second.data
         if third.answers(STATUS) and third.status == NORMAL and (third.data or second.intact):
@@ -377,20 +339,11 @@ class Scl3300:
             "its wires; it is set up anew"
         )
 
-    def _require_a_part(self, requests: Sequence[bytes], raw: Sequence[bytes]) -> None:
-        """Raise an error for wires that are stuck or shorted."""
-        check_data_line(b"".join(raw))
-        # An answer is one frame late: what comes at once is the request itself.
-        if list(raw[:-1]) == list(requests[1:]):
-            raise BusError("each frame comes back as it was sent: MISO is connected to MOSI")
-
     def _other_part(self, identity: int) -> str:
         other = next((part.name for part in (_SCL3300, _SCA3300) if part.identity == identity), None)
-        known = f"an {other}: name it with --sensor" if other else "no part that is known: is the wiring right?"
-        return (
-            f"WHOAMI reads 0x{identity:02X}, and an {self._part.name} answers 0x{self._part.identity:02X}: the part is "
-            f"{known}"
-        )
+        advice = f"an {other}: name it with --sensor" if other else "no part that is known: is the wiring right?"
+        said = f"WHOAMI reads 0x{identity:02X}, and an {self._part.name} answers 0x{self._part.identity:02X}"
+        return f"{said}: the part is {advice}"
 
     def _exchange(self, frame: bytes) -> bytes:
         self._clock.sleep(GAP)
@@ -490,6 +443,7 @@ _LIMITS = Tolerances(offset=0.020, sensitivity=0.007, drift=0.1e-3, gain=3e-5, t
 
 _SCL3300 = Scl3300Part(
     name="SCL3300-D01",
+    kind="inclinometer",
     identity=0xC1,
     # The noise is 17 µg/√Hz over the filter's noise bandwidth.
     ranges=(
@@ -505,6 +459,7 @@ _SCL3300 = Scl3300Part(
 )
 _SCA3300 = Scl3300Part(
     name="SCA3300-D01",
+    kind="accelerometer",
     identity=0x51,
     ranges=(
         MeasuringRange(1, "±3 g", 2700.0, 70.0, 15e-3, 0.5e-3),
@@ -519,22 +474,17 @@ _SCA3300 = Scl3300Part(
 )
 
 
-def _configured(name: str, part: Scl3300Part, address: Address) -> Model:
+def _model(name: str, part: Scl3300Part, address: Address) -> Model:
     """Return the model in the mode of the address."""
     words = {**part.words, **{f"mode{number}": number for number in (1, 2, 3, 4)}}
-    return _model(name, part, part.ranges[choose_range(address, words, 1) - 1])
-
-
-def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
-    kind = "inclinometer" if part is _SCL3300 else "accelerometer"
+    measuring = part.ranges[choose_range(address, words, 1) - 1]
+    noise = measuring.counts_per_g * measuring.noise
     return Model(
         name=name,
-        title=f"Murata {part.name} three-axis {kind}, {measuring.extent}, SPI",
+        title=f"Murata {part.name} three-axis {part.kind}, {measuring.extent}, SPI",
         channels=("x", "y", "z"),
-        unit="count",
         schemes=("spi",),
         addresses=("spi:///dev/spidev0.0", f"spi:///dev/spidev0.0?range={list(part.words)[-1]}"),
-        offset=0.0,
         sensitivity=measuring.counts_per_g,
         offset_spread=deviation_within(part.offset_limit),
         sensitivity_spread=deviation_within(part.sensitivity_limit),
@@ -555,14 +505,14 @@ def _model(name: str, part: Scl3300Part, measuring: MeasuringRange) -> Model:
             "supply: brown-out; chip select released for less than 10 µs",
             *(("offset over temperature beyond a line",) if part is _SCA3300 else ("the limits of a real part",)),
         ),
-        default_truth=partial(
-            _LIMITS.draw, ("x", "y", "z"), measuring.counts_per_g, measuring.counts_per_g * measuring.noise
-        ),
+        default_truth=partial(_LIMITS.draw, ("x", "y", "z"), measuring.counts_per_g, noise),
         spi=SpiPort(modes=(0,), fastest=8_000_000, speed=2_000_000, slowest=100_000),
         options=("range",),
-        configure=partial(_configured, name, part),
+        configure=partial(_model, name, part),
     )
 
 
-MODELS = {name: _model(name, part, part.ranges[0]) for name, part in (("scl3300", _SCL3300), ("sca3300-d01", _SCA3300))}
+MODELS = {
+    name: _model(name, part, parse_address("sim:")) for name, part in (("scl3300", _SCL3300), ("sca3300-d01", _SCA3300))
+}
 """By the name that the user types."""

@@ -18,14 +18,13 @@ Source: Misalignment Angle Compensation during Scale Factor Matching (2018), fig
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import cos, log, pi, radians, sin, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.columns import (
-    SEPARATORS,
     SERIAL_COLUMNS,
     UNKNOWN,
     UNSTATED,
@@ -36,7 +35,6 @@ from tiltcal.drivers.columns import (
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth, normal, part_errors
 
 if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.clock import Clock
     from tiltcal.drivers.model import Model
 
@@ -57,15 +55,7 @@ _WANDER_PERIODS = (617.0, 1471.0)
 
 @dataclass(frozen=True)
 class Accelerometer:
-    """One of the four.
-
-    scale: unit/g.
-    misalignment: δP, radians.
-    phase_error: error of its angular place on the disk, radians.
-    offset: unit.
-    drift: of the offset, unit/s.
-    second_order: K_II, 1/g.
-    """
+    """One of the four: unit/g, δP and the error of its place on the disk (radians), unit, unit/s, and K_II (1/g)."""
 
     scale: float
     misalignment: float = 0.0
@@ -81,7 +71,7 @@ class Disk:
 
     accelerometers: four, a1 to a4.
     inclination: of the spin axis, radians; its sine is the common acceleration in g.
-    spin: hz; negative for a stage that turns backwards.
+    spin: Hz; negative for a stage that turns backwards.
     rate: samples per second.
     wander: largest relative change of the common acceleration.
     gradient: R (Γxx - Γyy) and R Γxy, g.
@@ -90,13 +80,11 @@ class Disk:
     encoder_noise: standard deviation of the stage angle, degrees.
     """
 
-    accelerometers: tuple[Accelerometer, ...] = field(
-        default=(
-            Accelerometer(3.383, -0.0221),
-            Accelerometer(3.415, -0.0217),
-            Accelerometer(3.402, 0.0120),
-            Accelerometer(3.390, 0.0124),
-        )
+    accelerometers: tuple[Accelerometer, ...] = (
+        Accelerometer(3.383, -0.0221),
+        Accelerometer(3.415, -0.0217),
+        Accelerometer(3.402, 0.0120),
+        Accelerometer(3.390, 0.0124),
     )
     inclination: float = 1.5e-3
     spin: float = 0.125
@@ -108,8 +96,7 @@ class Disk:
     encoder_noise: float = 0.0
 
 
-@dataclass(frozen=True)
-class DiskSample:
+class DiskSample(NamedTuple):
     """One row: seconds, the stage angle of the encoder in degrees (0 to 360), and the four readings."""
 
     time: float
@@ -142,11 +129,6 @@ class Gradiometer:
         if disk.encoder_noise:
             theta += disk.encoder_noise * normal(self._seed, "encoder", number)
         return DiskSample(time, theta % 360.0, readings)
-
-    def samples(self, count: int, start: int = 0) -> Iterator[DiskSample]:
-        """Return a stream of samples."""
-        for number in range(start, start + count):
-            yield self.sample(number)
 
     def _reading(self, index: int, turned: float, time: float, common: float, number: int) -> float:
         part = self._disk.accelerometers[index]
@@ -181,15 +163,11 @@ class StageTruth(Truth):
 
     @classmethod
     def of(cls, disk: Disk, seed: int) -> StageTruth:
-        """Return the truth of a disk, with all channels that it can print."""
         return cls((TIME, THETA, *CHANNELS), {}, {}, seed=seed, disk=disk)
 
 
 def virtual_stage(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
-    """Return a stage that prints the columns of an address; a skipped or unknown column is 0.
-
-    truth: during its fault ``stuck``, it repeats the first line of the fault.
-    """
+    """Return a stage that prints the columns of an address, a skipped one as 0; stuck it repeats the first line."""
     disk = truth.disk if isinstance(truth, StageTruth) else Disk()
     gradiometer = Gradiometer(disk, truth.seed)
 
@@ -227,45 +205,35 @@ PRINTED = "time,theta,a1,a2,a3,a4"
 """Default columns: seconds, the stage angle in degrees, the four readings."""
 
 
-def _configured(address: Address) -> Model:
-    """Return the model with the options of the address."""
+def gradiometer_at(address: Address) -> Model:
+    """Return the stage with the columns and the unit of an address."""
     columns = columns_of(address, PRINTED)
     return replace(
-        GRADIOMETER,
+        SERIAL_COLUMNS,
+        name="gradiometer",
+        title="four accelerometers on a rotary stage, as numbers on a line",
         channels=columns.channels,
         unit=address.text("unit", "mA" if address.simulated else UNSTATED),
+        addresses=(f"serial:///dev/ttyUSB0?columns={PRINTED}",),
+        # Matching a pair does not need the value of 1 g.
+        sensitivity=UNKNOWN,
+        scaled=False,
+        thermometer=False,
         driver=partial(ColumnsSensor, columns),
         twin=partial(virtual_stage, columns),
+        not_modelled=(
+            "a stage that starts, stops or changes its speed: it turns steadily from the beginning of the session",
+            "the stage's bearing, vibration and angular acceleration",
+            "output and pendulous axes: only the misalignment in the plane of the disk couples",
+            "bandwidth and delay of the accelerometers, and of the encoder behind them",
+            "temperature, and the memory fault (parity) of other parts",
+            "loss and damage on the line",
+        ),
+        default_truth=draw_truth,
+        options=("columns", "separator", "unit"),
+        configure=gradiometer_at,
     )
 
 
-_PRINTED = ColumnLayout(tuple(PRINTED.split(",")), SEPARATORS["any"])
-
-GRADIOMETER = replace(
-    SERIAL_COLUMNS,
-    name="gradiometer",
-    title="four accelerometers on a rotary stage, as numbers on a line",
-    channels=_PRINTED.channels,
-    unit="mA",
-    addresses=(f"serial:///dev/ttyUSB0?columns={PRINTED}",),
-    # Matching a pair does not need the value of 1 g.
-    sensitivity=UNKNOWN,
-    scaled=False,
-    thermometer=False,
-    driver=partial(ColumnsSensor, _PRINTED),
-    twin=partial(virtual_stage, _PRINTED),
-    not_modelled=(
-        "a stage that starts, stops or changes its speed: it turns steadily from the beginning of the session",
-        "the stage's bearing, vibration and angular acceleration",
-        "output and pendulous axes: only the misalignment in the plane of the disk couples",
-        "bandwidth and delay of the accelerometers, and of the encoder behind them",
-        "temperature, and the memory fault (parity) of other parts",
-        "loss and damage on the line",
-    ),
-    default_truth=draw_truth,
-    options=("columns", "separator", "unit"),
-    configure=_configured,
-)
-
-MODELS = {GRADIOMETER.name: GRADIOMETER}
+MODELS = {"gradiometer": gradiometer_at(parse_address("sim:"))}
 """By the name that the user types."""

@@ -13,7 +13,7 @@ from functools import cache
 from hashlib import blake2b
 from itertools import pairwise
 from math import copysign, cos, exp, pi, radians, sin
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from tiltcal.errors import BusError
 
@@ -51,8 +51,7 @@ def normal(seed: int, name: str, number: int) -> float:
 
 @cache
 def _standard() -> NormalDist:
-    """Return the standard normal distribution; a real sensor does not load it."""
-    from statistics import NormalDist
+    from statistics import NormalDist  # which a real sensor does not need
 
     return NormalDist()
 
@@ -138,13 +137,6 @@ class Truth:
                 return fault
         return NO_FAULT
 
-    def fault_on_link(self, now_ns: int, device: str = "sensor") -> Fault:
-        """Return the fault that is present at a transaction; of an unplugged device it is a BusError."""
-        fault = self.fault(now_ns / 1e9)
-        if fault.kind == "unplugged":
-            raise BusError(f"the virtual {device} is unplugged, a fault that its truth sets: resume the session later")
-        return fault
-
 
 def _powers(coefficients: Polynomial, variable: float, lowest: int) -> float:
     """Return a polynomial that begins with a power."""
@@ -191,19 +183,6 @@ class Tolerances:
             jig=JIG,
             time_constant=TIME_CONSTANT,
         )
-
-
-class HeldPose(Protocol):
-    """The attitude and temperature of a virtual part."""
-
-    @property
-    def gravity(self) -> Vector:
-        """Up in the sensor frame, g."""
-        ...
-
-    def temperature(self, lag: float = 0.0) -> float:
-        """Return the temperature of the sensor, or of what follows it with a time constant of ``lag`` s, °C."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -299,22 +278,18 @@ class Pose:
     """The pose of a sensor on a fixture; ``seen`` converts a vector of the fixture frame to the sensor frame."""
 
     def __init__(self, fixture: Fixture, seen: Callable[[Vector], Vector]) -> None:
-        self._fixture = fixture
         self._seen = seen
-        self._held = fixture.gravity
-        self._gravity = seen(self._held)
+        self._fixture = fixture
+        self.temperature = fixture.temperature
 
     @property
     def gravity(self) -> Vector:
         """Up in the sensor frame, g."""
-        if self._fixture.gravity is not self._held:
-            self._held = self._fixture.gravity
-            self._gravity = self._seen(self._held)
-        return self._gravity
+        return self._seen(self._fixture.gravity)
 
-    def temperature(self, lag: float = 0.0) -> float:
-        """Return the temperature of the chamber now, °C, or of what follows it with a time constant of ``lag`` s."""
-        return self._fixture.temperature(lag)
+
+HeldPose = Fixture | Pose
+"""What holds a virtual part: up in the sensor frame (``gravity``, g), and the ``temperature`` (°C)."""
 
 
 def _rotated(vector: Vector, angles: list[float]) -> Vector:
@@ -347,9 +322,17 @@ class VirtualPart(ABC):
     def close(self) -> None:  # noqa: B027 - a virtual part holds nothing
         """Do nothing: there is nothing to release."""
 
+    device = "sensor"
+    """What a message calls it."""
+
     def _fault(self) -> Fault:
         """Return the fault that is present now; of an unplugged part it is a BusError."""
-        return self._truth.fault_on_link(self._clock.now_ns())
+        fault = self._truth.fault(self._clock.now_ns() / 1e9)
+        if fault.kind == "unplugged":
+            raise BusError(
+                f"the virtual {self.device} is unplugged, a fault that its truth sets: resume the session later"
+            )
+        return fault
 
     def _state(self) -> tuple[Vector, float, float]:
         """Return up (g), the temperature of the element (°C) and the session time (s) of the present sample.

@@ -15,8 +15,7 @@ from functools import partial
 from struct import Struct
 from typing import TYPE_CHECKING
 
-from tiltcal.drivers.columns import numbers_in_words
-from tiltcal.drivers.model import Model, Reading, deviation_within, link_in_words
+from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 
@@ -66,7 +65,8 @@ class WitMotionSensor:
     def probe(self) -> Mapping[str, str]:
         """Return a new reading and the link statistics as text."""
         self.discard()
-        return numbers_in_words(CHANNELS, self.read()) | {"link": link_in_words(self.link_statistics())}
+        said = in_words(self.read(), CHANNELS, "{:g}", trimmed=True)
+        return said | {"link": link_in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """Return the next acceleration.
@@ -155,17 +155,13 @@ WITMOTION = Model(
     name="witmotion",
     title="WitMotion WT901, JY901, BWT61 and others, serial frames",
     channels=CHANNELS,
-    unit="count",
     schemes=("serial",),
     addresses=("serial:///dev/ttyUSB0?baudrate=9600",),
-    offset=0.0,
     sensitivity=COUNT_PER_G,
     offset_spread=deviation_within(OFFSET),
     sensitivity_spread=deviation_within(SENSITIVITY),
     rails=(-32768.0, 32767.0),
     resolution=1.0,
-    interval=0.0,
-    thermometer=False,
     driver=partial(WitMotionSensor, None),
     twin=partial(_virtual, None),
     not_modelled=(

@@ -16,9 +16,8 @@ __all__ = ["BUSES", "Bus", "Device", "link_letter", "open_link"]
 
 
 class Bus(NamedTuple):
-    """One kind of bus.
+    """One kind of bus: its letter in a journal, which says what a transaction is, and what opens it.
 
-    letter: in a journal; it says what a transaction is: see :class:`~tiltcal.drivers.bus.link.Link`.
     open: module and function, which returns the link: ``open(address, model)``; of another package ``open(address)``.
     """
 
@@ -64,12 +63,9 @@ def link_letter(address: Address, model: Device) -> str:
 
 
 def open_link(address: Address, model: Device, lines: MutableMapping[str, ModbusLine] | None = None) -> Link:
-    """Open the bus of an address for one device, and import only that bus's library.
+    """Open the bus of an address for one device, and import only that bus's library; ``sim:`` is none of them.
 
-    address: of a real bus. The link of a ``sim:`` address is the twin, ``model.twin(truth, fixture, clock)``.
-    model: what is connected there; its facts limit the options, and its own options are allowed too.
-    lines: the lines that the caller has open already, by their port: devices on one of them share it. See
-        :func:`~tiltcal.drivers.bus.modbus.open_modbus`.
+    lines: the Modbus lines that the caller has open already, by their port: devices on one of them share it.
 
     UsageError: the model does not have this scheme, or an option is wrong.
     HardwareError: the bus's library is not installed.

@@ -45,12 +45,9 @@ SCHEMES = (*BUSES, "sim")
 
 @dataclass(frozen=True)
 class Address:
-    """One parsed address.
+    """One parsed address: as the user wrote it, its scheme, what it names, and its options in the order written.
 
-    written: as the user wrote it.
-    scheme: ``spi``, ``i2c``, ``ads1115+i2c``, ...
     path: the device or file; for ``serial`` what pyserial opens; empty if the scheme needs none.
-    options: in the order written, each at most once.
     """
 
     written: str
@@ -67,22 +64,14 @@ class Address:
         return self.scheme == "sim"
 
     def allow(self, *names: str) -> None:
-        """Refuse every option that is not among ``names``.
-
-        UsageError: with the nearest name that is allowed.
-        """
+        """Refuse every option that is not among ``names``, with the nearest one that is."""
         for name in self.options:
             if name not in names:
                 known = f"{self.scheme}: takes {', '.join(names)}" if names else f"{self.scheme}: takes no options"
                 self.refuse(f"unknown option {name!r} ({_near(name, names) or known})")
 
     def text(self, name: str, default: str | None = None) -> str:
-        """Return the text of an option.
-
-        default: value if the option is left out; without it the option is required.
-
-        UsageError: it is missing or empty.
-        """
+        """Return the text of an option, which without a default is required."""
         value = self.options.get(name, default)
         if value is None:
             self.refuse(f"option {name!r} is missing (add {name}=...)")
@@ -91,13 +80,7 @@ class Address:
         return value
 
     def integer(self, name: str, default: int | None = None, *, low: int | None = None, high: int | None = None) -> int:
-        """Return a whole number, decimal or hexadecimal (``0x1d``).
-
-        default: value if the option is left out; without it the option is required.
-        low, high: smallest and largest number that is accepted.
-
-        UsageError: it is missing, not a whole number, or out of bounds.
-        """
+        """Return a whole number within limits, decimal or hexadecimal (``0x1d``); without a default it is required."""
         if default is not None and name not in self.options:
             return default
         text = self.text(name)
@@ -110,13 +93,7 @@ class Address:
     def number(
         self, name: str, default: float | None = None, *, low: float | None = None, high: float | None = None
     ) -> float:
-        """Return a finite number such as ``5``, ``4.98`` or ``5e-3``.
-
-        default: value if the option is left out; without it the option is required.
-        low, high: smallest and largest number that is accepted.
-
-        UsageError: it is missing, not a finite number, or out of bounds.
-        """
+        """Return a finite number within limits, such as ``4.98`` or ``5e-3``; without a default it is required."""
         if default is not None and name not in self.options:
             return default
         text = self.text(name)
@@ -127,12 +104,7 @@ class Address:
         return value
 
     def choice(self, name: str, meanings: Mapping[str, R], default: R) -> R:
-        """Return the meaning of the word that an option gives.
-
-        default: value if the option is left out.
-
-        UsageError: it is empty, or none of the words.
-        """
+        """Return the meaning of the word that an option gives; one that is none of the words is refused."""
         if name not in self.options:
             return default
         word = self.text(name)
@@ -152,11 +124,9 @@ class Address:
 
 
 def parse_address(text: str) -> Address:
-    """Parse an address.
+    """Parse an address; the bus that opens it checks the options.
 
-    text: as the user wrote it.
-
-    UsageError: the address is malformed. The bus that opens it checks the options.
+    UsageError: the address is malformed.
     """
     require_text("--address", text)
     if _PORT.match(text):

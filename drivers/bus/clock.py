@@ -37,11 +37,7 @@ def session_clock(started: datetime, *, virtual: bool) -> Clock:
 
 
 class SystemClock:
-    """The machine's clock.
-
-    started_ns: the session's start in nanoseconds since 1970 UTC; a resumed session passes the start of the first run,
-        so that the pause shows in its times.
-    """
+    """The machine's clock; a resumed session passes the start of the first run, ns since 1970, to show the pause."""
 
     real = True
 

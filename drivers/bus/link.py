@@ -22,7 +22,7 @@ class Link(Protocol):
     its name."""
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Carry out one bus transaction.
+        """Carry out one bus transaction; one that failed is a BusError with the cause and what to try.
 
         out: SPI: the frame shifted out while chip select is low. I2C: the bytes written, may be empty. Serial: the
             bytes sent, may be empty.
@@ -30,10 +30,7 @@ class Link(Protocol):
             for the first; with 0 and nothing to send, what has arrived is discarded. SPI: unused, a frame reads as many
             bytes as it writes.
 
-        Returns: the answer of the device; of serial lines and edges at least one byte or record where ``count`` is not
-            0.
-
-        BusError: the transaction failed; the message states the cause and what to try.
+        Returns the answer; of serial lines and edges at least one byte or record where ``count`` is not 0.
         """
         ...
 
@@ -47,18 +44,22 @@ class Continuing(Protocol):
     """A link to recorded data, which goes on where an earlier link to the same data stopped."""
 
     def go_on_after(self, answer: bytes) -> None:
-        """Skip all up to the end of an answer of the earlier link; data that do not have it are taken from their start.
-
-        BusError: the data cannot be read.
-        """
+        """Skip all up to the end of an answer of the earlier link; data without it are taken from their start."""
         ...
 
 
 def require_length(answer: bytes, length: int, what: str = "transaction") -> bytes:
-    """Return an answer that is as long as its transaction.
-
-    BusError: it is shorter or longer.
-    """
+    """Return an answer that is as long as its transaction; another length is a BusError."""
     if len(answer) != length:
         raise BusError(f"a {what} of {length} bytes was answered with {len(answer)}: the adapter is at fault")
     return answer
+
+
+def check_data_line(answers: bytes, what: str = "sample") -> None:
+    """Raise a BusError for a sample with equal bits: at rest at least one channel measures gravity."""
+    for level, place, byte in (("high", "chip select", 0xFF), ("low", "ground", 0x00)):
+        if set(answers) == {byte}:
+            raise BusError(
+                f"the data line is stuck {level} (every bit of the {what} is {byte & 1}): check the data line (MISO or "
+                f"SDA), {place} and the sensor's supply"
+            )

@@ -36,15 +36,12 @@ HOLDING, INPUT, FAILED = 3, 4, 0x80
 
 
 def open_modbus(address: Address, model: Device, lines: MutableMapping[str, ModbusLine] | None = None) -> ModbusLink:
-    """Open a ``modbus:`` address.
+    """Open a serial port, or ``tcp://host:port``, for one unit (1 to 247).
 
-    address: the path is a serial port, or ``tcp://host:port``. Options ``unit`` (1 to 247) and ``timeout`` (seconds);
-        of a serial port ``baudrate``, ``parity`` (N, E, O) and ``stopbits`` (1, 2).
     lines: the serial lines that were opened before, by their port, which the units of an RS-485 line share; a new one
         is added.
 
     UsageError: an unknown or wrong option, or one that another unit on the line contradicts.
-    HardwareError: the pymodbus package is not installed.
     BusError: no such port, no permission, or no server.
     """
     unit = address.integer("unit", 1, low=1, high=247)
@@ -104,9 +101,8 @@ class ModbusLine:
     and before the unit is asked for anything else the line has to be silent for as long as a late answer may take. An
     answer of TCP has the number of its request.
 
-    place: what is opened, for messages.
-    client: not connected yet, without retries.
-    numbered: whether answers have the number of their request.
+    The client is one of pymodbus, not connected yet, without retries; ``numbered`` is whether answers have the number
+    of their request.
     """
 
     def __init__(self, place: str, client: Any, *, numbered: bool = False) -> None:
@@ -184,12 +180,7 @@ class ModbusLine:
 
 
 class ModbusLink:
-    """One unit on a Modbus line or server.
-
-    unit: the device's address on the line.
-
-    BusError: the line cannot be opened.
-    """
+    """One unit on a Modbus line or server, which is opened."""
 
     letter = "m"
 
@@ -199,16 +190,10 @@ class ModbusLink:
         line.open()
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Read registers.
+        """Send a request without frame and checksum, and return the answer likewise.
 
-        out: the request without frame and checksum: function code 3 or 4, first register and number of registers, two
-            bytes each.
-        count: unused.
-
-        Returns: the answer likewise: function code, number of bytes, registers; or function code + 0x80 and an
-            exception code.
-
-        BusError: as :meth:`ModbusLine.read`.
+        A request is the function code 3 or 4, the first register and the number of registers, two bytes each; an answer
+        the function code, the number of bytes and the registers, or function code + 0x80 and an exception code.
         """
         function, first, number = out[0], int.from_bytes(out[1:3], "big"), int.from_bytes(out[3:5], "big")
         answer = self._line.read(self._unit, function, first, number)

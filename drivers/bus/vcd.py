@@ -27,13 +27,8 @@ MOST_NS = 1 << 63
 
 
 def open_vcd(address: Address, model: Device) -> VcdLink:
-    """Open a ``vcd:`` address.
+    """Open a capture; ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several scopes have the name.
 
-    address: the path is the capture. Options ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several
-        scopes have the name.
-
-    UsageError: a signal is missing from the options.
-    HardwareError: the pyvcd package is not installed.
     BusError: the file cannot be read, is damaged, or has no such signal.
     """
     address.allow("x", "y", *model.options)
@@ -58,9 +53,6 @@ class VcdLink:
         """Take the records of the next edges; see :class:`~tiltcal.drivers.bus.link.Link`.
 
         With a ``count`` of 0, if the file has changed since it was opened, reading starts again with the new capture.
-
-        CaptureEnded: at the end of the capture, until the file has changed.
-        BusError: the capture is damaged.
         """
         if not count:
             self._renew()
@@ -95,7 +87,7 @@ class VcdLink:
             raise BusError(f"{self._path} cannot be read ({cause.strerror}): is the path right?") from cause
         try:
             _skip_preface(self._path, self._file)
-            self._edges = _edges(self._path, _tokens(self._path, self._file), self._names)
+            self._edges = _edges(self._path, self._file, self._names)
         except OSError as cause:
             self.close()
             raise BusError(f"{self._path} is no file that can be read from its start ({cause})") from cause
@@ -127,50 +119,42 @@ def _skip_preface(path: str, file: BufferedReader) -> None:
     raise BusError(f"{path}: it is not a value change dump: none of its first lines begins with $")
 
 
-def _tokens(path: str, file: BufferedReader) -> Iterator[Any]:
-    """Iterate over the tokens of the file, and raise damage as a BusError."""
+def _edges(path: str, file: BufferedReader, names: tuple[str, str]) -> Iterator[Edge]:
+    """Iterate over the edges of the named signals; the header is read at once."""
     reader = import_library("vcd.reader", "a logic analyser's capture needs the Python package pyvcd", "'tiltcal[vcd]'")
 
-    def checked() -> Iterator[Any]:
+    def tokens() -> Iterator[Any]:
         try:
             yield from reader.tokenize(file)
-        except reader.VCDParseError as cause:
+        except (reader.VCDParseError, ValueError, AssertionError, OSError) as cause:
             raise BusError(f"{path}: it is not a value change dump, or is damaged: {cause}") from cause
-        except (ValueError, AssertionError, OSError) as cause:
-            raise BusError(f"{path}: it is not a value change dump, or is damaged ({cause})") from cause
 
-    return checked()
-
-
-def _edges(path: str, tokens: Iterator[Any], names: tuple[str, str]) -> Iterator[Edge]:
-    """Iterate over the edges of the named signals; the header is read at once."""
-    signals, scale = _header(path, tokens)
+    sound = tokens()
+    signals, scale = _header(path, sound, reader.TokenKind)
     lines = {_code(path, signals, name): line for line, name in enumerate(names)}
     if len(lines) < len(names):
         raise BusError(f"{path}: signals {' and '.join(names)} are one and the same wire")
-    return _changes(path, tokens, lines, scale)
+    return _changes(path, sound, reader.TokenKind, lines, scale)
 
 
-def _header(path: str, tokens: Iterator[Any]) -> tuple[dict[str, str], Fraction]:
+def _header(path: str, tokens: Iterator[Any], kinds: Any) -> tuple[dict[str, str], Fraction]:
     """Return the identifier of each signal by its full name, and the duration of a time step, ns."""
-    from vcd.reader import TokenKind
-
     signals: dict[str, str] = {}
     scopes: list[str] = []
     scale = Fraction(1)
     for token in tokens:
-        if token.kind is TokenKind.SCOPE:
+        if token.kind is kinds.SCOPE:
             scopes.append(token.scope.ident)
-        elif token.kind is TokenKind.UPSCOPE and scopes:
+        elif token.kind is kinds.UPSCOPE and scopes:
             scopes.pop()
-        elif token.kind is TokenKind.TIMESCALE:
+        elif token.kind is kinds.TIMESCALE:
             exponents = {"s": 9, "ms": 6, "us": 3, "ns": 0, "ps": -3, "fs": -6}
             scale = int(token.timescale.magnitude) * Fraction(10) ** exponents[token.timescale.unit.value]
             if not scale:
                 raise BusError(f"{path}: its time scale is 0: capture it again, or correct its $timescale")
-        elif token.kind is TokenKind.VAR and token.var.size == 1:
+        elif token.kind is kinds.VAR and token.var.size == 1:
             signals[".".join([*scopes, token.var.ref_str])] = token.var.id_code
-        elif token.kind is TokenKind.ENDDEFINITIONS:
+        elif token.kind is kinds.ENDDEFINITIONS:
             return signals, scale
     raise BusError(f"{path}: its header does not end: was the capture cut short?")
 
@@ -186,18 +170,16 @@ def _code(path: str, signals: dict[str, str], name: str) -> str:
     return found.get(name) or next(iter(found.values()))
 
 
-def _changes(path: str, tokens: Iterator[Any], lines: dict[str, int], scale: Fraction) -> Iterator[Edge]:
+def _changes(path: str, tokens: Iterator[Any], kinds: Any, lines: dict[str, int], scale: Fraction) -> Iterator[Edge]:
     """Iterate over the edges; a signal's first value, and a value after x or z, is not an edge."""
-    from vcd.reader import TokenKind
-
     time, number = 0, 0
     level: dict[int, str] = {}
     for token in tokens:
-        if token.kind is TokenKind.CHANGE_TIME:
+        if token.kind is kinds.CHANGE_TIME:
             time = token.data
             if not 0 <= time * scale < MOST_NS:
                 raise BusError(f"{path}: it has a change at {time} steps of {scale} ns: is its time scale right?")
-        elif token.kind in (TokenKind.CHANGE_SCALAR, TokenKind.CHANGE_VECTOR) and token.data.id_code in lines:
+        elif token.kind in (kinds.CHANGE_SCALAR, kinds.CHANGE_VECTOR) and token.data.id_code in lines:
             line, value = lines[token.data.id_code], str(token.data.value)
             before, level[line] = level.get(line), value
             if {before, value} == {"0", "1"}:

@@ -241,37 +241,37 @@ def test_a_device_behind_a_socket() -> None:
         opened(f"serial:socket://127.0.0.1:{port}")
 
 
-@pytest.mark.parametrize(
-    ("address", "why"),
-    [
-        (f"{SPI}?speed=500001", r"500001 Hz is too fast for sca100t-d02 \(at most speed=500000\)"),
-        (f"{SPI}?speed=0", "option speed=0 is too small"),
-        (f"{SPI}?mode=1", r"sca100t-d02 does not work in SPI mode 1 \(it works in 0 and 3\)"),
-        (f"{SPI}?sped=1", r"unknown option 'sped' \(did you mean 'speed'\?\)"),
-        ("i2c:///dev/i2c-1", r"option 'address' is missing \(add address=...\)"),
-        ("i2c:///dev/i2c-1?address=0x07", "option address=0x07 is too small"),
-        ("i2c:///dev/i2c-1?address=0x78", "option address=0x78 is too large"),
-        ("gpio:///dev/gpiochip0?x=17", "option 'y' is missing"),
-        ("gpio:///dev/gpiochip0?x=17&y=17", "both line 17"),
-        ("gpio:///dev/gpiochip0?x=17&y=-1", "too small"),
-        ("gpio:///dev/gpiochip0?x=17&y=4294967323", "too large"),
-        (f"{COM}?baud=9600", "did you mean 'baudrate'"),
-        (f"{COM}?parity=maybe", "none of N, E, O"),
-        (f"{COM}?stopbits=3", "none of 1, 1.5, 2"),
-        (f"{COM}?timeout=0", "too small"),
-        ("serial:nosuch://somewhere", "cannot be used: name a port"),
-        ("serial:hwgrep://(", "pyserial cannot use it .*unterminated subpattern"),
-        ("modbus:tcp://host:99999?columns=x@0", "'99999' is no port number"),
-        ("modbus:tcp://host:²?columns=x@0", "'²' is no port number"),
-        (f"modbus:tcp://host:{'9' * 5000}?columns=x@0", "'99999999999999999999' is no port number"),
-        ("modbus:tcp://:502?columns=x@0", "names no host"),
-        ("modbus:tcp://host?columns=x@0&baudrate=9600", "unknown option 'baudrate'"),
-    ],
+REFUSED = (
+    (f"{SPI}?speed=500001", r"500001 Hz is too fast for sca100t-d02 \(at most speed=500000\)"),
+    (f"{SPI}?speed=0", "option speed=0 is too small"),
+    (f"{SPI}?mode=1", r"sca100t-d02 does not work in SPI mode 1 \(it works in 0 and 3\)"),
+    (f"{SPI}?sped=1", r"unknown option 'sped' \(did you mean 'speed'\?\)"),
+    ("i2c:///dev/i2c-1", r"option 'address' is missing \(add address=...\)"),
+    ("i2c:///dev/i2c-1?address=0x07", "option address=0x07 is too small"),
+    ("i2c:///dev/i2c-1?address=0x78", "option address=0x78 is too large"),
+    ("gpio:///dev/gpiochip0?x=17", "option 'y' is missing"),
+    ("gpio:///dev/gpiochip0?x=17&y=17", "both line 17"),
+    ("gpio:///dev/gpiochip0?x=17&y=-1", "too small"),
+    ("gpio:///dev/gpiochip0?x=17&y=4294967323", "too large"),
+    (f"{COM}?baud=9600", "did you mean 'baudrate'"),
+    (f"{COM}?parity=maybe", "none of N, E, O"),
+    (f"{COM}?stopbits=3", "none of 1, 1.5, 2"),
+    (f"{COM}?timeout=0", "too small"),
+    ("serial:nosuch://somewhere", "cannot be used: name a port"),
+    ("serial:hwgrep://(", "pyserial cannot use it .*unterminated subpattern"),
+    ("modbus:tcp://host:99999?columns=x@0", "'99999' is no port number"),
+    ("modbus:tcp://host:²?columns=x@0", "'²' is no port number"),
+    (f"modbus:tcp://host:{'9' * 5000}?columns=x@0", "'99999999999999999999' is no port number"),
+    ("modbus:tcp://:502?columns=x@0", "names no host"),
+    ("modbus:tcp://host?columns=x@0&baudrate=9600", "unknown option 'baudrate'"),
 )
-def test_a_wrong_address_is_refused_before_the_bus_is_touched(bus: Stub, address: str, why: str) -> None:
+
+
+def test_a_wrong_address_is_refused_before_the_bus_is_touched(bus: Stub) -> None:
     bus.open_error = AssertionError("opened")
-    with pytest.raises(UsageError, match=why):
-        opened(address)
+    for address, why in REFUSED:
+        with pytest.raises(UsageError, match=why):
+            opened(address)
 
 
 def test_only_handlers_that_open_a_line_and_nothing_else_are_used(tmp_path: Path) -> None:
@@ -279,32 +279,22 @@ def test_only_handlers_that_open_a_line_and_nothing_else_are_used(tmp_path: Path
     kept = tmp_path / "kept"
     kept.write_text("mine")
     spying = f"spy:///dev/null%3Ffile={kept}"
-    for url in (
-        f"serial:{spying}",
-        f"modbus:{spying}?columns=x@0",
-        "serial:alt:///dev/ttyUSB0",
-        "serial:SPY:///dev/null",
-    ):
+    for url in (f"serial:{spying}", f"modbus:{spying}?columns=x@0", "serial:alt:///dev/ttyUSB0", "serial:SPY:///dev/x"):
         with pytest.raises(UsageError, match="cannot be used: name a port, or socket://"):
             opened(url)
     assert kept.read_text() == "mine"
 
 
-@pytest.mark.parametrize(
-    ("address", "module", "how"),
-    [
+def test_a_missing_package_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    for address, module, how in (
         (SPI, "spidev", r"pip install 'tiltcal\[spi\]'"),
         (I2C, "smbus2", "pip install smbus2"),
         (GPIO, "gpiod", r"pip install 'tiltcal\[gpio\]'"),
         (COM, "serial", "pip install pyserial"),
-    ],
-)
-def test_a_missing_package_says_how_to_install_it(
-    monkeypatch: pytest.MonkeyPatch, address: str, module: str, how: str
-) -> None:
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(HardwareError, match=how):
-        opened(address)
+    ):
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(HardwareError, match=how):
+            opened(address)
     monkeypatch.setitem(sys.modules, "gpiod", SimpleNamespace(Chip=object))
     with pytest.raises(HardwareError, match=r"older than version 2.*tiltcal\[gpio\]"):
         opened(GPIO)
@@ -331,41 +321,43 @@ def test_no_permission_names_the_group_that_has_it(
         assert "usermod -aG root" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("address", "when", "number", "advice"),
-    [
-        (SPI, "open", errno.ENOENT, "/dev/spidev0.0 does not exist"),
-        (SPI, "open", errno.EBUSY, "in use by another program"),
-        (SPI, "open", errno.ENOTTY, "is it an SPI device"),
-        (SPI, "open", errno.ENODEV, "plug the SPI adapter in again"),
-        (SPI, "transfer", errno.EIO, r"transfer on /dev/spidev0\.0 failed \(Input/output error\): check the wiring"),
-        (I2C, "open", errno.ENOENT, "/dev/i2c-1 does not exist"),
-        (I2C, "open", errno.ENODEV, "plug the I2C adapter in again"),
-        (I2C, "open", errno.ENOTTY, "is it an I2C bus"),
-        (I2C, "open", errno.EMFILE, r"cannot be opened \(Too many open files\)"),
-        (I2C, "transfer", errno.EREMOTEIO, r"no device acknowledges at address 0x1d on /dev/i2c-1 .*'i2cdetect -y 1'"),
-        (I2C, "transfer", errno.ENXIO, "no device acknowledges at address 0x1d"),
-        (I2C, "transfer", errno.EIO, "no device acknowledges at address 0x1d"),
-        (I2C, "transfer", errno.ETIMEDOUT, "time-out at address 0x1d .* pull-up resistors"),
-        (I2C, "transfer", errno.EAGAIN, "another master has it"),
-        (I2C, "transfer", errno.EBUSY, "SDA or SCL is held low"),
-        (I2C, "transfer", errno.ENODEV, "plug the I2C adapter in again"),
-        (I2C, "transfer", errno.EOPNOTSUPP, "supports SMBus only"),
-        (I2C, "transfer", errno.EPROTO, r"failed \(Protocol error\): check the wiring"),
-        (GPIO, "open", errno.ENOENT, "does not exist"),
-        (GPIO, "open", errno.EBUSY, "in use by another program or by the kernel"),
-        (GPIO, "open", errno.EINVAL, "refuses the lines"),
-        (GPIO, "open", errno.ENODEV, "/dev/gpiochip0 is no GPIO chip"),
-        (GPIO, "transfer", errno.EIO, "is gone: plug it in again, then resume"),
-    ],
+ERRORS = (
+    (SPI, "open", errno.ENOENT, "/dev/spidev0.0 does not exist"),
+    (SPI, "open", errno.EBUSY, "in use by another program"),
+    (SPI, "open", errno.ENOTTY, "is it an SPI device"),
+    (SPI, "open", errno.ENODEV, "plug the SPI adapter in again"),
+    (SPI, "transfer", errno.EIO, r"transfer on /dev/spidev0\.0 failed \(Input/output error\): check the wiring"),
+    (I2C, "open", errno.ENOENT, "/dev/i2c-1 does not exist"),
+    (I2C, "open", errno.ENODEV, "plug the I2C adapter in again"),
+    (I2C, "open", errno.ENOTTY, "is it an I2C bus"),
+    (I2C, "open", errno.EMFILE, r"cannot be opened \(Too many open files\)"),
+    (I2C, "transfer", errno.EREMOTEIO, r"no device acknowledges at address 0x1d on /dev/i2c-1 .*'i2cdetect -y 1'"),
+    (I2C, "transfer", errno.ENXIO, "no device acknowledges at address 0x1d"),
+    (I2C, "transfer", errno.EIO, "no device acknowledges at address 0x1d"),
+    (I2C, "transfer", errno.ETIMEDOUT, "time-out at address 0x1d .* pull-up resistors"),
+    (I2C, "transfer", errno.EAGAIN, "another master has it"),
+    (I2C, "transfer", errno.EBUSY, "SDA or SCL is held low"),
+    (I2C, "transfer", errno.ENODEV, "plug the I2C adapter in again"),
+    (I2C, "transfer", errno.EOPNOTSUPP, "supports SMBus only"),
+    (I2C, "transfer", errno.EPROTO, r"failed \(Protocol error\): check the wiring"),
+    (GPIO, "open", errno.ENOENT, "does not exist"),
+    (GPIO, "open", errno.EBUSY, "in use by another program or by the kernel"),
+    (GPIO, "open", errno.EINVAL, "refuses the lines"),
+    (GPIO, "open", errno.ENODEV, "/dev/gpiochip0 is no GPIO chip"),
+    (GPIO, "transfer", errno.EIO, "is gone: plug it in again, then resume"),
 )
-def test_an_error_of_the_system_says_what_to_try(bus: Stub, address: str, when: str, number: int, advice: str) -> None:
-    link = opened(address)
-    setattr(bus, f"{when}_error", OSError(number, os.strerror(number)))
-    with pytest.raises(BusError, match=advice):
-        opened(address) if when == "open" else link.exchange(b"\x09", 6)
-    link.close()
-    assert bus.closed
+
+
+def test_an_error_of_the_system_says_what_to_try(bus: Stub) -> None:
+    for address, when, number, advice in ERRORS:
+        bus.open_error = bus.transfer_error = None
+        link = opened(address)
+        setattr(bus, f"{when}_error", OSError(number, os.strerror(number)))
+        with pytest.raises(BusError, match=advice):
+            opened(address) if when == "open" else link.exchange(b"\x09", 6)
+        bus.closed = 0
+        link.close()
+        assert bus.closed, address
 
 
 def test_what_is_not_there_or_no_port_is_named(tmp_path: Path) -> None:

@@ -18,11 +18,10 @@ from tiltcal.calibration.estimate_record import rounded, stated_section
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.mounting import mount
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+from tiltcal.core.attitude import mounting_matrix, solve_mounting
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.model import Coefficients, Mounting
-from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.mounting_rotation import solve_mounting
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration

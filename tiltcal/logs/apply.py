@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from tiltcal.calibration.record import record_in
 from tiltcal.calibration.season import CalibrationFolder
 from tiltcal.core.column_statistics import ColumnStatistics
+from tiltcal.core.earth_frame import VELOCITY, FieldLength
 from tiltcal.core.flags import MISSING, NO_TEMPERATURE, NOT_A_NUMBER, SUSPECT, mark_columns
-from tiltcal.core.heading import VELOCITY, FieldLength
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.files.calibration import CalibrationRecord

@@ -78,27 +78,6 @@ class Sca3000:
     thermometer: bool = True
 
 
-ROWS = ((1.004, 0.008, -0.006), (-0.005, 0.997, 0.009), (0.004, -0.007, 1.002))
-"""The sensitivity of an independent part, relative to the nominal one."""
-
-
-@dataclass(frozen=True)
-class Scl3300:
-    """The truth of the independent SCL3300 (identity 0xC1) or SCA3300 (0x51): see :mod:`support.scl3300_part`."""
-
-    kind: ClassVar[str] = "scl3300"
-
-    identity: int = 0xC1
-    serial: int = 0x3CE5F7DA
-    offset: tuple[float, ...] = (0.0113, -0.0084, 0.0162)
-    sensitivity: tuple[tuple[float, ...], ...] = ROWS
-    noise: float = 135e-6
-    corner: float = 40.0
-    damage: float = 0.0
-    jig: float = 0.01
-    seed: int = 1
-
-
 class Message(NamedTuple):
     """One SPI message or I2C transaction as the kernel's side saw it: times on the monotonic clock, ns."""
 
@@ -146,15 +125,6 @@ class Bench:
     def break_part(self, broken: bool = True) -> None:
         """Let the part send its fault signal, words below 102."""
         self._order(broken=broken)
-
-    def call(self, method: str) -> None:
-        """Let the part do something, such as ``restart``."""
-        self._order(call=method)
-
-    def counts(self) -> dict[str, int]:
-        """What the part has counted, once the program has ended."""
-        counts: dict[str, int] = json.loads(self._control.readline())
-        return counts
 
     def kill(self, signal: int) -> None:
         """Send a signal to the program."""

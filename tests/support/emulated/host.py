@@ -12,10 +12,7 @@ order, answered by one line once it is in force::
 
     {"pose": [gx, gy, gz], "temperature": 24.0 or null}
     {"fault": errno or 0}      {"broken": true or false}
-    {"call": name}             a method of the part, such as restart
     {"messages": true}         -> {"messages": [[start_ns, end_ns, "out", "in"], ...], "settings": {...}}
-
-Once the program has ended, one more line says what the part has counted.
     {"kill": signal}           to the program under test
 """
 
@@ -26,7 +23,6 @@ import os
 import socket
 import subprocess
 import sys
-from contextlib import suppress
 from importlib import import_module
 
 import gi
@@ -45,9 +41,6 @@ NODES = {"spidev": SpidevNode, "i2c": I2cNode}
 PARTS = {
     "sca100t": "support.sca100t_part:Sca100tPart",
     "sca3000": "support.sca3000_part:Sca3000Part",
-    "scl3300": "support.scl3300_part:Scl3300Part",
-    "ads1115": "support.analog_part:Ads1115Part",
-    "mcp3208": "support.analog_part:Mcp3208Part",
 }
 
 
@@ -88,9 +81,6 @@ def main(control: str, node_facts: str, part_facts: str, *program: str) -> int:
     GLib.io_add_watch(channel.fileno(), GLib.PRIORITY_DEFAULT, GLib.IO_IN | GLib.IO_HUP, order)
     GLib.child_watch_add(GLib.PRIORITY_DEFAULT, child.pid, ended)
     loop.run()
-    lines.write(json.dumps(getattr(node.part, "counts", {})) + "\n")
-    with suppress(BrokenPipeError):
-        lines.flush()
     testbed.detach_ioctl(f"/dev/{node.name}")
     return codes[0] if codes[0] >= 0 else 128 - codes[0]
 
@@ -103,8 +93,6 @@ def obey(order: dict, node: Node, child: int) -> dict:
         node.fault = order["fault"]
     if "broken" in order:
         node.part.broken = order["broken"]
-    if "call" in order:
-        getattr(node.part, order["call"])()
     if "kill" in order:
         os.kill(child, order["kill"])
     if "messages" in order:

@@ -22,8 +22,7 @@ from tiltcal.drivers import sca100t
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
-from tiltcal.drivers.model import Model, Reading, link_in_words
-from tiltcal.drivers.registers import in_words
+from tiltcal.drivers.model import Model, Reading, in_words, link_in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualLine
 from tiltcal.errors import BusError, DeviceFault
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from decimal import ROUND_CEILING, Decimal
 from math import asin, cos, degrees, pi, radians, sqrt
 
 import numpy as np
@@ -18,10 +19,11 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 from support.uncertain_readings import uncertain_readings
 
-from tiltcal.core.angle_uncertainty import AngleUncertainty, CompensationWithUncertainty
+from tiltcal.core.angle_uncertainty import AngleUncertainty, CompensationWithUncertainty, round_up
+from tiltcal.core.attitude import mounting_angles, mounting_matrix
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
-from tiltcal.core.mounting_angles import mounting_angles, mounting_matrix
+from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal
+from tiltcal.core.named_coefficients import vector_of, with_vector
 from tiltcal.core.uncertain import ALIGNMENT, READING, Uncertain
 from tiltcal.errors import EstimateError
 
@@ -107,7 +109,7 @@ def moved(known: Coefficients, names: tuple[str, ...], vector: Array) -> Coeffic
     if known.mounting is None or len(own) == len(names):
         return found
     turned = Rotation.from_rotvec(vector[-3:]).as_matrix() @ mounting_matrix(known.mounting)
-    return replace(found, mounting=mounting_angles(turned).mounting)
+    return replace(found, mounting=mounting_angles(turned)[0])
 
 
 def angles(known: Coefficients, readings: Array, temperature: Array) -> Array:
@@ -384,3 +386,14 @@ class TestExpansion:
         # Where one part alone is uncertain the interval has its 95 %: the noise at level, the slope at 30 degrees.
         assert np.all(np.abs(share[:, 0] - 95.0) < 3.5), share
         assert abs(share[2, 1] - 95.0) < 3.5, share
+
+
+def test_four_digits_or_five_are_rounded_up() -> None:
+    numbers = [0.0, 0.0911111, 0.1300001, 17.23456, 1.23456e-5, np.nan]
+    room = np.array([numbers, numbers])
+    round_up(room)
+    assert room[1][0] == 0.0
+    assert np.isnan(room[1][-1])
+    for rounded, number in zip(room[1][1:-1], numbers[1:-1], strict=True):
+        steps = {Decimal(10) ** (Decimal(number).adjusted() - digits) for digits in (3, 4)}
+        assert rounded in {float(Decimal(number).quantize(step, ROUND_CEILING)) for step in steps}

@@ -10,9 +10,9 @@ import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation, separated
 from tiltcal.core.model import AXES, Coefficients, Mounting
-from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.uncertain import Uncertain, degrees_of_freedom
 from tiltcal.errors import EstimateError
 

@@ -1,4 +1,4 @@
-"""Devices that send on their own: sentences, lines of numbers, edges, and DFRobot's module, whole or damaged."""
+"""Devices that send on their own: sentences, lines of numbers and edges, whole or damaged."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.arriving_pieces import ArrivingPieces
-from support.example_device.tiltcal_dfrobot import DFROBOT_SCA100T as DFROBOT
 
 from tiltcal.drivers import find_model
 from tiltcal.drivers.adxl202 import (
@@ -17,9 +16,7 @@ from tiltcal.drivers.adxl202 import (
     Adxl202Sentences,
     Cycle,
     PulseTrains,
-    content,
     missing,
-    parse_sentence,
 )
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
@@ -55,15 +52,6 @@ def read_all(sensor: Sensor) -> list[tuple[float, ...]]:
     with pytest.raises(BusError, match=r"^silent$"):
         found.extend(iter(lambda: sensor.read().values, None))
     return found
-
-
-def test_the_frame_of_published_sentences() -> None:
-    """As every account of NMEA 0183 prints them."""
-    for line in (
-        b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47",
-        b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A",
-    ):
-        assert (content(line), content(line[:-1] + b"0"), parse_sentence(line)) == (line[1:-3], None, None)
 
 
 def test_garbage_and_half_sentences_are_counted_and_never_a_reading() -> None:
@@ -107,7 +95,6 @@ def test_gaps_in_the_sequence_are_lost_sentences_and_what_is_discarded_is_not() 
         (sentences(b"\xf0" * 2000), r"without a line end.*baud rate"),
         (printing("x,y", b"a,b,c\r\n" * 60), r"50 lines .* numbers x,y; the last was 'a,b,c'.*columns="),
         (printing("x,y", b"\r\n", *[b"\r\n"] * 60), "50 lines arrived and all were empty"),
-        (DFROBOT.driver(ArrivingPieces(*[b"no sensor"] * 10), VirtualClock()), "10 requests .* 6e 6f 20 73 65 6e 73"),
     ],
 )
 def test_a_device_that_says_something_else_is_named(sensor: Sensor, why: str) -> None:
@@ -193,22 +180,6 @@ def test_a_line_after_silence_is_whole_after_a_discard(period: float, pause: flo
         dripping.read()
 
 
-def test_an_answer_that_is_damaged_or_lost_a_byte_is_asked_for_again() -> None:
-    """Of a published frame: 1026, 1033 and 30.47 °C, after garbage as well."""
-    frame = bytes.fromhex("55 AA 04 02 04 09 A4 50")
-    reading = DFROBOT.driver(ArrivingPieces(bytes.fromhex("13 55 07") + frame), VirtualClock()).read()
-    assert (reading.values, reading.temperature) == ((1026.0, 1033.0), pytest.approx(30.471, abs=1e-3))
-    line = ArrivingPieces(
-        frame.replace(b"\x09", b"\x0b"), b"\x55" + frame[:4], frame[4:], frame[:3], frame[4:], b"", frame
-    )
-    sensor = DFROBOT.driver(line, VirtualClock())
-    assert read_all(sensor) == [(1026.0, 1033.0)] * 2
-    assert sensor.link_statistics()["damaged"] >= 2
-    fault = bytes.fromhex("55 AA 00 05 04 09 A4 52")  # ~(00 ^ 05 ^ 04 ^ 09 ^ A4) = 53
-    with pytest.raises(DeviceFault, match="the fault signal of its sensor"):
-        DFROBOT.driver(ArrivingPieces(fault[:-1] + b"\x53"), VirtualClock()).read()
-
-
 # Edges
 
 
@@ -228,13 +199,6 @@ def cycles(edges: list[Edge], collector: PulseTrains | None = None) -> list[Cycl
 
 def renumbered(edges: list[Edge]) -> list[Edge]:
     return [edge._replace(number=n) for n, edge in enumerate(edges)]
-
-
-def test_edges_of_the_fact_sheet() -> None:
-    """8 MHz counts, T2 of 4 ms: x +0.5 g, y -0.25 g."""
-    (cycle,) = cycles(trains(32000, [(18000, 15000)] * 2, centred=True))
-    assert cycle == (18000, 15000, 32000)
-    assert [(duty - 0.5) / 0.125 for duty in cycle.duty] == pytest.approx([0.5, -0.25])
 
 
 @pytest.mark.parametrize("centred", [True, False])

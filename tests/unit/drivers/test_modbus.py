@@ -1,18 +1,19 @@
-"""``modbus-columns`` through pymodbus, RTU and TCP: its own server, and units that are late, busy or not there."""
+"""``modbus-columns`` through pymodbus, RTU and TCP, with units that answer by the letter, late, busy or not at all."""
 
 from __future__ import annotations
 
 import os
+import socket
 import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 
 import pytest
 
 from tiltcal.drivers import find_model
-from tiltcal.drivers.bus import link_letter, modbus, open_link
+from tiltcal.drivers.bus import modbus, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Sensor
@@ -20,15 +21,25 @@ from tiltcal.errors import BusError, DeviceFault, UsageError
 
 pytest.importorskip("pymodbus", reason="the pymodbus package is not installed")
 
-from pymodbus.simulator import DataType, SimData
-from support.modbus_slave import slave
 from support.scripted_link import Script
 
-BLOCKS = [
-    SimData(0, values=[-500, 250], datatype=DataType.INT16),
-    SimData(4, values=[235], datatype=DataType.INT16),
-    SimData(10, values=[0.125, -0.75], datatype=DataType.FLOAT32),
-]
+REGISTERS = {0: b"\xfe\x0c", 1: b"\x00\xfa", 4: b"\x00\xeb", 10: b"\x3e\x00", 11: b"\0\0", 12: b"\xbf\x40", 13: b"\0\0"}
+"""-500, 250 and 235 of 16 bits, 0.125 and -0.75 of 32 bits by IEEE 754."""
+
+Answer = Callable[[bytes, int], list[tuple[float, bytes]]]
+"""The n-th request, unit first, is answered by these frames without checksum, each after a delay in seconds."""
+
+
+def by_the_letter(request: bytes, count: int) -> list[tuple[float, bytes]]:
+    """Unit 7, with exception 2 for a register that it does not have; other units are silent."""
+    first, number = int.from_bytes(request[2:4], "big"), int.from_bytes(request[4:6], "big")
+    if request[0] != 7:
+        return []
+    try:
+        data = b"".join(REGISTERS[first + place] for place in range(number))
+    except KeyError:
+        return [(0.0, request[:1] + bytes([request[1] | 0x80, 2]))]
+    return [(0.0, request[:2] + bytes([len(data)]) + data)]
 
 
 @contextmanager
@@ -60,24 +71,26 @@ def test_a_busy_unit_is_asked_again_and_for_five_seconds_at_most(code: str) -> N
 
 
 @pytest.mark.parametrize("rtu", [False, True], ids=["tcp", "rtu"])
-def test_a_simulated_slave_is_read(rtu: bool) -> None:
-    with slave(7, BLOCKS, rtu=rtu) as place:
+def test_the_registers_of_a_unit_are_read(rtu: bool) -> None:
+    with (serial_line if rtu else server)(by_the_letter) as place:
         bracketed = place.replace("127.0.0.1", "[127.0.0.1]")  # as an IPv6 address is written
         columns = "columns=x@0*0.001,y@10:float32,z@12:float32,temperature@4*0.1"
         with unit(bracketed, f"unit=7&{columns}") as sensor:
             assert sensor.probe() == {"x": "-0.5", "y": "0.125", "z": "-0.75", "temperature": "23.5 °C"}
         with pytest.raises(DeviceFault, match="no such register"), unit(place, "unit=7&columns=x@500") as sensor:
             sensor.read()
-        with pytest.raises((BusError, DeviceFault)), unit(place, "unit=8&timeout=0.05&columns=x@0") as sensor:
-            sensor.read()
+        with (
+            pytest.raises(BusError, match="no answer of unit 8"),
+            unit(place, "unit=8&timeout=0.05&columns=x@0") as lost,
+        ):
+            lost.read()
     with pytest.raises(BusError, match=r"no Modbus server answers at tcp://|does not exist"), unit(place, columns):
         pass
-    assert link_letter(parse_address("modbus:///dev/x?columns=x@0"), find_model("modbus-columns")) == "m"
 
 
 def test_units_on_one_line_share_its_port() -> None:
     lines: dict = {}
-    with slave(7, BLOCKS, rtu=True) as place:
+    with serial_line(by_the_letter) as place:
         with unit(place, "unit=7&columns=x@0*0.001", lines) as first, unit(place, "unit=7&columns=x@1", lines) as other:
             for _ in range(2):
                 first._link.close()
@@ -90,8 +103,30 @@ def test_units_on_one_line_share_its_port() -> None:
 
 
 @contextmanager
-def late_slave(answer: Callable[[bytes, int], list[tuple[float, bytes]]]) -> Iterator[str]:
-    """Yield a serial line on which the n-th request is answered by these frames, each after a delay in seconds."""
+def server(answer: Answer) -> Iterator[str]:
+    """Yield the place of a TCP server, whose frames are numbered and have no checksum (MBAP)."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def serve() -> None:
+            with suppress(OSError):
+                while True:
+                    connection, _ = listening.accept()
+                    with connection:
+                        while head := connection.recv(6):
+                            request = connection.recv(head[5])
+                            for _, frame in answer(request, 0):
+                                connection.sendall(head[:4] + len(frame).to_bytes(2, "big") + frame)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield f"tcp://127.0.0.1:{listening.getsockname()[1]}"
+        listening.shutdown(socket.SHUT_RDWR)
+    thread.join(10.0)
+
+
+@contextmanager
+def serial_line(answer: Answer) -> Iterator[str]:
+    """Yield the place of a serial line with units on it."""
     master, end = os.openpty()
     tty.setraw(end)
 
@@ -142,14 +177,14 @@ def test_a_late_answer_is_never_that_of_another_register_or_link(monkeypatch: py
         # The answer to the repetition, and later that to the first request, which was for x.
         return [(0.0, own), (0.15, own)] if count == 2 else [(0.0, own)]
 
-    with late_slave(answer) as place, unit(place, "unit=1&timeout=0.05&columns=x@0,y@9") as sensor:
+    with serial_line(answer) as place, unit(place, "unit=1&timeout=0.05&columns=x@0,y@9") as sensor:
         assert [sensor.read().values for _ in range(2)] == [(111.0, 222.0)] * 2
 
     def much_later(request: bytes, count: int) -> list[tuple[float, bytes]]:
         late = frame_of(1, 111)
         return {3: [(0.22, late), (0.1, late), (0.1, late)]}.get(count, [(0.0, frame_of(1, 222))] if count > 3 else [])
 
-    with late_slave(much_later) as place:
+    with serial_line(much_later) as place:
         lines: dict = {}
         with (
             pytest.raises(BusError, match=r"no answer of unit 1 .* answers within timeout="),
@@ -169,7 +204,7 @@ def test_a_dead_unit_does_not_silence_the_line_for_another() -> None:
 
     lines: dict = {}
     with (
-        late_slave(answer) as place,
+        serial_line(answer) as place,
         unit(place, "unit=1&timeout=0.05&columns=x@0", lines) as dead,
         unit(place, "unit=2&timeout=0.05&columns=x@9", lines) as other,
     ):
@@ -183,7 +218,7 @@ def test_a_dead_unit_does_not_silence_the_line_for_another() -> None:
 def test_an_answer_of_another_function_or_length_is_none() -> None:
     frames = [bytes.fromhex("01 04 02 0001"), bytes.fromhex("01 03 04 0001 0002"), frame_of(1, 333)]
     with (
-        late_slave(lambda _, count: [(0.0, frames[count - 1])]) as place,
+        serial_line(lambda _, count: [(0.0, frames[count - 1])]) as place,
         unit(place, "unit=1&timeout=0.1&columns=x@0") as sensor,
     ):
         assert sensor.read().values == (333.0,)

@@ -80,7 +80,8 @@ def test_the_recursive_estimator_needs_at_most_half_the_turns_at_the_papers_nois
     """200 turns of the twin: until the matched sum stays as near to zero as the loops end."""
     twin = Disk(rate=16.0, noise=1.5e-7, corner=0.05, wander=0.02, encoder_noise=0.01)
     truth = disk.truth([one.scale for one in twin.accelerometers], [one.misalignment for one in twin.accelerometers])
-    samples = list(Gradiometer(twin, seed=3).samples(200 * 128))
+    stage = Gradiometer(twin, seed=3)
+    samples = [stage.sample(number) for number in range(200 * 128)]
     theta, readings = (np.array([getattr(one, name) for one in samples]) for name in ("theta", "readings"))
     online = Online(PAIR, disk.NAMES)
     online.push(theta, readings.T)

@@ -120,32 +120,26 @@ def test_a_session_that_is_resumed_goes_on_behind_the_edges_that_it_has(hand_wri
         assert numbers(link.exchange(b"", 14)) == [5]
 
 
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ("time,x,y\n1,2,3\n", "not a value change dump"),
-        ("$timescale 1 ns $end $scope module m $end", "header does not end"),
-        (HAND_WRITTEN.replace("D1", "CLK"), r"no signal is called 'D1' \(it has D0, CLK\)"),
-        (
-            HAND_WRITTEN.replace(
-                "module top $end", "module top $end $var wire 1 % D1 $end $upscope $end $scope module a $end"
-            ),
-            r"'D1' is in several scopes: name one of top\.D1, a\.D1",
+UNREADABLE = (
+    ("time,x,y\n1,2,3\n", "not a value change dump"),
+    ("$timescale 1 ns $end $scope module m $end", "header does not end"),
+    (HAND_WRITTEN.replace("D1", "CLK"), r"no signal is called 'D1' \(it has D0, CLK\)"),
+    (
+        HAND_WRITTEN.replace(
+            "module top $end", "module top $end $var wire 1 % D1 $end $upscope $end $scope module a $end"
         ),
-        ("", "not a value change dump"),
-        (HAND_WRITTEN.replace("10 us", "0 ms"), "its time scale is 0"),
-    ],
+        r"'D1' is in several scopes: name one of top\.D1, a\.D1",
+    ),
+    ("", "not a value change dump"),
+    (HAND_WRITTEN.replace("10 us", "0 ms"), "its time scale is 0"),
 )
-def test_what_cannot_be_read_is_named(tmp_path: Path, text: str, why: str) -> None:
-    path = tmp_path / "capture.vcd"
-    path.write_text(text)
-    with pytest.raises(BusError, match=why):
-        opened(path)
 
 
-def test_damage_a_pipe_and_wrong_options_are_named(
-    hand_written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_read_is_named(hand_written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for text, why in UNREADABLE:
+        hand_written.write_text(text)
+        with pytest.raises(BusError, match=why):
+            opened(hand_written)
     for time, why in (("&&&", "damaged"), ("#99999999999999999", "is its time scale right")):
         hand_written.write_text(HAND_WRITTEN.replace("#60", time))
         with closing(opened(hand_written)) as link, pytest.raises(BusError, match=why):

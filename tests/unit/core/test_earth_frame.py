@@ -12,13 +12,11 @@ from scipy.spatial.transform import Rotation
 from support.uncertain_readings import uncertain_readings
 
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.earth_compensation import EarthFrameCompensation
-from tiltcal.core.earth_uncertainty import EarthUncertainty
+from tiltcal.core.earth_frame import EarthFrameCompensation, FieldLength
 from tiltcal.core.flags import CLIPPED, FAIL, GRAVITY_LENGTH, MISSING, NO_DIRECTION, NOT_A_NUMBER, PASS, SUSPECT
-from tiltcal.core.heading import FieldLength
 from tiltcal.core.model import Array, Coefficients, Mounting
-from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.uncertain import TURN
 from tiltcal.errors import EstimateError
 from tiltcal.logs.kernel import RoleValues, TiltKernel
@@ -128,7 +126,8 @@ def test_intervals_hold_the_truth(channels: int, mounting: Mounting | None, comp
         magnetometer=compass,
         velocity=True,
         declination=DECLINATION if compass else 0.0,
-        uncertainty=EarthUncertainty(uncertain.propagation, field_noise),
+        uncertain=uncertain,
+        field_noise=field_noise,
     )
     error = draw.multivariate_normal(np.zeros(len(size)), covariance, rows)
     offset, sensitivity, turn = np.split(error, [channels, channels + channels**2], axis=1)
@@ -141,7 +140,7 @@ def test_intervals_hold_the_truth(channels: int, mounting: Mounting | None, comp
     up = up + np.cross(since, up - matrix[2])
     of_g = known.sensitivity + sensitivity.reshape(rows, channels, channels)
     readings = 1000.0 + offset + np.einsum("nij,nj->ni", of_g, up[:, :channels])
-    table = TiltKernel(compensation, uncertain.propagation, earth)(
+    table = TiltKernel(compensation, uncertain, earth)(
         RoleValues(
             readings + draw.normal(scale=noise, size=readings.shape),
             magnetometer=field + draw.normal(scale=field_noise, size=(rows, 3)) if compass else None,
