@@ -41,7 +41,7 @@ def command(procedure: str, log: Path, segments_out: Path | None, output: Path, 
     """
     from tiltcal.calibration.wording import level_summary, mounting_summary, summary
     from tiltcal.files.procedure import find_procedure
-    from tiltcal.library.fit import fit
+    from tiltcal.library.recorded import fit
     from tiltcal.logs.fit import FOUND_ONLY
 
     determines = find_procedure(procedure, settings["tilt"]).determines

@@ -14,8 +14,8 @@ import xarray
 
 import tiltcal
 from tiltcal.errors import InputError, UsageError
-from tiltcal.library.apply import apply_log
 from tiltcal.library.calibration import Calibration, read
+from tiltcal.library.recorded import apply_log
 from tiltcal.logs.formats.csv_dialect import Dialect
 from tiltcal.logs.formats.csv_rows import CsvBlock, RowGrammar
 from tiltcal.logs.formats.csv_types import ColumnTypes
