@@ -14,9 +14,8 @@ from tiltcal.cli.main import group
 from tiltcal.cli.options import NumberFromZero
 from tiltcal.cli.talk import wrapped
 from tiltcal.errors import UsageError
-from tiltcal.library.apply import apply_log
-from tiltcal.library.fit import fit
 from tiltcal.library.measure import measure
+from tiltcal.library.recorded import apply_log, fit
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def command(
     With --online, Ctrl-C ends the stream, and the estimates until then are the result.
     """
     from tiltcal.files.atomic import check_writable
-    from tiltcal.library.pair_calibration import PairCalibration
+    from tiltcal.library.calibration import PairCalibration
     from tiltcal.logs.match import match_log, pairs_of
     from tiltcal.report.record_figures import draw_matching
 

@@ -26,8 +26,7 @@ from tiltcal.files.calibration import CalibrationRecord, bases_of, read_calibrat
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Procedure, find_procedure
-from tiltcal.library.calibration import Calibration
-from tiltcal.library.pair_calibration import PairCalibration
+from tiltcal.library.calibration import Calibration, PairCalibration
 from tiltcal.stated_arguments import (
     of_python,
     require_above_zero,
