@@ -10,7 +10,6 @@ TYPE_CHECKING = False
 
 if TYPE_CHECKING:
     from tiltcal.bench.devices import open_sensor
-    from tiltcal.bench.plan import plan
     from tiltcal.errors import (
         BusError,
         DeviceFault,
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from tiltcal.library.calibration import Calibration, PairCalibration, combine, compare, read
     from tiltcal.library.calibration_library import CalibrationLibrary, open_calibrations
     from tiltcal.library.measure import measure
+    from tiltcal.library.plan import plan
     from tiltcal.library.recorded import apply_log, fit, match, noise
 
 __version__ = "0.1.0"
@@ -52,7 +52,7 @@ _HOME = {
     "noise": "library.recorded",
     "open_calibrations": "library.calibration_library",
     "open_sensor": "bench.devices",
-    "plan": "bench.plan",
+    "plan": "library.plan",
     "read": "library.calibration",
 }
 """Where each name is defined; all others are errors."""

@@ -9,12 +9,12 @@ from typing import Any
 import click
 import pytest
 
-from tiltcal.bench.plan import plan
 from tiltcal.cli.main import group
 from tiltcal.cli.options import Number
 from tiltcal.cli.talk import wrapped
 from tiltcal.errors import UsageError
 from tiltcal.library.measure import measure
+from tiltcal.library.plan import plan
 from tiltcal.library.recorded import apply_log, fit
 from tiltcal.stated_arguments import require_from_zero
 
