@@ -119,8 +119,7 @@ class Sca61t:
         BusError: the transaction failed, or every bit of the sample is the same.
         DeviceFault: a word that is a fault of the part.
         """
-        answers = [self._answer(command, 3) for command in self.COMMANDS.values()]
-        answers.append(self._answer(RWTR, 2))
+        answers = [*map(self._answer, self.COMMANDS.values()), self._answer(RWTR, 2)]
         check_data_line(b"".join(answers))
         self._words = tuple(map(self._checked, self.COMMANDS, answers))
         return Reading(self._values(), decode_temperature(answers[-1]))
@@ -128,7 +127,7 @@ class Sca61t:
     def discard(self) -> None:
         """Do nothing: every read is a new conversion."""
 
-    def _answer(self, command: int, length: int) -> bytes:
+    def _answer(self, command: int, length: int = 3) -> bytes:
         self._clock.sleep(REFRESH)
         return require_length(self._link.exchange(bytes([command]).ljust(length, b"\0")), length, "frame")
 

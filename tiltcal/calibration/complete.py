@@ -29,19 +29,23 @@ from tiltcal.calibration.estimate_record import (
 )
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
-from tiltcal.core.attitude import heading_rotations
-from tiltcal.core.compensation import Compensation
-from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
-from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
-from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, UNKNOWN_FACTOR, is_locked, mounting_matrix
-from tiltcal.core.mounting_rotation import (
+from tiltcal.core.attitude import (
+    UNKNOWN_ANGLE,
+    UNKNOWN_FACTOR,
     MountingEstimate,
     angle_derivatives,
+    heading_rotations,
+    is_locked,
+    mounting_matrix,
     mounting_rotation,
     rotation_vector,
     solve_mounting,
 )
+from tiltcal.core.compensation import Compensation
+from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
+from tiltcal.core.estimation.positions import Observation
+from tiltcal.core.model import AXES, Array, Coefficients, Mounting
+from tiltcal.core.named_coefficients import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, central_differences, selection, weighted_sum
 from tiltcal.errors import EstimateError

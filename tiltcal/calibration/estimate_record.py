@@ -8,12 +8,12 @@ from math import degrees
 
 import numpy as np
 
+from tiltcal.core.attitude import UNKNOWN_FACTOR
 from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.estimation.positions import Design
-from tiltcal.core.model import AXES, Array, Coefficients, with_vector
-from tiltcal.core.mounting_angles import UNKNOWN_FACTOR
-from tiltcal.core.named_coefficients import values
+from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.named_coefficients import values, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import NEGLIGIBLE, NORMAL_FACTOR, TURN, Uncertain
 from tiltcal.errors import EstimateError

@@ -119,10 +119,11 @@ def _epoch(text: str, unit: str | None, file: str | None) -> float:
 
 def same_unit(one: str, other: str) -> bool:
     """Return whether two spellings of units mean the same, or one of them means nothing."""
-    return one in _DIMENSIONLESS or other in _DIMENSIONLESS or _spelt(one) == _spelt(other)
+    return one in _DIMENSIONLESS or other in _DIMENSIONLESS or spelt(one) == spelt(other)
 
 
-def _spelt(unit: str) -> str:
+def spelt(unit: str) -> str:
+    """Return a unit as this program spells it."""
     text = unit.strip()
     return next((name for name, others in _UNITS.items() if text == name or text.casefold() in others), text)
 
@@ -130,8 +131,7 @@ def _spelt(unit: str) -> str:
 def split_unit(name: str) -> tuple[str, str | None]:
     """Return the name of a column without the unit behind it, as in ``x (m/s^2)`` or ``x [V]``, and this unit."""
     found = _NAME_AND_UNIT.fullmatch(name.strip())
-    spelt = _spelt(found[2]) if found else ""
-    return (found[1], found[2]) if found and spelt in _UNITS else (name, None)
+    return (found[1], found[2]) if found and spelt(found[2]) in _UNITS else (name, None)
 
 
 def is_judgement(name: str) -> bool:

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.core.earth_frame import FIELD_TOLERANCE, full_circle
 from tiltcal.core.flags import FAIL, GRAVITY_LENGTH, NO_DIRECTION, RAIL, SUSPECT, Bytes, Reasons, mark_columns
-from tiltcal.core.heading import FIELD_TOLERANCE, full_circle
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import COUNT

@@ -11,8 +11,8 @@ from scipy.stats import chi2
 
 from tiltcal.calibration.complete import mount
 from tiltcal.calibration.measurement import Measurement
+from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.model import Coefficients, Thermal
-from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
