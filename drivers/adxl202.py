@@ -28,20 +28,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial, reduce
 from operator import xor
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from tiltcal.drivers.bus.address import Address
+from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.columns import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.converters import SCHEMES as CONVERTERS
 from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words
-from tiltcal.drivers.virtual import StreamingPart, Tolerances, VirtualLine, uniform
+from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth, VirtualLine, uniform
 from tiltcal.errors import BusError, DeviceFault
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.virtual import HeldPose, Truth
 
 ROUND_NUMBERS = (100, 128, 256, 1000, 1024, 10_000, 65_536, 100_000, 1_000_000, 1 << 24, 1 << 31, 1 << 32)
 """Values at which a counter may wrap to 0: the widths of counters and of printed digits."""

@@ -35,10 +35,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from math import cbrt, exp, inf, log, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tiltcal.drivers import adxl202, sca100t
-from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.converters import (
     NOMINAL,
     FrontEnd,
@@ -52,11 +54,6 @@ from tiltcal.drivers.converters import (
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, Truth, uniform
 from tiltcal.errors import DeviceFault
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
 
 CHANNELS = ("x", "y")
 

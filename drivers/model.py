@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
+from tiltcal.drivers.bus import Bus, SpiPort
+from tiltcal.drivers.bus.address import Address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
+from tiltcal.drivers.virtual import HeldPose, Truth
 from tiltcal.errors import UsageError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Bus
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.bus.spi import SpiPort
-    from tiltcal.drivers.virtual import HeldPose, Truth
 
 
 @dataclass(frozen=True, slots=True)

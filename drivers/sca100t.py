@@ -21,18 +21,25 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import comb, radians, sin, sqrt
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
-from tiltcal.drivers.bus.link import check_data_line, require_length
-from tiltcal.drivers.bus.spi import SpiPort
+from tiltcal.drivers.bus import SpiPort
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link, check_data_line, require_length
 from tiltcal.drivers.model import Model, Population, Reading, deviation_within, typical_nonlinearity
-from tiltcal.drivers.virtual import REFERENCE, Polynomial, Tolerances, Truth, VirtualPart, normal, part_errors, uniform
+from tiltcal.drivers.virtual import (
+    REFERENCE,
+    HeldPose,
+    Polynomial,
+    Tolerances,
+    Truth,
+    Vector,
+    VirtualPart,
+    normal,
+    part_errors,
+    uniform,
+)
 from tiltcal.errors import DeviceFault, UsageError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.virtual import HeldPose, Vector
 
 MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
 

@@ -21,9 +21,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import cos, log, pi, radians, sin, sqrt
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.columns import (
     SERIAL_COLUMNS,
     UNKNOWN,
@@ -32,11 +33,8 @@ from tiltcal.drivers.columns import (
     ColumnsSensor,
     columns_of,
 )
+from tiltcal.drivers.model import Model
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth, normal, part_errors
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.model import Model
 
 PHASES = (0.0, 180.0, 90.0, 270.0)
 """Where a1, a2, a3 and a4 sit, degrees."""

@@ -7,15 +7,13 @@ import os
 import re
 from collections.abc import MutableMapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import SERIAL_PORT, import_library
 from tiltcal.drivers.bus.serial import PARITIES, require_line
 from tiltcal.errors import BusError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Device
-    from tiltcal.drivers.bus.address import Address
 
 BAUDRATE = 9600
 """If the address names none, baud."""

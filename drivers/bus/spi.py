@@ -3,32 +3,12 @@
 from __future__ import annotations
 
 import errno
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import Node, import_library
 from tiltcal.errors import BusError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Device
-    from tiltcal.drivers.bus.address import Address
-
-
-@dataclass(frozen=True, slots=True)
-class SpiPort:
-    """The SPI settings that a part accepts.
-
-    modes: clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
-    fastest: highest clock, Hz; None where no source states it.
-    speed: clock if the address states none, Hz; None is the fastest.
-    slowest: lowest clock at which the part's words do not change while they are read, Hz.
-    """
-
-    modes: tuple[int, ...]
-    fastest: int | None
-    speed: int | None = None
-    slowest: int = 1
-
 
 FASTEST = 100_000_000
 """Highest clock of a part whose own is not known, Hz; spidev would take 2**32 and more for other clocks."""

@@ -7,17 +7,14 @@ from collections.abc import Iterator
 from fractions import Fraction
 from io import BufferedReader
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
 from tiltcal.drivers.bus.link import CaptureEnded
 from tiltcal.drivers.bus.nodes import import_library
 from tiltcal.errors import BusError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Device
-    from tiltcal.drivers.bus.address import Address
-
 
 PREFACE = 20
 """Lines before the header that are skipped."""
