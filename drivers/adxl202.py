@@ -143,10 +143,7 @@ class PulseTrains:
         self._clear()
 
     def take(self, edge: Edge) -> Cycle | None:
-        """Add an edge, and return the cycle that it completes, if any.
-
-        DeviceFault: the two trains do not belong together, or one line is dead.
-        """
+        """Add an edge, and return the cycle that it completes, if any."""
         gap = 0 if self._number is None else (edge.number - self._number - 1) & 0xFFFFFFFF
         if gap:
             self.lost += gap
@@ -290,11 +287,7 @@ class Adxl202Edges:
         return said | {"link": link_in_words(self.link_statistics())}
 
     def read(self) -> Reading:
-        """Return the next period: the duty cycles of x and y.
-
-        BusError: no edges.
-        DeviceFault: one line is dead, or the lines do not belong together.
-        """
+        """Return the next period: the duty cycles of x and y."""
         return Reading(self._next().duty)
 
     def discard(self) -> None:

@@ -117,11 +117,7 @@ class AnalogSensor:
         return {**said, "supply": wired.supply.said(self._supply), "converter": wired.front_end.description}
 
     def read(self) -> Reading:
-        """Take one sample.
-
-        BusError: the converter does not answer.
-        DeviceFault: a supply outside the range of the sensor, its fault signal, or an open or shorted thermistor.
-        """
+        """Take one sample."""
         shares, self._supply = self._wired.supply.shares(self._converter, self._wired.numbers)
         return self._wired.part.reading(shares)
 

@@ -100,10 +100,7 @@ class LineBuffer:
         self._begun = self._emptied = False
 
     def next(self) -> tuple[bytes, bool]:
-        """Return the next line that is not empty, without its end, and whether its beginning is there.
-
-        BusError: silence, bytes without a line end, or line ends alone.
-        """
+        """Return the next line that is not empty, without its end, and whether its beginning is there."""
         for _ in range(UNUSABLE):
             began_ns: int | None = None
             while not self._ready:

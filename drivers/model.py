@@ -34,10 +34,7 @@ class Sensor(Protocol):
     """The interface of a driver on one link: bytes in, readings out."""
 
     def probe(self) -> Mapping[str, str]:
-        """Return what the device reports about itself, for the operator.
-
-        HardwareError: it does not answer, or shows a fault.
-        """
+        """Return what the device reports about itself, for the operator."""
         ...
 
     def read(self) -> Reading:
@@ -48,8 +45,6 @@ class Sensor(Protocol):
         """Discard what arrived before now, so that the next reading is a new one.
 
         A sensor that is read sample by sample has nothing to discard; one that streams drops its queued data.
-
-        BusError: the transaction failed.
         """
         ...
 
@@ -173,10 +168,7 @@ class SelfTesting(Protocol):
     """A driver whose part can test itself."""
 
     def self_test(self, channel: str) -> SelfTestResult:
-        """Start the self-test of one channel.
-
-        HardwareError: as :meth:`Sensor.read`.
-        """
+        """Start the self-test of one channel."""
         ...
 
 

@@ -299,11 +299,7 @@ class RegisterSensor:
         return self.part.probe(self)
 
     def read(self) -> Reading:
-        """Take the next sample: counts, and the temperature in °C where the part has a thermometer.
-
-        BusError: the transaction failed, every bit of the sample is the same, or the part does not keep its settings.
-        DeviceFault: another part answers, it does not measure, or it was reset since it was set up.
-        """
+        """Take the next sample: counts, and the temperature in °C where the part has a thermometer."""
         part = self.part
         ready, self._ready = self._ready, False
         if not ready:

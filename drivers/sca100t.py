@@ -121,11 +121,7 @@ class Sca61t:
         return {**self._said(), "temperature": f"{temperature:.1f} °C (not trimmed)"}
 
     def read(self) -> Reading:
-        """Take one sample: the channels in counts, and the temperature in °C.
-
-        BusError: the transaction failed, or every bit of the sample is the same.
-        DeviceFault: a word that is a fault of the part.
-        """
+        """Take one sample: the channels in counts, and the temperature in °C."""
         answers = [self._answer(command, 3) for command in self.COMMANDS.values()]
         answers.append(self._answer(RWTR, 2))
         check_data_line(b"".join(answers))
@@ -173,8 +169,6 @@ class Sca100t(Sca61t):
         """Push one axis with its electrode, and test whether it moves and returns, in about a quarter of a second.
 
         The sensor must lie still. The datasheet forbids both axes at once.
-
-        UsageError: another channel than x or y, or an axis that points down, where the push may not reach the rail.
         """
         if channel not in ("x", "y"):
             raise UsageError(f"an SCA100T has channels x and y, not {channel!r}")

@@ -177,11 +177,7 @@ class Scl3300:
         return f"{(high.data << 16 | low.data)}B33"
 
     def read(self) -> Reading:
-        """Take one sample: x, y and z in counts, -32768 to 32767, and the temperature in °C.
-
-        BusError: the transaction failed, or no intact sample arrived.
-        DeviceFault: the part was reset or switched off since it was set up, or its status shows a fault.
-        """
+        """Take one sample: x, y and z in counts, -32768 to 32767, and the temperature in °C."""
         x, y, z, temperature = self._answers_to(SAMPLE)
         self._counts["samples"] += 1
         return Reading((float(x.signed), float(y.signed), float(z.signed)), -273.0 + temperature.signed / 18.9)

@@ -21,11 +21,7 @@ OPENING = (
 
 
 def open_i2c(address: Address, model: Device) -> I2cLink:
-    """Open an ``i2c:`` address for one device, whose 7-bit ``address`` is required.
-
-    UsageError: an unknown option, or an I2C address that is missing or reserved.
-    BusError: no such device node, or no permission.
-    """
+    """Open an ``i2c:`` address for one device, whose 7-bit ``address`` is required."""
     address.allow("address", *model.options)
     return I2cLink(address.path, address.integer("address", low=LOWEST, high=HIGHEST))
 

@@ -38,9 +38,6 @@ def open_modbus(address: Address, model: Device, lines: MutableMapping[str, Modb
 
     lines: the serial lines that were opened before, by their port, which the units of an RS-485 line share; a new one
         is added.
-
-    UsageError: an unknown or wrong option, or one that another unit on the line contradicts.
-    BusError: no such port, no permission, or no server.
     """
     unit = address.integer("unit", 1, low=1, high=247)
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=60.0)
@@ -129,10 +126,7 @@ class ModbusLine:
         self._client.close()
 
     def read(self, unit: int, function: int, first: int, number: int) -> Any:
-        """Return the answer of a unit: pymodbus' response to this request, or an exception response.
-
-        BusError: no answer with the right checksum, function and length, or the connection is gone.
-        """
+        """Return the answer of a unit: pymodbus' response to this request, or an exception response."""
         from pymodbus.exceptions import ConnectionException, ModbusException
 
         read = self._client.read_holding_registers if function == HOLDING else self._client.read_input_registers

@@ -25,11 +25,7 @@ ERRORS = (
 
 
 def open_spi(address: Address, model: Device) -> SpiLink:
-    """Open a ``spi:`` address for one device: options ``mode`` (0 to 3) and ``speed`` (Hz), within those of the model.
-
-    UsageError: an unknown option, or a mode or speed that the part does not support.
-    BusError: no such device, no permission, or a clock that is too slow for the part.
-    """
+    """Open a ``spi:`` address; its options ``mode`` (0 to 3) and ``speed`` (Hz) are within those of the model."""
     address.allow("mode", "speed", *model.options)
     port = model.spi
     if port is None:

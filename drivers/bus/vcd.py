@@ -24,10 +24,7 @@ MOST_NS = 1 << 63
 
 
 def open_vcd(address: Address, model: Device) -> VcdLink:
-    """Open a capture; ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several scopes have the name.
-
-    BusError: the file cannot be read, is damaged, or has no such signal.
-    """
+    """Open a capture; ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several scopes have the name."""
     address.allow("x", "y", *model.options)
     x, y = address.text("x"), address.text("y")
     if x == y:
