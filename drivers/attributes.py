@@ -21,13 +21,12 @@ from tiltcal.drivers.bus.attributes import ACCELERATION, LETTER, as_text
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.columns import (
-    OF_G,
     TEMPERATURE,
     ColumnLayout,
     columns_of,
     model_of_numbers,
 )
-from tiltcal.drivers.model import Model, Reading, in_words
+from tiltcal.drivers.model import OF_G, Model, Reading, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 

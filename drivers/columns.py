@@ -27,7 +27,7 @@ from typing import Any
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
-from tiltcal.drivers.model import Model, Reading, in_words, link_in_words
+from tiltcal.drivers.model import OF_G, Model, Reading, in_words, link_in_words
 from tiltcal.drivers.sketch import bare
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
@@ -63,11 +63,6 @@ SEPARATORS = {
     "any": rb"[ \t]*[,;][ \t]*|[ \t]+",
 }
 """By name, because some of the characters have a meaning in an address."""
-
-ACCELERATION = ("m/s2", "m/s^2", "m/s²")
-
-OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
-"""What 1 g is in the units that imply a nominal sensitivity."""
 
 UNSTATED = "unit"
 """Unit if the address states none."""

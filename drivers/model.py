@@ -14,6 +14,11 @@ from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.virtual import HeldPose, Truth
 from tiltcal.errors import UsageError
 
+ACCELERATION = ("m/s2", "m/s^2", "m/s²")
+
+OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
+"""What 1 g is in the units that imply a nominal sensitivity."""
+
 
 @dataclass(frozen=True, slots=True)
 class Reading:

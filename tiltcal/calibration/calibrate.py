@@ -20,7 +20,7 @@ from tiltcal.calibration.mounting import mount
 from tiltcal.calibration.ramp import calibrate_ramp
 from tiltcal.calibration.temperature import calibrate_sweep, with_typical_temperature
 from tiltcal.core.rounding import round_to
-from tiltcal.drivers.columns import ACCELERATION
+from tiltcal.drivers.model import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
