@@ -51,7 +51,7 @@ from tiltcal.drivers.converters import (
     take_input,
     take_supply,
 )
-from tiltcal.drivers.model import Model, Reading
+from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, Truth, uniform
 from tiltcal.errors import DeviceFault
 
@@ -96,7 +96,7 @@ class Wired:
         return self.part.output(wiring, self.numbers.index(number)) if number in self.numbers else 0.0
 
 
-class AnalogSensor:
+class AnalogSensor(Sensor):
     """The driver of an analog sensor or thermistor behind any converter."""
 
     def __init__(self, wired: Wired, link: Link, clock: Clock) -> None:
@@ -120,9 +120,6 @@ class AnalogSensor:
         """Take one sample."""
         shares, self._supply = self._wired.supply.shares(self._converter, self._wired.numbers)
         return self._wired.part.reading(shares)
-
-    def discard(self) -> None:
-        """Do nothing: every read is a new conversion."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from tiltcal.drivers.columns import (
     columns_of,
     model_of_numbers,
 )
-from tiltcal.drivers.model import OF_G, Model, Reading, in_words
+from tiltcal.drivers.model import OF_G, Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
@@ -97,7 +97,7 @@ class IioSensor:
         return whole_text(self._link.exchange(attribute.encode()))
 
 
-class PythonSensor:
+class PythonSensor(Sensor):
     """The driver of an object of Python."""
 
     def __init__(self, columns: ColumnLayout, link: Link, clock: Clock) -> None:
@@ -119,9 +119,6 @@ class PythonSensor:
             wanted = ",".join(self._columns.names)
             raise BusError(f"the object gives {text!r}, not the numbers {wanted} (columns=)")
         return reading
-
-    def discard(self) -> None:
-        """Do nothing: each reading is a new one."""
 
 
 def whole_text(answer: bytes) -> str:

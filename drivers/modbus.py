@@ -32,7 +32,7 @@ from tiltcal.drivers.columns import (
     model_of_numbers,
     require_name,
 )
-from tiltcal.drivers.model import Model, Reading, in_words
+from tiltcal.drivers.model import Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
@@ -133,7 +133,7 @@ class RegisterLayout:
             yield column.name, number * column.scale
 
 
-class ModbusColumns:
+class ModbusColumns(Sensor):
     """The driver of a device with numbers in Modbus registers."""
 
     def __init__(self, layout: RegisterLayout, link: Link, clock: Clock) -> None:
@@ -158,9 +158,6 @@ class ModbusColumns:
                 )
         values = tuple(numbers[channel] for channel in self._layout.channels)
         return Reading(values, numbers.get(TEMPERATURE), self._layout.step)
-
-    def discard(self) -> None:
-        """Do nothing: registers hold the latest numbers."""
 
     def _registers(self, request: bytes) -> dict[int, bytes]:
         function, first, number = struct.unpack(">BHH", request)

@@ -36,7 +36,7 @@ class Reading:
 
 
 class Sensor(Protocol):
-    """The interface of a driver on one link: bytes in, readings out."""
+    """The interface of a driver on one link, and the base of those that have nothing to discard."""
 
     def probe(self) -> Mapping[str, str]:
         """Return what the device reports about itself, for the operator."""
@@ -47,11 +47,11 @@ class Sensor(Protocol):
         ...
 
     def discard(self) -> None:
-        """Discard what arrived before now, so that the next reading is a new one.
+        """Discard what arrived before now, so that the next reading is a new one; a failure is a BusError.
 
         A sensor that is read sample by sample has nothing to discard; one that streams drops its queued data.
         """
-        ...
+        return
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from typing import ClassVar
 from tiltcal.drivers.bus import SpiPort
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link, check_data_line, require_length
-from tiltcal.drivers.model import Model, Population, Reading, deviation_within, typical_nonlinearity
+from tiltcal.drivers.model import Model, Population, Reading, Sensor, deviation_within, typical_nonlinearity
 from tiltcal.drivers.virtual import (
     REFERENCE,
     HeldPose,
@@ -97,7 +97,7 @@ class SelfTest:
         return self.deflected >= 0.95 * FULL_SCALE and abs(self.after - self.before) <= 0.05 * self.before
 
 
-class Sca61t:
+class Sca61t(Sensor):
     """The driver of an SCA61T, x in counts, 0 to 2047; and what the drivers of the family share."""
 
     COMMANDS: ClassVar[Mapping[str, int]] = {"x": RDAX}
@@ -127,9 +127,6 @@ class Sca61t:
         check_data_line(b"".join(answers))
         self._words = tuple(map(self._checked, self.COMMANDS, answers))
         return Reading(self._values(), decode_temperature(answers[-1]))
-
-    def discard(self) -> None:
-        """Do nothing: every read is a new conversion."""
 
     def _answer(self, command: int, length: int) -> bytes:
         self._clock.sleep(REFRESH)

@@ -24,7 +24,15 @@ from tiltcal.drivers.bus import SpiPort
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link, check_data_line, require_length
-from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words, typical_nonlinearity
+from tiltcal.drivers.model import (
+    Model,
+    Reading,
+    Sensor,
+    deviation_within,
+    in_words,
+    link_in_words,
+    typical_nonlinearity,
+)
 from tiltcal.drivers.registers import choose_range
 from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
@@ -148,7 +156,7 @@ class Scl3300Part(NamedTuple):
     nonlinearity: tuple[float, ...] = ()
 
 
-class Scl3300:
+class Scl3300(Sensor):
     """The driver of an SCL3300-D01 or SCA3300-D01 in one of its modes.
 
     It sets the part up before the first sample and again after any error. A damaged frame is asked for again; a part
@@ -181,9 +189,6 @@ class Scl3300:
         x, y, z, temperature = self._answers_to(SAMPLE)
         self._counts["samples"] += 1
         return Reading((float(x.signed), float(y.signed), float(z.signed)), -273.0 + temperature.signed / 18.9)
-
-    def discard(self) -> None:
-        """Do nothing: every read requests the latest words."""
 
     def link_statistics(self) -> Mapping[str, int]:
         """Return the counts of samples and of unusable frames.

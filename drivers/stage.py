@@ -48,7 +48,7 @@ FASTEST = 400.0
 
 _OCTAVES = 20
 _WANDER_PERIODS = (617.0, 1471.0)
-"""Seconds; no multiples of a turn."""
+"""Of a slow variation within ±1, seconds; no multiples of a turn."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,8 @@ class Gradiometer:
         disk = self._disk
         time = number / disk.rate
         turned = disk.spin * time % 1.0
-        common = sin(disk.inclination) * (1.0 + disk.wander * _wander(time))
+        wander = 0.5 * sum(sin(2.0 * pi * time / period) for period in _WANDER_PERIODS)
+        common = sin(disk.inclination) * (1.0 + disk.wander * wander)
         readings = tuple(
             self._reading(index, 2.0 * pi * turned, time, common, number) for index in range(len(CHANNELS))
         )
@@ -192,11 +193,6 @@ def draw_truth(seed: int) -> StageTruth:
         for name in CHANNELS
     )
     return StageTruth.of(replace(Disk(), accelerometers=parts, encoder_noise=0.002), seed)
-
-
-def _wander(time: float) -> float:
-    """Return a slow variation within ±1."""
-    return 0.5 * sum(sin(2.0 * pi * time / period) for period in _WANDER_PERIODS)
 
 
 PRINTED = "time,theta,a1,a2,a3,a4"

@@ -41,7 +41,9 @@ def open_modbus(address: Address, model: Device, lines: MutableMapping[str, Modb
     """
     unit = address.integer("unit", 1, low=1, high=247)
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=60.0)
-    library = _pymodbus()
+    library = import_library("pymodbus.client", "Modbus needs the Python package pymodbus", "'tiltcal[modbus]'")
+    if not (logger := logging.getLogger("pymodbus")).handlers:
+        logger.addHandler(logging.NullHandler())  # our errors report lost frames
     if address.path.startswith("tcp://"):
         address.allow("unit", "timeout", *model.options)
         return ModbusLink(_server(address, library, timeout), unit)
@@ -197,15 +199,6 @@ class ModbusLink:
     def close(self) -> None:
         """Close the line; closing twice is allowed, and the next request of another unit opens it again."""
         self._line.close()
-
-
-def _pymodbus() -> Any:
-    """Import the clients of pymodbus, and silence its log, because our errors report lost frames."""
-    client = import_library("pymodbus.client", "Modbus needs the Python package pymodbus", "'tiltcal[modbus]'")
-    logger = logging.getLogger("pymodbus")
-    if not logger.handlers:
-        logger.addHandler(logging.NullHandler())
-    return client
 
 
 def _why_not_opened(place: str) -> str:
