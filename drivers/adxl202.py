@@ -449,4 +449,3 @@ MODELS = {
         ("adxl210", "±10 g", 0.04, 500e-6),
     )
 }
-"""By the name that the user types."""

@@ -382,4 +382,3 @@ def thermistor_at(address: Address) -> Model:
 _PARTS = (_sca100t(sca100t.D01, 0.8), _sca100t(sca100t.D02, 0.4), *map(_adxl202, adxl202.MODELS.values()))
 
 MODELS = {model.name: model for model in (at(parse_address("sim:")) for at in (*(p.at for p in _PARTS), thermistor_at))}
-"""By the name that the user types."""

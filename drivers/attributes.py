@@ -216,4 +216,3 @@ def python_at(address: Address) -> Model:
 
 
 MODELS = {model.name: model for model in (at(parse_address("sim:")) for at in (iio_at, python_at))}
-"""By the name that the user types."""

@@ -350,4 +350,3 @@ def serial_columns_at(address: Address) -> Model:
 SERIAL_COLUMNS = serial_columns_at(parse_address("sim:"))
 
 MODELS = {SERIAL_COLUMNS.name: SERIAL_COLUMNS}
-"""By the name that the user types."""

@@ -1,7 +1,6 @@
 """Analog-to-digital converters, the supply of the sensors behind them, and virtual converters.
 
-A converter measures voltages; most analog sensors are ratiometric: their output is a share of their supply. A
-:class:`Supply` is measured with each sample or stated, and gives the readings as shares of it.
+A :class:`Supply` is measured with each sample or stated, and gives the readings of ratiometric sensors as shares of it.
 
 TI ADS1115, I2C: four inputs, 16 bits. Two registers are used, of two bytes each, most significant first, and a pointer
 that is written first::

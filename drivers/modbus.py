@@ -301,4 +301,3 @@ def modbus_columns_at(address: Address) -> Model:
 
 
 MODELS = {"modbus-columns": modbus_columns_at(parse_address("sim:"))}
-"""By the name that the user types."""

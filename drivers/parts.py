@@ -330,4 +330,3 @@ MODELS = {
         IIS2ICLX,
     )
 }
-"""By the name that the user types."""

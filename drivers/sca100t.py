@@ -75,7 +75,8 @@ NOT_MODELLED = (
     "long-term drift, temperature hysteresis, shock",
     "chip select released for less than 15 µs, clock above 500 kHz, bytes damaged by noise",
     "status register and reload command (RDSR, RLOAD): answered as invalid commands",
-    "self-test of both axes at once, which the datasheet forbids; how a push builds up, and dies away: it ends at once",
+    "self-test of both axes at once, which the datasheet forbids, and of an axis that points down",
+    "how the push of a self-test builds up and dies away: it ends at once",
 )
 
 
@@ -243,8 +244,6 @@ def decode_temperature(frame: bytes) -> float:
 RELOAD_NS = 150_000
 """Time between two conversions, which number the noise."""
 BIT_SECONDS = 1.0 / 500_000
-POINTS_DOWN = -0.065
-"""Below this acceleration, in g, an axis does not count as level for the self-test; the datasheet states no number."""
 SATURATION = 25e-3
 """Typical time to 95 % of the deflection of a self-test, s."""
 
@@ -291,22 +290,17 @@ class VirtualSca100t(VirtualPart):
             conversion = self._clock.now_ns() // RELOAD_NS
             return int(uniform(self._truth.seed, f"parity {element}", conversion) * LOWEST_SANE_WORD)
         up, celsius, now = self._state()
-        reading, noise, upright = self._element(element, up, celsius)
+        reading, noise = self._element(element, up, celsius)
         if element == self._pushed and self._clock.now_ns() - self._since_ns >= SATURATION * 1e9:
-            # A push moves the element past the rail, or by 1 g if it points down.
-            reading += self._own(element) if upright < POINTS_DOWN else 0.75 * FULL_SCALE
+            # A push moves the element past the rail; of one that points down the driver takes no self-test.
+            reading += 0.75 * FULL_SCALE
         if noise:
             reading += noise * normal(self._truth.seed, f"noise {element}", round(now * 1e9) // RELOAD_NS)
         return min(max(round(reading), 0), FULL_SCALE)
 
-    def _own(self, element: str) -> float:
-        """Return the sensitivity of an element, count/g."""
-        return self._truth.sensitivity[element][element]
-
-    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float, float]:
-        """Return what an element reads and the deviation of its noise, count, and the acceleration along it, g."""
-        reading = self._truth.reading(element, up, celsius)
-        return reading, self._truth.noise.get(element, 0.0), up["xy".index(element)]
+    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float]:
+        """Return what an element reads and the deviation of its noise, count."""
+        return self._truth.reading(element, up, celsius), self._truth.noise.get(element, 0.0)
 
 
 class VirtualSca61t(VirtualSca100t):
@@ -318,13 +312,9 @@ class VirtualSca61t(VirtualSca100t):
 class VirtualSca103t(VirtualSca100t):
     """An SCA103T: each element holds half of the difference about its middle, one with either sign."""
 
-    def _own(self, element: str) -> float:
-        return self._truth.sensitivity["x"]["x"] / 2.0
-
-    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float, float]:
-        sign = 1.0 if element == "x" else -1.0
+    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float]:
         half = self._truth.reading("x", up, celsius) / 2.0
-        return ZERO + sign * half, self._truth.noise.get("x", 0.0) / sqrt(2.0), sign * up[0]
+        return ZERO + (half if element == "x" else -half), self._truth.noise.get("x", 0.0) / sqrt(2.0)
 
 
 def _recentred(coefficients: Polynomial, centre: float) -> Polynomial:
@@ -515,4 +505,3 @@ MODELS = {
         _sca61t("FA1H1G", "±90°", 819.0, 0.23),
     )
 }
-"""By the name that the user types."""

@@ -513,4 +513,3 @@ def _model(name: str, part: Scl3300Part, address: Address) -> Model:
 MODELS = {
     name: _model(name, part, parse_address("sim:")) for name, part in (("scl3300", _SCL3300), ("sca3300-d01", _SCA3300))
 }
-"""By the name that the user types."""

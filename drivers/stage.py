@@ -230,4 +230,3 @@ def gradiometer_at(address: Address) -> Model:
 
 
 MODELS = {"gradiometer": gradiometer_at(parse_address("sim:"))}
-"""By the name that the user types."""

@@ -173,4 +173,3 @@ WITMOTION = Model(
 )
 
 MODELS = {WITMOTION.name: WITMOTION}
-"""By the name that the user types."""

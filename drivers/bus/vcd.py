@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 from io import BufferedReader
 from itertools import islice
+from operator import attrgetter
 from typing import Any
 
 from tiltcal.drivers.bus import Device
@@ -18,6 +19,8 @@ from tiltcal.errors import BusError
 
 PREFACE = 20
 """Lines before the header that are skipped."""
+
+_IDENTITY = attrgetter("st_ino", "st_size", "st_mtime_ns")
 
 MOST_NS = 1 << 63
 """The record of an edge holds times up to 292 years."""
@@ -76,7 +79,7 @@ class VcdLink:
     def _open(self) -> None:
         try:
             self._file = open(self._path, "rb")  # noqa: SIM115 - it stays open as long as the link
-            self._identity = _identity(os.fstat(self._file.fileno()))
+            self._identity = _IDENTITY(os.fstat(self._file.fileno()))
         except OSError as cause:
             raise BusError(f"{self._path} cannot be read ({cause.strerror}): is the path right?") from cause
         try:
@@ -91,16 +94,12 @@ class VcdLink:
 
     def _renew(self) -> None:
         try:
-            written_anew = _identity(os.stat(self._path)) != self._identity
+            written_anew = _IDENTITY(os.stat(self._path)) != self._identity
         except OSError:
             written_anew = False
         if written_anew:
             self.close()
             self._open()
-
-
-def _identity(status: os.stat_result) -> tuple[int, int, int]:
-    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _skip_preface(path: str, file: BufferedReader) -> None:
