@@ -123,13 +123,12 @@ class Sca61t(Sensor):
 
     def read(self) -> Reading:
         """Take one sample: the channels in counts, and the temperature in °C."""
-        answers = [self._answer(command, 3) for command in self.COMMANDS.values()]
-        answers.append(self._answer(RWTR, 2))
+        answers = [*map(self._answer, self.COMMANDS.values()), self._answer(RWTR, 2)]
         check_data_line(b"".join(answers))
         self._words = tuple(map(self._checked, self.COMMANDS, answers))
         return Reading(self._values(), decode_temperature(answers[-1]))
 
-    def _answer(self, command: int, length: int) -> bytes:
+    def _answer(self, command: int, length: int = 3) -> bytes:
         self._clock.sleep(REFRESH)
         return require_length(self._link.exchange(bytes([command]).ljust(length, b"\0")), length, "frame")
 
@@ -190,7 +189,7 @@ class Sca100t(Sca61t):
         return SelfTest(channel, before, deflected, self._word(channel, read))
 
     def _word(self, channel: str, command: int) -> int:
-        frame = self._answer(command, 3)
+        frame = self._answer(command)
         check_data_line(frame)
         # An element that is pushed is at its rail.
         return Sca61t._checked(self, channel, frame)

@@ -10,7 +10,6 @@ TYPE_CHECKING = False
 
 if TYPE_CHECKING:
     from tiltcal.bench.devices import open_sensor
-    from tiltcal.bench.plan import plan
     from tiltcal.errors import (
         BusError,
         DeviceFault,
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from tiltcal.library.measure import measure
     from tiltcal.library.noise import noise
     from tiltcal.library.pair_calibration import PairCalibration
+    from tiltcal.library.plan import plan
 
 __version__ = "0.1.0"
 
@@ -56,7 +56,7 @@ _HOME = {
     "noise": "library.noise",
     "open_calibrations": "library.calibration_library",
     "open_sensor": "bench.devices",
-    "plan": "bench.plan",
+    "plan": "library.plan",
     "read": "library.calibration",
 }
 """Where each name is defined; all others are errors."""

@@ -44,7 +44,6 @@ def test_the_good_files_are_good(folder: Path) -> None:
         ("serial: S-0042, ", "", 3, "serial"),
         ("y: 1021.9", "y: .nan", 5, "calibration.offset.y"),
         ("y: 1021.9", "y: 10:21", 5, "calibration.offset.y"),
-        ("y: 1021.9", 'y: "1021.9"', 5, "calibration.offset.y"),
         ("y: 1021.9", "y: 1021.9, y: 1021.8", 5, "y"),
         ("{x: -6.4, y: 820.7}", "{x: 818.2, y: 9.1}", 6, "calibration.sensitivity"),
         ("tiltcal: 1", "tiltcal: 99", 1, "tiltcal"),

@@ -9,7 +9,6 @@ from typing import Any
 import click
 import pytest
 
-from tiltcal.bench.plan import plan
 from tiltcal.cli.main import group
 from tiltcal.cli.options import NumberFromZero
 from tiltcal.cli.talk import wrapped
@@ -17,6 +16,7 @@ from tiltcal.errors import UsageError
 from tiltcal.library.apply import apply_log
 from tiltcal.library.fit import fit
 from tiltcal.library.measure import measure
+from tiltcal.library.plan import plan
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import FIXTURES
 from support.command import measure
-from support.json_program import GONE, Event, ProgramSession, lead
+from support.json_program import Event, ProgramSession, lead
 
 import tiltcal
 from tiltcal.bench.operators import parsed, understood
@@ -150,20 +150,6 @@ def test_a_program_that_does_not_act_on_refusals_is_asked_100_times(stubborn: Ev
     assert resumed.returncode == 0, resumed.stderr
 
 
-def test_a_program_that_answers_redo_alone_is_asked_100_times(tmp_path: Path) -> None:
-    """It was asked 40,000 times a second, each with a line of the journal."""
-    led = table(tmp_path, "plane", lambda ask, n: {"answer": "redo"})
-    assert led.exit_code == 130
-    assert len(led.asks) == 100
-    assert "in vain, the last time because the program answered redo" in led.errors
-
-
-def test_refusals_of_other_positions_count_apart(tmp_path: Path) -> None:
-    led = table(tmp_path, "plane", lambda ask, n: ready(ask, n) if n % 60 == 0 else "what?")
-    assert led.exit_code == 0, led.errors
-    assert len(led.events("refused")) == 4 * 59
-
-
 def test_back_at_the_first_position_is_refused_with_the_reason(tmp_path: Path) -> None:
     led = table(tmp_path, "plane", lambda ask, n: {"answer": "back"} if n == 1 else ready(ask, n))
     assert led.exit_code == 0, led.errors
@@ -179,12 +165,6 @@ def test_quit_keeps_what_was_measured(tmp_path: Path) -> None:
     resumed = measure("--resume", "S-1.journal.jsonl", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
     assert (tmp_path / "S-1.yaml").exists()
-
-
-def test_a_program_that_goes_away_is_a_quit(tmp_path: Path) -> None:
-    led = table(tmp_path, "plane", lambda ask, n: {"answer": "ready"} if n < 2 else GONE)
-    assert led.exit_code == 130
-    assert not (tmp_path / "S-1.yaml").exists()
 
 
 @pytest.mark.parametrize(

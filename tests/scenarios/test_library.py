@@ -135,18 +135,6 @@ def test_another_unit_is_refused(columns: dict[str, Any], segments: list[dict[st
         tiltcal.fit("six-face", data, segments=segments, columns=NAMED, **SENSOR)
 
 
-@pytest.mark.parametrize(("column", "unit"), [("x", "V"), ("uy", "V"), ("temperature", "K")])
-def test_a_table_in_another_unit_is_refused(column: str, unit: str) -> None:
-    """293 K as 293 °C, or volts as m/s², would be a calibration without a word."""
-    means = {axis: [9.8 * up[k] for up in FACES.values()] for k, axis in enumerate("xyz")}
-    table = means | {f"u{axis}": [0.01] * 6 for axis in "xyz"} | {"temperature": [20.0] * 6}
-    data = xr.Dataset({name: ("position", values) for name, values in table.items()}, {"position": list(FACES)})
-    assert tiltcal.fit("six-face", data, **SENSOR).offset["x"] == pytest.approx(0.0, abs=1e-9)
-    data[column].attrs["units"] = unit
-    with pytest.raises(tiltcal.InputError, match=f"the table: column '{column}' is in {unit}, and"):
-        tiltcal.fit("six-face", data, **SENSOR)
-
-
 def test_apply_and_apply_log_agree(folder: Path, columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:
     found = tiltcal.fit("six-face", columns, segments=segments, columns=NAMED, **SENSOR)
     assert isinstance(found, tiltcal.Calibration)
@@ -188,11 +176,6 @@ def test_a_session_gives_the_same_file(
         found = tiltcal.measure(procedure, operator="sim", output="it.yaml", **options)
     assert (tmp_path / "library/it.yaml").read_bytes() == (tmp_path / "command/it.yaml").read_bytes()
     assert found == tiltcal.read(tmp_path / "command/it.yaml")
-
-
-def test_a_sensor_is_read() -> None:
-    with tiltcal.open_sensor("sca100t-d02", "sim:?seed=3") as sensor:
-        assert len(sensor.read().values) == 2
 
 
 def test_pairs_are_matched_from_frame_and_file_alike(tmp_path: Path) -> None:

@@ -24,12 +24,10 @@ from support.uncertain_readings import uncertain_readings
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.equations import Equations
-from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.estimation.hysteresis import with_hysteresis
+from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation
-from tiltcal.core.estimation.solve import solved_at
+from tiltcal.core.estimation.solve import budgets, solved_at
 from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means, pooled, summarise
 
 Array = NDArray[np.float64]

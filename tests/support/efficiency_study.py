@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
-from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.free import fit_free
 from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.estimation.solve import solved_at
+from tiltcal.core.estimation.solve import budgets, solved_at
 
 Array = NDArray[np.float64]
 

@@ -95,8 +95,8 @@ def _to_sensor(device: BenchDevice, truth: Truth) -> Callable[[Vector], Vector]:
     """Return the function that takes a vector of the fixture's frame into the sensor's."""
     if truth.mounting == (0.0, 0.0, 0.0):
         return device.orientation.seen
+    from tiltcal.core.attitude import mounting_matrix
     from tiltcal.core.model import Mounting
-    from tiltcal.core.mounting_angles import mounting_matrix
 
     roll, pitch, yaw = map(radians, truth.mounting)
     to_sensor = mounting_matrix(Mounting(roll, pitch, yaw)).T

@@ -20,11 +20,10 @@ import tiltcal
 from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, rounded_covariance, stated_section
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
-from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate
-from tiltcal.core.estimation.hysteresis import with_hysteresis
+from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
-from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, vector_of
-from tiltcal.core.named_coefficients import referred, values
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap
+from tiltcal.core.named_coefficients import referred, values, vector_of
 from tiltcal.core.rounding import plus_minus
 from tiltcal.core.samples import BLOCKS, pooled
 from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, selection

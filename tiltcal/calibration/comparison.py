@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.wording import unit_of
-from tiltcal.core.attitude import LEVEL, orientation
+from tiltcal.core.attitude import LEVEL, mounting_matrix, orientation, rotation_vector
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.mounting_angles import mounting_matrix
-from tiltcal.core.mounting_rotation import rotation_vector
 from tiltcal.core.named_coefficients import referred, uncertain_at, values
 from tiltcal.core.rounding import plus_minus
 from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, weighted_sum

@@ -8,12 +8,12 @@ from math import degrees
 
 import numpy as np
 
+from tiltcal.core.attitude import UNKNOWN_FACTOR
 from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.estimation.positions import Design
-from tiltcal.core.model import AXES, Array, Coefficients, with_vector
-from tiltcal.core.mounting_angles import UNKNOWN_FACTOR
-from tiltcal.core.named_coefficients import values
+from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.named_coefficients import values, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import NEGLIGIBLE, NORMAL_FACTOR, TURN, Uncertain
 from tiltcal.errors import EstimateError
@@ -68,47 +68,21 @@ def stated_section(uncertain: Uncertain, before: Uncertainty | None = None) -> U
     )
 
 
-def unrounded_section(uncertain: Uncertain) -> Uncertainty:
-    """Return uncertain coefficients as a calibration that is not written states them, without rounding."""
-    known = uncertain.chosen(np.flatnonzero(uncertain.u > 0.0))
-    matrix, wide = _in_file_units(known)
-    u = known.by_name(np.sqrt(np.diag(matrix)))
-    return Uncertainty(
-        {name: value for name, value in u.items() if not name.startswith(TURN)},
-        coverage_factor={name: k for name, k in known.by_name(known.factors).items() if k > NORMAL_FACTOR},
-        covariance=Covariance(
-            parameters=known.names,
-            matrix=tuple(map(tuple, matrix.tolist())),
-            wide=tuple(map(tuple, wide.tolist())) if _is_wider(known) else (),
-        ),
-    )
-
-
 def rounded_covariance(uncertain: Uncertain) -> Covariance:
     """Return the covariance of what is uncertain, without the rounding errors that stand for zero."""
     known = uncertain.chosen(np.flatnonzero(uncertain.u > 0.0))
-    matrix, wide = (
-        tuple(
-            tuple(round_to(float(value), u * other / MATRIX_DIGITS) for value, other in zip(row, us, strict=True))
-            for row, u in zip(table, us, strict=True)
-        )
-        for table in _in_file_units(known)
-        for us in [np.sqrt(np.diag(table)).tolist()]
-    )
-    return Covariance(parameters=known.names, matrix=matrix, wide=wide if _is_wider(known) else ())
+    scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in known.names])  # as files have turns
 
+    def printed(covariance: Array) -> tuple[tuple[float, ...], ...]:
+        table = covariance * np.outer(scale, scale)
+        u = np.sqrt(np.diag(table))
+        steps = (np.outer(u, u) / MATRIX_DIGITS).tolist()
+        return tuple(tuple(map(round_to, row, step)) for row, step in zip(table.tolist(), steps, strict=True))
 
-def _is_wider(uncertain: Uncertain) -> bool:
-    """Return whether few degrees of freedom widen the intervals of some quantities, and not of all alike."""
-    factors = uncertain.factors
-    return bool(len(factors) and np.ptp(factors) > NEGLIGIBLE * NORMAL_FACTOR)
-
-
-def _in_file_units(uncertain: Uncertain) -> tuple[Array, Array]:
-    """Return both covariances with turns of the mounting in degrees, as files have them, and not in radians."""
-    scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in uncertain.names])
-    scales = np.outer(scale, scale)
-    return uncertain.covariance * scales, uncertain.wide * scales
+    # Few degrees of freedom widen the intervals of some quantities, and not of all alike.
+    wider = bool(len(known.names) and np.ptp(known.factors) > NEGLIGIBLE * NORMAL_FACTOR)
+    wide = printed(known.wide) if wider else ()
+    return Covariance(parameters=known.names, matrix=printed(known.covariance), wide=wide)
 
 
 def derived_record(found: Estimate, assumed: str, *, mounted: bool) -> DerivedRecord:
@@ -139,25 +113,38 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
 
     ``noise`` is the largest standard uncertainty of a reading, unit.
     """
+
+    def shown(estimated: float | None) -> float | None:
+        return None if estimated is None else significant(estimated, SHARE_DIGITS)
+
     scale = max(noise, float(np.max(np.abs(found.residuals))))
     residuals = {
         position: {c: round_to(float(r), scale) for c, r in zip(design.channels, row, strict=True)}
         for position, row in zip(found.positions, found.residuals, strict=True)
     }
+    # The rounded ones are compared, so that a tie falls alike on every processor.
+    places = [(position, channel) for position, row in residuals.items() for channel in row]
+    position, channel = max(places, key=lambda place: abs(residuals[place[0]][place[1]]))
+    worst = WorstResidual(position=position, channel=channel, residual=residuals[position][channel])
+    source = "stated noise and jig" if found.estimated_noise is None else "stated jig, residuals for the noise"
+    if not found.stated:
+        source = "residuals"
+    elif design.free:
+        source = "noise alone: no position is left over"
+    elif design.jig is None:
+        source = NOISE_ALONE
     record = FitRecord(
         residuals=residuals,
-        worst=_worst(residuals) if found.dof else None,
+        worst=worst if found.dof else None,
         degrees_of_freedom=found.dof,
-        uncertainty_from=_source_of_uncertainty(found, design),
+        uncertainty_from=source,
         jig_degrees=None if design.free else design.jig,
         table_degrees=design.table,
         heading_degrees=design.heading or None,
-        jig_estimated_degrees=None if found.estimated_jig is None else significant(found.estimated_jig, SHARE_DIGITS),
+        jig_estimated_degrees=shown(found.estimated_jig),
         thermometer_celsius=design.thermometer or None,
-        thermometer_estimated_celsius=None
-        if found.estimated_thermometer is None
-        else significant(found.estimated_thermometer, SHARE_DIGITS),
-        noise_estimated=None if found.estimated_noise is None else significant(found.estimated_noise, SHARE_DIGITS),
+        thermometer_estimated_celsius=shown(found.estimated_thermometer),
+        noise_estimated=shown(found.estimated_noise),
         budget=budget_record(found.uncertain),
         notes=tuple(found.notes),
         priors={}
@@ -234,22 +221,3 @@ def budget_record(uncertain: Uncertain) -> dict[str, dict[str, float]]:
         for k, name in enumerate(uncertain.names)
         if uncertain.u[k] > 0.0
     }
-
-
-def _source_of_uncertainty(found: Estimate, design: Design) -> str:
-    if not found.stated:
-        return "residuals"
-    if design.free:
-        return "noise alone: no position is left over"
-    if design.jig is None:
-        return NOISE_ALONE
-    return "stated noise and jig" if found.estimated_noise is None else "stated jig, residuals for the noise"
-
-
-def _worst(residuals: Mapping[str, Mapping[str, float]]) -> WorstResidual:
-    """Return the largest residual; the rounded ones are compared, so that a tie falls alike on every processor."""
-    position, channel = max(
-        ((position, channel) for position, row in residuals.items() for channel in row),
-        key=lambda place: abs(residuals[place[0]][place[1]]),
-    )
-    return WorstResidual(position=position, channel=channel, residual=residuals[position][channel])

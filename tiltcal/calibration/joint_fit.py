@@ -12,8 +12,7 @@ import numpy as np
 from tiltcal.calibration.checks import judge_channels
 from tiltcal.calibration.estimate_record import DIGITS, derived_record, fit_record, rounded, stated_section
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
-from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.estimation.hysteresis import with_hysteresis
+from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.model import AXES, Limits
 from tiltcal.core.named_coefficients import values

@@ -29,11 +29,11 @@ from tiltcal.calibration.estimate_record import (
 )
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
-from tiltcal.core.attitude import heading_rotations
+from tiltcal.core.attitude import heading_rotations, mounting_matrix
 from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.model import AXES, Array, vector_of, with_vector
-from tiltcal.core.mounting_angles import mounting_matrix
+from tiltcal.core.model import AXES, Array
+from tiltcal.core.named_coefficients import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, central_differences, selection, weighted_sum
 from tiltcal.errors import EstimateError

@@ -11,17 +11,21 @@ import numpy as np
 from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import Measurement, missing_temperature
-from tiltcal.core.compensation import Compensation
-from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
-from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, UNKNOWN_FACTOR, is_locked, mounting_matrix
-from tiltcal.core.mounting_rotation import (
+from tiltcal.core.attitude import (
+    UNKNOWN_ANGLE,
+    UNKNOWN_FACTOR,
     MountingEstimate,
     angle_derivatives,
+    is_locked,
+    mounting_matrix,
     mounting_rotation,
     rotation_vector,
     solve_mounting,
 )
+from tiltcal.core.compensation import Compensation
+from tiltcal.core.estimation.positions import Observation
+from tiltcal.core.model import AXES, Array, Coefficients, Mounting
+from tiltcal.core.named_coefficients import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import TURN, Uncertain, central_differences
 from tiltcal.errors import EstimateError

@@ -13,10 +13,9 @@ from tiltcal.calibration.checks import require_tilt
 from tiltcal.calibration.joint_fit import design_of
 from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.calibration.wording import unit_of
-from tiltcal.core.attitude import STRAIGHT, Orientation
+from tiltcal.core.attitude import STRAIGHT, Orientation, angle_uncertainty, solve_mounting
 from tiltcal.core.estimation.design import PlannedPosition, Prediction, predict_uncertainty
 from tiltcal.core.estimation.positions import Design
-from tiltcal.core.mounting_rotation import angle_uncertainty, solve_mounting
 from tiltcal.core.samples import rounding_of_means
 from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity

@@ -17,7 +17,8 @@ from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.estimation.positions import Design
-from tiltcal.core.model import Array, Coefficients, Thermal, with_vector
+from tiltcal.core.model import Array, Coefficients, Thermal
+from tiltcal.core.named_coefficients import with_vector
 from tiltcal.core.ramp.fit import RESOLVED, RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord, row_noise
 from tiltcal.core.rounding import plus_minus, round_to, significant
@@ -29,14 +30,9 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import CrossValidation, Hysteresis, RampFitRecord, RampLeg
 
-GROUPS = 8
-"""Parts of a leg that the file lists as positions."""
-
-NOTED = 0.05
-"""°C; an error of the element's temperature behind turns that is less is not worth a note."""
-
-FAR = 0.5
-"""g; an offset that differs by more from that of the base calibration belongs to another attitude."""
+GROUPS = 8  # parts of a leg that the file lists as positions
+NOTED = 0.05  # °C; an error of the element's temperature behind turns that is less is not worth a note
+FAR = 0.5  # g; an offset that differs by more from that of the base calibration belongs to another attitude
 
 
 def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:

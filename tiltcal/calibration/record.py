@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from math import radians
+from typing import TYPE_CHECKING
 
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Limits, Mounting
@@ -15,6 +16,9 @@ from tiltcal.files.document import Document
 from tiltcal.files.pair import PairRecord, pair_record
 from tiltcal.files.uncertainty import length_tolerance
 from tiltcal.stated_arguments import is_number, require_boolean, shown
+
+if TYPE_CHECKING:
+    from tiltcal.drivers.model import Model
 
 
 def record_in(document: Document) -> CalibrationRecord | PairRecord:
@@ -29,20 +33,22 @@ def record_in(document: Document) -> CalibrationRecord | PairRecord:
     return record
 
 
-def limits_of(calibration: CalibrationRecord) -> Limits:
-    """Return where a calibration holds, angles in radians; the rails are the model's where the file names none."""
-    limits, sensor = calibration.limits, calibration.sensor
-    if limits.reading or sensor.model == UNKNOWN_MODEL:
-        return limits
+def model_of(calibration: CalibrationRecord) -> Model | None:
+    """Return the model of a sensor whose readings have the unit of its data sheet; None where it is not known."""
     from tiltcal.drivers import find_model
 
     try:
-        model = find_model(sensor.model)
+        model = find_model(calibration.sensor.model)
     except UsageError:
-        return limits
-    if model.unit != sensor.unit:
-        return limits
-    return replace(limits, reading=dict.fromkeys(sensor.channels, model.rails))
+        return None
+    return model if model.unit == calibration.sensor.unit else None
+
+
+def limits_of(calibration: CalibrationRecord) -> Limits:
+    """Return where a calibration holds, angles in radians; the rails are the model's where the file names none."""
+    limits, sensor = calibration.limits, calibration.sensor
+    model = None if limits.reading or sensor.model == UNKNOWN_MODEL else model_of(calibration)
+    return limits if model is None else replace(limits, reading=dict.fromkeys(sensor.channels, model.rails))
 
 
 def compensation_of(calibration: CalibrationRecord, *, first_order: bool = False) -> Compensation:

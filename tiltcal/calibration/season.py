@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from tiltcal.calibration.comparison import Comparison, compare_records, shared_errors, uncertain_of
-from tiltcal.calibration.estimate_record import unrounded_section
+from tiltcal.calibration.estimate_record import stated_section
 from tiltcal.core.model import Array, Coefficients, Limits, overlap
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.uncertain import Uncertain, weighted_sum
@@ -307,8 +307,7 @@ def _with_walk(errors: Uncertain, walked: Mapping[str, float]) -> Uncertain:
 
 
 def _section(errors: Uncertain, single: Mapping[str, float], alignment: float) -> Uncertainty:
-    section = unrounded_section(errors) if errors.names else Uncertainty({})
-    return replace(section, single_reading=single, alignment=alignment)
+    return replace(stated_section(errors), single_reading=single, alignment=alignment)
 
 
 def _interpolated(

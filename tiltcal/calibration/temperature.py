@@ -20,10 +20,10 @@ from numpy.polynomial import Polynomial
 from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.joint_fit import fit_jointly, observed_sensor
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.core.estimation.hysteresis import ALIKE
+from tiltcal.core.estimation.estimate import ALIKE, Estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.model import Array, Thermal, vector_of, with_vector
+from tiltcal.core.model import Array, Thermal
+from tiltcal.core.named_coefficients import vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import Uncertain, central_differences
 from tiltcal.errors import EstimateError

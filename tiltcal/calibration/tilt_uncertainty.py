@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import degrees, radians
+from math import radians
 
 import numpy as np
 
+from tiltcal.calibration.record import model_of
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import Array, Coefficients, Limits
+from tiltcal.core.model import AXES, Array, Coefficients, Limits
 from tiltcal.core.uncertain import TURN
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.uncertainty import stated_uncertainty
 
@@ -42,60 +43,30 @@ class TiltUncertainty:
 
 def tilt_uncertainty(calibration: CalibrationRecord) -> dict[str, TiltUncertainty]:
     """Return the uncertainty by axis, in the sensor's frame; empty where the file states none of its coefficients."""
-    coefficients, nominal = replace(calibration.coefficients, mounting=None), _nominal(calibration)
+    coefficients, uncertainty = replace(calibration.coefficients, mounting=None), calibration.uncertainty
     try:
         compensation = Compensation(coefficients)
-        stated = (
-            stated_uncertainty(calibration.uncertainty, coefficients, reading_noise=noise) for noise in (0.0, None)
-        )
+        stated = (stated_uncertainty(uncertainty, coefficients, reading_noise=noise) for noise in (0.0, None))
         kernels = [CompensationWithUncertainty(compensation, coefficients, u.without(TURN)) for u, _ in stated]
     except EstimateError:
         return {}
+    channels, model, nominal = coefficients.channels, model_of(calibration), None
+    if model is not None and model.scaled:
+        sheet = np.full(len(channels), model.offset), model.sensitivity * np.eye(len(channels))
+        nominal = Compensation(Coefficients(channels, channels, *sheet), Limits())
     by_axis = {}
-    for axis, tilt in _ranges(calibration, compensation.axes).items():
-        readings = coefficients.predict(_attitudes(axis, tilt))
-        temperature = None if coefficients.thermal is None else np.full(len(tilt), coefficients.thermal.reference)
-        place = compensation.axes.index(axis)
+    for place, axis in enumerate(compensation.axes):
+        low, high = np.degrees(calibration.limits.tilt.get(axis, (radians(-USUAL), radians(USUAL)))).tolist()
+        tilt = np.linspace(max(low, -STEEPEST), min(high, STEEPEST), POINTS)
+        gravity = np.zeros((POINTS, 3))
+        gravity[:, AXES.index(axis)] = np.sin(np.radians(tilt))
+        gravity[:, AXES.index("z" if axis != "z" else "x")] = np.cos(np.radians(tilt))
+        readings = coefficients.predict(gravity)
+        temperature = None if coefficients.thermal is None else np.full(POINTS, coefficients.thermal.reference)
         alone, reading = (kernel(readings, temperature).expanded[:, place] for kernel in kernels)
         before = None if nominal is None else nominal(readings).tilt[:, nominal.axes.index(axis)] - tilt
         by_axis[axis] = TiltUncertainty(tilt, before, alone, reading)
     return by_axis
-
-
-def _ranges(calibration: CalibrationRecord, axes: Sequence[str]) -> dict[str, Array]:
-    """Return the tilts of each reported axis over the covered range, degrees."""
-    by_axis = {}
-    for axis in axes:
-        low, high = calibration.limits.tilt.get(axis, (radians(-USUAL), radians(USUAL)))
-        by_axis[axis] = np.linspace(max(degrees(low), -STEEPEST), min(degrees(high), STEEPEST), POINTS)
-    return by_axis
-
-
-def _attitudes(axis: str, tilt: Array) -> Array:
-    """Return gravity with one axis tilted and the rest along z, or along x for the z axis; shape (n, 3)."""
-    other = "z" if axis != "z" else "x"
-    gravity = np.zeros((len(tilt), 3))
-    gravity[:, "xyz".index(axis)] = np.sin(np.radians(tilt))
-    gravity[:, "xyz".index(other)] = np.cos(np.radians(tilt))
-    return gravity
-
-
-def _nominal(calibration: CalibrationRecord) -> Compensation | None:
-    """Return the tilt with the coefficients of the data sheet; None if model or scale are unknown."""
-    from tiltcal.drivers import find_model
-
-    sensor, coefficients = calibration.sensor, calibration.coefficients
-    try:
-        model = find_model(sensor.model)
-    except UsageError:
-        return None
-    if model.unit != sensor.unit or not model.scaled:
-        return None
-    channels = coefficients.channels
-    nominal = Coefficients(
-        channels, channels, np.full(len(channels), model.offset), model.sensitivity * np.eye(len(channels))
-    )
-    return Compensation(nominal, Limits())
 
 
 def tilt_uncertainty_lines(calibration: CalibrationRecord) -> Iterator[str]:

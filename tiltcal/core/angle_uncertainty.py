@@ -1,31 +1,55 @@
-"""A compensation with the uncertainty of every angle, row by row; see :mod:`tiltcal.core.uncertainty_propagation`."""
+"""The uncertainty of every angle, row by row, by the law of propagation: J C Jᵀ (GUM, 5.1.2).
+
+The compensation solves ``u = f(c, T, g)``, so its error follows from the derivatives of the model that it inverts::
+
+    dv = (du - sum_k (df/dc_k) dc_k - (df/dT) dT) / (df/dv)          v = S g, the signal of a channel
+    dg = S⁻¹ dv + (rotation error of the mounting) × g
+
+The covariance of signals and turns is computed once a row; the variance of every quantity is a quadratic form of it.
+A component that is not measured follows the two that are; see :mod:`tiltcal.core.compensation`. From the components to
+the angles it is a gradient again, except at an edge: at ±90° of a tilt the interval of the argument is taken through
+the arcsine, and where an angle of three axes comes from a length near zero, an error across it counts too.
+
+Intervals of 95 % come from ``wide``, and standard uncertainties alike from ``covariance`` where it differs.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import nan, pi
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tiltcal.core.compensation import Compensated, Compensation
+from tiltcal.core.attitude import UNKNOWN_ANGLE
+from tiltcal.core.compensation import Compensated, Compensation, KernelChunk, product
+from tiltcal.core.flags import FAIL, NO_TEMPERATURE
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap
-from tiltcal.core.uncertain import TURN, Uncertain
-from tiltcal.core.uncertainty_propagation import Propagation
+from tiltcal.core.tilt_angles import DIRECTIONS
+from tiltcal.core.uncertain import ALIGNMENT, NEGLIGIBLE, NORMAL_FACTOR, READING, TURN, Uncertain
+from tiltcal.errors import EstimateError
 
+HALF_TURN = pi
+"""No half width is more, radians."""
+
+CIRCLE = 1.2489
+"""Radius of the circle that holds 95 % of the errors in two directions, over the half width that holds them in one."""
+
+_EXACT = 1e-9  # part of a square below which its error changes nothing else
+_ROWS = 4096  # of a step: its derivatives stay in the cache
+_CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
 _ATTITUDES, _ROUNDING = 9, 1e-9  # values of g_x and of g_y at which the length of gravity is tried; g
+_SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(2048.0) - 1023.0)), 1, 22)  # by biased exponent
+_MANTISSA = np.uint64(52)  # bits behind the exponent of a double
 
 
 @dataclass(frozen=True)
 class AngleUncertainty:
-    """What the kernel makes of n rows, and how uncertain its angles are.
+    """What the kernel makes of n rows, and how uncertain its angles are, degrees, shape (n, angles); NaN if unknown.
 
-    Attributes
-    ----------
-    standard : ndarray, shape (n, angles)
-        Standard uncertainty of each angle (k = 1), degrees, to four digits; NaN where it is not known.
-    expanded : ndarray, shape (n, angles)
-        Half width of its 95 % interval, degrees.
+    ``standard`` uncertainties (k = 1) and ``expanded`` ones, half widths of 95 % intervals, are rounded up.
     """
 
     compensated: Compensated
@@ -33,39 +57,222 @@ class AngleUncertainty:
     expanded: Array
 
 
+@dataclass(frozen=True)
+class _Errors:
+    """Some rows with the covariance of their signals, behind them of the turns, by pair."""
+
+    chunk: KernelChunk
+    covariances: dict[tuple[int, int], Array]
+
+
 class CompensationWithUncertainty:
     """A compensation, of the same coefficients, with the uncertainty of each angle.
 
-    Raises
-    ------
-    EstimateError
-        The coefficients have none of a name, or a mounting is uncertain of a sensor that has no x and y.
-
-    Notes
-    -----
     A row has no uncertainty (NaN) where its flag is 4 or 9, where its temperature is missing and counts, and where the
-    argument of an arcsine is so far beyond ±1 that its interval does not reach back.
+    argument of an arcsine is so far beyond ±1 that its interval does not reach back. An EstimateError refuses an
+    uncertain coefficient that is not there, and an uncertain mounting of a sensor that has no x and y.
     """
 
     def __init__(self, compensation: Compensation, coefficients: Coefficients, uncertain: Uncertain) -> None:
-        self._compensation = compensation
-        self.propagation = Propagation(compensation, coefficients, uncertain)
-        self._angles = compensation.angles
-
-    @property
-    def expanded(self) -> tuple[str, ...]:
-        """Names of the columns of a log that hold half widths of 95 % intervals, in the order of the angles."""
-        return tuple(f"U95_{angle}" for angle in self._angles)
+        self._compensation, self._coupling = compensation, compensation.coupling
+        self._rotation = np.eye(3) if compensation.rotation is None else compensation.rotation
+        self._sees_all = len(compensation.axes) == 3
+        alone = uncertain.by_name(uncertain.u)
+        self._readings = [alone.get(READING + channel, 0.0) for channel in coefficients.channels]
+        self._thermometer, self._alignment = alone.get(f"{READING}temperature", 0.0), alone.get(ALIGNMENT, 0.0)
+        known = uncertain.without(READING, ALIGNMENT)
+        self._rotated = any(name.startswith(TURN) for name in known.names)
+        if self._rotated and compensation.axes not in (("x", "y"), AXES):
+            raise EstimateError("a mounting that is uncertain takes a sensor that measures at least x and y")
+        self._models, self._vectors = coefficients.models, coefficients.vectors
+        parts = [[name for name in model.coefficients if name in known.names] for model in self._models]
+        parts += [[TURN + axis] for axis in AXES] if self._rotated else []
+        for name in set(known.names).difference(*parts):
+            raise EstimateError(f"the calibration has no coefficient {name!r}")
+        self._columns = [
+            [model.coefficients.index(name) for name in names]
+            for model, names in zip(self._models, parts, strict=False)
+        ]
+        known = known.named([name for names in parts for name in names])
+        self._parts = [slice(*ends) for ends in pairwise(np.cumsum([0, *map(len, parts)]).tolist())]
+        self._kinds = [known.wide]
+        if np.any(np.abs(known.factors / NORMAL_FACTOR - 1.0) > NEGLIGIBLE):
+            self._kinds.append(known.covariance)
 
     def __call__(self, readings: ArrayLike, temperature: ArrayLike | None = None) -> AngleUncertainty:
         """Compensate rows; the arguments are those of :class:`Compensation`."""
         rows = len(np.asarray(readings))
         compensated = Compensated.empty(rows, len(self._compensation.axes))
-        standard, expanded = uncertainty = np.empty((2, len(self._angles), rows))
+        standard, expanded = room = np.empty((2, len(self._compensation.angles), rows))
         with np.errstate(all="ignore"):
             for chunk in self._compensation.chunks(readings, temperature, compensated):
-                uncertainty[:, :, chunk.rows] = self.propagation(chunk)
+                room[:, :, chunk.rows] = self.of_angles(chunk)
         return AngleUncertainty(compensated, standard.T, expanded.T)
+
+    def of_angles(self, chunk: KernelChunk, out: Array | None = None, *, rounded: bool = True) -> Array:
+        """Return standard and expanded uncertainty of every angle, rounded up or not, shape (2, angles, n), degrees."""
+        count = len(chunk.out.flag)
+        room = np.empty((2, len(self._compensation.angles), count)) if out is None else out
+        for start in range(0, count, _ROWS):
+            part = room[:, :, start : start + _ROWS]
+            kinds = self._errors(chunk.part(slice(start, start + _ROWS)))
+            for errors, half in zip(kinds, part[::-1], strict=False):
+                self._angles(errors, half)
+            np.minimum(part[-len(kinds)] / NORMAL_FACTOR, UNKNOWN_ANGLE, out=part[0])
+            np.minimum(part[1], HALF_TURN, out=part[1])
+            part *= 180.0 / pi
+            if rounded:
+                round_up(part)
+        lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)
+        if lost.any():
+            room[:, :, lost] = np.nan
+        return room
+
+    def length_half_width(self, chunk: KernelChunk) -> Array:
+        """Return half of the 95 % interval of the length of gravity of three axes, shape (n,), g."""
+        return self._half(self._errors(chunk)[0], chunk.own / np.sqrt(np.sum(chunk.own**2, axis=0)))
+
+    def of_up(self, chunk: KernelChunk, gradients: Iterable[tuple[Array, Array, Array | float]]) -> Array:
+        """Return of quantities that follow from up their standard uncertainties, and half of their 95 % intervals.
+
+        In their units, shape (2, quantities, n). A gradient has the derivatives by the unit vector that points up,
+        across it, and by a turn of the mounting about the application's axes, both of shape (3, n), and the variance
+        that other sources of known size add, shape (n,).
+        """
+        kinds, gravity = self._errors(chunk), self._compensation.sensed(chunk)
+        length = np.sqrt(np.einsum("in,in->n", gravity, gravity))
+        halves = []
+        for by_up, by_turn, more in gradients:
+            own = (self._rotation.T @ by_up) / length
+            for errors in kinds:
+                by_measured = own
+                if not self._sees_all:  # g_z follows from the length of up, which stays 1
+                    share = (self._coupling @ own[:2] - own[2]) / self._slope_of_hidden(errors, gravity)
+                    by_measured = own[:2] + share * gravity[:2]
+                halves.append(self._half(errors, by_measured, by_turn if self._rotated else None, more))
+        found = np.array(halves).reshape(-1, len(kinds), len(length))
+        return np.stack([found[:, -1] / NORMAL_FACTOR, found[:, 0]])
+
+    # From errors to quantities
+
+    def _errors(self, chunk: KernelChunk) -> list[_Errors]:
+        """Return the covariance of the signals and turns of some rows, by ``wide`` and, where it differs, as it is."""
+        gravity = self._compensation.sensed(chunk)
+        dt = np.zeros(gravity.shape[1]) if chunk.dt is None else chunk.dt
+        rows, by_temperature = [], []
+        stated: dict[tuple[int, int], Array] = {}  # what noise and thermometer add
+        for k, (model, theta, columns) in enumerate(zip(self._models, self._vectors, self._columns, strict=True)):
+            read = model.read(theta, gravity.T, dt)
+            slope = 1.0 / read.by_signal
+            rows.append(read.by_coefficient.T[columns] * -slope)
+            stated[k, k] = (self._readings[k] * slope) ** 2 * chunk.share
+            by_temperature.append(self._thermometer * slope * read.by_temperature)
+        rows += [np.ones((1, len(dt)))] * (3 * self._rotated)
+        if self._thermometer:
+            for b in range(len(by_temperature)):
+                for a in range(b + 1):
+                    stated[a, b] = stated.get((a, b), 0.0) + by_temperature[a] * by_temperature[b]
+        return [_Errors(chunk, self._signals(rows, covariance, stated)) for covariance in self._kinds]
+
+    def _signals(
+        self, rows: list[Array], covariance: Array, stated: dict[tuple[int, int], Array]
+    ) -> dict[tuple[int, int], Array]:
+        """Return the covariance of signals and turns by pair, from their derivatives, shape (inputs, n) each."""
+        found = dict(stated)
+        for b, second in enumerate(self._parts):
+            weighted = product(covariance[: second.stop, second], rows[b])
+            for a, first in enumerate(self._parts[: b + 1]):
+                found[a, b] = np.einsum("kn,kn->n", rows[a], weighted[first]) + stated.get((a, b), 0.0)
+        return found
+
+    def _variance(
+        self, errors: _Errors, by_measured: Array, by_turn: Array | None = None, more: Array | float = 0.0
+    ) -> Array:
+        """Return the variance of a quantity from its gradients by the measured components and by a turn, (n,)."""
+        gradient = [*(self._compensation.inverse.T @ by_measured), *(() if by_turn is None else by_turn)]
+        total = np.zeros(len(errors.chunk.out.flag)) + more
+        for (a, b), covariance in errors.covariances.items():
+            if b < len(gradient):
+                total += (1.0 if a == b else 2.0) * gradient[a] * gradient[b] * covariance
+        if self._alignment:
+            total += self._of_alignment(errors.chunk, by_measured)
+        return np.maximum(total, 0.0, out=total)
+
+    def _half(
+        self, errors: _Errors, by_measured: Array, by_turn: Array | None = None, more: Array | float = 0.0
+    ) -> Array:
+        """Return the half width of the 95 % interval of a quantity."""
+        return np.asarray(NORMAL_FACTOR * np.sqrt(self._variance(errors, by_measured, by_turn, more)))
+
+    def _of_alignment(self, chunk: KernelChunk, by_measured: Array) -> Array:
+        """Return the variance of a turn θ of the sensor since it was level: θ × (g - z), alike about every axis."""
+        axes, gravity = self._compensation.axes, self._compensation.sensed(chunk)
+        if len(axes) == 1:  # the rest of gravity lies along an axis that the sensor does not see
+            gravity[0 if axes == ("z",) else 2] = np.sqrt(np.maximum(1.0 - np.sum(gravity**2, axis=0), 0.0))
+        by_gravity = np.zeros_like(gravity)
+        by_gravity[[AXES.index(axis) for axis in axes]] = by_measured
+        if len(axes) == 2:
+            by_gravity[2] += self._coupling @ by_measured
+        turned = self._alignment * np.cross(gravity - self._rotation[2][:, None], by_gravity, axis=0)
+        return np.asarray(np.einsum("in,in->n", turned, turned))
+
+    def _slope_of_hidden(self, errors: _Errors, gravity: Array) -> Array:
+        """Return what the error of half the square of a hidden g_z is divided by for its own."""
+        along = self._half(errors, gravity[:2])
+        return _slope_of_root(gravity[2] - self._coupling @ gravity[:2], along)
+
+    # From components to angles
+
+    def _angles(self, errors: _Errors, half: Array) -> None:
+        """Fill in the half width of every angle, shape (angles, n), radians."""
+        chunk = errors.chunk
+        if self._sees_all:
+            self._angles_of_three(errors, half)
+            return
+        slope = None if chunk.hidden is None else self._slope_of_hidden(errors, self._compensation.sensed(chunk))
+        for axis, argument in enumerate(chunk.out.gravity.T):
+            by_own = np.zeros_like(chunk.own)
+            by_own[axis] = 1.0
+            if slope is not None:
+                row = self._rotation[axis]
+                by_own = row[:2, None] + (row[:2] @ self._coupling - row[2]) / slope * chunk.own
+            by_turn = None
+            if self._rotated:
+                by_turn = np.cross(self._compensation.up(chunk), np.eye(3)[axis][:, None], axis=0)
+            _through_arcsine(argument, self._variance(errors, by_own, by_turn), half[axis])
+
+    def _angles_of_three(self, errors: _Errors, half: Array) -> None:
+        """Fill in the angles of three axes: arctangents of one component and the length of the two others."""
+        gravity = errors.chunk.out.gravity.T
+
+        def half_along(gradient: Array) -> Array:
+            by_turn = np.cross(gravity, gradient, axis=0) if self._rotated else None
+            return self._half(errors, self._rotation.T @ gradient, by_turn)
+
+        places = {name: 3 + k for k, name in enumerate(DIRECTIONS)}
+        for alone, (first, second) in enumerate(((1, 2), (0, 2), (0, 1))):
+            length = _length(gravity[first], gravity[second])
+            nowhere = length == 0.0
+            cosine, sine = (
+                np.where(nowhere, 1.0, gravity[first] / length),
+                np.where(nowhere, 0.0, gravity[second] / length),
+            )
+            gradient = np.zeros_like(gravity)
+            gradient[first], gradient[second] = -sine, cosine
+            across = half_along(gradient)
+            if alone == 0:
+                np.divide(across, length, out=half[places["roll"]])
+            size = length * length + gravity[alone] * gravity[alone]
+            share = gravity[alone] / -size
+            gradient[alone], gradient[first], gradient[second] = length / size, share * cosine, share * sine
+            along = half_along(gradient)
+            # The length of the two grows by an error across it, which near zero is as good as one along it.
+            width = _length(along, (_length(length, across) - length) * share)
+            # Within the circle that holds 95 % of the errors, the truth may as well be straight up or down.
+            from_edge = length / np.abs(gravity[alone])
+            within = from_edge <= CIRCLE * np.maximum(along, across / np.sqrt(size))
+            half[alone] = np.where(within, np.maximum(width, from_edge), width)
+        half[places["pitch"]], half[places["inclination"]] = half[0], half[2]
 
 
 def length_half_width(coefficients: Coefficients, limits: Limits, uncertain: Uncertain) -> float:
@@ -73,7 +280,6 @@ def length_half_width(coefficients: Coefficients, limits: Limits, uncertain: Unc
 
     It is that of the coefficients and of a single reading; 0 where no attitude was covered.
     """
-    uncertain = uncertain.without(TURN)  # a turn changes no length
     ends = (limits.tilt.get(axis, (-pi / 2, pi / 2)) for axis in AXES)
     x, y, z = (np.sin(np.linspace(low, high, _ATTITUDES)) for low, high in ends)
     g_x, g_y, side = np.meshgrid(x, y, np.array([1.0, -1.0]))
@@ -86,6 +292,67 @@ def length_half_width(coefficients: Coefficients, limits: Limits, uncertain: Unc
     temperatures = (nan,) if thermal is None else (thermal.reference, *(covered or ()))
     gravity, temperature = np.tile(gravity, (len(temperatures), 1)), np.repeat(temperatures, len(gravity))
     compensation, out = Compensation(coefficients), Compensated.empty(len(gravity), 3)
-    propagation = Propagation(compensation, coefficients, uncertain)
+    kernel = CompensationWithUncertainty(
+        compensation, coefficients, uncertain.without(TURN)
+    )  # a turn changes no length
     chunks = compensation.chunks(coefficients.predict(gravity, temperature), temperature, out)
-    return max((float(propagation.length_half_width(chunk).max()) for chunk in chunks), default=0.0)
+    return max((float(kernel.length_half_width(chunk).max()) for chunk in chunks), default=0.0)
+
+
+# The columns of a log
+
+
+def uncertainty_columns(quantities: Sequence[str], *, averaged: bool = False) -> tuple[str, ...]:
+    """Return the names of the columns that hold the uncertainties of some quantities; of means, with their shares."""
+    leads = ("u_", "U95_", *(("u_random_", "u_common_") if averaged else ()))
+    return tuple(f"{lead}{name}" for lead in leads for name in quantities)
+
+
+def with_shares(total: Array, common: Array) -> Array:
+    """Return the columns of means, shape (4 k, n): both uncertainties, then both shares of the standard one.
+
+    The arguments are standard and expanded uncertainty of k quantities, shape (2, k, n): of the means, and without the
+    noise of readings, which is the share that no averaging makes less.
+    """
+    random = np.sqrt(np.maximum(total[0] ** 2 - common[0] ** 2, 0.0))
+    found = np.concatenate([total[0], total[1], random, common[0]])
+    round_up(found)
+    return found
+
+
+def round_up(room: Array) -> None:
+    """Round numbers that are not negative up to four digits, or five, in place."""
+    for row in room.reshape(-1, room.shape[-1]) if room.flags.contiguous else room:
+        if row.ndim > 1:
+            round_up(row)
+            continue
+        scale = np.take(_SCALES, (row.view(np.uint64) >> _MANTISSA).view(np.int64), mode="clip")
+        row *= scale
+        np.ceil(row, out=row)
+        row /= scale
+
+
+def _slope_of_root(root: Array, half: Array) -> Array:
+    """Return what the error of half a square is divided by for that of its root; all of its interval near zero."""
+    size, square = np.abs(root), root * root
+    low, high = np.sqrt(np.maximum(square - 2.0 * half, 0.0)), np.sqrt(square + 2.0 * half)
+    slope = half / np.where(low > 0.0, size - low, high)
+    return np.copysign(np.where(half > _EXACT * square, slope, size), root)
+
+
+def _length(a: Array, b: Array) -> Array:
+    """Compute the hypotenuse in half the time of ``hypot``: nothing here comes near an overflow."""
+    return np.asarray(np.sqrt(a * a + b * b))
+
+
+def _through_arcsine(argument: Array, variance: Array, width: Array) -> None:
+    """Compute half the interval of an arcsine, radians, from its argument's variance; NaN where that is beyond ±1."""
+    room, half = 1.0 - argument * argument, NORMAL_FACTOR * np.sqrt(variance)
+    np.divide(half, np.sqrt(np.maximum(room, 1e-300)), out=width)
+    curved = np.flatnonzero(half * np.abs(argument) > _CURVED * room)
+    if len(curved):
+        middle, low, high = (
+            np.arcsin(np.clip(argument[curved] + side * half[curved], -1.0, 1.0)) for side in (0.0, -1.0, 1.0)
+        )
+        widest = np.maximum(high - middle, middle - low)
+        width[curved] = np.where(widest == 0.0, np.nan, widest)

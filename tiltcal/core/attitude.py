@@ -1,4 +1,4 @@
-"""Attitudes: the unit vector that points up, from the tilt of axes; how a sensor sits; and small errors of what is set.
+"""Attitudes: the unit vector that points up, how a sensor sits on a fixture and in its application, and small errors.
 
 A position is set to the direction ``g``; its true direction is ``g'``, a great-circle arc away::
 
@@ -8,18 +8,21 @@ A position is set to the direction ``g``; its true direction is ``g'``, a great-
 moves no reading, so two angles are all there is. The basis is what the shortest turn from level to ``g`` makes of the
 fixture's x and y: a table that leans by ``(t1, t2)`` then adds the same two angles to every position that is set with
 the fixture at one heading, and turned ones to a position at another heading.
+
+Sources: *Correcting for SCA3000 Accelerometer Mounting Angle* (VTI Technologies, 2006), for a mounting's angles; G.
+Wahba, "A least squares estimate of satellite attitude", SIAM Review 7 (1965), problem 65-1, for its rotation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import asin, cos, degrees, hypot, isfinite, pi, radians, sin, sqrt
+from math import asin, atan2, cos, degrees, hypot, isfinite, pi, radians, sin, sqrt
 
 import numpy as np
 
-from tiltcal.core.model import AXES, Array
-from tiltcal.errors import InputError
+from tiltcal.core.model import AXES, Array, Mounting
+from tiltcal.errors import EstimateError, InputError
 
 Vector = tuple[float, float, float]
 
@@ -30,19 +33,32 @@ _UNIT: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.
 _UPSIDE_DOWN = 1e-12
 _SMALL = 1e-6
 
+UNKNOWN_ANGLE = pi / sqrt(3.0)
+"""Standard uncertainty of an angle of which nothing is known, radians."""
+
+UNKNOWN_FACTOR = 0.95 * sqrt(3.0)
+"""Its coverage factor: 95 % of the whole circle."""
+
+LOCKED = 3.0
+"""Standard uncertainties of the pitch from ±90° within which roll and yaw are not separated: both errors of the line
+move it away from ±90°, and it is within 1.96 in 85 % of the sensors that are mounted there."""
+
+ONE_LINE = 1e-3
+"""Second singular value of the directions, relative to the first, below which they all lie on one line (0.06°)."""
+
+_LOCK = 1e-8  # cosine of pitch below which roll and yaw turn about one line, within double precision
+_ORTHOGONAL = 1e-6
+_STEP = 1e-6  # turn by which the angles' derivatives are taken, radians
+
 
 # Directions
 
 
 def gravity_from_tilt(tilt: Mapping[str, float]) -> Vector:
-    """Return up in the sensor frame where axes are tilted: (g_x, g_y, g_z) with g_z = +sqrt(1 - g_x² - g_y²).
+    """Return up in the sensor frame where x and y are tilted, degrees: (g_x, g_y, g_z) with a g_z that is not negative.
 
-    Parameters
-    ----------
-    tilt : mapping of str to float
-        Tilt of axes x and y in degrees; an axis that is left out is level. Tilt of axis i is asin(g_i).
-
-    InputError: an axis other than x and y, an angle outside ±90°, or two tilts that no direction has.
+    Tilt of axis i is asin(g_i); an axis that is left out is level. An InputError for other axes, an angle outside ±90°,
+    or two tilts that no direction has.
     """
     strange = sorted(set(tilt) - {"x", "y"})
     if strange:
@@ -89,13 +105,7 @@ def _sine(angle: float) -> float:
 
 @dataclass(frozen=True)
 class Orientation:
-    """A turn by right angles from the fixture's frame to a sensor's.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The fixture axis that each sensor axis points along, such as ``("-y", "x", "z")``.
-    """
+    """A turn by right angles from the fixture's frame to a sensor's, whose axes point along ``("-y", "x", "z")``."""
 
     names: tuple[str, ...] = AXES
 
@@ -121,15 +131,10 @@ STRAIGHT = Orientation()
 
 
 def orientation(names: Sequence[str]) -> Orientation:
-    """Return the orientation that two or three signed axis names state.
+    """Return the orientation of a sensor whose x, y and, where it is given, z axis point along ``x``, ``-x``, ...
 
-    Parameters
-    ----------
-    names : sequence of str
-        ``x``, ``-x``, ``y``, ... for the sensor's x, y and, where it is given, z axis. A third one that is left out
-        completes a right-handed frame.
-
-    InputError: not two or three different axes, or a left-handed frame.
+    A third one that is left out completes a right-handed frame. An InputError for other than two or three different
+    axes, and for a left-handed frame.
     """
     plain = [name.lstrip("+-") for name in names]
     if len(names) not in (2, 3) or any(axis not in _UNIT for axis in plain) or len(set(plain)) < len(plain):
@@ -200,3 +205,147 @@ def rotation_vectors(gravity: Array, basis: Array, angles: Array) -> Array:
     None has a part along gravity.
     """
     return np.cross(gravity, np.einsum("nij,nj->ni", basis, angles))
+
+
+# How a sensor sits in its application
+
+
+def mounting_matrix(mounting: Mounting) -> Array:
+    """Return the rotation from the sensor's frame to the application's, ``a' = matrix @ a``, shape (3, 3).
+
+    The sensor was turned from the application's frame by roll about x', then pitch about y', then yaw about z', each
+    clockwise seen from the positive side of the axis: ``Rz(-yaw) Ry(-pitch) Rx(-roll)`` with right-handed elementary
+    rotations, which written out is the document's formula term by term.
+    """
+    c_r, s_r = cos(mounting.roll), sin(mounting.roll)
+    c_p, s_p = cos(mounting.pitch), sin(mounting.pitch)
+    c_y, s_y = cos(mounting.yaw), sin(mounting.yaw)
+    roll = np.array([[1.0, 0.0, 0.0], [0.0, c_r, s_r], [0.0, -s_r, c_r]])
+    pitch = np.array([[c_p, 0.0, -s_p], [0.0, 1.0, 0.0], [s_p, 0.0, c_p]])
+    yaw = np.array([[c_y, s_y, 0.0], [-s_y, c_y, 0.0], [0.0, 0.0, 1.0]])
+    matrix: Array = yaw @ pitch @ roll
+    return matrix
+
+
+def mounting_angles(matrix: Array) -> tuple[Mounting, bool]:
+    """Return the angles of a mounting matrix, roll and yaw in (-π, π], pitch in [-π/2, π/2], and whether it is locked.
+
+    In gimbal lock, at a pitch of ±90°, only roll + yaw (at +90°) or roll - yaw (at -90°) is determined: all of it is
+    reported as roll, with yaw zero. An EstimateError refuses what is no rotation.
+    """
+    rotation = np.asarray(matrix, dtype=float)
+    if (
+        rotation.shape != (3, 3)
+        or not np.allclose(rotation @ rotation.T, np.eye(3), rtol=0.0, atol=_ORTHOGONAL)
+        or np.linalg.det(rotation) < 0.0
+    ):
+        raise EstimateError("a mounting must be a rotation: three perpendicular unit rows, right-handed")
+    (xx, xy, _), (yx, yy, _), (zx, zy, zz) = rotation.tolist()
+    cosine = hypot(xx, yx)
+    pitch = atan2(zx, cosine)
+    if cosine < _LOCK:
+        together = atan2(xy, yy)
+        return Mounting(_wrapped(together if zx > 0.0 else -together), pitch, 0.0), True
+    return Mounting(_wrapped(atan2(-zy, zz)), pitch, _wrapped(atan2(-yx, xx))), False
+
+
+def is_locked(pitch: float, u: float) -> bool:
+    """Return whether roll and yaw are not separated, by the pitch and its standard uncertainty, radians."""
+    return abs(abs(pitch) - pi / 2.0) <= LOCKED * u
+
+
+def angle_derivatives(matrix: Array) -> Array:
+    """Return the derivatives of roll, pitch and yaw by a small turn about each of the application's axes."""
+    columns = []
+    for axis in np.eye(3):
+        turn = _STEP * np.cross(np.eye(3), axis)
+        ends = [_vector(mounting_angles(matrix + sign * turn @ matrix)[0]) for sign in (1.0, -1.0)]
+        columns.append(np.angle(np.exp(1j * (ends[0] - ends[1]))) / (2 * _STEP))
+    return np.stack(columns, axis=1)
+
+
+def angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
+    """Return the standard uncertainties of the angles, clear of gimbal lock, by a turn's covariance, (3, 3), rad²."""
+    jacobian = angle_derivatives(matrix)
+    roll, pitch, yaw = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T)).tolist()
+    if is_locked(mounting_angles(matrix)[0].pitch, pitch):
+        return Mounting(UNKNOWN_ANGLE, pitch, UNKNOWN_ANGLE)
+    return Mounting(roll, pitch, yaw)
+
+
+@dataclass(frozen=True)
+class MountingEstimate:
+    """A mounting by its angles, and the ``covariance`` of its rotation vector in the application's frame, rad².
+
+    ``u`` is None in gimbal lock. ``residuals`` are the angles between directions as set and as read, (positions,);
+    ``chi_square`` is their sum of squares over those of their uncertainties. ``stated``: these were stated.
+    """
+
+    mounting: Mounting
+    gimbal_lock: bool
+    covariance: Array
+    u: Mounting | None
+    residuals: Array
+    chi_square: float
+    dof: int
+    stated: bool
+
+
+def mounting_rotation(read: Array, known: Array, sigma: Array | None = None) -> Array:
+    """Return the rotation matrix from directions that a sensor reads to those that were set, (positions, 3).
+
+    ``sigma`` is the standard uncertainty of each direction, (positions,), radians. An EstimateError refuses directions
+    that leave it undetermined.
+    """
+    from scipy.spatial.transform import Rotation
+
+    spread = np.linalg.svd(_units(known), compute_uv=False)
+    if len(known) < 2 or spread[1] < ONE_LINE * spread[0]:
+        raise EstimateError(
+            "gravity has the same line in every position, so the rotation about it is undetermined: add a position in "
+            "which another axis points up"
+        )
+    rotation, _ = Rotation.align_vectors(_units(known), _units(read), weights=_weights(known, sigma))
+    return np.asarray(rotation.as_matrix())
+
+
+def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> MountingEstimate:
+    """Return the mounting by :func:`mounting_rotation`; without ``sigma`` the residuals show the uncertainty."""
+    matrix = mounting_rotation(read, known, sigma)
+    known, weights = _units(known), _weights(known, sigma)
+    turned = _units(read) @ matrix.T
+    residuals = np.arctan2(np.linalg.norm(np.cross(turned, known), axis=1), np.sum(turned * known, axis=1))
+    dof = 2 * len(known) - 3
+    variance = 1.0 if sigma is not None else float(np.sum(residuals**2)) / dof
+    information = np.einsum("p,pij->ij", weights, np.eye(3) - np.einsum("pi,pj->pij", known, known))
+    covariance = variance * np.linalg.inv(information)
+    mounting, locked = mounting_angles(matrix)
+    u = None if locked else angle_uncertainty(matrix, covariance)
+    locked = u is None or u.roll == UNKNOWN_ANGLE
+    return MountingEstimate(
+        mounting, locked, covariance, u, residuals, float(weights @ residuals**2), dof, sigma is not None
+    )
+
+
+def rotation_vector(matrix: Array) -> Array:
+    """Return the turn that a rotation matrix makes, radians, shape (3,)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
+
+
+def _units(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def _weights(known: Array, sigma: Array | None) -> Array:
+    return np.ones(len(known)) if sigma is None else 1.0 / np.maximum(sigma, 1e-12) ** 2
+
+
+def _vector(mounting: Mounting) -> Array:
+    return np.array([mounting.roll, mounting.pitch, mounting.yaw])
+
+
+def _wrapped(angle: float) -> float:
+    """Return an angle with +π in place of -π, which atan2 makes of a negative zero."""
+    return pi if angle == -pi else angle

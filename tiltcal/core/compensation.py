@@ -23,6 +23,7 @@ from math import cos, inf, isfinite, pi, radians, sin
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.flags import (
     CLIPPED,
     FAIL,
@@ -40,9 +41,7 @@ from tiltcal.core.flags import (
     Reasons,
     mark,
 )
-from tiltcal.core.matrix_product import product
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, polynomial, take_out_nonlinearity
-from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import EstimateError
 from tiltcal.printable import counted
@@ -69,23 +68,16 @@ _CHUNK = 32_768  # rows whose columns stay in the cache from the first step to t
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
 _TILT_SLACK = radians(1e-9)
 _LARGEST_CONDITION = 1e12
+_ONE_THREAD = 1 << 18  # multiplications for which the linear algebra starts no threads: they cost more than they bring
 
 
 @dataclass(frozen=True)
 class Compensated:
     """What the kernel makes of n rows; every array is NaN where the flag is 9.
 
-    Attributes
-    ----------
-    gravity : ndarray, shape (n, axes)
-        Up in the application frame, g.
-    angles : ndarray, shape (n, angles)
-        Degrees: the tilt of each axis and, of three, pitch, roll and inclination. NaN where the argument of an arcsine
-        is beyond ±1.02, or three axes read less than 0.5 g or more than 2 g.
-    flag : ndarray of uint8, shape (n,)
-        1 pass, 3 suspect, 4 fail, 9 missing.
-    reason : ndarray of uint16, shape (n,)
-        Bit mask, see :data:`tiltcal.core.flags.REASONS`.
+    ``gravity``, (n, axes), is up in the application's frame, g; ``angles``, (n, angles), are the tilt of each axis and,
+    of three, pitch, roll and inclination, degrees: NaN where the argument of an arcsine is beyond ±1.02, or three axes
+    read less than 0.5 g or more than 2 g. ``flag`` and ``reason`` are those of :mod:`tiltcal.core.flags`.
     """
 
     gravity: Array
@@ -111,33 +103,15 @@ class Compensated:
 
 @dataclass(frozen=True)
 class KernelChunk:
-    """Some rows on their way through the kernel, for callers that need more than the result.
+    """Some rows on their way through the kernel, for callers that need more than the result."""
 
-    Attributes
-    ----------
-    rows : slice
-        Which of all rows these are.
-    dt : ndarray, shape (n,), or None
-        T - T_ref, °C; 0 where the temperature is missing, None where none counts.
-    signal : ndarray, shape (channels, n)
-        S g: the readings without offset, drift, gain and bend, unit.
-    own : ndarray, shape (axes, n)
-        Up in the sensor's frame, g.
-    hidden : ndarray, shape (n,), or None
-        g_z in the sensor's frame, of a sensor that sees x and y only, where it is needed.
-    out : Compensated
-        What comes out.
-    share : ndarray, shape (n,), or float
-        What a row has of the variance of a single reading: 1 over the number of readings of which it is the mean.
-    """
-
-    rows: slice
-    dt: Array | None
-    signal: Array
-    own: Array
-    hidden: Array | None
+    rows: slice  # which of all rows these are
+    dt: Array | None  # T - T_ref, °C, (n,); 0 where the temperature is missing, None where none counts
+    signal: Array  # S g: the readings without offset, drift, gain and bend, (channels, n), unit
+    own: Array  # up in the sensor's frame, (axes, n), g
+    hidden: Array | None  # g_z there, (n,), of a sensor that sees x and y only, where it is needed
     out: Compensated
-    share: Array | float = 1.0
+    share: Array | float = 1.0  # of the variance of a single reading: 1 over the number of which a row is the mean
 
     def part(self, rows: slice) -> KernelChunk:
         """Return a view of some rows, counted from the first of these."""
@@ -155,15 +129,16 @@ class KernelChunk:
 class Compensation:
     """One sensor's calibration, ready to be applied to any number of rows.
 
-    Parameters
-    ----------
-    coefficients : Coefficients
-        As many channels as axes, two channels over x, y and z, or one channel over its own axis and others.
-    limits : Limits
-        The ranges that the calibration covers, and the rails of each channel. The tilt range is that of the sensor's
-        own axes, before the mounting rotation, because that is where it was covered.
-    first_order : bool
-        Use Cross-axis Compensation eq. 6 in place of the inverse of the matrix; two channels only.
+    It takes as many channels as axes, two channels over x, y and z, or one channel over its own axis and others, which
+    are taken to be level; an EstimateError refuses other coefficients, a singular matrix, and a mounting of a sensor
+    that has no x and y. The tilt range of ``limits`` is that of the sensor's own axes, before the mounting, because
+    that is where it was covered. ``first_order`` uses Cross-axis Compensation eq. 6 in place of the inverse of the
+    matrix, for two channels.
+
+    With two channels and a mounting rotation, or a z column, g_z is +sqrt(1 - g_x² - g_y²) unless element zz of the
+    mounting matrix is negative (the sensor hangs upside down), then it is minus that. Where g_x² + g_y² > 1, g_z is 0
+    and the row has flag 3 and reason 1. With a mounting on edge, what follows from a g_z of less than cos 45° is NaN,
+    and the row has flag 4 and reason 128.
 
     Attributes
     ----------
@@ -175,31 +150,13 @@ class Compensation:
         What a hidden g_z adds to x and y.
     rotation : ndarray, shape (3, 3), or None
         From the sensor's frame to the application's; None where they are one.
-    solves_z : bool
-        Whether g_z, which two channels do not see, is needed and solved for.
+    solves_z, upside_down, on_edge : bool
+        Whether a g_z that two channels do not see is solved for; whether the mounting turns such a sensor over, and by
+        more than 45° from upright and from upside down.
     reach : dict of int to tuple of float
         The range of each axis by its place, as components of gravity, g.
     temperatures : tuple of float, or None
         The range that the calibration covers, °C.
-    upside_down : bool
-        Whether the mounting turns such a sensor over.
-    on_edge : bool
-        Whether the mounting turns such a sensor by more than 45° from upright and from upside down.
-
-    Raises
-    ------
-    EstimateError
-        The coefficients cannot be turned round: too few channels, a singular matrix, or a mounting rotation of a
-        sensor that has no x and y.
-
-    Notes
-    -----
-    Two channels and a mounting rotation, or a z column: g_z is +sqrt(1 - g_x² - g_y²) unless element zz of the
-    mounting matrix is negative (the sensor hangs upside down), then it is minus that. Where g_x² + g_y² > 1, g_z is 0
-    and the row has flag 3 and reason 1. With a mounting on edge, what follows from a g_z of less than cos 45° is NaN,
-    and the row has flag 4 and reason 128.
-
-    One channel: the other axes are taken to be level, whatever their columns are.
     """
 
     def __init__(self, coefficients: Coefficients, limits: Limits | None = None, *, first_order: bool = False) -> None:
@@ -270,19 +227,10 @@ class Compensation:
     def __call__(
         self, readings: ArrayLike, temperature: ArrayLike | None = None, *, out: Compensated | None = None
     ) -> Compensated:
-        """Compensate rows.
+        """Compensate readings, (n, channels), in the unit of the calibration, fastest where each column is contiguous.
 
-        Parameters
-        ----------
-        readings : array_like, shape (n, channels)
-            Raw readings in the unit of the calibration, columns in the order of its channels. Fastest where each
-            column is contiguous.
-        temperature : array_like, shape (n,), optional
-            °C; NaN where it is missing.
-        out : Compensated, optional
-            Room for n rows, from :meth:`Compensated.empty`, that an earlier call has filled: its memory is used again.
-
-        ValueError: the shapes do not fit.
+        ``temperature``, (n,), is in °C, NaN where it is missing; ``out`` is room for n rows that an earlier call has
+        filled. A ValueError where the shapes do not fit.
         """
         result = Compensated.empty(len(np.asarray(readings)), len(self.axes)) if out is None else out
         for _chunk in self.chunks(readings, temperature, result):
@@ -502,3 +450,13 @@ def _sine_of_limit(angle: float, side: int) -> float:
     if abs(widened) >= pi / 2:
         return float(np.copysign(np.inf, widened))
     return sin(widened)
+
+
+def product(matrix: Array, columns: Array, out: Array | None = None) -> Array:
+    """Return ``matrix @ columns``, shapes (k, m) and (m, n), in one thread however many columns there are."""
+    found = np.empty((len(matrix), columns.shape[1])) if out is None else out
+    step = max(1, _ONE_THREAD // max(1, matrix.size))
+    for start in range(0, columns.shape[1], step):
+        part = slice(start, start + step)
+        np.matmul(matrix, columns[:, part], out=found[:, part])
+    return found

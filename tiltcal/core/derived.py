@@ -20,9 +20,10 @@ from math import atan2, degrees, hypot, radians
 
 import numpy as np
 
+from tiltcal.core.attitude import UNKNOWN_ANGLE, is_locked, mounting_angles
 from tiltcal.core.closed_forms import cross_axis_sensitivity
-from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
-from tiltcal.core.mounting_angles import UNKNOWN_ANGLE, is_locked, mounting_angles
+from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.named_coefficients import vector_of, with_vector
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
@@ -67,17 +68,17 @@ def rotation(coefficients: Coefficients, uncertain: Uncertain) -> tuple[Uncertai
 
     An EstimateError refuses channels that form a left-handed frame.
     """
-    angles = mounting_angles(separated(_matrix(coefficients))[1])
-    turned = np.array([angles.mounting.roll, angles.mounting.pitch, angles.mounting.yaw])
+    angles, locked = mounting_angles(separated(_matrix(coefficients))[1])
+    turned = np.array([angles.roll, angles.pitch, angles.yaw])
 
     def off(moved: Coefficients) -> Array:
-        around = mounting_angles(separated(_matrix(moved))[1]).mounting
+        around, _ = mounting_angles(separated(_matrix(moved))[1])
         there = np.array([around.roll, around.pitch, around.yaw])
         return np.asarray(np.degrees(np.mod(there - turned + np.pi, 2 * np.pi) - np.pi))
 
     names = [f"rotation_degrees.{angle}" for angle in ("roll", "pitch", "yaw")]
     found = replace(_following(names, off, coefficients, uncertain), value=np.degrees(turned))
-    locked = angles.gimbal_lock or is_locked(angles.mounting.pitch, radians(float(found.u[1])))
+    locked = locked or is_locked(angles.pitch, radians(float(found.u[1])))
     if locked:
         covariance, wide = (
             np.diag([degrees(UNKNOWN_ANGLE) ** 2, matrix[1, 1], degrees(UNKNOWN_ANGLE) ** 2])
@@ -88,20 +89,9 @@ def rotation(coefficients: Coefficients, uncertain: Uncertain) -> tuple[Uncertai
 
 
 def separated(matrix: Array) -> tuple[Array, Array]:
-    """Return the RQ decomposition of a sensitivity matrix.
+    """Return a sensitivity matrix as an upper triangle with a positive diagonal times a rotation, each (3, 3).
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (3, 3)
-
-    Returns
-    -------
-    triangular : ndarray, shape (3, 3)
-        Upper triangular, positive diagonal.
-    rotation : ndarray, shape (3, 3)
-        ``matrix = triangular @ rotation``.
-
-    EstimateError: the matrix is singular, or its channels form a left-handed frame: no mounting does that.
+    An EstimateError where it is singular, or its channels form a left-handed frame: no mounting does that.
     """
     # The QR decomposition of the rows in reverse order, read backwards.
     q, r = np.linalg.qr(matrix[::-1].T)

@@ -56,10 +56,7 @@ def mark_columns(
 ) -> dict[str, Any]:
     """Return the columns of a result in which some rows are marked; rows that are missing stay as they are.
 
-    Parameters
-    ----------
-    table : mapping of str to ndarray
-        With ``flag`` and ``reason``, of several sensors with ``S_flag`` and ``S_reason``.
+    The table has ``flag`` and ``reason``, of several sensors ``S_flag`` and ``S_reason``.
     """
     found = dict(table)
     if rows.any():

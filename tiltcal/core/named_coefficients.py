@@ -2,44 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.core.model import Array, Coefficients, polynomial, vector_of, with_vector
+from tiltcal.core.model import Array, Coefficients, polynomial
 from tiltcal.core.uncertain import TURN, Uncertain, central_differences
+from tiltcal.errors import EstimateError
 
 _STEP = 1e-4
 """Of an uncertainty, by which its coefficient is moved to see how others follow."""
 
 
+_KINDS = ("offset.", "sensitivity.", "temperature.offset.", "temperature.sensitivity.", "nonlinearity.")
+"""The order in which coefficients are named."""
+
+
 def values(coefficients: Coefficients) -> dict[str, float]:
     """Return every coefficient by its dotted name."""
-    named = {f"offset.{c}": float(v) for c, v in zip(coefficients.channels, coefficients.offset, strict=True)}
-    for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
-        named |= {f"sensitivity.{channel}.{axis}": float(v) for axis, v in zip(coefficients.axes, row, strict=True)}
-    if coefficients.thermal is not None:
-        for what, table in (("offset", coefficients.thermal.drift), ("sensitivity", coefficients.thermal.gain)):
-            for channel, row in zip(coefficients.channels, table, strict=True):
-                named |= {f"temperature.{what}.{channel}.{k}": float(v) for k, v in enumerate(row, start=1)}
-    if coefficients.nonlinearity is not None:
-        for channel, row in zip(coefficients.channels, coefficients.nonlinearity, strict=True):
-            named |= {f"nonlinearity.{channel}.{k}": float(v) for k, v in enumerate(row, start=2)}
-    return named
+    named = dict(zip(_names(coefficients), coefficients.vectors.ravel().tolist(), strict=True))
+    return {name: value for kind in _KINDS for name, value in named.items() if name.startswith(kind)}
+
+
+def vector_of(coefficients: Coefficients, names: Sequence[str]) -> Array:
+    """Return the coefficients with some names, shape (k,); an EstimateError where there is none of a name."""
+    return coefficients.vectors.ravel()[_places(coefficients, names)]
+
+
+def with_vector(coefficients: Coefficients, names: Sequence[str], vector: Array) -> Coefficients:
+    """Return coefficients with other values for some names, shape (k,)."""
+    vectors = coefficients.vectors
+    vectors.ravel()[_places(coefficients, names)] = vector
+    return coefficients.with_vectors(vectors)
 
 
 def referred(coefficients: Coefficients, reference: float | None) -> Coefficients:
-    """Return the same coefficients at another reference temperature.
+    """Return the same coefficients at another reference temperature, °C; None for their own.
 
-    Parameters
-    ----------
-    coefficients : Coefficients
-        Without temperature terms they are the same at every temperature.
-    reference : float or None
-        °C; None for their own.
-
-    Notes
-    -----
     A polynomial p(dT) without a constant term becomes p(dT + s) - p(s) with s the shift of the reference; the offset
     takes p(s) over, and the sensitivity the factor 1 + gain(s), by which the new gain is divided.
     """
@@ -84,6 +84,19 @@ def uncertain_at(coefficients: Coefficients, uncertain: Uncertain, reference: fl
         jacobian[row, uncertain.names.index(name)] = 1.0
     moved = uncertain.through(jacobian, (*names, *turns))
     return moved.chosen(np.flatnonzero(moved.u > 0.0))
+
+
+def _names(coefficients: Coefficients) -> list[str]:
+    """Return the dotted names, channel by channel, as :attr:`Coefficients.vectors` has them."""
+    return [name for model in coefficients.models for name in model.coefficients]
+
+
+def _places(coefficients: Coefficients, names: Sequence[str]) -> list[int]:
+    known = {name: place for place, name in enumerate(_names(coefficients))}
+    for name in names:
+        if name not in known:
+            raise EstimateError(f"the calibration has no coefficient {name!r}")
+    return [known[name] for name in names]
 
 
 def _shifted(table: Array, shift: float) -> Array:

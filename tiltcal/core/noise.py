@@ -36,15 +36,11 @@ Limit = Literal["target", "record", "rounding", "flicker", "walk", "drift", "unk
 """What sets the number of samples: the target; the end of the record; or rounding, flicker noise, random walk, drift or
 an unknown cause, because of which more samples do not help."""
 
-FEWEST_SAMPLES = 64
-"""Samples of a channel below which nothing is said of its noise."""
-
+FEWEST_SAMPLES = 64  # samples of a channel below which nothing is said of its noise
 RANGE_OF_100 = 5.0152
 """Mean range of 100 independent values of a normal distribution, in standard deviations (Tippett, 1925)."""
 
-FLICKER = sqrt(2.0 * log(2.0) / pi)
-"""Deviation of flicker noise over its coefficient B: 0.664."""
-
+FLICKER = sqrt(2.0 * log(2.0) / pi)  # deviation of flicker noise over its coefficient B: 0.664
 TERMS = ("N", "B", "K", "R")
 
 _KINDS: tuple[Kind, ...] = ("white", "flicker", "walk", "walk")  # of the terms
@@ -63,11 +59,8 @@ _MOST_DOF = 1000.0
 _WORTH = 8.0
 """Accept a kind of noise that lowers the deviance by more than this; chance does it once in two hundred records."""
 
-_CREDIBLE = 1e-3
-"""Accept the kinds of noise if chance makes a worse deviance more often than this."""
-
-_GAIN = 0.1
-"""More samples help where twice as many lower the uncertainty by this share."""
+_CREDIBLE = 1e-3  # accept the kinds of noise if chance makes a worse deviance more often than this
+_GAIN = 0.1  # more samples help where twice as many lower the uncertainty by this share
 
 
 @dataclass(frozen=True)

@@ -38,18 +38,9 @@ DRIFT = 0.005
 
 
 class ExpectedReadings:
-    """The reading that each position should give.
+    """The reading that each position should give, of a part with nominal offset, unit, and sensitivity, unit/g.
 
-    Parameters
-    ----------
-    offset : float
-        Nominal, unit.
-    sensitivity : float
-        Nominal, unit/g.
-    offset_spread : float
-        Standard deviation over parts, g.
-    sensitivity_spread : float
-        Standard deviation over parts, relative.
+    The spreads are standard deviations over parts: of the offset, g, and of the sensitivity, relative.
     """
 
     def __init__(
@@ -106,18 +97,9 @@ class ExpectedReadings:
     def objection(
         self, position: str, positions: Mapping[str, Vector], reading: Array, temperature: float | None = None
     ) -> str | None:
-        """Return why a reading cannot be that of ``position``, or None where it can.
+        """Return why a reading, (channels,), unit, cannot be that of ``position``, or None where it can.
 
-        Parameters
-        ----------
-        position : str
-            The one that was asked for.
-        positions : mapping of str to Vector
-            Gravity of every position of the procedure; ``position`` as it was set.
-        reading : ndarray, shape (channels,)
-            In the sensor's unit.
-        temperature : float, optional
-            °C.
+        ``positions`` has gravity of every position of the procedure; that of ``position`` as it was set.
         """
         own = self.distance(positions[position], reading, temperature)
         others = {
@@ -141,15 +123,9 @@ class ExpectedReadings:
         return None
 
     def repeated(self, readings: Mapping[str, Array], reading: Array) -> str | None:
-        """Return why a reading is no attitude of its own, or None where it is one.
+        """Return why a reading, (3,), is no attitude of its own beside those before, by their names; None where it is.
 
         The offset that the part really has moves all attitudes alike: how far they are apart is seen without it.
-
-        Parameters
-        ----------
-        readings : mapping of str to ndarray, shape (3,)
-            Of the attitudes before, in the sensor's unit.
-        reading : ndarray, shape (3,)
         """
         own = np.array(self._in_g(reading))
         for name, before in readings.items():

@@ -9,24 +9,12 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
-ARITHMETIC = 1e-12
-"""Differences below this share of the values come from arithmetic, and are no step of the reading."""
-
-_MOST_VALUES = 4096
-"""Different values beyond which a reading counts as continuous."""
-
-_ENOUGH_VALUES = 1 << 16
-"""Different values among which two neighbours are a step apart."""
-
-_TOGETHER = 1 << 16
-"""Samples that are looked at together, so that a long channel takes little memory."""
-
-_WHOLE = 0.01
-"""By how many steps rounded readings are off a whole number of them, at most."""
-
-_REPEATED = 4.0
-"""How often a rounded reading takes each value, on average, at the least."""
-
+ARITHMETIC = 1e-12  # differences below this share of the values come from arithmetic, and are no step of the reading
+_MOST_VALUES = 4096  # different values beyond which a reading counts as continuous
+_ENOUGH_VALUES = 1 << 16  # different values among which two neighbours are a step apart
+_TOGETHER = 1 << 16  # samples that are looked at together, so that a long channel takes little memory
+_WHOLE = 0.01  # by how many steps rounded readings are off a whole number of them, at most
+_REPEATED = 4.0  # how often a rounded reading takes each value, on average, at the least
 _EVEN = 0.02
 """How far the distances of values may be off whole steps, in steps: readings are written with so many digits."""
 

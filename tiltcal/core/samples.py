@@ -30,9 +30,7 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
-BLOCKS = 10
-"""Number of blocks whose means show correlation that std/sqrt(n) does not see."""
-
+BLOCKS = 10  # number of blocks whose means show correlation that std/sqrt(n) does not see
 _FEW, _MANY = 4096, 1 << 14  # samples up to which a sum is rounded once, and those that are summed up together
 _FLOOR = 1e-5  # of the median variance, that a reading that never changed counts as: 0 has no logarithm
 _COARSE = 0.5  # of the reading's step, below which noise leaves a rounding error in a mean
@@ -42,9 +40,7 @@ _MARGIN = 0.5  # standard deviations above its mean of a correlation that counts
 _CORRELATED_DOF = 2.0  # of a position's ten block means that are strongly correlated
 _ENOUGH = 5.0  # correlation times that a block should have
 
-_SAME_NOISE = 0.01
-"""Variances are one where chance scatters their logarithms as much with at least this probability."""
-
+_SAME_NOISE = 0.01  # variances are one where chance scatters their logarithms as much with at least this probability
 _CORRELATED, _POSSIBLE = 4.0, 1.5
 """Standard deviations above the correlation of white noise's block means from which it is no chance; and from which it
 counts, without a remark: white noise shows as much in one session of fifteen."""

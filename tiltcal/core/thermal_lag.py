@@ -20,8 +20,7 @@ import numpy as np
 
 from tiltcal.core.model import Array
 
-LOG_SMOOTHING = 0.1
-"""Time constant of the derivative where the thermometer is later, as a part of its lag."""
+LOG_SMOOTHING = 0.1  # time constant of the derivative where the thermometer is later, as a part of its lag
 
 
 class ThermalLag:

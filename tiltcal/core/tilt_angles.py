@@ -26,15 +26,7 @@ _DEGREES = 180.0 / pi
 
 
 def tilt(component: Array, out: Array | None = None) -> Array:
-    """Compute the tilt of an axis from its component of gravity; a component beyond ±1 gives ±90°.
-
-    Parameters
-    ----------
-    component : ndarray
-        g.
-    out : ndarray, optional
-        Memory for the result, degrees.
-    """
+    """Compute the tilt of an axis, degrees, from its component of gravity, g; a component beyond ±1 gives ±90°."""
     angle: Array = np.clip(component, -1.0, 1.0, out=out)
     np.arcsin(angle, out=angle)
     angle *= _DEGREES

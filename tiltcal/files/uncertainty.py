@@ -16,9 +16,9 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
+from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.compensation import LENGTH_TOLERANCE
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
-from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, Uncertain, widened
 from tiltcal.errors import EstimateError

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from tiltcal.calibration.record import limits_of, stated_mounting, with_mounting
 from tiltcal.calibration.season import CalibrationFolder, SensorHistory
 from tiltcal.calibration.wording import objections
+from tiltcal.core.attitude import mounting_matrix
+from tiltcal.core.earth_frame import HEADING, full_circle
 from tiltcal.core.flags import OUTSIDE_TIME, SUSPECT, mark_columns
-from tiltcal.core.heading import HEADING, full_circle
 from tiltcal.core.model import Array
-from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment

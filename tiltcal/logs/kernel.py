@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 import tiltcal
 from tiltcal.calibration.record import compensation_of, mounting_in_words, stated_mounting, with_mounting
 from tiltcal.calibration.wording import objections
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, uncertainty_columns, with_shares
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
-from tiltcal.core.earth_compensation import EarthFrameCompensation
-from tiltcal.core.earth_uncertainty import EarthUncertainty
+from tiltcal.core.earth_frame import EarthFrameCompensation
 from tiltcal.core.flags import NO_DIRECTION, Mask
 from tiltcal.core.model import Array
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.thermal_lag import ThermalLag
-from tiltcal.core.uncertainty_columns import uncertainty_columns, with_shares
-from tiltcal.core.uncertainty_propagation import Propagation
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord
@@ -124,21 +122,21 @@ class TiltKernel:
     def __init__(
         self,
         compensation: Compensation,
-        propagation: Propagation | None = None,
+        uncertain_angles: CompensationWithUncertainty | None = None,
         earth: EarthFrameCompensation | None = None,
         averaged: bool = False,
         remarks: RowRemarks | None = None,
     ) -> None:
-        self._compensation, self._propagation, self._earth = compensation, propagation, earth
+        self._compensation, self._uncertain_angles, self._earth = compensation, uncertain_angles, earth
         self._averaged, self._remarks = averaged, remarks or RowRemarks()
-        uncertain = () if propagation is None else uncertainty_columns(compensation.angles, averaged=averaged)
+        uncertain = () if uncertain_angles is None else uncertainty_columns(compensation.angles, averaged=averaged)
         self._uncertain = len(uncertain)
         self.columns = (*compensation.columns, *uncertain, *(() if earth is None else earth.columns))
 
     @property
     def expanded(self) -> tuple[str, ...]:
         """Names of the columns that hold half widths of 95 % intervals."""
-        own = () if self._propagation is None else tuple(f"U95_{angle}" for angle in self._compensation.angles)
+        own = () if self._uncertain_angles is None else tuple(f"U95_{angle}" for angle in self._compensation.angles)
         return (*own, *(() if self._earth is None else self._earth.expanded))
 
     def __call__(self, values: RoleValues) -> Table:
@@ -151,8 +149,8 @@ class TiltKernel:
                 self._remarks.add(chunk, on_edge=self._compensation.on_edge)
                 if values.count is not None:
                     chunk = replace(chunk, share=1.0 / np.maximum(values.count[rows], 1))
-                if self._propagation is not None:
-                    self._add_uncertainties(self._propagation, chunk, added[: self._uncertain, rows])
+                if self._uncertain_angles is not None:
+                    self._add_uncertainties(self._uncertain_angles, chunk, added[: self._uncertain, rows])
                 if self._earth is not None:
                     given = (values.magnetometer, values.heading, values.velocity)
                     added[self._uncertain :, rows] = self._earth(
@@ -160,12 +158,12 @@ class TiltKernel:
                     )
         return table | dict(zip(self.columns[len(table) :], added, strict=True))
 
-    def _add_uncertainties(self, propagation: Propagation, chunk: KernelChunk, out: Array) -> None:
+    def _add_uncertainties(self, uncertain_angles: CompensationWithUncertainty, chunk: KernelChunk, out: Array) -> None:
         if self._averaged:
-            common = propagation(replace(chunk, share=0.0), rounded=False)
-            out[...] = with_shares(propagation(chunk, rounded=False), common)
+            common = uncertain_angles.of_angles(replace(chunk, share=0.0), rounded=False)
+            out[...] = with_shares(uncertain_angles.of_angles(chunk, rounded=False), common)
         else:
-            propagation(chunk, out.reshape(2, -1, out.shape[1]))
+            uncertain_angles.of_angles(chunk, out.reshape(2, -1, out.shape[1]))
 
 
 @dataclass(frozen=True)
@@ -188,8 +186,8 @@ class PreparedSensor:
 
     ``units`` are those of the readings, of pairs that of the stage angle alone; ``origin`` is what a file made with it
     should state: software, calibration, sha256, serial; ``watched`` are columns to be summed up; ``lag`` is by how much
-    the element is later than the thermometer, s; ``judge`` judges the readings of which means are made; the names of
-    its columns begin with ``lead``.
+    the element is later than the thermometer, s; ``judge`` judges the readings of which means are made; ``columns`` are
+    those of the log of the fit; the names of its columns begin with ``lead``.
     """
 
     kernel: Kernel
@@ -201,6 +199,7 @@ class PreparedSensor:
     lag: float = 0.0
     judge: Kernel | None = None
     remarks: RowRemarks = field(default_factory=RowRemarks)
+    columns: Mapping[str, str] = field(default_factory=dict)
     lead: str = ""
 
 
@@ -291,6 +290,7 @@ def prepare(
                 0.0 if coefficients.thermal is None else coefficients.thermal.lag,
                 judge,
                 remarks,
+                sensor.columns,
             ),
         ),
         (
@@ -308,17 +308,17 @@ def tilt_kernel(calibration: CalibrationRecord, options: ApplyOptions, remarks: 
     if averaged:  # the lengths of readings are judged, not that of their mean
         calibration = replace(calibration, limits=replace(calibration.limits, length=inf))
     compensation = compensation_of(calibration, first_order=options["first_order"])
-    propagation = None
+    uncertain_angles = None
     if options["uncertainty"]:
         noise = options["reading_noise"]
         stated, assumed = stated_uncertainty(calibration.uncertainty, calibration.coefficients, reading_noise=noise)
         for remark in assumed:
             options["say"](f"note: {remark}")
-        propagation = Propagation(compensation, calibration.coefficients, stated)
+        uncertain_angles = CompensationWithUncertainty(compensation, calibration.coefficients, stated)
     earth = None
     if options["magnetometer"] or options["velocity"]:
-        earth = _earth(compensation, propagation, options, averaged)
-    return TiltKernel(compensation, propagation, earth, averaged, remarks)
+        earth = _earth(compensation, uncertain_angles, options, averaged)
+    return TiltKernel(compensation, uncertain_angles, earth, averaged, remarks)
 
 
 def _of_pairs(calibration: PairRecord, options: ApplyOptions, origin: Mapping[str, str], file: str) -> PreparedSensor:
@@ -334,7 +334,10 @@ def _of_pairs(calibration: PairRecord, options: ApplyOptions, origin: Mapping[st
 
 
 def _earth(
-    compensation: Compensation, propagation: Propagation | None, options: ApplyOptions, averaged: bool
+    compensation: Compensation,
+    uncertain_angles: CompensationWithUncertainty | None,
+    options: ApplyOptions,
+    averaged: bool,
 ) -> EarthFrameCompensation:
     """Return what adds heading and earth velocities; report which north they count from."""
     say, noise, declination = options["say"], options["magnetometer_noise"], options["declination"]
@@ -342,7 +345,7 @@ def _earth(
         say("note: heading counts from magnetic north: there is no --declination")
     if not options["magnetometer"] and declination:
         say(f"note: the declination of {declination:g}° is added to the heading of the log")
-    if propagation is not None and options["magnetometer"] and noise is None:
+    if uncertain_angles is not None and options["magnetometer"] and noise is None:
         say("note: the magnetometer counts as exact (--magnetometer-noise)")
     return EarthFrameCompensation(
         compensation,
@@ -350,5 +353,6 @@ def _earth(
         magnetometer=bool(options["magnetometer"]),
         velocity=bool(options["velocity"]),
         declination=declination or 0.0,
-        uncertainty=None if propagation is None else EarthUncertainty(propagation, noise or 0.0),
+        uncertain=uncertain_angles,
+        field_noise=noise or 0.0,
     )

@@ -18,7 +18,7 @@ import tiltcal
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import CHUNK, Demodulation, demodulate
 from tiltcal.core.pair.matching import Matching, PairCoefficients, drifts, match, solve
-from tiltcal.core.pair.model import Pair, sum_weights
+from tiltcal.core.pair.model import Pair, matched_sum
 from tiltcal.core.pair.online import Online
 from tiltcal.core.pair.stage import STANDSTILL, StageRecord, estimated_angle, require_turns, stage_record
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
@@ -31,11 +31,8 @@ from tiltcal.logs.numbers import read_columns
 from tiltcal.logs.streams import imported_meanwhile
 from tiltcal.stated_arguments import require_boolean, require_text_or_none
 
-_LARGEST = 1e140
-"""Reading whose squares can be summed up in double precision."""
-
-_TURNS_OF_SEGMENT, _LONGEST_SEGMENT = 8, 1 << 18
-"""Turns and, at the most, rows of a segment of the spectra."""
+_LARGEST = 1e140  # reading whose squares can be summed up in double precision
+_TURNS_OF_SEGMENT, _LONGEST_SEGMENT = 8, 1 << 18  # turns and, at the most, rows of a segment of the spectra
 
 
 @dataclass(frozen=True)
@@ -71,21 +68,16 @@ class PairLog:
         segment = min(segment, _LONGEST_SEGMENT)
         if self.rows < segment:
             raise EstimateError(f"the record is too short for a spectrum; {2 * _TURNS_OF_SEGMENT} turns will do")
-        pair, places = matching.pair, np.flatnonzero(self.record.whole)
-        columns = [self.record.readings[self.record.channels.index(channel)] for channel in pair.channels]
-        mixes = np.array([[1.0, 0.0, 0.0], sum_weights(matching.p, 0.0), sum_weights(matching.p, matching.q)])
-        # The periodic Hann window, as Welch's method takes it.
-        window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(segment) / segment)
-        starts = range(0, len(places) - segment + 1, segment // 2)
-        power = np.zeros((3, segment // 2 + 1))
-        for start in starts:
-            part = mixes @ np.stack([column[places[start : start + segment]] for column in columns])
-            power += np.abs(np.fft.rfft((part - part.mean(axis=1, keepdims=True)) * window)) ** 2
-        power[:, 1:-1] *= 2.0
-        rate = self.rate or 1.0
-        density = power / (len(starts) * rate * float(window @ window))
-        names = (pair.first, "sum after p", "sum after p and q")
-        return np.arange(segment // 2 + 1) * rate / segment, dict(zip(names, density, strict=True))
+        from scipy.signal import welch
+
+        pair, whole = matching.pair, self.record.whole
+        first, second, orthogonal = (self.record.readings[self.record.channels.index(name)] for name in pair.channels)
+        alone, densities = first[whole], {}
+        frequency, densities[pair.first] = welch(alone, self.rate or 1.0, nperseg=segment)
+        for name, q in (("sum after p", 0.0), ("sum after p and q", matching.q)):
+            matched = matched_sum(alone, second[whole], orthogonal[whole], matching.p, q)
+            densities[name] = welch(matched, self.rate or 1.0, nperseg=segment)[1]
+        return frequency, densities
 
 
 @dataclass(frozen=True)

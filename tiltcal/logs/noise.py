@@ -28,12 +28,8 @@ from tiltcal.logs.numbers import read_columns
 from tiltcal.logs.streams import imported_meanwhile
 from tiltcal.stated_arguments import require_above_zero, require_whole
 
-_LATE = 1.5
-"""Rows are missing where the next one is late by so many intervals."""
-
-_MILLISECOND = 1e-3
-"""Times that are written to the millisecond may be off by as much, seconds."""
-
+_LATE = 1.5  # rows are missing where the next one is late by so many intervals
+_MILLISECOND = 1e-3  # times that are written to the millisecond may be off by as much, seconds
 _LONGEST_GAP, _GAP_SHARE = 10_000_000, 100
 """Refuse a gap of more rows than this, and than so many times the rows before it."""
 

@@ -15,12 +15,8 @@ from tiltcal.core.noise import FLICKER, RANGE_OF_100, ChannelNoise, Limit, Noise
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_above_zero
 
-_SHOWS = 0.1
-"""Share of the lowest deviation above which what rounding leaves is worth a word."""
-
-_FEWEST_SAMPLES = 2
-"""Of a position, for `measure`."""
-
+_SHOWS = 0.1  # share of the lowest deviation above which what rounding leaves is worth a word
+_FEWEST_SAMPLES = 2  # of a position, for `measure`
 _WHY: dict[Limit, str] = {
     "target": "the smallest number that meets the target",
     "record": "the longest that this record supports; more samples still help: record longer",

@@ -24,23 +24,9 @@ def read_ramp(
     segment: Segment | None = None,
     progress: Progress | None = None,
 ) -> tuple[RampRecord, LogRecord | None]:
-    """Return the record of a ramp, and the log that it is from; None of a frame.
+    """Return the record of a ramp in the rows of a segment, or in all, and the log that it is from; None of a frame.
 
-    Rows that miss a value, or whose temperature jumps, are left out.
-
-    Parameters
-    ----------
-    named : mapping of str to str
-        Column name by role, from ``--columns``.
-    segment : Segment, optional
-        The rows that count; without it all.
-
-    Raises
-    ------
-    InputError
-        A row cannot be parsed, or the segment reaches beyond the log.
-    EstimateError
-        There are too few rows, or too many temperatures jump.
+    ``named`` are columns by role, from ``--columns``. Rows that miss a value, or whose temperature jumps, are left out.
     """
     is_file = isinstance(data, str | Path)
     with open_log(data, digest=is_file, progress=progress) as log:

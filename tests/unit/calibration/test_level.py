@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import scipy
 from scipy.spatial.transform import Rotation
-from support import FIXTURES, WITHOUT_PRIORS
+from support import FIXTURES
 
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.level import NO_LEVEL, NO_NOISE, level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.wording import level_summary
-from tiltcal.core.model import Array, Mounting, vector_of, with_vector
+from tiltcal.core.model import Array, Mounting
+from tiltcal.core.named_coefficients import vector_of, with_vector
 from tiltcal.core.samples import SampleSummary
-from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import find_procedure
 from tiltcal.files.uncertainty import Uncertainty
@@ -87,16 +87,6 @@ def test_the_change_has_the_coverage_factor_of_its_noise() -> None:
     assert [found.change_coverage_factor[channel] for channel in "xy"] == pytest.approx(expected.tolist(), abs=1e-3)
 
 
-def test_both_channels_share_what_the_level_was_off() -> None:
-    """A lean of the table shows in x and y as their sensitivities to it say."""
-    base = replace(COMPLETE, uncertainty=replace(COMPLETE.uncertainty, standard={}, covariance=None))
-    found = levelled(base, np.array([1030.0, 1010.0]), jig=0.5)
-    sensitivity = COMPLETE.coefficients.sensitivity[:, :2]
-    expected = radians(0.5) ** 2 * sensitivity @ sensitivity.T + NOISE**2 * np.eye(2)
-    expected += np.outer(COMPLETE.coefficients.thermal.drift[:, 0], COMPLETE.coefficients.thermal.drift[:, 0]) * 0.01
-    np.testing.assert_allclose(covariance_of(found, "offset.x", "offset.y"), expected, rtol=2e-3, atol=1e-2)
-
-
 @pytest.mark.parametrize(
     ("mounting", "times"), [(None, 200), (Mounting(roll=np.pi), 15), (Mounting(0.2, -0.3, 2.0), 15)]
 )
@@ -133,13 +123,6 @@ def test_after_200_replugs_the_tilt_holds_its_interval(mounting: Mounting | None
     assert np.mean(held) > 0.95
 
 
-def test_the_lean_of_the_table_adds_to_the_jigs_by_squares() -> None:
-    found = levelled(COMPLETE, np.array([1030.0, 1010.0]), jig=0.3, table=0.4)
-    assert found.fit.level.jig_degrees == 0.5
-    whole = levelled(COMPLETE, np.array([1030.0, 1010.0]), jig=0.5)
-    assert found.uncertainty["offset.x"] == pytest.approx(whole.uncertainty["offset.x"], rel=1e-3)
-
-
 def test_a_lean_of_the_table_turns_with_the_headings_of_the_sensor() -> None:
     """Turned by 90° from above, a lean (a, b) is (b, -a) for the sensor: the mean of both is (a + b, b - a)/2."""
     base = replace(COMPLETE, uncertainty=replace(COMPLETE.uncertainty, standard={}, covariance=None))
@@ -148,16 +131,6 @@ def test_a_lean_of_the_table_turns_with_the_headings_of_the_sensor() -> None:
     found = level(base, seen, find_procedure("level"), BenchUncertainty(0.0, 0.0, 0.5))
     by = COMPLETE.coefficients.sensitivity[:, :2] @ np.array([[0.5, 0.5], [-0.5, 0.5]]) * radians(0.5)
     np.testing.assert_allclose(covariance_of(found, "offset.x", "offset.y"), by @ by.T, rtol=1e-2, atol=1e-3)
-
-
-def test_an_inverted_sensor_has_its_own_offset() -> None:
-    """Upside down by a roll of 180° gravity is -z in the sensor's frame."""
-    hanging = Calibration(COMPLETE).with_mounting("roll=180").record
-    found = levelled(hanging, np.array([1030.0, 1010.0]))
-    drift = COMPLETE.coefficients.thermal.drift[0, 0] * (24.0 - COMPLETE.coefficients.thermal.reference)
-    expected = 1030.0 + COMPLETE.coefficients.sensitivity[0, 2] - drift
-    assert found.coefficients.offset[0] == pytest.approx(expected, abs=1e-3)
-    assert found.coefficients.mounting == hanging.coefficients.mounting
 
 
 def test_an_alignment_that_is_an_error_of_no_level_and_grows_with_the_tilt() -> None:
@@ -174,24 +147,6 @@ def test_an_alignment_that_is_an_error_of_no_level_and_grows_with_the_tilt() -> 
     assert u[0] == pytest.approx(alone[0], rel=1e-3)
     by_hand = 2.0 / sqrt(3.0) * sqrt(0.5**2 + (1.0 - sqrt(0.75)) ** 2)
     assert sqrt(u[1] ** 2 - alone[1] ** 2) == pytest.approx(by_hand, rel=2e-3)
-
-
-def test_one_channel_sees_the_turns_that_it_can() -> None:
-    """Along its own tilt t a turn about the other level axis gives cos t - 1, over cos t for the tilt."""
-    base = read_calibration(WITHOUT_PRIORS)
-    alone = replace(
-        base,
-        sensor=base.sensor.replaced(channels=("x",)),
-        coefficients=replace(
-            base.coefficients, channels=("x",), axes=("x",), offset=np.array([1024.0]), sensitivity=np.array([[819.0]])
-        ),
-        uncertainty=replace(base.uncertainty, standard={}, covariance=None, coverage_factor={}),
-    )
-    found = Calibration(levelled(alone, np.array([1030.0]), jig=0.0))
-    tilted = found.apply({"x": [1030.0, 1030.0 + 819.0 * 0.6]}, uncertainty=True, reading_noise=0.0)
-    assert tilted["u_tilt_x"][1] ** 2 - tilted["u_tilt_x"][0] ** 2 / 0.8**2 == pytest.approx(
-        (2.0 / sqrt(3.0) * 0.2 / 0.8) ** 2, rel=1e-2
-    )
 
 
 def test_the_change_is_told_and_judged() -> None:
@@ -214,13 +169,6 @@ def test_a_second_level_takes_the_place_of_the_first() -> None:
     assert second.uncertainty.alignment == first.uncertainty.alignment
     assert second.uncertainty["offset.x"] == pytest.approx(first.uncertainty["offset.x"], rel=1e-3)
     assert second.fit.level.change["x"] == pytest.approx(-10.0, abs=1e-2)
-
-
-def test_what_is_missing_is_named() -> None:
-    with pytest.raises(EstimateError, match="changes with temperature, and level has none"):
-        levelled(COMPLETE, np.array([1030.0, 1010.0]), None)
-    with pytest.raises(UsageError, match="--alignment 20: it is between 0 and 10"):
-        levelled(COMPLETE, np.array([1030.0, 1010.0]), alignment=20.0)
 
 
 def test_noise_that_a_table_does_not_state_is_that_of_readings_of_the_base() -> None:

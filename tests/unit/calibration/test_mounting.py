@@ -11,8 +11,8 @@ from scipy.stats import chi2
 
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.calibration.mounting import mount
+from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.model import Coefficients, Thermal
-from tiltcal.core.mounting_angles import mounting_matrix
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
@@ -67,36 +67,6 @@ def test_a_base_that_drifts_needs_the_temperature_of_each_position() -> None:
     found = mount(drifting(1.0), positions(read, temperature=5.0)).coefficients.mounting
     assert found is not None
     np.testing.assert_allclose(mounting_matrix(found), np.eye(3), atol=1e-5)
-
-
-def test_gimbal_lock_is_stated_and_no_angle_has_an_uncertainty() -> None:
-    """A pitch of 90° gives (-z, y, x) of the sensor, by the matrix of the document."""
-    known = Coefficients(("x", "y", "z"), ("x", "y", "z"), np.zeros(3), 800.0 * np.eye(3))
-    base = CalibrationRecord(SensorIdentity("bench-built", "S-1", "count", known.channels), known)
-    read = [{"x": 800.0 * z, "y": 800.0 * y, "z": -800.0 * x} for x, y, z in LEVEL_X_Y]
-    measured = [
-        replace(one, summaries={c: SampleSummary(u, 0.0, 1, 0.0) for c, u in row.items()})
-        for one, row in zip(positions([(0.0, 0.0)] * 3), read, strict=True)
-    ]
-    found = mount(base, measured, jig=0.1)
-    assert found.derived.gimbal_lock
-    assert found.coefficients.mounting is not None
-    assert found.coefficients.mounting.pitch == pytest.approx(radians(90.0), abs=1e-6)
-    assert not found.uncertainty.standard
-
-
-def test_a_base_that_does_not_drift_needs_no_temperature() -> None:
-    found = mount(drifting(0.0), positions([(819.0 * x, 819.0 * y) for x, y, _ in LEVEL_X_Y])).coefficients.mounting
-    assert found is not None
-    np.testing.assert_allclose(mounting_matrix(found), np.eye(3), atol=1e-5)
-
-
-def test_what_the_base_states_beside_its_coefficients_stays() -> None:
-    """How the sensor may have turned since its calibration, and the noise of a reading, are not the mounting's."""
-    before = Uncertainty({"offset.x": 0.1}, {"x": 0.5}, {"offset.x": 2.0}, alignment=0.2)
-    base = replace(base_of([[819.0, 0.0], [0.0, 819.0]], ("x", "y")), uncertainty=before)
-    found = mount(base, positions([(819.0 * x, 819.0 * y) for x, y, _ in LEVEL_X_Y]), jig=0.1).uncertainty
-    assert (found.alignment, found.single_reading) == (0.2, {"x": 0.5})
 
 
 def test_the_probability_is_that_of_chi_square_with_the_base_among_its_causes() -> None:

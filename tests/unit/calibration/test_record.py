@@ -42,13 +42,6 @@ def test_a_mounting_of_the_file_is_replaced_and_no_longer_uncertain() -> None:
     assert len(turned.positions) < len(mounted.positions)
 
 
-def test_the_file_of_a_mounted_sensor_is_read_again(tmp_path: object) -> None:
-    turned = tiltcal.read(MOUNTED).with_mounting({"yaw": -90.0})
-    path = f"{tmp_path}/turned.yaml"
-    turned.save(path)
-    assert tiltcal.read(path) == turned
-
-
 @pytest.mark.parametrize(
     ("angles", "why"),
     [

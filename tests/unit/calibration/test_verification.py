@@ -42,23 +42,17 @@ def test_a_perfect_part_does_not_fail_for_its_jig() -> None:
     assert stated.count("failed") == 0
 
 
-def test_a_bad_part_fails_and_does_not_pass() -> None:
+def test_a_bad_part_fails_and_a_good_one_passes() -> None:
     rng = np.random.default_rng(2)
     assert {verified(rng, 0.05, bias=0.6, stated=0.05).verdict for _ in range(15)} == {"failed"}
-
-
-def test_a_good_part_passes_with_a_good_jig() -> None:
-    rng = np.random.default_rng(3)
     assert {verified(rng, 0.02, stated=0.02).verdict for _ in range(15)} == {"passed"}
 
 
-@pytest.mark.parametrize(
-    ("error", "verdict"), [(0.10, "passed"), (0.11, "not decided"), (0.49, "not decided"), (0.50, "failed")]
-)
-def test_the_limit_is_guarded_on_both_sides(error: float, verdict: str) -> None:
+def test_the_limit_is_guarded_on_both_sides() -> None:
     """U = 1.96 times 0.1° = 0.196°: within 0.3 - 0.196 = 0.104 passed, beyond 0.3 + 0.196 = 0.496 failed."""
-    position = VerifiedPosition("p", {"x": 10.0}, {"x": 10.0 + error}, None, 1, 1.959964 * 0.1)
-    assert position.verdict(0.3) == verdict
+    for error, verdict in {0.10: "passed", 0.11: "not decided", 0.49: "not decided", 0.50: "failed"}.items():
+        position = VerifiedPosition("p", {"x": 10.0}, {"x": 10.0 + error}, None, 1, 1.959964 * 0.1)
+        assert position.verdict(0.3) == verdict
 
 
 def test_noise_counts_by_the_slope_of_the_angle() -> None:
@@ -79,15 +73,3 @@ def test_a_position_is_judged_at_its_temperature(temperature: float, error: floa
     one = Measurement("level", (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, temperature, summaries)
     (found,) = verify_positions(drifting, [one])
     assert found.error == pytest.approx(error, abs=1e-2)
-
-
-def test_error_and_uncertainty_have_the_same_decimals() -> None:
-    """Two digits of the uncertainty (GUM, 7.2.6)."""
-    positions = [
-        VerifiedPosition("p", {"x": 10.0}, {"x": 10.0123}, None, 1, 0.2),
-        VerifiedPosition("q", {"x": 10.0}, {"x": 10.0345}, None, 1, 0.00123),
-    ]
-    shown = str(Verification(SENSOR, tuple(positions), 0.3, 0.1))
-    assert "off by 0.01 ± 0.20°" in shown
-    assert "off by 0.0345 ± 0.0012°" in shown
-    assert "worst 0.0345 ± 0.0012° at q" in shown

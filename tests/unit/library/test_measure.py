@@ -155,35 +155,6 @@ def test_a_rig_whose_answers_are_none_is_given_up_with_the_reason() -> None:
         measure("plane", operator=Mute(), output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
 
 
-def test_a_rig_that_only_talks_nonsense_while_the_stage_turns_is_given_up() -> None:
-    class Babbling:
-        def rotation(self, ask: object) -> Mapping[str, Any]:
-            return {"answer": "ready"}
-
-        def poll(self) -> object:
-            return {"answer": "perhaps"}
-
-    with pytest.raises(Stopped, match="'perhaps' is not one of stop, quit"):
-        measure("rotation", operator=Babbling(), sensor="gradiometer", address="sim:", serial="G-1", output="p.yaml")
-
-
-@pytest.mark.parametrize(
-    "said",
-    [None, 3, {}, {"answer": "yes"}, {"answer": "ready", "tilt": {"x": float("inf")}}, {"answer": "ready", "tilt": []}],
-)
-def test_an_answer_is_checked(said: object) -> None:
-    with pytest.raises(InputError):
-        understood(said)
-
-
-@pytest.mark.parametrize("axis", ["\ud800", "z", "X", ""])
-def test_an_angle_has_an_axis(axis: str) -> None:
-    """A lone surrogate cannot be written to the journal."""
-    with pytest.raises(InputError, match="an angle is that of x or y") as refused:
-        understood({"answer": "ready", "tilt": {axis: 30.0}})
-    assert str(refused.value).isascii()
-
-
 def test_numbers_of_numpy_are_understood() -> None:
     """An encoder that is read with numpy gives its types; 30.5 is a number of each of them."""
     said = {"tilt": {"y": np.float32(30.5)}, "gravity": np.array([0.0, 0.6, 0.8]), "temperature": np.int64(20)}
@@ -203,13 +174,6 @@ def test_an_answer_may_repeat_the_direction_that_was_asked_or_reached(gravity: l
     assert reached.gravity == pytest.approx((0.0, 0.500302, 0.865851), abs=1e-6)
 
 
-def test_an_answer_that_contradicts_itself_is_refused() -> None:
-    (asked,) = (each for each in find_procedure("plane", 30.0).positions if each.name == "y-tilt1")
-    said = understood({"answer": "ready", "tilt": {"y": 30.02}, "gravity": [0.0, 0.6, 0.8]})
-    with pytest.raises(InputError, match="a tilt and a gravity that contradict each other"):
-        said.as_set(asked)
-
-
 def test_a_sensor_is_read_by_itself() -> None:
     with open_sensor("sca100t-d02", "sim:?seed=1") as sensor:
         reading = sensor.read()
@@ -218,8 +182,10 @@ def test_a_sensor_is_read_by_itself() -> None:
     assert reading.temperature == pytest.approx(24.0, abs=5.0)
 
 
-def test_at_the_bus_twelve_frames_of_ours_stand_on_the_stack(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the entry point of the command to the link that is recorded; counted where the bytes leave."""
+def test_between_the_command_and_the_bus_eight_frames_of_ours_stand_on_the_stack(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """From the library's function to the link that is recorded; counted where the bytes leave."""
     depths: set[int] = set()
     connect = devices.open_device
     ours = (str(Path(tiltcal.__file__).parent), str(Path(tiltcal.__file__).parents[1] / "drivers"))
@@ -245,7 +211,7 @@ def test_at_the_bus_twelve_frames_of_ours_stand_on_the_stack(monkeypatch: pytest
     options = [f"--{name}={value}" for name, value in SENSOR.items()]
     assert run(["measure", "plane", "--operator=sim", "--output=S-1.yaml", *options]) == 0
     assert depths
-    assert max(depths) <= 12, depths
+    assert max(depths) - len(("run", "command")) <= 8, depths
 
 
 def test_measuring_tilt_loads_nothing_of_a_stage() -> None:
@@ -306,14 +272,6 @@ def test_a_journal_of_somebody_else_writes_nowhere_but_beside_it(name: str, tmp_
     assert not written.exists()
     measure(resume="inside/J.jsonl", output="here.yaml")
     assert Path("here.yaml").read_bytes() == whole
-
-
-def test_a_link_beside_the_journal_leads_nowhere_else(tmp_path: Path) -> None:
-    measure("plane", operator="sim", output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
-    Path("S-1.yaml").unlink()
-    Path("S-1.yaml").symlink_to("/tmp/elsewhere.yaml")
-    with pytest.raises(UsageError, match="outside its own folder"):
-        measure(resume="S-1.journal.jsonl")
 
 
 def test_a_clock_that_went_back_is_taken_from_the_journal() -> None:

@@ -13,11 +13,10 @@ from operator import itemgetter
 import numpy as np
 
 from tiltcal.core.attitude import Vector, gravity_from_tilt
-from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.equations import ChannelReadings, Equations
 from tiltcal.core.estimation.free import UNKNOWNS, planned_uncertain
 from tiltcal.core.estimation.positions import Design, Observation, SensorObservations, require_sound
-from tiltcal.core.estimation.solve import UNDETERMINED, solved_at, undetermined
+from tiltcal.core.estimation.solve import UNDETERMINED, budgets, solved_at, undetermined
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError

@@ -103,22 +103,11 @@ class Linearised:
 class Equations:
     """All equations of a fixture; an EstimateError where two sensors disagree on the direction of a position.
 
-    Attributes
-    ----------
-    channels : list of ChannelReadings
-        Sensor by sensor; the readings follow each other in this order.
-    names : tuple of str
-        Of the coefficients, sensor by sensor.
-    gravity : ndarray, shape (places, 3)
-        As set, in the fixture's frame; ``basis``, (places, 3, 2), are the directions in which it can move.
-    prior_value, prior_u : ndarray, shape (coefficients,)
-        What is stated of each; infinite u for nothing, 0 for one that is held at its value.
-    stated_values, stated_columns, stated_target : ndarray, shape (statements, few), (statements, few), (statements,)
-        All that is stated of them, over its uncertainty: factors of some coefficients, which, and the sums that result.
-    exact : bool
-        Whether a reading has no uncertainty that is known: chi-square is then no test.
-    errors : mapping of str to slice
-        The unknowns that are errors of the bench, by their source.
+    The coefficients have their ``names`` sensor by sensor, ``prior_value`` and ``prior_u``, which is infinite where
+    nothing is stated and 0 for one that is held. ``stated_values``, ``stated_columns`` and ``stated_target`` are all
+    statements, over their uncertainty: factors of some coefficients, which, and the sums that result. ``gravity``,
+    (places, 3), is as set in the fixture's frame, and can move along ``basis``, (places, 3, 2). ``exact``: a reading
+    has no uncertainty that is known, and chi-square is no test. ``errors`` are the unknowns of the bench, by source.
     """
 
     def __init__(self, sensors: Sequence[SensorObservations]) -> None:

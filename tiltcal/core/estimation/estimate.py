@@ -9,28 +9,29 @@ nobody set have a fit of their own (:mod:`tiltcal.core.estimation.free`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import degrees, inf, sqrt
+from itertools import combinations
+from math import degrees, hypot, inf, radians, sqrt
 
 import numpy as np
 
 from tiltcal.core.attitude import rotation_vectors
-from tiltcal.core.estimation.budget import budgets
 from tiltcal.core.estimation.design import require_determined
-from tiltcal.core.estimation.equations import JIG, NOISE, TABLE, THERMOMETER, Equations
+from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, TABLE, THERMOMETER, Equations
 from tiltcal.core.estimation.positions import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.solve import (
     LARGEST_JIG,
     EstimatedVariance,
     Solution,
+    budgets,
     shown_variance,
     solved,
     solved_at,
     start_as_set,
     with_estimated,
 )
-from tiltcal.core.model import Array, Coefficients, Thermal
+from tiltcal.core.model import AXES, Array, Coefficients, Thermal
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
@@ -51,6 +52,12 @@ LIKE_THE_REST = 0.2
 
 LEAST_SENSITIVITY = 0.5
 """Sensitivities of which a singular value is less than this share of the nominal one follow from a wrong position."""
+
+ALIKE = 1.5
+"""Temperatures that are no further apart are one temperature met twice, °C."""
+
+SIGNIFICANT = 3.0
+"""Standard uncertainties above which the difference of two readings at one temperature is hysteresis."""
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
 LEAN = "lean"
@@ -74,51 +81,25 @@ class AttitudeError:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients of one sensor, with their uncertainty and the residuals.
-
-    Attributes
-    ----------
-    uncertain : Uncertain
-        The coefficients by their dotted names, channel by channel.
-    residuals : ndarray, shape (positions, channels)
-        Measured minus modelled in the positions as they were set, in the sensor's unit.
-    dof : int
-        Degrees of freedom left, over all channels of all sensors of the fixture.
-    chi_square : float or None
-        Sum of squares of all that was stated, over the same; None where nothing is left over to judge.
-    p : float or None
-        Probability of such a chi-square or a greater one, if what was stated is true.
-    stated : bool
-        Whether the covariance comes from stated uncertainties, and not from the residuals.
-    attitudes : tuple of AttitudeError
-        One a position, where the jig is stated; empty otherwise.
-    estimated_jig, estimated_thermometer, estimated_noise : float or None
-        Standard deviations that the residuals show of what is not stated: of a set angle, degrees; of a temperature
-        beside a stated jig, °C; of the readings, unit, with its degrees of freedom ``noise_dof``.
-    by_reading : ndarray, shape (coefficients, positions, channels), or None
-        How the coefficients follow the readings.
-    notes : tuple of str
-        What limits the numbers, in words.
-    not_covered : tuple of str
-        Errors of the bench that no position shows and that are not in the uncertainty.
-    """
+    """Coefficients of one sensor, with their uncertainty and the residuals."""
 
     coefficients: Coefficients
-    uncertain: Uncertain
+    uncertain: Uncertain  # the coefficients by their dotted names, channel by channel
     positions: tuple[str, ...]
-    residuals: Array
-    dof: int
-    chi_square: float | None
-    p: float | None
-    stated: bool
-    attitudes: tuple[AttitudeError, ...] = ()
-    estimated_jig: float | None = None
-    estimated_thermometer: float | None = None
-    estimated_noise: float | None = None
-    noise_dof: float | None = None
-    by_reading: Array | None = None
-    notes: tuple[str, ...] = ()
-    not_covered: tuple[str, ...] = ()
+    residuals: Array  # measured minus modelled in the positions as they were set, (positions, channels), unit
+    dof: int  # left over all channels of all sensors of the fixture
+    chi_square: float | None  # sum of squares of all that was stated, over the same; None where nothing is left over
+    p: float | None  # probability of such a chi-square or a greater one, if what was stated is true
+    stated: bool  # whether the covariance comes from stated uncertainties, and not from the residuals
+    attitudes: tuple[AttitudeError, ...] = ()  # one a position, where the jig is stated
+    # Standard deviations that the residuals show of what is not stated:
+    estimated_jig: float | None = None  # of a set angle, degrees
+    estimated_thermometer: float | None = None  # of a temperature beside a stated jig, °C
+    estimated_noise: float | None = None  # of the readings, unit
+    noise_dof: float | None = None  # the degrees of freedom of that
+    by_reading: Array | None = None  # how the coefficients follow the readings, (coefficients, positions, channels)
+    notes: tuple[str, ...] = ()  # what limits the numbers, in words
+    not_covered: tuple[str, ...] = ()  # errors of the bench that no position shows and that are not in the uncertainty
 
     def uncertainty(self) -> dict[str, float]:
         """Return the standard uncertainty of each coefficient by its dotted name."""
@@ -284,14 +265,8 @@ def _coefficients(sensor: SensorObservations, theta: Array) -> Coefficients:
     if design.thermal:
         met = [one.temperature for one in sensor.observations if one.temperature is not None]
         thermal = Thermal(design.reference, (float(min(met)), float(max(met))), drift, gain)
-    return Coefficients(
-        channels=design.channels,
-        axes=design.axes,
-        offset=table[:, 0],
-        sensitivity=sensitivity,
-        thermal=thermal,
-        nonlinearity=bend if design.nonlinearity else None,
-    )
+    bent = bend if design.nonlinearity else None
+    return Coefficients(design.channels, design.axes, table[:, 0], sensitivity, thermal, nonlinearity=bent)
 
 
 # Grossly wrong positions
@@ -369,4 +344,59 @@ def _sizes(equations: Equations, z: Array) -> list[Array]:
     return [
         np.asarray(np.linalg.svd(_coefficients(sensor, z[own]).sensitivity, compute_uv=False))
         for sensor, own in zip(equations.sensors, equations.sensor_coefficients(), strict=True)
+    ]
+
+
+# Hysteresis: two readings in one position at one temperature, which was reached from two sides. The truth is anywhere
+# between the two ways, half a loop to either side, with a rectangular distribution (GUM 4.3.7). It may be off by the
+# same for all positions of the setting that shows the loop, and for each of them that was met only once by itself.
+
+
+def with_hysteresis(fitted: Estimate, sensor: SensorObservations) -> Estimate:
+    """Return the estimate with the loops between temperatures that were met twice in its uncertainty."""
+    observations, pairs = sensor.observations, _met_twice(sensor.observations)
+    if fitted.coefficients.thermal is None or fitted.by_reading is None or not pairs:
+        return fitted
+    jig = fitted.estimated_jig if sensor.design.jig is None else sensor.design.jig
+    settings = np.cumsum([not observation.held for observation in observations])
+    axes = [AXES.index(axis) for axis in fitted.coefficients.axes]
+    added = np.zeros_like(fitted.uncertain.covariance)
+    for column, sensitivity in enumerate(fitted.coefficients.sensitivity):
+        loops = []
+        for i, j in pairs:
+            # Two attitudes that were set apart differ by the jig.
+            across = float(np.linalg.norm(np.cross(np.eye(3)[axes].T @ sensitivity, observations[i].gravity)))
+            by_jig = 0.0 if settings[i] == settings[j] else sqrt(2.0) * radians(jig or 0.0) * across
+            u = hypot(observations[i].u[column], observations[j].u[column], by_jig)
+            loop = abs(float(fitted.residuals[j, column] - fitted.residuals[i, column]))
+            loops.append((loop / u if u else loop, loop, u))
+        _, loop, u = max(loops)
+        if loop > SIGNIFICANT * u:
+            for rows in _moved_together(settings.tolist(), {index for pair in pairs for index in pair}):
+                moved = fitted.by_reading[:, rows, column].sum(axis=1) * loop
+                added += np.outer(moved, moved) / 12.0
+    if not added.any():
+        return fitted
+    by_loops = Uncertain.errors(fitted.uncertain.names, added, source=HYSTERESIS)
+    return replace(fitted, uncertain=fitted.uncertain + by_loops)
+
+
+def _moved_together(settings: Sequence[int], twice: set[int]) -> Iterator[list[int]]:
+    """Yield the positions of each setting that shows a loop, and each of them that was met once."""
+    for setting in dict.fromkeys(settings[index] for index in sorted(twice)):
+        rows = [row for row, its in enumerate(settings) if its == setting]
+        yield rows
+        yield from ([row] for row in rows if row not in twice)
+
+
+def _met_twice(observations: Sequence[Observation]) -> list[tuple[int, int]]:
+    """Return the pairs of positions with one attitude and one temperature."""
+    return [
+        (i, j)
+        for (i, first), (j, second) in combinations(enumerate(observations), 2)
+        if np.array_equal(first.gravity, second.gravity)
+        and first.heading == second.heading
+        and first.temperature is not None
+        and second.temperature is not None
+        and abs(first.temperature - second.temperature) <= ALIKE
     ]

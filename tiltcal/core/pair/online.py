@@ -29,12 +29,8 @@ from tiltcal.core.pair.model import FEWEST_TURNS, Pair, sum_weights
 from tiltcal.core.pair.stage import BACKWARDS, PARTS, ROUNDING, STANDING, follow
 from tiltcal.errors import EstimateError
 
-MEMORY = 100.0
-"""Turns after which a row counts 1/e."""
-
-REMEMBERED = 4.0
-"""Times the memory after which a turn does not count at all."""
-
+MEMORY = 100.0  # turns after which a row counts 1/e
+REMEMBERED = 4.0  # times the memory after which a turn does not count at all
 COARSE = (
     "from one angle to the next are more than 45°, which is too coarse to be followed: more rows a turn, or a finer "
     "encoder; without --online they will do"

@@ -28,16 +28,12 @@ from tiltcal.core.ramp.means import LAGS, TINY, RampMeans, least_squares, lowest
 from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
 from tiltcal.errors import EstimateError
 
-RESOLVED = 2.0
-"""Standard uncertainties that a lag is away from 0 where it is used."""
-
+RESOLVED = 2.0  # standard uncertainties that a lag is away from 0 where it is used
 LAG_RESOLUTION, LEG_LAGS = 0.1, 4.0
 """A lag is known better than the time in which the temperature crosses this part of its range, and a leg lasts so many
 lags: else the element does not follow."""
 
-WORSE = 0.02
-"""Part by which the mean square error of a channel may grow on a leg and not count as worse."""
-
+WORSE = 0.02  # part by which the mean square error of a channel may grow on a leg and not count as worse
 CHANCE, TURNING = 0.01, 1e-4
 """Probability with which noise alone makes a loop, and residuals that turn with the temperature."""
 
@@ -48,9 +44,7 @@ the mean square of the others."""
 ONE_SIDED, TWO_SIDED = 1.645, 1.96
 """Standard deviations within which a normal variable is in 95 % of cases, to one side and to both."""
 
-PLACES = 8
-"""Temperatures at which the ways are compared."""
-
+PLACES = 8  # temperatures at which the ways are compared
 _LOOP_TERMS = 3  # of the polynomial of a loop: a play of a cubic, and Rayleigh's loop, have three
 
 

@@ -15,9 +15,7 @@ from tiltcal.core.model import Array
 from tiltcal.core.quantisation import even_step
 from tiltcal.errors import EstimateError
 
-MOST = 4096
-"""Means that a record has at least, where it has so many rows."""
-
+MOST = 4096  # means that a record has at least, where it has so many rows
 _FEWEST_ROWS = 32  # of a record
 _STEPS = 4.0  # usual steps by which a ramp of few rows may change from one row to the next
 _GAP = 10.0  # usual intervals without a row, after which any temperature may follow
