@@ -20,8 +20,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import comb, radians, sin, sqrt
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from tiltcal.drivers.bus import SpiPort
 from tiltcal.drivers.bus.clock import Clock
@@ -324,170 +325,149 @@ def _recentred(coefficients: Polynomial, centre: float) -> Polynomial:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class InclinometerPart:
-    """The constants of one part of the family as delivered.
+def _draw(model: Model, population: Population, seed: int) -> Truth:
+    """Draw a part whose drift and sensitivity follow the mean curves of the population.
+
+    The thermometer is within 2 °C, which is ours: the data sheets call it untrimmed and give no limit. So is the noise:
+    the data sheets' 0.0008 °/√Hz is far below the 11-bit step; a bench is not.
+    """
+    limits = Tolerances(
+        offset=model.offset_spread * sqrt(3.0),
+        sensitivity=SENSITIVITY_LIMIT,
+        cross=CROSS_AXIS_LIMIT,
+        drift=population.drift_spread / model.sensitivity,
+        gain=population.gain_spread,
+        thermometer=2.0,
+    )
+    noise = 0.6 if model.offset else 0.8
+    truth = limits.draw(model.channels, model.sensitivity, noise, seed, model.offset)
+    _, slope, *higher = _recentred(population.drift, REFERENCE)
+    mean, steepness, *bends = _recentred(population.gain, REFERENCE)
+    within, nonlinearity = part_errors(seed), {}
+    if model.driver is Sca100t:
+        # Each term of the response has half of the tolerance, which their sum then keeps.
+        square, cube = (k / 2.0 for k in model.nonlinearity)
+        nonlinearity = {
+            channel: (within(square, f"quadratic {channel}"), within(cube, f"cubic {channel}"))
+            for channel in model.channels
+        }
+    return replace(
+        truth,
+        drift={channel: (slope + drift, *higher) for channel, (drift,) in truth.drift.items()},
+        gain={
+            channel: tuple(k / (1.0 + mean) for k in (steepness + gain, *bends))
+            for channel, (gain,) in truth.gain.items()
+        },
+        nonlinearity=nonlinearity,
+    )
+
+
+def _inclinometer(
+    name: str,
+    title: str,
+    counts_per_g: float,
+    offset_limit: float,
+    drift: Sequence[float],
+    gain: Sequence[float],
+    source: str,
+    slopes: tuple[float, float] = SLOPES,
+    **facts: Any,
+) -> Model:
+    """Return the model of a part; bus, waits, bandwidth and thermometer are the same in the whole family.
 
     offset_limit: largest offset of either sign, degrees.
     drift, gain: mean offset over the parts in degrees and mean change of the sensitivity in %, coefficients of 1, T,
         T², ... with T in °C; slopes: standard deviation over parts, °/°C and %/°C; source: of both.
-    nonlinearity: typical square and cube of the response; the data sheet states cross-axis sensitivity with them.
-    zero: nominal reading at 0 g, count.
     """
+    population = Population(
+        drift=tuple(counts_per_g * radians(k) for k in drift),
+        gain=tuple(k / 100.0 for k in gain),
+        drift_spread=counts_per_g * radians(slopes[0]),
+        gain_spread=slopes[1] / 100.0,
+        source=source,
+    )
+    model = Model(
+        name=name,
+        title=title,
+        schemes=("spi",),
+        addresses=("spi:///dev/spidev0.0",),
+        sensitivity=counts_per_g,
+        offset_spread=deviation_within(sin(radians(offset_limit))),
+        sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
+        resolution=1.0,
+        # The bandwidth is 8 to 28 Hz: the noise of an earlier sample is not independent.
+        interval=0.010,
+        thermometer=True,
+        thermometer_step=1.0 / 1.083,
+        population=population,
+        # The data sheets state the cross-axis sensitivity where they state the nonlinearity.
+        cross_axis_limit=CROSS_AXIS_LIMIT if "nonlinearity" in facts else 0.0,
+        not_modelled=NOT_MODELLED,
+        spi=SpiPort(modes=(0, 3), fastest=500_000),
+        **facts,
+    )
+    return replace(model, default_truth=partial(_draw, model, population))
 
-    name: str
-    title: str
-    driver: type[Sca61t]
-    twin: type[VirtualSca100t]
-    channels: tuple[str, ...]
-    counts_per_g: float
-    offset_limit: float
-    drift: Sequence[float]
-    gain: Sequence[float]
-    source: str
-    slopes: tuple[float, float] = SLOPES
-    nonlinearity: tuple[float, ...] = ()
-    zero: float = float(ZERO)
-    rails: tuple[float, float] = (float(LOWEST_SANE_WORD - 1), float(FULL_SCALE))
 
-    @property
-    def population(self) -> Population:
-        """The mean temperature curves in counts."""
-        counts = self.counts_per_g
-        return Population(
-            drift=tuple(counts * radians(k) for k in self.drift),
-            gain=tuple(k / 100.0 for k in self.gain),
-            drift_spread=counts * radians(self.slopes[0]),
-            gain_spread=self.slopes[1] / 100.0,
-            source=self.source,
-        )
-
-    @property
-    def noise(self) -> float:
-        """Standard deviation of a reading of a virtual part, count.
-
-        It is ours: the data sheets' 0.0008 °/√Hz is far below the 11-bit step; a bench is not.
-        """
-        return 0.6 if self.zero else 0.8
-
-    def draw(self, seed: int) -> Truth:
-        """Draw a part whose drift and sensitivity follow the mean curves.
-
-        The thermometer is within 2 °C, which is ours: the data sheets call it untrimmed and give no limit.
-        """
-        population = self.population
-        limits = Tolerances(
-            offset=sin(radians(self.offset_limit)),
-            sensitivity=SENSITIVITY_LIMIT,
-            cross=CROSS_AXIS_LIMIT,
-            drift=population.drift_spread / self.counts_per_g,
-            gain=population.gain_spread,
-            thermometer=2.0,
-        )
-        truth = limits.draw(self.channels, self.counts_per_g, self.noise, seed, self.zero)
-        _, slope, *higher = _recentred(population.drift, REFERENCE)
-        mean, steepness, *bends = _recentred(population.gain, REFERENCE)
-        within, nonlinearity = part_errors(seed), {}
-        if self.driver is Sca100t:
-            # Each term of the response has half of the tolerance, which their sum then keeps.
-            square, cube = (k / 2.0 for k in self.nonlinearity)
-            nonlinearity = {
-                channel: (within(square, f"quadratic {channel}"), within(cube, f"cubic {channel}"))
-                for channel in self.channels
-            }
-        return replace(
-            truth,
-            drift={channel: (slope + drift, *higher) for channel, (drift,) in truth.drift.items()},
-            gain={
-                channel: tuple(k / (1.0 + mean) for k in (steepness + gain, *bends))
-                for channel, (gain,) in truth.gain.items()
-            },
-            nonlinearity=nonlinearity,
-        )
-
-    def model(self) -> Model:
-        """Return the sensor model; bus, waits, bandwidth and thermometer are the same in the whole family."""
-        return Model(
-            name=self.name,
-            title=self.title,
-            channels=self.channels,
-            schemes=("spi",),
-            addresses=("spi:///dev/spidev0.0",),
-            offset=self.zero,
-            sensitivity=self.counts_per_g,
-            offset_spread=deviation_within(sin(radians(self.offset_limit))),
-            sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
-            rails=self.rails,
-            resolution=1.0,
-            # The bandwidth is 8 to 28 Hz: the noise of an earlier sample is not independent.
-            interval=0.010,
-            thermometer=True,
-            thermometer_step=1.0 / 1.083,
-            population=self.population,
-            cross_axis_limit=CROSS_AXIS_LIMIT if self.nonlinearity else 0.0,
-            nonlinearity=self.nonlinearity,
-            driver=self.driver,
-            twin=self.twin,
-            not_modelled=NOT_MODELLED,
-            default_truth=self.draw,
-            spi=SpiPort(modes=(0, 3), fastest=500_000),
-        )
+ABOUT_ZERO: dict[str, Any] = {"offset": float(ZERO), "rails": (float(LOWEST_SANE_WORD - 1), float(FULL_SCALE))}
+"""Of the parts whose reading is that of an element."""
 
 
 def _sca100t(
     variant: str, extent: str, counts: float, offset_limit: float, range_g: float, nonlinearity: float
 ) -> Model:
-    return InclinometerPart(
-        name=f"sca100t-{variant.lower()}",
-        title=f"Murata SCA100T-{variant} inclinometer, {extent}, SPI",
-        driver=Sca100t,
-        twin=VirtualSca100t,
-        channels=("x", "y"),
-        counts_per_g=counts,
-        offset_limit=offset_limit,
+    return _inclinometer(
+        f"sca100t-{variant.lower()}",
+        f"Murata SCA100T-{variant} inclinometer, {extent}, SPI",
+        counts,
+        offset_limit,
         drift=(0.0522, -0.0039, 0.0001, -0.0000006),
         gain=(0.0408, 0.0022, -0.00011),
         source="SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
+        driver=Sca100t,
+        twin=VirtualSca100t,
+        channels=("x", "y"),
         nonlinearity=typical_nonlinearity(sin(radians(nonlinearity)), range_g),
-    ).model()
+        **ABOUT_ZERO,
+    )
 
 
 def _sca103t(variant: str, extent: float, counts: float, limit: float) -> Model:
     """Return the model of a part for ±extent, whose offset and nonlinearity have one limit, degrees."""
     reach = float(HIGHEST_SANE_WORD - LOWEST_SANE_WORD + 1)
-    return InclinometerPart(
-        name=f"sca103t-{variant.lower()}",
-        title=f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, ±{extent:g}°, SPI",
-        driver=Sca103t,
-        twin=VirtualSca103t,
-        channels=("x",),
-        counts_per_g=counts,
-        offset_limit=limit,
+    return _inclinometer(
+        f"sca103t-{variant.lower()}",
+        f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, ±{extent:g}°, SPI",
+        counts,
+        limit,
         # Its offset has no tendency; the slope differs over parts.
         drift=(0.0, 0.0),
         gain=(-0.031, 0.0032, -0.00005, -0.0000005),
         source="SCA103T data sheet 8261700 Rev. A, mean temperature curve of the sensitivity",
         slopes=(0.002, 0.013),
+        driver=Sca103t,
+        twin=VirtualSca103t,
+        channels=("x",),
         nonlinearity=typical_nonlinearity(sin(radians(limit)), sin(radians(extent))),
-        zero=0.0,
         rails=(-reach, reach),
-    ).model()
+    )
 
 
 def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> Model:
-    return InclinometerPart(
-        name=f"sca61t-{variant.lower()}",
-        title=f"VTI (Murata) SCA61T-{variant} one-axis inclinometer, {extent}, SPI",
-        driver=Sca61t,
-        twin=VirtualSca61t,
-        channels=("x",),
-        counts_per_g=counts,
-        offset_limit=offset_limit,
+    return _inclinometer(
+        f"sca61t-{variant.lower()}",
+        f"VTI (Murata) SCA61T-{variant} one-axis inclinometer, {extent}, SPI",
+        counts,
+        offset_limit,
         drift=(0.0514, -0.0032, 0.0000857, -0.0000005),
         gain=(0.0362, 0.0019, -0.00011),
         source="SCA61T data sheet 8261900, mean temperature curves as a driver quotes them; their spread over parts is "
         "the SCA100T's",
-    ).model()
+        driver=Sca61t,
+        twin=VirtualSca61t,
+        channels=("x",),
+        **ABOUT_ZERO,
+    )
 
 
 D01 = _sca100t("D01", "±30°", 1638.0, offset_limit=0.11, range_g=0.5, nonlinearity=0.11)

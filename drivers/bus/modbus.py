@@ -6,6 +6,7 @@ import logging
 import os
 import re
 from collections.abc import MutableMapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -104,22 +105,17 @@ class ModbusLine:
 
     def __init__(self, place: str, client: Any, *, numbered: bool = False) -> None:
         self.place = place
+        self.settings = client.comm_params
         self._client = client
         self._numbered = numbered
         self._late: set[int] = set()
         """The units whose late answers may still come."""
 
-    @property
-    def settings(self) -> Any:
-        """The settings of the line, for comparison."""
-        return self._client.comm_params
-
     def open(self) -> None:
         """Open the line, unless it is open."""
-        try:
+        opened = False
+        with suppress(UnicodeError):  # a name that cannot be one of a host
             opened = self._client.connect()
-        except UnicodeError as cause:  # a name that cannot be one of a host
-            raise BusError(_why_not_opened(self.place)) from cause
         if not opened:
             raise BusError(_why_not_opened(self.place))
 
