@@ -266,7 +266,7 @@ class Comparison:
 def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Comparison:
     """Compare two calibrations of one sensor; a UsageError names what differs where they are not of one."""
     require_same_sensor(old, new)
-    reference = _temperature(old if old.coefficients.thermal is None else new)
+    reference = temperature_of(old if old.coefficients.thermal is None else new)
     steady = {record.coefficients.thermal is None for record in (old, new)}
     unlike = {"offset", "sensitivity"} if len(steady) == 2 and reference is None else set()
     bent = (old.coefficients.nonlinearity is None) != (new.coefficients.nonlinearity is None)
@@ -287,7 +287,7 @@ def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Compariso
     return Comparison(new.sensor, compared, verdict, tuple(sorted(rest)))
 
 
-def _temperature(record: CalibrationRecord) -> float | None:
+def temperature_of(record: CalibrationRecord) -> float | None:
     """Return the reference temperature, without a drift the mean of the positions, °C; None where none is stated."""
     if record.coefficients.thermal is not None:
         return record.coefficients.thermal.reference

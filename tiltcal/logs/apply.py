@@ -91,11 +91,7 @@ def apply_frame(
     reader = FrameReader(frame)
     prepared = prepare_any(calibration, options)(reader)
     log = CompensatedLog(reader, prepared, options)
-    blocks = list(log.blocks())
-    if prepared.averaging is not None:
-        return reader.of_means(blocks, log.channels, log.units)
-    ((_block, table),) = blocks
-    return reader.with_columns(table, log.channels, log.units)
+    return reader.with_columns(list(log.blocks()), log.channels, log.units)
 
 
 def prepare_any(calibration: Applied, options: ApplyOptions) -> Callable[[LogReader], PreparedCalibration]:

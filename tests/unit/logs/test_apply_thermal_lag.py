@@ -66,14 +66,6 @@ def test_a_row_without_a_time_is_suspect_and_a_missing_reading_has_no_other_reas
     assert (found["flag"].tolist(), found["reason"].tolist()) == ([3, 9], [16, 32])
 
 
-def test_the_lag_is_kept_in_the_file(tmp_path):
-    lagging(-35.5).save(tmp_path / "cal.yaml")
-    assert read(tmp_path / "cal.yaml").coefficients.thermal.lag == -35.5
-    (tmp_path / "bad.yaml").write_text((tmp_path / "cal.yaml").read_text().replace("lag: -35.5", "lag: soon"))
-    with pytest.raises(InputError, match="lag"):
-        read(tmp_path / "bad.yaml")
-
-
 @pytest.mark.parametrize(
     ("place", "time", "how"), [(7, 30.0, "stands still at row 7"), (7, 12.0, "goes back at row 7"), (1, 0.0, "row 1")]
 )
