@@ -219,7 +219,7 @@ class Calibration(SavedCalibration):
         return apply_frame(self.record, frame, complete(ApplyOptions, options))
 
     def plot(self) -> Any:
-        """Return the error of the tilt over its range before and after the calibration, degrees, as a notebook shows it.
+        """Draw the error of the tilt over its range before and after the calibration, degrees, for a notebook.
 
         Raises
         ------

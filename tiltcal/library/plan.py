@@ -19,8 +19,8 @@ from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, bases_of, read_calibration
 from tiltcal.files.procedure import Procedure, find_procedure
-from tiltcal.stated_arguments import require_boolean, require_from_zero, require_whole
 from tiltcal.printable import in_html
+from tiltcal.stated_arguments import require_boolean, require_from_zero, require_whole
 
 _NOT_PREDICTED = (
     "nothing can be predicted before the stage turns: p and q will have a standard uncertainty of 2 s / (A sqrt(n)), "

@@ -12,9 +12,8 @@ import numpy as np
 
 from tiltcal.core.detection import Span
 from tiltcal.core.noise import FLICKER, RANGE_OF_100, ChannelNoise, Limit, NoiseScale, SampleSize, sample_size
-from tiltcal.printable import counted
+from tiltcal.printable import counted, in_html
 from tiltcal.stated_arguments import require_above_zero
-from tiltcal.printable import in_html
 
 _SHOWS = 0.1  # share of the lowest deviation above which what rounding leaves is worth a word
 _FEWEST_SAMPLES = 2  # of a position, for `measure`
