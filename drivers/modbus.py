@@ -20,9 +20,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite
-from typing import TYPE_CHECKING
 
-from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT
 from tiltcal.drivers.columns import (
     TEMPERATURE,
@@ -31,14 +32,9 @@ from tiltcal.drivers.columns import (
     model_of_numbers,
     require_name,
 )
-from tiltcal.drivers.model import Model, Reading, in_words
+from tiltcal.drivers.model import Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
 
 TYPES = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "int64": "q", "float64": "d"}
 """Encoding of a number, by its name in the address."""
@@ -137,7 +133,7 @@ class RegisterLayout:
             yield column.name, number * column.scale
 
 
-class ModbusColumns:
+class ModbusColumns(Sensor):
     """The driver of a device with numbers in Modbus registers."""
 
     def __init__(self, layout: RegisterLayout, link: Link, clock: Clock) -> None:
@@ -162,9 +158,6 @@ class ModbusColumns:
                 )
         values = tuple(numbers[channel] for channel in self._layout.channels)
         return Reading(values, numbers.get(TEMPERATURE), self._layout.step)
-
-    def discard(self) -> None:
-        """Do nothing: registers hold the latest numbers."""
 
     def _registers(self, request: bytes) -> dict[int, bytes]:
         function, first, number = struct.unpack(">BHH", request)
@@ -308,4 +301,3 @@ def modbus_columns_at(address: Address) -> Model:
 
 
 MODELS = {"modbus-columns": modbus_columns_at(parse_address("sim:"))}
-"""By the name that the user types."""

@@ -203,7 +203,7 @@ class Change:
         return self.target - way * exp(-elapsed / self.time_constant) if self.time_constant else self.target
 
     def followed(self, now_ns: int, lag: float, before: float) -> float:
-        """Return the temperature of what follows with a lag, s, and had the temperature ``before`` at the start."""
+        """Return the temperature of what follows with a lag, s, and was ``before`` at the start."""
         elapsed, way = (now_ns - self.start_ns) / 1e9, self.target - self.start
         if self.pace:
             slope, arrival = copysign(self.pace, way), abs(way) / self.pace

@@ -13,16 +13,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from struct import Struct
-from typing import TYPE_CHECKING
 
+from tiltcal.drivers.bus.address import Address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
 
 HEAD, ACCELERATION = 0x55, 0x51
 DATA = Struct("<4h")
@@ -176,4 +173,3 @@ WITMOTION = Model(
 )
 
 MODELS = {WITMOTION.name: WITMOTION}
-"""By the name that the user types."""

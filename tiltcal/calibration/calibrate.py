@@ -19,7 +19,7 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.calibration.ramp import calibrate_ramp
 from tiltcal.calibration.temperature import calibrate_sweep, with_typical_temperature
 from tiltcal.core.rounding import round_to
-from tiltcal.drivers.columns import ACCELERATION
+from tiltcal.drivers.model import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure

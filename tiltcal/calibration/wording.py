@@ -7,6 +7,7 @@ from math import asin, degrees, radians, sin, sqrt
 
 import numpy as np
 
+from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty_lines
 from tiltcal.core.model import AXES
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import plus_minus
@@ -33,8 +34,8 @@ LOOKS_LIKE, LARGEST_BEND = 0.8, 0.1
 
 
 def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:
-    """Return all coefficients with their standard uncertainties, how well the positions fit, and the notes."""
-    lines = [*_coefficient_lines(calibration), *mounting_lines(calibration)]
+    """Return all coefficients and tilts with their uncertainties, how well the positions fit, and the notes."""
+    lines = [*_coefficient_lines(calibration), *tilt_uncertainty_lines(calibration), *mounting_lines(calibration)]
     return "\n".join(lines + [f"  {note}" for note in calibration.fit.notes if notes])
 
 
@@ -42,16 +43,18 @@ def mounting_summary(calibration: CalibrationRecord) -> str:
     """Return how a sensor sits in its application, with standard uncertainties where they are known."""
     sensor = calibration.sensor
     lines = [f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)", *mounting_lines(calibration)]
-    fit = calibration.fit.mounting
-    if fit is not None and fit.residuals_degrees:
-        worst = max(fit.residuals_degrees, key=lambda name: fit.residuals_degrees[name])
-        lines.append(f"  worst residual  {worst}: {fit.residuals_degrees[worst]:.3g}°")
-        chi_square = "" if fit.chi_square is None else f", chi-square {fit.chi_square:g}"
-        lines.append(
-            f"  degrees of freedom {fit.degrees_of_freedom}, uncertainty from {fit.uncertainty_from}{chi_square}"
-        )
-        lines += [f"  {objection}" for objection in _objections_to_mounting(fit)]
+    if (fit := calibration.fit.mounting) is not None:
+        lines += [f"  {line}" for line in (*mounting_fit_lines(fit), *_objections_to_mounting(fit))]
     return "\n".join(lines)
+
+
+def mounting_fit_lines(fit: MountingFit) -> Iterator[str]:
+    """Yield how well the positions of a mounting agree."""
+    if fit.residuals_degrees:
+        worst = max(fit.residuals_degrees, key=lambda name: fit.residuals_degrees[name])
+        yield f"worst residual  {worst}: {fit.residuals_degrees[worst]:.3g}°"
+        chi_square = "" if fit.chi_square is None else f", chi-square {fit.chi_square:g}"
+        yield f"degrees of freedom {fit.degrees_of_freedom}, uncertainty from {fit.uncertainty_from}{chi_square}"
 
 
 def level_summary(calibration: CalibrationRecord) -> str:
