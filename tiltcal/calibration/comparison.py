@@ -66,7 +66,7 @@ class CoefficientChange:
             return NormalDist().inv_cdf(upper)
         from scipy.special import stdtrit
 
-        return float(stdtrit(self.dof, upper))
+        return float(stdtrit(max(self.dof, 1.0), upper))
 
 
 @dataclass(frozen=True)

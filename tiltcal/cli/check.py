@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,19 +71,10 @@ def _checked(path: Path) -> tuple[str, list[str], list[str]]:
         raise document.error("the key 'kind' is missing: this is not a tiltcal file")
     if kind in ("tilt", "pair"):
         return _of_calibration(path, document)
-    if kind == "bench":
-        from tiltcal.bench.setup import known_bench
-
-        known_bench(document)
-        return kind, [], []
-    if kind == "twin":
-        from tiltcal.files.twin import twin_of
-
-        twin_of(document)
-        return kind, [], []
-    from tiltcal.files.procedure import procedure_in
-
-    procedure_in(document)
+    module, read = {"bench": ("bench.setup", "known_bench"), "twin": ("files.twin", "twin_of")}.get(
+        kind, ("files.procedure", "procedure_in")
+    )
+    getattr(import_module(f"tiltcal.{module}"), read)(document)
     return kind, [], []
 
 

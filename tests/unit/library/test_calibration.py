@@ -14,8 +14,7 @@ from support import FIXTURES
 
 from tiltcal.drivers import find_model
 from tiltcal.errors import InputError
-from tiltcal.library.calibration import Calibration, read
-from tiltcal.library.pair_calibration import PairCalibration
+from tiltcal.library.calibration import Calibration, PairCalibration, read
 
 FILE = """\
 tiltcal: 1
