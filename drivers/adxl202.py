@@ -331,8 +331,7 @@ def period_of(truth: Truth) -> float:
 
 def duty_cycles(truth: Truth, fixture: HeldPose, clock: Clock, number: int) -> tuple[float, ...]:
     """Return T1/T2 of x and y in one cycle of a virtual part, between 0 and 1."""
-    gravity, temperature, now_ns = fixture.gravity, fixture.temperature(truth.lag), clock.now_ns()
-    return tuple(min(max(truth.sample(axis, gravity, temperature, now_ns, number), 0.0), 1.0) for axis in "xy")
+    return tuple(min(max(truth.sample(axis, fixture, clock, number), 0.0), 1.0) for axis in "xy")
 
 
 def virtual_sentences(truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:

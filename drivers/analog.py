@@ -162,8 +162,7 @@ class TiltPart:
         channel = truth.channels[place]
         if self.parity_signal and truth.fault(now_ns / 1e9).kind == "parity":
             return 0.05 * uniform(truth.seed, f"parity {channel}", now_ns)
-        temperature = wiring.fixture.temperature(truth.lag)
-        return truth.sample(channel, wiring.fixture.gravity, temperature, now_ns, now_ns) / NOMINAL
+        return truth.sample(channel, wiring.fixture, wiring.clock, now_ns) / NOMINAL
 
     def at(self, address: Address) -> Model:
         """Return the model of the part as it is connected at an address."""

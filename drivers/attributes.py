@@ -155,10 +155,8 @@ class VirtualAttributes(VirtualPart):
         return b"%d\n" % self._word(name.split("_")[2], 100.0, -(2**31), 2**31 - 1)
 
     def _numbers(self, columns: ColumnLayout) -> dict[str, float]:
-        now_ns = self._clock.now_ns()
-        gravity, element = self._fixture.gravity, self._fixture.temperature(self._truth.lag)
-        number = now_ns // 10_000_000
-        numbers = {name: self._truth.sample(name, gravity, element, now_ns, number) for name in columns.channels}
+        number = self._clock.now_ns() // 10_000_000
+        numbers = {name: self._truth.sample(name, self._fixture, self._clock, number) for name in columns.channels}
         return {**numbers, TEMPERATURE: self._celsius()}
 
 

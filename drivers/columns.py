@@ -279,8 +279,7 @@ def virtual_columns(columns: ColumnLayout, truth: Truth, fixture: HeldPose, cloc
     """Return a device that prints the columns of an address 100 times a second; a skipped column is 0."""
 
     def line(number: int) -> bytes:
-        gravity, element, now_ns = fixture.gravity, fixture.temperature(truth.lag), clock.now_ns()
-        numbers = {name: truth.sample(name, gravity, element, now_ns, number) for name in columns.channels}
+        numbers = {name: truth.sample(name, fixture, clock, number) for name in columns.channels}
         return columns.line({**numbers, TEMPERATURE: fixture.temperature() + truth.thermometer_error})
 
     return StreamingPart(truth, fixture, clock, line)

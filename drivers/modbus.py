@@ -216,10 +216,9 @@ class VirtualModbus(VirtualPart):
 
     def _number(self, column: RegisterColumn) -> float:
         """Return what the registers of a column hold now, rounded and clipped to its type."""
-        now_ns, number = self._clock.now_ns(), self._celsius()
+        number, place = self._celsius(), int(self._clock.now_ns() / 1e9 * NUMBERS_PER_SECOND)
         if column.name != TEMPERATURE:
-            up, celsius = self._fixture.gravity, self._fixture.temperature(self._truth.lag)
-            number = self._truth.sample(column.name, up, celsius, now_ns, int(now_ns / 1e9 * NUMBERS_PER_SECOND))
+            number = self._truth.sample(column.name, self._fixture, self._clock, place)
         number /= column.scale
         if column.code in "fd":
             return number

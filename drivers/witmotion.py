@@ -128,8 +128,7 @@ def _virtual(thermometer: tuple[float, float] | None, truth: Truth, fixture: Hel
     scale, zero = thermometer or (100.0, 0.0)
 
     def message(number: int) -> bytes:
-        gravity, element, now_ns = fixture.gravity, fixture.temperature(truth.lag), clock.now_ns()
-        words = [truth.sample(channel, gravity, element, now_ns, number) for channel in CHANNELS]
+        words = [truth.sample(channel, fixture, clock, number) for channel in CHANNELS]
         celsius = fixture.temperature() + truth.thermometer_error
         counts = [min(max(round(word), -32768), 32767) for word in (*words, (celsius - zero) * scale)]
         return framed(0x52, bytes(8)) + framed(ACCELERATION, DATA.pack(*counts))

@@ -33,10 +33,6 @@ LOOKS_LIKE, LARGEST_BEND = 0.8, 0.1
 """Residuals look like non-linearity where a square and a cube of less than the second explain this share of them."""
 
 
-_POWERS = {"1": "", "2": "²", "3": "³"}
-_SHAPES = {"2": "square", "3": "cube"}
-
-
 def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:
     """Return all coefficients and tilts with their uncertainties, how well the positions fit, and the notes."""
     lines = [*_coefficient_lines(calibration), *tilt_uncertainty_lines(calibration), *mounting_lines(calibration)]
@@ -237,62 +233,34 @@ def _pair(value: float, u: float) -> str:
 
 def words(name: str) -> str:
     """Return a coefficient in words, such as ``Sensitivity of x to y`` for ``sensitivity.x.y``."""
-    match name.split("."):
-        case ["offset", channel]:
-            return f"Offset of {channel}"
-        case ["sensitivity", channel, axis] if channel == axis:
-            return f"Sensitivity of {channel}"
-        case ["sensitivity", channel, axis]:
-            return f"Sensitivity of {channel} to {axis}"
-        case ["nonlinearity", channel, power]:
-            return f"Nonlinearity of {channel}, {_SHAPES.get(power, power)}"
-        case ["temperature", "offset", channel, power]:
-            return f"Drift of offset {channel}, ΔT{_raised(power)}"
-        case ["temperature", "sensitivity", channel, power]:
-            return f"Drift of sensitivity {channel}, ΔT{_raised(power)}"
-        case ["mounting", "turn", axis]:
-            return f"Turn of the mounting about {axis}"
-    return name
+    return _label(name)[0]
 
 
 def symbol(name: str) -> tuple[str, str]:
     """Return a coefficient's letter and its index, such as ``S`` and ``xy``."""
-    match name.split("."):
-        case ["offset", channel]:
-            return "u", f"0{channel}"
-        case ["sensitivity", channel, axis]:
-            return "S", channel + axis
-        case ["nonlinearity", channel, power]:
-            return "n", channel + power
-        case ["temperature", "offset", channel, power]:
-            return "d", channel + power
-        case ["temperature", "sensitivity", channel, power]:
-            return "e", channel + power
-        case ["mounting", "turn", axis]:
-            return "r", axis
-    return name, ""
+    return _label(name)[1:3]
 
 
 def unit_of(name: str, unit: str) -> str:
-    """Return the unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number.
+    """Return the unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number."""
+    return _label(name, unit)[3]
 
-    ValueError: there is no such coefficient.
-    """
+
+def _label(name: str, unit: str = "") -> tuple[str, str, str, str]:
+    """Return a coefficient in words, its letter, its index, and its unit."""
     match name.split("."):
-        case ["offset", _]:
-            return unit
-        case ["sensitivity", *_]:
-            return f"{unit}/g"
-        case ["mounting", "turn", _]:
-            return "°"
-        case ["temperature", "lag"]:
-            return "s"
-        case ["nonlinearity", *_]:
-            return ""
-        case ["temperature", kind, _, power]:
-            return f"{unit if kind == 'offset' else '1'}/°C{_raised(power)}"
-    raise ValueError(f"there is no coefficient {name!r}")
-
-
-def _raised(power: str) -> str:
-    return _POWERS.get(power, f"^{power}")
+        case ["offset", channel]:
+            return f"Offset of {channel}", "u", f"0{channel}", unit
+        case ["sensitivity", channel, axis]:
+            other = "" if channel == axis else f" to {axis}"
+            return f"Sensitivity of {channel}{other}", "S", channel + axis, f"{unit}/g"
+        case ["nonlinearity", channel, power]:
+            shape = {"2": "square", "3": "cube"}.get(power, power)
+            return f"Nonlinearity of {channel}, {shape}", "n", channel + power, ""
+        case ["temperature", kind, channel, power]:
+            raised = {"1": "", "2": "²", "3": "³"}.get(power, f"^{power}")
+            letter, of = ("d", unit) if kind == "offset" else ("e", "1")
+            return f"Drift of {kind} {channel}, ΔT{raised}", letter, channel + power, f"{of}/°C{raised}"
+        case ["mounting", "turn", axis]:
+            return f"Turn of the mounting about {axis}", "r", axis, "°"
+    return name, name, "", "s" if name == "temperature.lag" else ""
