@@ -155,6 +155,7 @@ class TestFit:
     def test_an_unknown_procedure(self, folder: Path) -> None:
         assert "'six-face'" in self.fit(folder, SEGMENTS, procedure="six-faces")
 
+
 def test_a_wrong_procedure_of_ones_own(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(
         "tiltcal: 1\nkind: procedure\nname: mine\ntitle: T\ndetermines: {axes: [x]}\npositions:\n"

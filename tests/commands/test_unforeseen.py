@@ -164,4 +164,3 @@ def test_an_odd_file_among_calibrations_is_named_and_left_out(odd: Callable[[Pat
     applied = tiltcal("apply", "--calibrations", folder, "log.csv", "--serial", "SIM-42", cwd=tmp_path)
     assert applied.returncode == 0
     assert f"left out: {folder}/odd.yaml" in applied.stderr
-

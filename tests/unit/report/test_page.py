@@ -93,6 +93,7 @@ class TestCoefficients:
         assert checked == len(data["uncertainty"]["covariance"]["parameters"])
         assert len(rows) >= checked
 
+
 def coefficients(data: dict[str, Any]) -> list[tuple[str, float, float]]:
     """Name, value and uncertainty of all that the section ``calibration`` holds, but the mounting."""
     section, u = data["calibration"], data["uncertainty"]
