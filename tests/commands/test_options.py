@@ -24,8 +24,8 @@ from tiltcal.stated_arguments import require_from_zero
     [
         ("measure", measure, "operator"),
         ("plan", plan, "as_json"),
-        ("fit", fit, "log segments_out output"),
-        ("apply", apply_log, "files calibrations scheduler as_json"),
+        ("fit", fit, "log topic segments_out output"),
+        ("apply", apply_log, "files calibrations scheduler as_json topic"),
     ],
 )
 def test_every_option_but_a_command_s_own_is_a_parameter_of_the_library(

@@ -18,6 +18,7 @@ from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, weighted_sum
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor
 from tiltcal.files.results import NOISE_ALONE, PositionSet
 from tiltcal.files.uncertainty import uncertain_coefficients
+from tiltcal.printable import in_html
 
 ROUNDED = 1e-3
 """The share of an uncertainty that remains of a difference although both errors are one: files round their numbers."""
@@ -259,6 +260,7 @@ class Comparison:
         return "\n".join([*lines, str(verdict)])
 
     __repr__ = __str__
+    _repr_html_ = in_html
 
 
 def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Comparison:

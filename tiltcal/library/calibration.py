@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import Any, TypeVar, Unpack, overload
 
@@ -33,6 +32,7 @@ from tiltcal.files.results import (
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete, takes
+from tiltcal.printable import in_html
 
 Frame = TypeVar("Frame")
 """A frame of any kind: the same kind comes back; without their stubs those of pandas and pyarrow are Any."""
@@ -78,9 +78,7 @@ class SavedCalibration:
     def __hash__(self) -> int:
         return hash(self._text)
 
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows."""
-        return f"<pre>{escape(str(self))}</pre>"
+    _repr_html_ = in_html
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,6 +217,24 @@ class Calibration(SavedCalibration):
         from tiltcal.logs.apply import apply_frame
 
         return apply_frame(self.record, frame, complete(ApplyOptions, options))
+
+    def plot(self) -> Any:
+        """Draw the error of the tilt over its range before and after the calibration, degrees, for a notebook.
+
+        Raises
+        ------
+        UsageError
+            The extra ``report`` is not installed, or the file states no uncertainty.
+        """
+        from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty
+        from tiltcal.report.calibration_figures import tilt_figure
+        from tiltcal.report.figure import require_extra
+
+        require_extra()
+        figure = tilt_figure(self.record, tilt_uncertainty(self.record))
+        if figure is None:
+            raise UsageError(f"the calibration of {self.sensor.serial} states no uncertainty: there is nothing to plot")
+        return figure
 
     def with_mounting(self, angles: Mapping[str, float] | str) -> Calibration:
         """Return this calibration for a sensor that sits in a known way; a mounting that it has is replaced.

@@ -51,6 +51,9 @@ class SvgFigure(NamedTuple):
     svg: str
     caption: str
 
+    def _repr_html_(self) -> str:
+        return f"<figure>{self.svg}<figcaption>{self.caption}</figcaption></figure>"
+
 
 def require_extra() -> None:
     """Check that the libraries of a report are installed, before anything is read; a UsageError names the extra."""
