@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from tiltcal.drivers.bus import Bus, SpiPort
 from tiltcal.drivers.bus.address import Address
@@ -159,21 +159,29 @@ def typical_nonlinearity(error: float, extent: float) -> tuple[float, float]:
     return error / extent**2, error / extent**3
 
 
-class SelfTestResult(Protocol):
-    """The result of the self-test of one channel; its text is for the operator."""
+class SelfTest(NamedTuple):
+    """The self-test of one channel: its word at rest, while an electrode pushes the mass, and after that, count."""
+
+    before: int
+    deflected: int
+    after: int
+    full_scale: int
+
+    def __str__(self) -> str:
+        return f"{self.before} count at rest, {self.deflected} while pushed, {self.after} after the recovery"
 
     @property
     def passed(self) -> bool:
-        """Whether the channel passed."""
-        ...
+        """Whether it moved to at least 95 % of the supply, and returned to within 5 % of its first value."""
+        return self.deflected >= 0.95 * self.full_scale and abs(self.after - self.before) <= 0.05 * self.before
 
 
 @runtime_checkable
 class SelfTesting(Protocol):
     """A driver whose part can test itself."""
 
-    def self_test(self, channel: str) -> SelfTestResult:
-        """Start the self-test of one channel."""
+    def self_test(self, channel: str) -> SelfTest:
+        """Start the self-test of one channel; the errors are those of :meth:`Sensor.read`."""
         ...
 
 

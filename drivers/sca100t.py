@@ -19,7 +19,7 @@ they are taken as those of the SCA100T, which has the same element.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from math import comb, radians, sin, sqrt
 from typing import Any, ClassVar
@@ -27,7 +27,7 @@ from typing import Any, ClassVar
 from tiltcal.drivers.bus import SpiPort
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link, check_data_line, require_length
-from tiltcal.drivers.model import Model, Population, Reading, Sensor, deviation_within, typical_nonlinearity
+from tiltcal.drivers.model import Model, Population, Reading, SelfTest, Sensor, deviation_within, typical_nonlinearity
 from tiltcal.drivers.virtual import (
     REFERENCE,
     HeldPose,
@@ -79,24 +79,6 @@ NOT_MODELLED = (
     "self-test of both axes at once, which the datasheet forbids, and of an axis that points down",
     "how the push of a self-test builds up and dies away: it ends at once",
 )
-
-
-@dataclass(frozen=True, slots=True)
-class SelfTest:
-    """The self-test of one channel: its word at rest, while an electrode pushes the mass, and after that, count."""
-
-    channel: str
-    before: int
-    deflected: int
-    after: int
-
-    def __str__(self) -> str:
-        return f"{self.before} count at rest, {self.deflected} while pushed, {self.after} after the recovery"
-
-    @property
-    def passed(self) -> bool:
-        """Whether it moved to at least 95 % of the supply, and returned to within 5 % of its first value."""
-        return self.deflected >= 0.95 * FULL_SCALE and abs(self.after - self.before) <= 0.05 * self.before
 
 
 class Sca61t(Sensor):
@@ -187,7 +169,7 @@ class Sca100t(Sca61t):
         finally:
             self._command(MEAS)
         self._clock.sleep(SETTLING)
-        return SelfTest(channel, before, deflected, self._word(channel, read))
+        return SelfTest(before, deflected, self._word(channel, read), FULL_SCALE)
 
     def _word(self, channel: str, command: int) -> int:
         frame = self._answer(command)
