@@ -155,11 +155,6 @@ class TestFit:
     def test_an_unknown_procedure(self, folder: Path) -> None:
         assert "'six-face'" in self.fit(folder, SEGMENTS, procedure="six-faces")
 
-    def test_a_missing_column(self, folder: Path) -> None:
-        told = self.fit(folder, SEGMENTS, "--columns", "x=acc_x")
-        assert "'acc_x'" in told
-        assert "log.csv:1: " in told
-
 
 def test_a_wrong_procedure_of_ones_own(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(

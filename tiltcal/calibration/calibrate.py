@@ -12,15 +12,14 @@ from dataclasses import replace
 from typing import Any
 
 from tiltcal.calibration.checks import require_no_jig, require_own_readings
+from tiltcal.calibration.complete import level, mount
 from tiltcal.calibration.free_positions import calibrate_free
 from tiltcal.calibration.joint_fit import fit_jointly
-from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.calibration.mounting import mount
 from tiltcal.calibration.ramp import calibrate_ramp
 from tiltcal.calibration.temperature import calibrate_sweep, with_typical_temperature
 from tiltcal.core.rounding import round_to
-from tiltcal.drivers.columns import ACCELERATION
+from tiltcal.drivers.model import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure

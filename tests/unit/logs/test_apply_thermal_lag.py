@@ -9,8 +9,8 @@ import pytest
 from support import FIXTURES
 
 from tiltcal.errors import InputError
-from tiltcal.library.apply import apply_log
 from tiltcal.library.calibration import Calibration, read
+from tiltcal.library.recorded import apply_log
 from tiltcal.logs.apply import NO_TIME
 
 LAG = 120.0

@@ -15,9 +15,8 @@ import xarray
 from support import FIXTURES
 from support.frames import READINGS, array
 
-from tiltcal.library.apply import apply_log
-from tiltcal.library.calibration import Calibration, read
-from tiltcal.library.pair_calibration import PairCalibration
+from tiltcal.library.calibration import Calibration, PairCalibration, read
+from tiltcal.library.recorded import apply_log
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import rows_of
 from tiltcal.logs.kernel import RoleValues, prepare

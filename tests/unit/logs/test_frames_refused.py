@@ -15,7 +15,7 @@ from support.frames import READINGS
 
 from tiltcal.errors import TiltcalError
 from tiltcal.library.calibration import Calibration, read
-from tiltcal.library.match import match
+from tiltcal.library.recorded import match
 from tiltcal.logs.frames import rows_of
 
 

@@ -14,8 +14,8 @@ import xarray
 
 import tiltcal
 from tiltcal.errors import InputError, UsageError
-from tiltcal.library.apply import apply_log
 from tiltcal.library.calibration import Calibration, read
+from tiltcal.library.recorded import apply_log
 from tiltcal.logs.formats.csv import ColumnTypes
 from tiltcal.logs.formats.csv_rows import CsvBlock, Dialect, RowGrammar
 from tiltcal.logs.kernel import RoleValues, prepare
