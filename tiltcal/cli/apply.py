@@ -59,7 +59,7 @@ Examples:
     "--json",
     "as_json",
     is_flag=True,
-    help="Print the summary as JSON; on stderr if the rows go to stdout.",
+    help="Print the summary as JSON (beside rows, on stderr).",
 )
 def command(
     files: tuple[str, ...],
