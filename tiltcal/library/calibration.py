@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Unpack, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
-from tiltcal.calibration.comparison import Comparison, compare_records
 from tiltcal.calibration.record import compensation_of, limits_of, record_in, stated_mounting, with_mounting
 from tiltcal.calibration.wording import summary
 from tiltcal.core.compensation import Compensation
@@ -17,12 +16,14 @@ from tiltcal.errors import UsageError
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
 from tiltcal.files.document import read_document
-from tiltcal.files.pair import PairRecord
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty
-from tiltcal.library.pair_calibration import Frame, PairCalibration
 from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete, takes
+
+if TYPE_CHECKING:
+    from tiltcal.calibration.comparison import Comparison
+    from tiltcal.library.pair_calibration import Frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +230,11 @@ def read(path: str | Path) -> Calibration | Any:
         Anything in it is wrong; the message names file, line and key.
     """
     record = record_in(read_document(path))
-    return PairCalibration(record) if isinstance(record, PairRecord) else Calibration(record)
+    if isinstance(record, CalibrationRecord):
+        return Calibration(record)
+    from tiltcal.library.pair_calibration import PairCalibration
+
+    return PairCalibration(record)
 
 
 def compare(old: Calibration, new: Calibration) -> Comparison:
@@ -252,6 +257,8 @@ def compare(old: Calibration, new: Calibration) -> Comparison:
             raise UsageError(
                 f"compare takes two tilt calibrations, as tiltcal.read returns them, not a {type(calibration).__name__}"
             )
+    from tiltcal.calibration.comparison import compare_records
+
     return compare_records(old.record, new.record)
 
 
