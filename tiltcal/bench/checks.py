@@ -274,9 +274,9 @@ class Expectations:
         require_plausible_temperature(result, self._accepted)
         determines = self._determines
         if determines.level or determines.mounting:
-            from tiltcal.calibration import level
+            from tiltcal.calibration.complete import objection_to_level
 
-            objection = level.objection if determines.level else missing_temperature
+            objection = objection_to_level if determines.level else missing_temperature
             for serial, measurement in result.measurements.items():
                 if refusal := objection(self._setup.known[serial].calibration, measurement):
                     raise Unsettled(refusal)

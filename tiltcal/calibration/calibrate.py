@@ -16,7 +16,7 @@ from tiltcal.calibration.joint_fit import fit_jointly
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.temperature import calibrate_sweep, with_typical_temperature
 from tiltcal.core.rounding import round_to
-from tiltcal.drivers.columns import ACCELERATION
+from tiltcal.drivers.model import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
@@ -46,12 +46,12 @@ def calibrate(
     for sensor in sensors:
         require_own_readings(sensor)
     if procedure.determines.mounting:
-        from tiltcal.calibration.mounting import mount
+        from tiltcal.calibration.complete import mount
 
         found = [mount(_base(sensor), sensor.measurements, jig=bench.jig) for sensor in sensors]
     elif procedure.determines.level:
         bench = _with_thermometer(bench, sensors)
-        from tiltcal.calibration.level import level
+        from tiltcal.calibration.complete import level
 
         found = [level(_base(sensor), sensor.measurements, procedure, bench) for sensor in sensors]
     elif procedure.ramp is not None:

@@ -6,14 +6,15 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from math import hypot
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from shlex import quote
+from typing import Any
 
 from tiltcal.bench.journal import SessionResult
 from tiltcal.bench.measure import led_by, run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
 from tiltcal.calibration.checks import require_no_jig, unchecked
-from tiltcal.calibration.level import NO_LEVEL
+from tiltcal.calibration.complete import NO_LEVEL
 from tiltcal.calibration.prediction import predict
 from tiltcal.calibration.wording import NOT_FOLLOWED, level_summary, summary, verdict
 from tiltcal.core.rounding import plus_minus
@@ -25,7 +26,7 @@ from tiltcal.files.calibration import CalibrationRecord, bases_of, read_calibrat
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Procedure, find_procedure
-from tiltcal.library.calibration import Calibration
+from tiltcal.library.calibration import Calibration, PairCalibration
 from tiltcal.stated_arguments import (
     of_python,
     require_above_zero,
@@ -35,9 +36,6 @@ from tiltcal.stated_arguments import (
     require_path,
     require_whole,
 )
-
-if TYPE_CHECKING:
-    from tiltcal.library.pair_calibration import PairCalibration
 
 
 def unheard(remark: str) -> None:
@@ -169,7 +167,7 @@ def measure(
         opened.tell({"event": "done", "calibrations": files, "journal": str(session.files.journal)})
         if outcome.lost:
             raise HardwareError("no calibration file for " + "; ".join(outcome.lost.values()))
-    return _results(session.setup, outcome, remark, None if operator == "json" else result)
+    return _results(session, outcome, remark, None if operator == "json" else result)
 
 
 def resumed(
@@ -341,15 +339,14 @@ def _remark_notes(
 
 
 def _results(
-    setup: Setup, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
+    session: Session, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
 ) -> Calibration | PairCalibration | list[Calibration]:
     """Return what a session gives, and remark what limits it."""
     for name, statistics in outcome.link_statistics.items():
         remark(f"{name}: {link_in_words(statistics)}")
+    setup = session.setup
     records, determines = list(outcome.calibrations.values()), setup.steps.determines
     if setup.steps.rotation is not None:
-        from tiltcal.library.pair_calibration import PairCalibration
-
         pair = PairCalibration(records[0])  # type: ignore[arg-type]
         (result or unheard)(str(pair))
         return pair
@@ -362,6 +359,9 @@ def _results(
             (result or unheard)(summary(calibration.record, notes=False))
         if setup.steps.closes:
             remark(changes_in_words(calibration.record))
+    if result is not None:
+        file = quote(str(session.files.outputs[calibrations[0].sensor.serial]))
+        remark(f"next: tiltcal verify {file} --address ADDRESS, or tiltcal apply {file} LOG.csv -o TILT.csv")
     return calibrations[0] if len(setup.sensors) == 1 else calibrations
 
 

@@ -186,8 +186,8 @@ class PreparedSensor:
 
     ``units`` are those of the readings, of pairs that of the stage angle alone; ``origin`` is what a file made with it
     should state: software, calibration, sha256, serial; ``watched`` are columns to be summed up; ``lag`` is by how much
-    the element is later than the thermometer, s; ``judge`` judges the readings of which means are made; the names of
-    its columns begin with ``lead``.
+    the element is later than the thermometer, s; ``judge`` judges the readings of which means are made; ``columns`` are
+    those of the log of the fit; the names of its columns begin with ``lead``.
     """
 
     kernel: Kernel
@@ -199,6 +199,7 @@ class PreparedSensor:
     lag: float = 0.0
     judge: Kernel | None = None
     remarks: RowRemarks = field(default_factory=RowRemarks)
+    columns: Mapping[str, str] = field(default_factory=dict)
     lead: str = ""
 
 
@@ -289,6 +290,7 @@ def prepare(
                 0.0 if coefficients.thermal is None else coefficients.thermal.lag,
                 judge,
                 remarks,
+                sensor.columns,
             ),
         ),
         (
