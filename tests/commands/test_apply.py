@@ -198,9 +198,9 @@ class TestRefusals:
         assert ":700002: the row has 1 field" in refused(apply("cal.yaml", "-", stdin=content), InputError)
 
     def test_a_missing_column_is_named_with_those_there_are(self) -> None:
-        said = refused(apply("cal.yaml", "-", stdin=b"time,X,Vy\n1,2,3\n"), InputError)
+        said = refused(apply("cal.yaml", "-", stdin=b"time,Vx,Vy\n1,2,3\n"), InputError)
         assert said == (
-            "standard input:1: there is no column 'x' (did you mean 'X'?); the log has time, X, Vy. "
+            "standard input:1: there is no column 'x' (did you mean 'Vx'?); the log has time, Vx, Vy. "
             "Name it with --columns x=NAME"
         )
 

@@ -39,7 +39,7 @@ from tiltcal.logs.kernel import LagCorrection, PreparedCalibration, RoleValues, 
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import Means
 from tiltcal.logs.options import ApplyOptions, require_consistent
-from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of, with_writeback
+from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of
 from tiltcal.stated_arguments import require_path
 
 NO_TIME = (
@@ -72,7 +72,7 @@ def apply_to_log(
         rows = CompensatedLog(reader, prepared, options)
         with log_sink(str(output)) as sink:
             writer = create_log(output, sink, reader, prepared.columns, prepared.origin, rows.units)
-            writer.write(with_writeback(sink, rows.blocks(frames=writer.frames)))
+            writer.write(rows.blocks(frames=writer.frames))
     return rows.summary
 
 

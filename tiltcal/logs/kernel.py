@@ -128,7 +128,7 @@ class TiltKernel:
         remarks: RowRemarks | None = None,
     ) -> None:
         self._compensation, self._uncertain_angles, self._earth = compensation, uncertain_angles, earth
-        self._averaged, self._remarks = averaged, remarks or RowRemarks()
+        self.angles, self._averaged, self._remarks = compensation.angles, averaged, remarks or RowRemarks()
         uncertain = () if uncertain_angles is None else uncertainty_columns(compensation.angles, averaged=averaged)
         self._uncertain = len(uncertain)
         self.columns = (*compensation.columns, *uncertain, *(() if earth is None else earth.columns))
@@ -285,7 +285,7 @@ def prepare(
                 coefficients.channels,
                 dict.fromkeys(coefficients.channels, sensor.unit),
                 {**stated, "serial": sensor.serial},
-                compensation_of(calibration).angles,
+                kernel.angles,
                 kernel.expanded,
                 0.0 if coefficients.thermal is None else coefficients.thermal.lag,
                 judge,
