@@ -218,23 +218,6 @@ def test_pairs_are_matched_from_frame_and_file_alike(tmp_path: Path) -> None:
         tiltcal.match(frame, [("a1", "a1", "a4")], phase="theta")
 
 
-def test_noise_of_a_frame_is_that_of_its_log(tmp_path: Path) -> None:
-    """White noise of 0.02 m/s² at 100 Hz: a density of 0.02 sqrt(2/100) m/s²/√Hz."""
-    rng = np.random.default_rng(11)
-    frame = pl.DataFrame({axis: np.round(rng.normal(0.0, 0.02, 4000), 6) for axis in "xy"})
-    frame.write_csv(tmp_path / "still.csv")
-    result = command("noise", "still.csv", "--rate", "100", "--unit", "m/s2", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    found = tiltcal.noise(frame, rate=100.0, unit="m/s2")
-    assert result.stdout == f"{found}\n"
-    renamed = frame.rename({"x": "a", "y": "b"})
-    assert str(tiltcal.noise(renamed, rate=100.0, unit="m/s2", columns={"x": "a", "y": "b"})) == str(found)
-    density = found.as_data()["channels"]["x"]["noise_density"]["value"]
-    assert density == pytest.approx(0.02 * np.sqrt(2 / 100), rel=0.05)
-    with pytest.raises(tiltcal.UsageError, match="nothing says how much a degree is"):
-        tiltcal.noise(frame, rate=100.0, unit="V", target=0.1)
-
-
 def _without_provenance(calibration: tiltcal.Calibration) -> str:
     from tiltcal.files.calibration import dump_calibration
     from tiltcal.files.results import Provenance

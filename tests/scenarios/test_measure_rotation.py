@@ -184,43 +184,6 @@ def test_killed_at_a_random_moment_on_a_real_line(number: int, warm: WarmStart, 
     require_replay(tmp_path)
 
 
-def test_interrupted_by_the_keyboard(tmp_path: Path) -> None:
-    def interrupt(said: Event) -> None:
-        if said.get("turn") == 3:
-            signal.raise_signal(signal.SIGINT)
-
-    with on_a_pty(LINES) as path:
-        program = led(tmp_path, serial(path), hear=interrupt)
-        assert program.exit_code == 130
-        assert (
-            f"tiltcal: interrupted; everything measured is kept; continue with: tiltcal measure --resume {JOURNAL}"
-            in (program.errors)
-        )
-        resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
-    assert resumed.returncode == 0, resumed.stderr
-    first = next(json.loads(line) for line in resumed.stdout.splitlines() if '"turn"' in line)
-    last = program.events("turn")[-1]["turn"]
-    # The interruption takes effect at the end of a step, and the last turn that was told may be told again.
-    assert 3 <= last <= first["turn"] <= last + 1
-    require_truth(tmp_path / "pair.yaml")
-    require_replay(tmp_path)
-
-
-def test_noise_on_the_line_is_counted_and_never_read(tmp_path: Path) -> None:
-    draw = random.Random(5)
-    noisy = list(LINES)
-    for number in range(100, len(noisy), 40):
-        place = draw.randrange(3, len(noisy[number]) - 3)
-        noisy[number] = noisy[number][:place] + b"\xff\x00\x81" + noisy[number][place + 1 :]
-    with on_a_pty(noisy) as path:
-        program = led(tmp_path, serial(path))
-    assert program.exit_code == 0, program.errors
-    require_truth(tmp_path / "pair.yaml")
-    link_statistics = read_pair(tmp_path / "pair.yaml").provenance.link_statistics["G-1"]
-    assert 5 < link_statistics["damaged"] < 0.05 * link_statistics["lines"]
-    assert any("damaged or lost on the line" in said["why"] for said in program.events("held"))
-
-
 def test_a_device_that_lacks_a_channel_matches_the_pair_that_is_there(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
         program = led(tmp_path, serial(path).replace("a3,", "-,"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -126,24 +125,6 @@ def test_a_failure_of_the_whole_bench_loses_no_sensor(tmp_path: Path) -> None:
         assert found.coefficients.offset == pytest.approx([x, 1021.0], abs=0.5)
         assert len(found.positions) == 4
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / name).read_bytes()
-
-
-def test_a_program_is_told_of_every_sensor(tmp_path: Path) -> None:
-    bench(
-        tmp_path,
-        f'serial: A, model: sca100t-d02, address: "{twin(tmp_path, 1)}"',
-        f'serial: B, model: sca100t-d02, address: "{twin(tmp_path, 2)}"',
-    )
-    result = tiltcal(
-        *("measure", "plane", "--bench", "bench.yaml", "--operator", "json", "--samples", "30"),
-        cwd=tmp_path,
-        said='{"answer": "ready"}\n' * 4,
-    )
-    assert result.returncode == 0, result.stderr
-    told = [json.loads(line) for line in result.stdout.splitlines()]
-    accepted = [message for message in told if message.get("event") == "accepted"]
-    assert set(accepted[0]["sensors"]) == {"A", "B"}
-    assert told[-1]["calibrations"] == ["A.yaml", "B.yaml"]
 
 
 def test_resumed_it_keeps_what_every_sensor_has(tmp_path: Path) -> None:

@@ -121,17 +121,6 @@ def test_not_written_when_the_operator_says_no(warm: WarmStart, tmp_path: Path) 
     assert not (tmp_path / "S-1.yaml").exists()
 
 
-def test_a_dumb_terminal_gets_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TERM", "dumb")
-    terminal = start(TILTCAL, tmp_path)
-    terminal.expect("Enter measure")
-    terminal.sendline("q")
-    terminal.expect(pexpect.EOF)
-    assert "\x1b" not in terminal.before
-    terminal.close()
-    assert terminal.exitstatus == 130
-
-
 def test_input_that_ends_is_a_stop(tmp_path: Path) -> None:
     result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="zero-45", said="\n\n")
     assert result.returncode == 130

@@ -163,7 +163,7 @@ class FitSource:
     @property
     def _is_stream(self) -> bool:
         """Whether the log is read once."""
-        return isinstance(self.data, str | Path) and log_format(self.data) == CSV and not Path(self.data).is_file()
+        return isinstance(self.data, str | Path) and log_format(self.data) == CSV and not os.path.isfile(self.data)
 
     @cached_property
     def header(self) -> LogHeader:

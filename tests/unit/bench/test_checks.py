@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import scipy
 from support.command import tiltcal
@@ -18,12 +17,9 @@ from tiltcal.bench import devices, settle
 from tiltcal.bench.checks import PositionResult, require_plausible_temperature
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
-from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.samples import summarise
-from tiltcal.errors import EstimateError, Stopped
-from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
-from tiltcal.files.calibration import SensorIdentity
+from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Position, find_procedure
 
 TWIN = """\
@@ -139,26 +135,6 @@ def test_a_sound_sensor_that_stands_still_is_tipped_once_and_good(offset: float)
     assert not any("was not seen to follow" in note for note in found.fit.notes)
     assert tiltcal("check", "S-1.yaml").returncode == 0
     assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
-
-
-def test_a_change_that_probing_has_seen_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before the first position the sensor lay otherwise; the first link of a session is that of the probe."""
-    quiet = TWIN.replace("{x: 0.6, y: 0.6}", "{x: 0.02, y: 0.6}")
-    Path("twin.yaml").write_text(quiet)
-    connect = devices.open_device
-    links: list[object] = []
-
-    def opened(*args: Any) -> Any:
-        link = connect(*args)
-        links.append(link)
-        if len(links) == 1:
-            exchange = link.exchange
-            link.exchange = lambda out, count=0: word(1300) if out[0] == 0x10 else exchange(out, count)  # type: ignore[method-assign]
-        return link
-
-    monkeypatch.setattr(devices, "open_device", opened)
-    session("reversal", operator=(table := Table()))
-    assert "tip" not in [ask["position"] for ask in table.asks]
 
 
 def test_a_session_that_is_stopped_at_the_tip_is_resumed_there(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -297,49 +273,6 @@ def test_a_temperature_that_is_answered_is_judged_too(temperature: float, why: s
     assert why in rig.why[0]
 
 
-def test_a_thermometer_at_its_power_on_value_is_refused_where_no_temperature_is_asked_for() -> None:
-    """A DS18B20's data sheet: 85 °C stands in its register until the first conversion."""
-    position = find_procedure("plane").positions[0]
-    summaries = {"x": summarise([1.0, 2.0]), "y": summarise([1.0, 2.0])}
-    at = {
-        celsius: PositionResult(
-            position, {"S-1": Measurement(position.name, position.gravity, position.tilt, celsius, summaries)}
-        )
-        for celsius in (85.0, 84.94)
-    }
-    with pytest.raises(Unsettled, match=r"reads 85 °C in every sample, as a DS18B20 does that converts nothing"):
-        require_plausible_temperature(at[85.0], [])
-    require_plausible_temperature(replace(at[85.0], asked=85.0), [])
-    require_plausible_temperature(replace(at[85.0], typed=True), [])
-    require_plausible_temperature(at[84.94], [])
-
-
-def test_a_bench_thermometer_is_judged_as_the_sensors_own() -> None:
-    bench = BenchFile(
-        (BenchSensor("S-1", "sca100t-d02", "sim:?twin=twin.yaml"),),
-        thermometer=BenchThermometer("sca100t-d02", "sim:?seed=3"),
-    )
-    found = measure("two-temperature", operator="sim", bench=bench, samples=20)
-    assert isinstance(found, Calibration)
-
-
-def test_a_channel_that_does_not_react_to_gravity_has_no_sensitivity() -> None:
-    """Noise alone on y, from a generator of its own: 2.5 V with 1 mV over ±30° of both axes."""
-    noise = np.random.default_rng(3)
-    measurements = []
-    for position in find_procedure("plane").positions:
-        x = 2.5 + 2.0 * position.gravity[0] + noise.normal(0.0, 1e-3, 100)
-        y = 2.5 + noise.normal(0.0, 1e-3, 100)
-        summaries = {"x": summarise(x.tolist()), "y": summarise(y.tolist())}
-        measurements.append(Measurement(position.name, position.gravity, position.tilt, None, summaries))
-    sensor = MeasuredSensor(SensorIdentity("any", "A-1", "V", ("x", "y")), measurements)
-    with pytest.raises(EstimateError, match=r"y of A-1 does not react to gravity: its sensitivity is .* V/g"):
-        calibrate([sensor], find_procedure("plane"), BenchUncertainty(jig=0.05))
-    still = [replace(one, summaries={**one.summaries, "y": summarise([2.5] * 100)}) for one in measurements]
-    with pytest.raises(EstimateError, match="y of A-1 does not react to gravity"):
-        calibrate([replace(sensor, measurements=still)], find_procedure("plane"), BenchUncertainty())
-
-
 def test_a_closing_visit_shows_a_sensor_that_was_knocked(monkeypatch: pytest.MonkeyPatch) -> None:
     """In the fourth position x steps by 12 counts, 15 mg; each position takes about 140 readings."""
     said: list[str] = []
@@ -358,3 +291,20 @@ def test_a_closing_visit_shows_a_sensor_that_was_knocked(monkeypatch: pytest.Mon
     assert float(change_of_x[1]) == pytest.approx(step, abs=1.5)
     p = [scipy.stats.chi2.sf(one.fit.chi_square, one.fit.degrees_of_freedom) for one in (knocked, quiet)]
     assert p[0] < 1e-3 < p[1]
+
+
+def test_a_thermometer_at_its_power_on_value_is_refused_where_no_temperature_is_asked_for() -> None:
+    """A DS18B20's data sheet: 85 °C stands in its register until the first conversion."""
+    position = find_procedure("plane").positions[0]
+    summaries = {"x": summarise([1.0, 2.0]), "y": summarise([1.0, 2.0])}
+    at = {
+        celsius: PositionResult(
+            position, {"S-1": Measurement(position.name, position.gravity, position.tilt, celsius, summaries)}
+        )
+        for celsius in (85.0, 84.94)
+    }
+    with pytest.raises(Unsettled, match=r"reads 85 °C in every sample, as a DS18B20 does that converts nothing"):
+        require_plausible_temperature(at[85.0], [])
+    require_plausible_temperature(replace(at[85.0], asked=85.0), [])
+    require_plausible_temperature(replace(at[85.0], typed=True), [])
+    require_plausible_temperature(at[84.94], [])

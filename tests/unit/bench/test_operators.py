@@ -137,31 +137,6 @@ def test_no_number_of_a_review_is_cut_off(width: int, shown: io.StringIO) -> Non
     assert all(len(line) <= width for line in text.splitlines())
 
 
-@pytest.mark.parametrize("width", range(30, 100))
-def test_the_live_line_of_two_sensors_names_each_and_is_cut_between_its_parts(width: int, shown: io.StringIO) -> None:
-    console = Console(file=shown, force_terminal=True, width=width, color_system=None)
-    operator = Terminal(console, Typed(ENTER), live=True)
-    operator.tell(begin(S_1=SCA100T, S_2=SCA100T))
-    first, second = ({"x": 1045.0, "y": 1019.0}, 24.9), ({"x": 1024.0, "y": 205.0}, None)
-    operator.tell(look("not still", S_1=first, S_2=second))
-    line = shown.getvalue().rpartition("K")[2]
-    parts = ["not still", "S-1 x 1045 (+1.47°)", "y 1019 (-0.35°)", "24.9 °C", "S-2 x 1024 (+0.00°)", "y 205 (-90.00°)"]
-    whole = ["  " + "   ".join(parts[:count]) + (" …" if count < len(parts) else "") for count in range(1, 7)]
-    assert line == max((text for text in whole if len(text) < width), key=len)
-
-
-def test_what_is_said_after_a_live_line_has_a_line_of_its_own(shown: io.StringIO) -> None:
-    """A leg of a ramp is accepted without a review, right after a live reading."""
-    console = Console(file=shown, force_terminal=True, width=80, color_system=None)
-    operator = Terminal(console, Typed(ENTER), live=True)
-    operator.tell(begin(S_1=SCA100T))
-    operator.tell(look("on the way to 5 °C", S_1=({"x": 1045.0, "y": 1019.0}, 24.9)))
-    operator.tell(ACCEPTED)
-    assert shown.getvalue().endswith("24.9 °C\r\x1b[2K  accepted level\n")
-    operator.tell({"event": "refused", "position": "level", "why": "it moves"})
-    assert shown.getvalue().endswith("  accepted level\n  refused: it moves\n")
-
-
 def test_the_virtual_jig_numbers_a_position_that_a_resumed_session_only_reports() -> None:
     """It was accepted before the interruption, so it is not asked for again."""
     said: list[str] = []

@@ -67,16 +67,6 @@ def test_it_stops_where_p_and_q_are_known_as_asked() -> None:
     assert len(attendant.turns) in (5, 6, 7)
 
 
-def test_after_an_interruption_all_that_counts_says_when_it_is_enough() -> None:
-    """2 * 3e-4 / (3.383 sqrt(100 n)) is 4.5e-6 after 15.5 turns; the line is gone after ten."""
-    printed: list[Line] = lines(RECORD)
-    printed[1000:1000] = [BusError("has gone")]
-    found = turned(printed, Attendant(), turns=40, converged=4.5e-6)
-    assert found.ended == CONVERGED
-    assert 13.0 < found.turns < 19.0
-    assert found.matchings[0].u_p <= 4.5e-6
-
-
 def test_noise_that_is_not_white_keeps_it_from_stopping_early() -> None:
     """Amplitudes that wander by themselves scatter from turn to turn, which no white noise within a turn shows."""
     wild = disk.record(seconds=80.0, rate=50.0, spin=0.5, noise=1e-5)
@@ -166,15 +156,6 @@ def test_an_encoder_that_lost_its_zero_while_the_line_was_gone_changes_neither_p
     assert near(found.matchings[0], disk.truth())
     assert found.matchings[0].u_p == pytest.approx(undisturbed.u_p, rel=0.15)
     assert found.samples > 2900
-
-
-def test_a_stage_that_turns_back_is_held() -> None:
-    attendant = Attendant()
-    back = RECORD.rows(slice(500, 700))
-    printed = [*lines(RECORD.rows(slice(0, 700))), *reversed(lines(back)), *lines(RECORD.rows(slice(500, 2500)))]
-    found = turned(printed, attendant, turns=15)
-    assert attendant.told == ["the stage runs backwards", "goes on"]
-    assert near(found.matchings[0], disk.truth())
 
 
 def test_a_damaged_line_is_left_out_and_told_once_a_turn() -> None:

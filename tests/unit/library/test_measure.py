@@ -146,15 +146,6 @@ def test_an_operator_without_the_method_is_refused_before_anything_is_captured()
     assert list(Path().iterdir()) == []
 
 
-def test_a_rig_whose_answers_are_none_is_given_up_with_the_reason() -> None:
-    class Mute:
-        def position(self, ask: object) -> None:
-            return None
-
-    with pytest.raises(Stopped, match="an answer is an object"):
-        measure("plane", operator=Mute(), output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
-
-
 def test_numbers_of_numpy_are_understood() -> None:
     """An encoder that is read with numpy gives its types; 30.5 is a number of each of them."""
     said = {"tilt": {"y": np.float32(30.5)}, "gravity": np.array([0.0, 0.6, 0.8]), "temperature": np.int64(20)}
@@ -164,14 +155,6 @@ def test_numbers_of_numpy_are_understood() -> None:
     for wrong in (np.bool_(True), np.float32("nan"), np.array([30.0]), np.array("30")):
         with pytest.raises(InputError, match=r"temperature in the answer is .*, not a number"):
             understood({"answer": "ready", "temperature": wrong})
-
-
-@pytest.mark.parametrize("gravity", [[0, 0.5, 0.866025404], [0, 0.500302, 0.865851]], ids=["asked", "reached"])
-def test_an_answer_may_repeat_the_direction_that_was_asked_or_reached(gravity: list[float]) -> None:
-    """By hand: sin 30.02° = 0.500302, cos 30.02° = 0.865851; the tilt counts, and was dropped beside a gravity."""
-    (asked,) = (each for each in find_procedure("plane", 30.0).positions if each.name == "y-tilt1")
-    reached = understood({"answer": "ready", "tilt": {"y": 30.02}, "gravity": gravity}).as_set(asked)
-    assert reached.gravity == pytest.approx((0.0, 0.500302, 0.865851), abs=1e-6)
 
 
 def test_a_sensor_is_read_by_itself() -> None:
@@ -282,14 +265,6 @@ def test_a_clock_that_went_back_is_taken_from_the_journal() -> None:
     clock.sleep(0.002)
     assert 3_600_000_000_000 <= first < 3_600_000_000_000 + 10_000_000_000
     assert clock.now_ns() - first >= 2_000_000
-
-
-def test_output_to_a_full_device_is_an_error_in_words() -> None:
-    with open("/dev/full", "wb") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "tiltcal", "procedures"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60
-        )
-    assert (done.returncode, done.stderr) == (2, "tiltcal: the output cannot be written: No space left on device\n")
 
 
 def test_headings_and_stage_angles_are_shown_and_recorded() -> None:
