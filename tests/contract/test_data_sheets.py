@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import yaml
 from support.arriving_pieces import ArrivingPieces
+from support.for_each import for_each
 from support.scripted_link import Script
 
 from tiltcal import errors
@@ -26,11 +27,11 @@ LETTERS = {"spi": "s", "i2c": "i", "modbus": "m", "serial": "r"}
 
 
 def cases(key: str) -> list[Any]:
-    return [
-        pytest.param(sheet, row, id=f"{sheet['model']} {place}")
-        for sheet in SHEETS
-        for place, row in enumerate(sheet.get(key, ()))
-    ]
+    return [(sheet, row) for sheet in SHEETS for row in sheet.get(key, ())]
+
+
+def named(case: tuple[dict[str, Any], Any]) -> str:
+    return f"{case[0]['model']} {case[1]}"
 
 
 def at(sheet: dict[str, Any], options: str = "") -> Model:
@@ -48,7 +49,7 @@ def filled(lines: list[str], row: dict[str, Any], given: dict[str, str]) -> list
     return [line.format(**values) for line in lines]
 
 
-@pytest.mark.parametrize(("sheet", "row"), cases("rows"))
+@for_each("sheet, row", cases("rows"), named)
 def test_the_bytes_of_a_data_sheet_are_its_readings(sheet: dict[str, Any], row: Any) -> None:
     model, clock, given = at(sheet), VirtualClock(), sheet.get("given", {})
     readings = row if isinstance(row, list) else [row]
@@ -86,7 +87,7 @@ def test_the_bytes_of_a_data_sheet_are_its_readings(sheet: dict[str, Any], row: 
         assert link.heard == [bytes.fromhex(sheet["sent"])]
 
 
-@pytest.mark.parametrize(("sheet", "facts"), cases("facts"))
+@for_each("sheet, facts", cases("facts"), named)
 def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any], facts: dict[str, Any]) -> None:
     model = at(sheet, facts.get("at", ""))
     for name, expected in facts.items():
@@ -104,16 +105,14 @@ def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any],
                 assert value == pytest.approx(figure, rel=2e-3 if name.endswith("spread") else 2e-5), name
 
 
-@pytest.mark.parametrize(
-    ("sheet", "options"), [pytest.param(s, o, id=f"{s['model']} {o}") for s in SHEETS for o in s.get("refused", ())]
-)
+@for_each("sheet, options", cases("refused"), named)
 def test_an_address_that_cannot_be_is_refused_with_the_reason(sheet: dict[str, Any], options: str) -> None:
     with pytest.raises(errors.UsageError) as refusal:
         open_link(parse_address(f"{sheet['address'].partition('?')[0]}?{options}"), at(sheet, options))
     assert sheet["refused"][options] in str(refusal.value)
 
 
-@pytest.mark.parametrize("rate", RATES)
+@for_each("rate", RATES)
 def test_it_waits_for_a_converter_that_is_10_percent_slow(rate: int) -> None:
     word, clock = f"{ads1115_config(0, 6.144, rate):04X}", VirtualClock()
     script = Script("i", clock, f"01 {word} /", f"01 / {word}", "00 / 00 00")

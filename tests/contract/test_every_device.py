@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from support.example_device.tiltcal_dfrobot import DFROBOT_SCA100T
+from support.for_each import for_each
 
 from tiltcal.drivers import models
 from tiltcal.drivers.bus import link_letter, open_link
@@ -135,7 +136,7 @@ EVERY = [f"{name} {options}" for name in DEVICES for options in ("", *OPTIONS.ge
 
 def every(applies: Callable[[Bench], bool] = lambda bench: True) -> Any:
     """Run a test over each device that something applies to."""
-    return pytest.mark.parametrize("device", [device for device in EVERY if applies(Bench(device))])
+    return for_each("device", [device for device in EVERY if applies(Bench(device))])
 
 
 def named(names: tuple[str, ...]) -> Callable[[Bench], bool]:

@@ -26,6 +26,7 @@ import pytest
 from support import ROOT
 from support.command import Completed
 from support.command import tiltcal as run_command
+from support.for_each import for_each
 from support.warm_start import WarmStart
 
 import tiltcal
@@ -167,7 +168,7 @@ def test_the_examples_of_docstrings_run(tmp_path: Path, monkeypatch: pytest.Monk
     assert not runner.failures, "".join(printed)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
+@for_each("page", PAGES, name_of)
 def test_links_lead_somewhere(page: Path) -> None:
     for target, heading in LINK.findall(page.read_text(encoding="utf-8")):
         if target.startswith(("http:", "https:")):
@@ -191,7 +192,7 @@ def sensors_with_procedures() -> Iterator[tuple[str, str]]:
             yield from product(re.findall("`([^`]+)`", cells[2]), re.findall("`([^`]+)`", cells[4]))
 
 
-@pytest.mark.parametrize(("model", "procedure"), list(sensors_with_procedures()))
+@for_each("model, procedure", list(sensors_with_procedures()))
 def test_a_sensor_has_the_range_for_the_procedures_beside_it(model: str, procedure: str) -> None:
     name, _, tilt = procedure.partition(" --tilt ")
     address = "sim:?counts_per_g=1000" if model == "sca3000-i2c" else "sim:"
@@ -199,13 +200,13 @@ def test_a_sensor_has_the_range_for_the_procedures_beside_it(model: str, procedu
     assert str(found).startswith("predicted standard uncertainty")
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if not is_history(page)], ids=name_of)
+@for_each("page", [page for page in PAGES if not is_history(page)], name_of)
 def test_files_that_are_named_exist(page: Path) -> None:
     for path in NAMED_FILE.findall(page.read_text(encoding="utf-8")):
         assert (ROOT / path).exists(), path
 
 
-@pytest.mark.parametrize("folder", ["tiltcal", "drivers"])
+@for_each("folder", ["tiltcal", "drivers"])
 def test_names_in_docstrings_exist(folder: str) -> None:
     sources = (ROOT / folder).rglob("*.py")
     names = {name for source in sources for name in REFERENCE.findall(source.read_text(encoding="utf-8"))}

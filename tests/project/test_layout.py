@@ -6,8 +6,8 @@ import re
 from collections import Counter
 from pathlib import Path
 
-import pytest
 from support import ROOT
+from support.for_each import for_each
 
 UNIT = ROOT / "tests" / "unit"
 
@@ -20,7 +20,7 @@ def modules_beside(test: Path) -> set[str]:
     return found | {path.parent.name for place in places for path in place.glob("*/__init__.py")} - {"__init__"}
 
 
-@pytest.mark.parametrize("test", sorted(UNIT.glob("**/test_*.py")), ids=lambda path: str(path.relative_to(UNIT)))
+@for_each("test", sorted(UNIT.glob("**/test_*.py")))
 def test_every_unit_test_is_named_for_its_module(test: Path) -> None:
     """``test_estimate.py``, and beside it ``test_estimate_jointly.py`` where one file would be too long."""
     name = test.stem.removeprefix("test_")

@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from support import ROOT
 from support.command import loaded_by
+from support.for_each import for_each
 
 import tiltcal
 from tiltcal import errors
@@ -101,7 +102,7 @@ def test_drivers_load_nothing_heavy() -> None:
 # Help
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@for_each("command", COMMANDS)
 def test_every_command_has_help_with_an_example(command: str) -> None:
     result = CliRunner().invoke(group, [command, "--help"], prog_name="tiltcal")
     assert result.exit_code == 0
@@ -109,7 +110,7 @@ def test_every_command_has_help_with_an_example(command: str) -> None:
     assert re.search(rf"Examples?:\s+tiltcal\s+{command}\b", result.output)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@for_each("command", COMMANDS)
 def test_every_option_has_help(command: str) -> None:
     known = group.get_command(group.make_context("tiltcal", [command]), command)
     assert known is not None
