@@ -29,7 +29,7 @@ os.environ.setdefault("POLARS_MAX_THREADS", "1")
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.fuzz_targets import TARGETS
+from support.fuzz_inputs import TARGETS
 from support.fuzzing import ENDED, FAILED, OURS, RESULT, Campaign, attempt
 
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from tiltcal.errors import UsageError
 from tiltcal.stated_arguments import require_text
@@ -46,7 +46,7 @@ _BUILT_IN = {
     **dict.fromkeys(("sca103t-d04", "sca103t-d05", "sca61t-fahh1g", "sca61t-fa1h1g"), "sca100t"),
     "iis2iclx": "parts",
 }
-"""The module of each model, in the order of the list of devices."""
+"""The module of each model, whose ``MODELS`` has it by its name; in the order of the list of devices."""
 
 
 def find_model(name: str) -> Model:
@@ -83,8 +83,7 @@ def models() -> Iterator[Model]:
 
 
 def _built_in(name: str) -> Model:
-    model: Model = import_module(f"tiltcal.drivers.{_BUILT_IN[name]}").MODELS[name]
-    return model
+    return cast("Model", import_module(f"tiltcal.drivers.{_BUILT_IN[name]}").MODELS[name])
 
 
 def _plug_ins() -> Mapping[str, list[EntryPoint]]:

@@ -28,20 +28,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial, reduce
 from operator import xor
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from tiltcal.drivers.bus.address import Address
+from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.columns import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.converters import SCHEMES as CONVERTERS
 from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words
-from tiltcal.drivers.virtual import StreamingPart, Tolerances, VirtualLine, uniform
+from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth, VirtualLine, uniform
 from tiltcal.errors import BusError, DeviceFault
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.virtual import HeldPose, Truth
 
 ROUND_NUMBERS = (100, 128, 256, 1000, 1024, 10_000, 65_536, 100_000, 1_000_000, 1 << 24, 1 << 31, 1 << 32)
 """Values at which a counter may wrap to 0: the widths of counters and of printed digits."""
@@ -146,10 +143,7 @@ class PulseTrains:
         self._clear()
 
     def take(self, edge: Edge) -> Cycle | None:
-        """Add an edge, and return the cycle that it completes, if any.
-
-        DeviceFault: the two trains do not belong together, or one line is dead.
-        """
+        """Add an edge, and return the cycle that it completes, if any."""
         gap = 0 if self._number is None else (edge.number - self._number - 1) & 0xFFFFFFFF
         if gap:
             self.lost += gap
@@ -293,11 +287,7 @@ class Adxl202Edges:
         return said | {"link": link_in_words(self.link_statistics())}
 
     def read(self) -> Reading:
-        """Return the next period: the duty cycles of x and y.
-
-        BusError: no edges.
-        DeviceFault: one line is dead, or the lines do not belong together.
-        """
+        """Return the next period: the duty cycles of x and y."""
         return Reading(self._next().duty)
 
     def discard(self) -> None:
@@ -341,8 +331,7 @@ def period_of(truth: Truth) -> float:
 
 def duty_cycles(truth: Truth, fixture: HeldPose, clock: Clock, number: int) -> tuple[float, ...]:
     """Return T1/T2 of x and y in one cycle of a virtual part, between 0 and 1."""
-    gravity, temperature, now_ns = fixture.gravity, fixture.temperature(truth.lag), clock.now_ns()
-    return tuple(min(max(truth.sample(axis, gravity, temperature, now_ns, number), 0.0), 1.0) for axis in "xy")
+    return tuple(min(max(truth.sample(axis, fixture, clock, number), 0.0), 1.0) for axis in "xy")
 
 
 def virtual_sentences(truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
@@ -459,4 +448,3 @@ MODELS = {
         ("adxl210", "±10 g", 0.04, 500e-6),
     )
 }
-"""By the name that the user types."""

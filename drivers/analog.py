@@ -35,10 +35,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from math import cbrt, exp, inf, log, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tiltcal.drivers import adxl202, sca100t
-from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.converters import (
     NOMINAL,
     FrontEnd,
@@ -49,14 +51,9 @@ from tiltcal.drivers.converters import (
     take_input,
     take_supply,
 )
-from tiltcal.drivers.model import Model, Reading
+from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, Truth, uniform
 from tiltcal.errors import DeviceFault
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
 
 CHANNELS = ("x", "y")
 
@@ -99,7 +96,7 @@ class Wired:
         return self.part.output(wiring, self.numbers.index(number)) if number in self.numbers else 0.0
 
 
-class AnalogSensor:
+class AnalogSensor(Sensor):
     """The driver of an analog sensor or thermistor behind any converter."""
 
     def __init__(self, wired: Wired, link: Link, clock: Clock) -> None:
@@ -120,16 +117,9 @@ class AnalogSensor:
         return {**said, "supply": wired.supply.said(self._supply), "converter": wired.front_end.description}
 
     def read(self) -> Reading:
-        """Take one sample.
-
-        BusError: the converter does not answer.
-        DeviceFault: a supply outside the range of the sensor, its fault signal, or an open or shorted thermistor.
-        """
+        """Take one sample."""
         shares, self._supply = self._wired.supply.shares(self._converter, self._wired.numbers)
         return self._wired.part.reading(shares)
-
-    def discard(self) -> None:
-        """Do nothing: every read is a new conversion."""
 
 
 @dataclass(frozen=True)
@@ -172,8 +162,7 @@ class TiltPart:
         channel = truth.channels[place]
         if self.parity_signal and truth.fault(now_ns / 1e9).kind == "parity":
             return 0.05 * uniform(truth.seed, f"parity {channel}", now_ns)
-        temperature = wiring.fixture.temperature(truth.lag)
-        return truth.sample(channel, wiring.fixture.gravity, temperature, now_ns, now_ns) / NOMINAL
+        return truth.sample(channel, wiring.fixture, wiring.clock, now_ns) / NOMINAL
 
     def at(self, address: Address) -> Model:
         """Return the model of the part as it is connected at an address."""
@@ -392,4 +381,3 @@ def thermistor_at(address: Address) -> Model:
 _PARTS = (_sca100t(sca100t.D01, 0.8), _sca100t(sca100t.D02, 0.4), *map(_adxl202, adxl202.MODELS.values()))
 
 MODELS = {model.name: model for model in (at(parse_address("sim:")) for at in (*(p.at for p in _PARTS), thermistor_at))}
-"""By the name that the user types."""

@@ -15,24 +15,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.attributes import ACCELERATION, LETTER, as_text
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.columns import (
-    OF_G,
     TEMPERATURE,
     ColumnLayout,
     columns_of,
     model_of_numbers,
 )
-from tiltcal.drivers.model import Model, Reading, in_words
+from tiltcal.drivers.model import OF_G, Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
 
 AXES = ("x", "y", "z")
 SCALE = 16384
@@ -101,7 +97,7 @@ class IioSensor:
         return whole_text(self._link.exchange(attribute.encode()))
 
 
-class PythonSensor:
+class PythonSensor(Sensor):
     """The driver of an object of Python."""
 
     def __init__(self, columns: ColumnLayout, link: Link, clock: Clock) -> None:
@@ -123,9 +119,6 @@ class PythonSensor:
             wanted = ",".join(self._columns.names)
             raise BusError(f"the object gives {text!r}, not the numbers {wanted} (columns=)")
         return reading
-
-    def discard(self) -> None:
-        """Do nothing: each reading is a new one."""
 
 
 def whole_text(answer: bytes) -> str:
@@ -162,10 +155,8 @@ class VirtualAttributes(VirtualPart):
         return b"%d\n" % self._word(name.split("_")[2], 100.0, -(2**31), 2**31 - 1)
 
     def _numbers(self, columns: ColumnLayout) -> dict[str, float]:
-        now_ns = self._clock.now_ns()
-        gravity, element = self._fixture.gravity, self._fixture.temperature(self._truth.lag)
-        number = now_ns // 10_000_000
-        numbers = {name: self._truth.sample(name, gravity, element, now_ns, number) for name in columns.channels}
+        number = self._clock.now_ns() // 10_000_000
+        numbers = {name: self._truth.sample(name, self._fixture, self._clock, number) for name in columns.channels}
         return {**numbers, TEMPERATURE: self._celsius()}
 
 
@@ -223,4 +214,3 @@ def python_at(address: Address) -> Model:
 
 
 MODELS = {model.name: model for model in (at(parse_address("sim:")) for at in (iio_at, python_at))}
-"""By the name that the user types."""

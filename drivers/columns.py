@@ -22,17 +22,15 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property, partial
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tiltcal.drivers.bus.address import Address, parse_address
-from tiltcal.drivers.model import Model, Reading, in_words, link_in_words
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
+from tiltcal.drivers.model import OF_G, Model, Reading, in_words, link_in_words
 from tiltcal.drivers.sketch import bare
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
 
 CHUNK = 4096
 """The largest number of bytes to take at once."""
@@ -66,11 +64,6 @@ SEPARATORS = {
 }
 """By name, because some of the characters have a meaning in an address."""
 
-ACCELERATION = ("m/s2", "m/s^2", "m/s²")
-
-OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
-"""What 1 g is in the units that imply a nominal sensitivity."""
-
 UNSTATED = "unit"
 """Unit if the address states none."""
 
@@ -102,10 +95,7 @@ class LineBuffer:
         self._begun = self._emptied = False
 
     def next(self) -> tuple[bytes, bool]:
-        """Return the next line that is not empty, without its end, and whether its beginning is there.
-
-        BusError: silence, bytes without a line end, or line ends alone.
-        """
+        """Return the next line that is not empty, without its end, and whether its beginning is there."""
         for _ in range(UNUSABLE):
             began_ns: int | None = None
             while not self._ready:
@@ -289,8 +279,7 @@ def virtual_columns(columns: ColumnLayout, truth: Truth, fixture: HeldPose, cloc
     """Return a device that prints the columns of an address 100 times a second; a skipped column is 0."""
 
     def line(number: int) -> bytes:
-        gravity, element, now_ns = fixture.gravity, fixture.temperature(truth.lag), clock.now_ns()
-        numbers = {name: truth.sample(name, gravity, element, now_ns, number) for name in columns.channels}
+        numbers = {name: truth.sample(name, fixture, clock, number) for name in columns.channels}
         return columns.line({**numbers, TEMPERATURE: fixture.temperature() + truth.thermometer_error})
 
     return StreamingPart(truth, fixture, clock, line)
@@ -360,4 +349,3 @@ def serial_columns_at(address: Address) -> Model:
 SERIAL_COLUMNS = serial_columns_at(parse_address("sim:"))
 
 MODELS = {SERIAL_COLUMNS.name: SERIAL_COLUMNS}
-"""By the name that the user types."""

@@ -1,7 +1,6 @@
 """Analog-to-digital converters, the supply of the sensors behind them, and virtual converters.
 
-A converter measures voltages; most analog sensors are ratiometric: their output is a share of their supply. A
-:class:`Supply` is measured with each sample or stated, and gives the readings as shares of it.
+A :class:`Supply` is measured with each sample or stated, and gives the readings of ratiometric sensors as shares of it.
 
 TI ADS1115, I2C: four inputs, 16 bits. Two registers are used, of two bytes each, most significant first, and a pointer
 that is written first::
@@ -29,17 +28,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
-from tiltcal.drivers.bus.link import check_data_line, require_length
-from tiltcal.drivers.bus.spi import SpiPort
+from tiltcal.drivers.bus import SpiPort
+from tiltcal.drivers.bus.address import Address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link, check_data_line, require_length
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
 
 SCHEMES = ("ads1115+i2c", "mcp3208+spi")
 """Address schemes of the converters: part and bus of each. The first one is the default of a virtual sensor."""
@@ -59,14 +55,10 @@ class Converter(Protocol):
 class FrontEnd:
     """A converter with the settings of an address.
 
-    name: the part of the scheme before ``+``.
-    description: the converter and its settings, for the operator.
-    full_scale: V; a larger voltage reads as full scale.
-    step: of a reading, V.
+    name, description: the part of the scheme before ``+``; the converter and its settings, for the operator.
+    full_scale, step: V; a larger voltage reads as full scale.
     reference: voltage at its reference pin, V, if it has one; a sensor with the same supply is then ratiometric.
-    options: of the address that belong to it.
-    driver: ``driver(link, clock)`` returns the :class:`Converter`.
-    twin: ``twin(wiring)`` returns a link that answers as the converter does for these input voltages.
+    driver, twin: ``driver(link, clock)`` returns the :class:`Converter`, ``twin(wiring)`` a link that answers as it.
     """
 
     name: str
@@ -109,8 +101,7 @@ class Supply:
     number: the input that measures it; None if it is stated.
     volts: as stated; if it is measured, the nominal value.
     low, high: within these limits the sensor is ratiometric, V.
-    full_scale: of the converter, V.
-    reference: voltage at the converter's reference pin, V; None if that pin is tied to this supply or does not exist.
+    full_scale: of the converter, V; reference: at its pin, V, None if that is tied to this supply or does not exist.
     """
 
     number: int | None
@@ -276,10 +267,18 @@ class Ads1115:
         return code * self._full_scale / 32768
 
     def _wait_until_done(self, config: int) -> None:
-        """Wait until the conversion of this config is done."""
+        """Wait until the conversion of this config is done; another config is a dead bus, a reset or another device."""
         for _ in range(POLLS):
-            held = int.from_bytes(self._register(CONFIG), "big")
-            _check_config(held, config)
+            answer = self._register(CONFIG)
+            check_data_line(answer, "config register")
+            held = int.from_bytes(answer, "big")
+            if held & ~DONE == RESET & ~DONE != config & ~DONE:
+                raise DeviceFault("the ADS1115 lost its settings, so its supply failed for a moment: check its supply")
+            if held & ~DONE != config & ~DONE:
+                raise DeviceFault(
+                    f"the config register reads {held:04X} where {config:04X} was written: does another program use "
+                    "this converter, or is another device at this address?"
+                )
             if held & DONE:
                 return
             self._clock.sleep(0.1 / self._rate)
@@ -302,18 +301,6 @@ def ads1115_config(number: int, full_scale: float, rate: int) -> int:
         | RATES.index(rate) << 5
         | _COMPARATOR_OFF
     )
-
-
-def _check_config(held: int, config: int) -> None:
-    """Raise an error for a dead bus, a converter that was reset, or another device."""
-    check_data_line(held.to_bytes(2, "big"), "config register")
-    if held & ~DONE == RESET & ~DONE != config & ~DONE:
-        raise DeviceFault("the ADS1115 lost its settings, so its supply failed for a moment: check its supply")
-    if held & ~DONE != config & ~DONE:
-        raise DeviceFault(
-            f"the config register reads {held:04X} where {config:04X} was written: does another program use this "
-            "converter, or is another device at this address?"
-        )
 
 
 def ads1115_front_end(address: Address) -> FrontEnd:

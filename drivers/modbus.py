@@ -20,9 +20,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite
-from typing import TYPE_CHECKING
 
-from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT
 from tiltcal.drivers.columns import (
     TEMPERATURE,
@@ -31,14 +32,9 @@ from tiltcal.drivers.columns import (
     model_of_numbers,
     require_name,
 )
-from tiltcal.drivers.model import Model, Reading, in_words
+from tiltcal.drivers.model import Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
 
 TYPES = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "int64": "q", "float64": "d"}
 """Encoding of a number, by its name in the address."""
@@ -137,7 +133,7 @@ class RegisterLayout:
             yield column.name, number * column.scale
 
 
-class ModbusColumns:
+class ModbusColumns(Sensor):
     """The driver of a device with numbers in Modbus registers."""
 
     def __init__(self, layout: RegisterLayout, link: Link, clock: Clock) -> None:
@@ -162,9 +158,6 @@ class ModbusColumns:
                 )
         values = tuple(numbers[channel] for channel in self._layout.channels)
         return Reading(values, numbers.get(TEMPERATURE), self._layout.step)
-
-    def discard(self) -> None:
-        """Do nothing: registers hold the latest numbers."""
 
     def _registers(self, request: bytes) -> dict[int, bytes]:
         function, first, number = struct.unpack(">BHH", request)
@@ -223,10 +216,9 @@ class VirtualModbus(VirtualPart):
 
     def _number(self, column: RegisterColumn) -> float:
         """Return what the registers of a column hold now, rounded and clipped to its type."""
-        now_ns, number = self._clock.now_ns(), self._celsius()
+        number, place = self._celsius(), int(self._clock.now_ns() / 1e9 * NUMBERS_PER_SECOND)
         if column.name != TEMPERATURE:
-            up, celsius = self._fixture.gravity, self._fixture.temperature(self._truth.lag)
-            number = self._truth.sample(column.name, up, celsius, now_ns, int(now_ns / 1e9 * NUMBERS_PER_SECOND))
+            number = self._truth.sample(column.name, self._fixture, self._clock, place)
         number /= column.scale
         if column.code in "fd":
             return number
@@ -308,4 +300,3 @@ def modbus_columns_at(address: Address) -> Model:
 
 
 MODELS = {"modbus-columns": modbus_columns_at(parse_address("sim:"))}
-"""By the name that the user types."""

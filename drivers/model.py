@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
+from tiltcal.drivers.bus import Bus, SpiPort
+from tiltcal.drivers.bus.address import Address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
+from tiltcal.drivers.virtual import HeldPose, Truth
 from tiltcal.errors import UsageError
 
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Bus
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.bus.spi import SpiPort
-    from tiltcal.drivers.virtual import HeldPose, Truth
+ACCELERATION = ("m/s2", "m/s^2", "m/s²")
+
+OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
+"""What 1 g is in the units that imply a nominal sensitivity."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +36,10 @@ class Reading:
 
 
 class Sensor(Protocol):
-    """The interface of a driver on one link: bytes in, readings out."""
+    """The interface of a driver on one link, and the base of those that have nothing to discard."""
 
     def probe(self) -> Mapping[str, str]:
-        """Return what the device reports about itself, for the operator.
-
-        HardwareError: it does not answer, or shows a fault.
-        """
+        """Return what the device reports about itself, for the operator."""
         ...
 
     def read(self) -> Reading:
@@ -48,13 +47,11 @@ class Sensor(Protocol):
         ...
 
     def discard(self) -> None:
-        """Discard what arrived before now, so that the next reading is a new one.
+        """Discard what arrived before now, so that the next reading is a new one; a failure is a BusError.
 
         A sensor that is read sample by sample has nothing to discard; one that streams drops its queued data.
-
-        BusError: the transaction failed.
         """
-        ...
+        return
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,24 +159,29 @@ def typical_nonlinearity(error: float, extent: float) -> tuple[float, float]:
     return error / extent**2, error / extent**3
 
 
-class SelfTestResult(Protocol):
-    """The result of the self-test of one channel; its text is for the operator."""
+class SelfTest(NamedTuple):
+    """The self-test of one channel: its word at rest, while an electrode pushes the mass, and after that, count."""
+
+    before: int
+    deflected: int
+    after: int
+    full_scale: int
+
+    def __str__(self) -> str:
+        return f"{self.before} count at rest, {self.deflected} while pushed, {self.after} after the recovery"
 
     @property
     def passed(self) -> bool:
-        """Whether the channel passed."""
-        ...
+        """Whether it moved to at least 95 % of the supply, and returned to within 5 % of its first value."""
+        return self.deflected >= 0.95 * self.full_scale and abs(self.after - self.before) <= 0.05 * self.before
 
 
 @runtime_checkable
 class SelfTesting(Protocol):
     """A driver whose part can test itself."""
 
-    def self_test(self, channel: str) -> SelfTestResult:
-        """Start the self-test of one channel.
-
-        HardwareError: as :meth:`Sensor.read`.
-        """
+    def self_test(self, channel: str) -> SelfTest:
+        """Start the self-test of one channel; the errors are those of :meth:`Sensor.read`."""
         ...
 
 

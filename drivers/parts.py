@@ -8,11 +8,12 @@ page 12.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
+from tiltcal.drivers.bus import SpiPort
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.link import check_data_line
-from tiltcal.drivers.bus.spi import SpiPort
 from tiltcal.drivers.model import in_words
 from tiltcal.drivers.registers import (
     I2C,
@@ -27,11 +28,6 @@ from tiltcal.drivers.registers import (
 )
 from tiltcal.drivers.virtual import Tolerances
 from tiltcal.errors import BusError, DeviceFault
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from tiltcal.drivers.bus.address import Address
 
 # --- Analog Devices ADXL355 ---
 #
@@ -334,4 +330,3 @@ MODELS = {
         IIS2ICLX,
     )
 }
-"""By the name that the user types."""

@@ -12,20 +12,15 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import ceil, inf, sqrt
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
-from tiltcal.drivers.bus.link import check_data_line, require_length
-from tiltcal.drivers.bus.spi import SpiPort
-from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, typical_nonlinearity
-from tiltcal.drivers.virtual import Tolerances, VirtualPart
+from tiltcal.drivers.bus import Bus, SpiPort
+from tiltcal.drivers.bus.address import Address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link, check_data_line, require_length
+from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, typical_nonlinearity
+from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Bus
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.virtual import HeldPose, Truth
 
 Registers = Mapping[int, int]
 """Contents by register."""
@@ -218,13 +213,6 @@ class RegisterPart:
         return {"range": f"±{self.extent:g} g, {round(self.counts_per_g, 1):g} count/g, {self.rate:g} samples/s"}
 
     @property
-    def noise(self) -> float:
-        """Standard deviation of a sample, count."""
-        if not self.noise_density:
-            return self.noise_counts
-        return self.counts_per_g * (self.noise_density * sqrt(self.rate * self.corner))
-
-    @property
     def word_rails(self) -> tuple[int, int]:
         """Numbers at or beyond which a word is no measurement."""
         return self.rails or next(iter(self.channels.values())).rails
@@ -248,6 +236,8 @@ class RegisterPart:
         """Return the sensor model of the part."""
         offset, sensitivity = self.spread or map(deviation_within, (self.limits.offset, self.limits.sensitivity))
         low, high = self.word_rails
+        density = self.counts_per_g * self.noise_density
+        noise = density * sqrt(self.rate * self.corner) if density else self.noise_counts
         return Model(
             name=self.name,
             title=self.title,
@@ -269,7 +259,7 @@ class RegisterPart:
             driver=partial(RegisterSensor, self),
             twin=partial(VirtualRegisters, self),
             not_modelled=self.not_modelled,
-            default_truth=partial(self.limits.draw, tuple(self.channels), self.counts_per_g, self.noise),
+            default_truth=partial(self.limits.draw, tuple(self.channels), self.counts_per_g, noise),
             # A burst must end before the next word is due, or it mixes bytes of two words.
             spi=replace(self.spi, slowest=max(self.spi.slowest, ceil(8 * (1 + self.burst_bytes) * self.rate)))
             if "spi" in self.schemes
@@ -280,7 +270,7 @@ class RegisterPart:
         )
 
 
-class RegisterSensor:
+class RegisterSensor(Sensor):
     """The driver of a part.
 
     The part is set up before the first sample and again after any error. After a reset it measures nothing until it is
@@ -304,11 +294,7 @@ class RegisterSensor:
         return self.part.probe(self)
 
     def read(self) -> Reading:
-        """Take the next sample: counts, and the temperature in °C where the part has a thermometer.
-
-        BusError: the transaction failed, every bit of the sample is the same, or the part does not keep its settings.
-        DeviceFault: another part answers, it does not measure, or it was reset since it was set up.
-        """
+        """Take the next sample: counts, and the temperature in °C where the part has a thermometer."""
         part = self.part
         ready, self._ready = self._ready, False
         if not ready:
@@ -319,9 +305,6 @@ class RegisterSensor:
         self._ready = True
         values = tuple(float(place.decode(registers)) for place in part.channels.values())
         return Reading(values, part.thermometer.celsius(registers) if part.thermometer else None)
-
-    def discard(self) -> None:
-        """Do nothing: every read takes the latest sample."""
 
     def registers(self, first: int, count: int) -> dict[int, int]:
         """Return the registers of one transaction.

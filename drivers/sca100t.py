@@ -19,20 +19,28 @@ they are taken as those of the SCA100T, which has the same element.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from math import comb, radians, sin, sqrt
-from typing import TYPE_CHECKING, ClassVar
+from typing import Any, ClassVar
 
-from tiltcal.drivers.bus.link import check_data_line, require_length
-from tiltcal.drivers.bus.spi import SpiPort
-from tiltcal.drivers.model import Model, Population, Reading, deviation_within, typical_nonlinearity
-from tiltcal.drivers.virtual import REFERENCE, Polynomial, Tolerances, Truth, VirtualPart, normal, part_errors, uniform
+from tiltcal.drivers.bus import SpiPort
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link, check_data_line, require_length
+from tiltcal.drivers.model import Model, Population, Reading, SelfTest, Sensor, deviation_within, typical_nonlinearity
+from tiltcal.drivers.virtual import (
+    REFERENCE,
+    HeldPose,
+    Polynomial,
+    Tolerances,
+    Truth,
+    Vector,
+    VirtualPart,
+    normal,
+    part_errors,
+    uniform,
+)
 from tiltcal.errors import DeviceFault, UsageError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
-    from tiltcal.drivers.virtual import HeldPose, Vector
 
 MEAS, RWTR, STX, STY, RDAX, RDAY = 0x00, 0x08, 0x0E, 0x0F, 0x10, 0x11
 
@@ -68,29 +76,12 @@ NOT_MODELLED = (
     "long-term drift, temperature hysteresis, shock",
     "chip select released for less than 15 µs, clock above 500 kHz, bytes damaged by noise",
     "status register and reload command (RDSR, RLOAD): answered as invalid commands",
-    "self-test of both axes at once, which the datasheet forbids; how a push builds up, and dies away: it ends at once",
+    "self-test of both axes at once, which the datasheet forbids, and of an axis that points down",
+    "how the push of a self-test builds up and dies away: it ends at once",
 )
 
 
-@dataclass(frozen=True, slots=True)
-class SelfTest:
-    """The self-test of one channel: its word at rest, while an electrode pushes the mass, and after that, count."""
-
-    channel: str
-    before: int
-    deflected: int
-    after: int
-
-    def __str__(self) -> str:
-        return f"{self.before} count at rest, {self.deflected} while pushed, {self.after} after the recovery"
-
-    @property
-    def passed(self) -> bool:
-        """Whether it moved to at least 95 % of the supply, and returned to within 5 % of its first value."""
-        return self.deflected >= 0.95 * FULL_SCALE and abs(self.after - self.before) <= 0.05 * self.before
-
-
-class Sca61t:
+class Sca61t(Sensor):
     """The driver of an SCA61T, x in counts, 0 to 2047; and what the drivers of the family share."""
 
     COMMANDS: ClassVar[Mapping[str, int]] = {"x": RDAX}
@@ -114,21 +105,13 @@ class Sca61t:
         return {**self._said(), "temperature": f"{temperature:.1f} °C (not trimmed)"}
 
     def read(self) -> Reading:
-        """Take one sample: the channels in counts, and the temperature in °C.
-
-        BusError: the transaction failed, or every bit of the sample is the same.
-        DeviceFault: a word that is a fault of the part.
-        """
-        answers = [self._answer(command, 3) for command in self.COMMANDS.values()]
-        answers.append(self._answer(RWTR, 2))
+        """Take one sample: the channels in counts, and the temperature in °C."""
+        answers = [*map(self._answer, self.COMMANDS.values()), self._answer(RWTR, 2)]
         check_data_line(b"".join(answers))
         self._words = tuple(map(self._checked, self.COMMANDS, answers))
         return Reading(self._values(), decode_temperature(answers[-1]))
 
-    def discard(self) -> None:
-        """Do nothing: every read is a new conversion."""
-
-    def _answer(self, command: int, length: int) -> bytes:
+    def _answer(self, command: int, length: int = 3) -> bytes:
         self._clock.sleep(REFRESH)
         return require_length(self._link.exchange(bytes([command]).ljust(length, b"\0")), length, "frame")
 
@@ -166,8 +149,6 @@ class Sca100t(Sca61t):
         """Push one axis with its electrode, and test whether it moves and returns, in about a quarter of a second.
 
         The sensor must lie still. The datasheet forbids both axes at once.
-
-        UsageError: another channel than x or y, or an axis that points down, where the push may not reach the rail.
         """
         if channel not in ("x", "y"):
             raise UsageError(f"an SCA100T has channels x and y, not {channel!r}")
@@ -188,10 +169,10 @@ class Sca100t(Sca61t):
         finally:
             self._command(MEAS)
         self._clock.sleep(SETTLING)
-        return SelfTest(channel, before, deflected, self._word(channel, read))
+        return SelfTest(before, deflected, self._word(channel, read), FULL_SCALE)
 
     def _word(self, channel: str, command: int) -> int:
-        frame = self._answer(command, 3)
+        frame = self._answer(command)
         check_data_line(frame)
         # An element that is pushed is at its rail.
         return Sca61t._checked(self, channel, frame)
@@ -245,8 +226,6 @@ def decode_temperature(frame: bytes) -> float:
 RELOAD_NS = 150_000
 """Time between two conversions, which number the noise."""
 BIT_SECONDS = 1.0 / 500_000
-POINTS_DOWN = -0.065
-"""Below this acceleration, in g, an axis does not count as level for the self-test; the datasheet states no number."""
 SATURATION = 25e-3
 """Typical time to 95 % of the deflection of a self-test, s."""
 
@@ -293,22 +272,17 @@ class VirtualSca100t(VirtualPart):
             conversion = self._clock.now_ns() // RELOAD_NS
             return int(uniform(self._truth.seed, f"parity {element}", conversion) * LOWEST_SANE_WORD)
         up, celsius, now = self._state()
-        reading, noise, upright = self._element(element, up, celsius)
+        reading, noise = self._element(element, up, celsius)
         if element == self._pushed and self._clock.now_ns() - self._since_ns >= SATURATION * 1e9:
-            # A push moves the element past the rail, or by 1 g if it points down.
-            reading += self._own(element) if upright < POINTS_DOWN else 0.75 * FULL_SCALE
+            # A push moves the element past the rail; of one that points down the driver takes no self-test.
+            reading += 0.75 * FULL_SCALE
         if noise:
             reading += noise * normal(self._truth.seed, f"noise {element}", round(now * 1e9) // RELOAD_NS)
         return min(max(round(reading), 0), FULL_SCALE)
 
-    def _own(self, element: str) -> float:
-        """Return the sensitivity of an element, count/g."""
-        return self._truth.sensitivity[element][element]
-
-    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float, float]:
-        """Return what an element reads and the deviation of its noise, count, and the acceleration along it, g."""
-        reading = self._truth.reading(element, up, celsius)
-        return reading, self._truth.noise.get(element, 0.0), up["xy".index(element)]
+    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float]:
+        """Return what an element reads and the deviation of its noise, count."""
+        return self._truth.reading(element, up, celsius), self._truth.noise.get(element, 0.0)
 
 
 class VirtualSca61t(VirtualSca100t):
@@ -320,13 +294,9 @@ class VirtualSca61t(VirtualSca100t):
 class VirtualSca103t(VirtualSca100t):
     """An SCA103T: each element holds half of the difference about its middle, one with either sign."""
 
-    def _own(self, element: str) -> float:
-        return self._truth.sensitivity["x"]["x"] / 2.0
-
-    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float, float]:
-        sign = 1.0 if element == "x" else -1.0
+    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float]:
         half = self._truth.reading("x", up, celsius) / 2.0
-        return ZERO + sign * half, self._truth.noise.get("x", 0.0) / sqrt(2.0), sign * up[0]
+        return ZERO + (half if element == "x" else -half), self._truth.noise.get("x", 0.0) / sqrt(2.0)
 
 
 def _recentred(coefficients: Polynomial, centre: float) -> Polynomial:
@@ -337,170 +307,149 @@ def _recentred(coefficients: Polynomial, centre: float) -> Polynomial:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class InclinometerPart:
-    """The constants of one part of the family as delivered.
+def _draw(model: Model, population: Population, seed: int) -> Truth:
+    """Draw a part whose drift and sensitivity follow the mean curves of the population.
+
+    The thermometer is within 2 °C, which is ours: the data sheets call it untrimmed and give no limit. So is the noise:
+    the data sheets' 0.0008 °/√Hz is far below the 11-bit step; a bench is not.
+    """
+    limits = Tolerances(
+        offset=model.offset_spread * sqrt(3.0),
+        sensitivity=SENSITIVITY_LIMIT,
+        cross=CROSS_AXIS_LIMIT,
+        drift=population.drift_spread / model.sensitivity,
+        gain=population.gain_spread,
+        thermometer=2.0,
+    )
+    noise = 0.6 if model.offset else 0.8
+    truth = limits.draw(model.channels, model.sensitivity, noise, seed, model.offset)
+    _, slope, *higher = _recentred(population.drift, REFERENCE)
+    mean, steepness, *bends = _recentred(population.gain, REFERENCE)
+    within, nonlinearity = part_errors(seed), {}
+    if model.driver is Sca100t:
+        # Each term of the response has half of the tolerance, which their sum then keeps.
+        square, cube = (k / 2.0 for k in model.nonlinearity)
+        nonlinearity = {
+            channel: (within(square, f"quadratic {channel}"), within(cube, f"cubic {channel}"))
+            for channel in model.channels
+        }
+    return replace(
+        truth,
+        drift={channel: (slope + drift, *higher) for channel, (drift,) in truth.drift.items()},
+        gain={
+            channel: tuple(k / (1.0 + mean) for k in (steepness + gain, *bends))
+            for channel, (gain,) in truth.gain.items()
+        },
+        nonlinearity=nonlinearity,
+    )
+
+
+def _inclinometer(
+    name: str,
+    title: str,
+    counts_per_g: float,
+    offset_limit: float,
+    drift: Sequence[float],
+    gain: Sequence[float],
+    source: str,
+    slopes: tuple[float, float] = SLOPES,
+    **facts: Any,
+) -> Model:
+    """Return the model of a part; bus, waits, bandwidth and thermometer are the same in the whole family.
 
     offset_limit: largest offset of either sign, degrees.
     drift, gain: mean offset over the parts in degrees and mean change of the sensitivity in %, coefficients of 1, T,
         T², ... with T in °C; slopes: standard deviation over parts, °/°C and %/°C; source: of both.
-    nonlinearity: typical square and cube of the response; the data sheet states cross-axis sensitivity with them.
-    zero: nominal reading at 0 g, count.
     """
+    population = Population(
+        drift=tuple(counts_per_g * radians(k) for k in drift),
+        gain=tuple(k / 100.0 for k in gain),
+        drift_spread=counts_per_g * radians(slopes[0]),
+        gain_spread=slopes[1] / 100.0,
+        source=source,
+    )
+    model = Model(
+        name=name,
+        title=title,
+        schemes=("spi",),
+        addresses=("spi:///dev/spidev0.0",),
+        sensitivity=counts_per_g,
+        offset_spread=deviation_within(sin(radians(offset_limit))),
+        sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
+        resolution=1.0,
+        # The bandwidth is 8 to 28 Hz: the noise of an earlier sample is not independent.
+        interval=0.010,
+        thermometer=True,
+        thermometer_step=1.0 / 1.083,
+        population=population,
+        # The data sheets state the cross-axis sensitivity where they state the nonlinearity.
+        cross_axis_limit=CROSS_AXIS_LIMIT if "nonlinearity" in facts else 0.0,
+        not_modelled=NOT_MODELLED,
+        spi=SpiPort(modes=(0, 3), fastest=500_000),
+        **facts,
+    )
+    return replace(model, default_truth=partial(_draw, model, population))
 
-    name: str
-    title: str
-    driver: type[Sca61t]
-    twin: type[VirtualSca100t]
-    channels: tuple[str, ...]
-    counts_per_g: float
-    offset_limit: float
-    drift: Sequence[float]
-    gain: Sequence[float]
-    source: str
-    slopes: tuple[float, float] = SLOPES
-    nonlinearity: tuple[float, ...] = ()
-    zero: float = float(ZERO)
-    rails: tuple[float, float] = (float(LOWEST_SANE_WORD - 1), float(FULL_SCALE))
 
-    @property
-    def population(self) -> Population:
-        """The mean temperature curves in counts."""
-        counts = self.counts_per_g
-        return Population(
-            drift=tuple(counts * radians(k) for k in self.drift),
-            gain=tuple(k / 100.0 for k in self.gain),
-            drift_spread=counts * radians(self.slopes[0]),
-            gain_spread=self.slopes[1] / 100.0,
-            source=self.source,
-        )
-
-    @property
-    def noise(self) -> float:
-        """Standard deviation of a reading of a virtual part, count.
-
-        It is ours: the data sheets' 0.0008 °/√Hz is far below the 11-bit step; a bench is not.
-        """
-        return 0.6 if self.zero else 0.8
-
-    def draw(self, seed: int) -> Truth:
-        """Draw a part whose drift and sensitivity follow the mean curves.
-
-        The thermometer is within 2 °C, which is ours: the data sheets call it untrimmed and give no limit.
-        """
-        population = self.population
-        limits = Tolerances(
-            offset=sin(radians(self.offset_limit)),
-            sensitivity=SENSITIVITY_LIMIT,
-            cross=CROSS_AXIS_LIMIT,
-            drift=population.drift_spread / self.counts_per_g,
-            gain=population.gain_spread,
-            thermometer=2.0,
-        )
-        truth = limits.draw(self.channels, self.counts_per_g, self.noise, seed, self.zero)
-        _, slope, *higher = _recentred(population.drift, REFERENCE)
-        mean, steepness, *bends = _recentred(population.gain, REFERENCE)
-        within, nonlinearity = part_errors(seed), {}
-        if self.driver is Sca100t:
-            # Each term of the response has half of the tolerance, which their sum then keeps.
-            square, cube = (k / 2.0 for k in self.nonlinearity)
-            nonlinearity = {
-                channel: (within(square, f"quadratic {channel}"), within(cube, f"cubic {channel}"))
-                for channel in self.channels
-            }
-        return replace(
-            truth,
-            drift={channel: (slope + drift, *higher) for channel, (drift,) in truth.drift.items()},
-            gain={
-                channel: tuple(k / (1.0 + mean) for k in (steepness + gain, *bends))
-                for channel, (gain,) in truth.gain.items()
-            },
-            nonlinearity=nonlinearity,
-        )
-
-    def model(self) -> Model:
-        """Return the sensor model; bus, waits, bandwidth and thermometer are the same in the whole family."""
-        return Model(
-            name=self.name,
-            title=self.title,
-            channels=self.channels,
-            schemes=("spi",),
-            addresses=("spi:///dev/spidev0.0",),
-            offset=self.zero,
-            sensitivity=self.counts_per_g,
-            offset_spread=deviation_within(sin(radians(self.offset_limit))),
-            sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
-            rails=self.rails,
-            resolution=1.0,
-            # The bandwidth is 8 to 28 Hz: the noise of an earlier sample is not independent.
-            interval=0.010,
-            thermometer=True,
-            thermometer_step=1.0 / 1.083,
-            population=self.population,
-            cross_axis_limit=CROSS_AXIS_LIMIT if self.nonlinearity else 0.0,
-            nonlinearity=self.nonlinearity,
-            driver=self.driver,
-            twin=self.twin,
-            not_modelled=NOT_MODELLED,
-            default_truth=self.draw,
-            spi=SpiPort(modes=(0, 3), fastest=500_000),
-        )
+ABOUT_ZERO: dict[str, Any] = {"offset": float(ZERO), "rails": (float(LOWEST_SANE_WORD - 1), float(FULL_SCALE))}
+"""Of the parts whose reading is that of an element."""
 
 
 def _sca100t(
     variant: str, extent: str, counts: float, offset_limit: float, range_g: float, nonlinearity: float
 ) -> Model:
-    return InclinometerPart(
-        name=f"sca100t-{variant.lower()}",
-        title=f"Murata SCA100T-{variant} inclinometer, {extent}, SPI",
-        driver=Sca100t,
-        twin=VirtualSca100t,
-        channels=("x", "y"),
-        counts_per_g=counts,
-        offset_limit=offset_limit,
+    return _inclinometer(
+        f"sca100t-{variant.lower()}",
+        f"Murata SCA100T-{variant} inclinometer, {extent}, SPI",
+        counts,
+        offset_limit,
         drift=(0.0522, -0.0039, 0.0001, -0.0000006),
         gain=(0.0408, 0.0022, -0.00011),
         source="SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
+        driver=Sca100t,
+        twin=VirtualSca100t,
+        channels=("x", "y"),
         nonlinearity=typical_nonlinearity(sin(radians(nonlinearity)), range_g),
-    ).model()
+        **ABOUT_ZERO,
+    )
 
 
 def _sca103t(variant: str, extent: float, counts: float, limit: float) -> Model:
     """Return the model of a part for ±extent, whose offset and nonlinearity have one limit, degrees."""
     reach = float(HIGHEST_SANE_WORD - LOWEST_SANE_WORD + 1)
-    return InclinometerPart(
-        name=f"sca103t-{variant.lower()}",
-        title=f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, ±{extent:g}°, SPI",
-        driver=Sca103t,
-        twin=VirtualSca103t,
-        channels=("x",),
-        counts_per_g=counts,
-        offset_limit=limit,
+    return _inclinometer(
+        f"sca103t-{variant.lower()}",
+        f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, ±{extent:g}°, SPI",
+        counts,
+        limit,
         # Its offset has no tendency; the slope differs over parts.
         drift=(0.0, 0.0),
         gain=(-0.031, 0.0032, -0.00005, -0.0000005),
         source="SCA103T data sheet 8261700 Rev. A, mean temperature curve of the sensitivity",
         slopes=(0.002, 0.013),
+        driver=Sca103t,
+        twin=VirtualSca103t,
+        channels=("x",),
         nonlinearity=typical_nonlinearity(sin(radians(limit)), sin(radians(extent))),
-        zero=0.0,
         rails=(-reach, reach),
-    ).model()
+    )
 
 
 def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> Model:
-    return InclinometerPart(
-        name=f"sca61t-{variant.lower()}",
-        title=f"VTI (Murata) SCA61T-{variant} one-axis inclinometer, {extent}, SPI",
-        driver=Sca61t,
-        twin=VirtualSca61t,
-        channels=("x",),
-        counts_per_g=counts,
-        offset_limit=offset_limit,
+    return _inclinometer(
+        f"sca61t-{variant.lower()}",
+        f"VTI (Murata) SCA61T-{variant} one-axis inclinometer, {extent}, SPI",
+        counts,
+        offset_limit,
         drift=(0.0514, -0.0032, 0.0000857, -0.0000005),
         gain=(0.0362, 0.0019, -0.00011),
         source="SCA61T data sheet 8261900, mean temperature curves as a driver quotes them; their spread over parts is "
         "the SCA100T's",
-    ).model()
+        driver=Sca61t,
+        twin=VirtualSca61t,
+        channels=("x",),
+        **ABOUT_ZERO,
+    )
 
 
 D01 = _sca100t("D01", "±30°", 1638.0, offset_limit=0.11, range_g=0.5, nonlinearity=0.11)
@@ -517,4 +466,3 @@ MODELS = {
         _sca61t("FA1H1G", "±90°", 819.0, 0.23),
     )
 }
-"""By the name that the user types."""

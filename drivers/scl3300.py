@@ -18,19 +18,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from tiltcal.drivers.bus import SpiPort
 from tiltcal.drivers.bus.address import Address, parse_address
-from tiltcal.drivers.bus.link import check_data_line, require_length
-from tiltcal.drivers.bus.spi import SpiPort
-from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words, typical_nonlinearity
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link, check_data_line, require_length
+from tiltcal.drivers.model import (
+    Model,
+    Reading,
+    Sensor,
+    deviation_within,
+    in_words,
+    link_in_words,
+    typical_nonlinearity,
+)
 from tiltcal.drivers.registers import choose_range
 from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
 
 ACC_X, ACC_Y, ACC_Z = (bytes.fromhex(frame) for frame in ("040000F7", "080000FD", "0C0000FB"))
 TEMPERATURE, STATUS, WHOAMI = (bytes.fromhex(frame) for frame in ("140000EF", "180000E5", "40000091"))
@@ -151,7 +156,7 @@ class Scl3300Part(NamedTuple):
     nonlinearity: tuple[float, ...] = ()
 
 
-class Scl3300:
+class Scl3300(Sensor):
     """The driver of an SCL3300-D01 or SCA3300-D01 in one of its modes.
 
     It sets the part up before the first sample and again after any error. A damaged frame is asked for again; a part
@@ -180,17 +185,10 @@ class Scl3300:
         return f"{(high.data << 16 | low.data)}B33"
 
     def read(self) -> Reading:
-        """Take one sample: x, y and z in counts, -32768 to 32767, and the temperature in °C.
-
-        BusError: the transaction failed, or no intact sample arrived.
-        DeviceFault: the part was reset or switched off since it was set up, or its status shows a fault.
-        """
+        """Take one sample: x, y and z in counts, -32768 to 32767, and the temperature in °C."""
         x, y, z, temperature = self._answers_to(SAMPLE)
         self._counts["samples"] += 1
         return Reading((float(x.signed), float(y.signed), float(z.signed)), -273.0 + temperature.signed / 18.9)
-
-    def discard(self) -> None:
-        """Do nothing: every read requests the latest words."""
 
     def link_statistics(self) -> Mapping[str, int]:
         """Return the counts of samples and of unusable frames.
@@ -515,4 +513,3 @@ def _model(name: str, part: Scl3300Part, address: Address) -> Model:
 MODELS = {
     name: _model(name, part, parse_address("sim:")) for name, part in (("scl3300", _SCL3300), ("sca3300-d01", _SCA3300))
 }
-"""By the name that the user types."""

@@ -21,9 +21,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import cos, log, pi, radians, sin, sqrt
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.columns import (
     SERIAL_COLUMNS,
     UNKNOWN,
@@ -32,11 +33,8 @@ from tiltcal.drivers.columns import (
     ColumnsSensor,
     columns_of,
 )
+from tiltcal.drivers.model import Model
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth, normal, part_errors
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.model import Model
 
 PHASES = (0.0, 180.0, 90.0, 270.0)
 """Where a1, a2, a3 and a4 sit, degrees."""
@@ -50,7 +48,7 @@ FASTEST = 400.0
 
 _OCTAVES = 20
 _WANDER_PERIODS = (617.0, 1471.0)
-"""Seconds; no multiples of a turn."""
+"""Of a slow variation within ±1, seconds; no multiples of a turn."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,8 @@ class Gradiometer:
         disk = self._disk
         time = number / disk.rate
         turned = disk.spin * time % 1.0
-        common = sin(disk.inclination) * (1.0 + disk.wander * _wander(time))
+        wander = 0.5 * sum(sin(2.0 * pi * time / period) for period in _WANDER_PERIODS)
+        common = sin(disk.inclination) * (1.0 + disk.wander * wander)
         readings = tuple(
             self._reading(index, 2.0 * pi * turned, time, common, number) for index in range(len(CHANNELS))
         )
@@ -196,11 +195,6 @@ def draw_truth(seed: int) -> StageTruth:
     return StageTruth.of(replace(Disk(), accelerometers=parts, encoder_noise=0.002), seed)
 
 
-def _wander(time: float) -> float:
-    """Return a slow variation within ±1."""
-    return 0.5 * sum(sin(2.0 * pi * time / period) for period in _WANDER_PERIODS)
-
-
 PRINTED = "time,theta,a1,a2,a3,a4"
 """Default columns: seconds, the stage angle in degrees, the four readings."""
 
@@ -236,4 +230,3 @@ def gradiometer_at(address: Address) -> Model:
 
 
 MODELS = {"gradiometer": gradiometer_at(parse_address("sim:"))}
-"""By the name that the user types."""

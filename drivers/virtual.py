@@ -121,14 +121,14 @@ class Truth:
         gain = _powers(self.gain.get(channel, ()), dt, 1)
         return self.offset[channel] + drift + (1.0 + gain) * (signal + bend)
 
-    def sample(self, channel: str, gravity: Vector, temperature: float, now_ns: int, number: int) -> float:
-        """Return :meth:`reading` with the noise of sample ``number``; of a stuck sensor what it reads when level."""
-        if self.fault(now_ns / 1e9).kind == "stuck":
+    def sample(self, channel: str, fixture: HeldPose, clock: Clock, number: int) -> float:
+        """Return what a channel reads now with the noise of a sample; of a stuck sensor what it reads when level."""
+        if self.fault(clock.now_ns() / 1e9).kind == "stuck":
             # A function of the fault alone, so a resumed session reads the same.
             return self.reading(channel, LEVEL, self.ambient)
         noise = self.noise.get(channel, 0.0)
         drawn = normal(self.seed, f"noise {channel}", number) if noise else 0.0
-        return self.reading(channel, gravity, temperature) + noise * drawn
+        return self.reading(channel, fixture.gravity, fixture.temperature(self.lag)) + noise * drawn
 
     def fault(self, seconds: float) -> Fault:
         """Return the fault that is present ``seconds`` after the session began; :data:`NO_FAULT` if there is none."""
@@ -203,7 +203,7 @@ class Change:
         return self.target - way * exp(-elapsed / self.time_constant) if self.time_constant else self.target
 
     def followed(self, now_ns: int, lag: float, before: float) -> float:
-        """Return the temperature of what follows with a lag, s, and had the temperature ``before`` at the start."""
+        """Return the temperature of what follows with a lag, s, and was ``before`` at the start."""
         elapsed, way = (now_ns - self.start_ns) / 1e9, self.target - self.start
         if self.pace:
             slope, arrival = copysign(self.pace, way), abs(way) / self.pace

@@ -13,16 +13,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from struct import Struct
-from typing import TYPE_CHECKING
 
+from tiltcal.drivers.bus.address import Address
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus.address import Address
-    from tiltcal.drivers.bus.clock import Clock
-    from tiltcal.drivers.bus.link import Link
 
 HEAD, ACCELERATION = 0x55, 0x51
 DATA = Struct("<4h")
@@ -131,8 +128,7 @@ def _virtual(thermometer: tuple[float, float] | None, truth: Truth, fixture: Hel
     scale, zero = thermometer or (100.0, 0.0)
 
     def message(number: int) -> bytes:
-        gravity, element, now_ns = fixture.gravity, fixture.temperature(truth.lag), clock.now_ns()
-        words = [truth.sample(channel, gravity, element, now_ns, number) for channel in CHANNELS]
+        words = [truth.sample(channel, fixture, clock, number) for channel in CHANNELS]
         celsius = fixture.temperature() + truth.thermometer_error
         counts = [min(max(round(word), -32768), 32767) for word in (*words, (celsius - zero) * scale)]
         return framed(0x52, bytes(8)) + framed(ACCELERATION, DATA.pack(*counts))
@@ -176,4 +172,3 @@ WITMOTION = Model(
 )
 
 MODELS = {WITMOTION.name: WITMOTION}
-"""By the name that the user types."""

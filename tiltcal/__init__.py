@@ -10,7 +10,6 @@ TYPE_CHECKING = False
 
 if TYPE_CHECKING:
     from tiltcal.bench.devices import open_sensor
-    from tiltcal.bench.plan import plan
     from tiltcal.errors import (
         BusError,
         DeviceFault,
@@ -23,14 +22,11 @@ if TYPE_CHECKING:
         TiltcalError,
         UsageError,
     )
-    from tiltcal.library.apply import apply_log
-    from tiltcal.library.calibration import Calibration, combine, compare, read
+    from tiltcal.library.calibration import Calibration, PairCalibration, combine, compare, read
     from tiltcal.library.calibration_library import CalibrationLibrary, open_calibrations
-    from tiltcal.library.fit import fit
-    from tiltcal.library.match import match
     from tiltcal.library.measure import measure
-    from tiltcal.library.noise import noise
-    from tiltcal.library.pair_calibration import PairCalibration
+    from tiltcal.library.plan import plan
+    from tiltcal.library.recorded import apply_log, fit, match, noise
 
 __version__ = "0.1.0"
 
@@ -46,17 +42,17 @@ __all__ = [
 _HOME = {
     "Calibration": "library.calibration",
     "CalibrationLibrary": "library.calibration_library",
-    "PairCalibration": "library.pair_calibration",
-    "apply_log": "library.apply",
+    "PairCalibration": "library.calibration",
+    "apply_log": "library.recorded",
     "combine": "library.calibration",
     "compare": "library.calibration",
-    "fit": "library.fit",
-    "match": "library.match",
+    "fit": "library.recorded",
+    "match": "library.recorded",
     "measure": "library.measure",
-    "noise": "library.noise",
+    "noise": "library.recorded",
     "open_calibrations": "library.calibration_library",
     "open_sensor": "bench.devices",
-    "plan": "bench.plan",
+    "plan": "library.plan",
     "read": "library.calibration",
 }
 """Where each name is defined; all others are errors."""

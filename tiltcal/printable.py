@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from html import escape
+
 
 def printable(text: str) -> str:
     """Return a text whose control characters, which could be escape sequences, are question marks."""
     return "".join(character if character.isprintable() or character == "\n" else "?" for character in text)
+
+
+def in_html(result: object) -> str:
+    """Return a result as a notebook shows it: the lines that the command prints."""
+    return f"<pre>{escape(str(result))}</pre>"
 
 
 def counted(count: int, noun: str) -> str:

@@ -104,7 +104,8 @@ def _parameter(parameter: inspect.Parameter) -> str:
 
 def _class_section(name: str, kind: type) -> str:
     """Return the section of a class: its documentation, its properties, its methods."""
-    members = {one: value for one, value in vars(kind).items() if not one.startswith("_")}
+    classes = [one for one in kind.__mro__ if one.__module__.startswith("tiltcal.")]
+    members = {one: value for base in classes for one, value in vars(base).items() if not one.startswith("_")}
     properties = {
         one: inspect.getdoc(value) or ""
         for one, value in members.items()

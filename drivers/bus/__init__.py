@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, MutableMapping
+from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -10,9 +11,8 @@ if TYPE_CHECKING:
     from tiltcal.drivers.bus.address import Address
     from tiltcal.drivers.bus.link import Link
     from tiltcal.drivers.bus.modbus import ModbusLine
-    from tiltcal.drivers.bus.spi import SpiPort
 
-__all__ = ["BUSES", "Bus", "Device", "link_letter", "open_link"]
+__all__ = ["BUSES", "Bus", "Device", "SpiPort", "link_letter", "open_link"]
 
 
 class Bus(NamedTuple):
@@ -23,6 +23,22 @@ class Bus(NamedTuple):
 
     letter: str
     open: str | Callable[[Address], Link]
+
+
+@dataclass(frozen=True, slots=True)
+class SpiPort:
+    """The SPI settings that a part accepts.
+
+    modes: clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
+    fastest: highest clock, Hz; None where no source states it.
+    speed: clock if the address states none, Hz; None is the fastest.
+    slowest: lowest clock at which the part's words do not change while they are read, Hz.
+    """
+
+    modes: tuple[int, ...]
+    fastest: int | None
+    speed: int | None = None
+    slowest: int = 1
 
 
 class Device(Protocol):

@@ -31,6 +31,7 @@ from tiltcal.errors import UsageError
 from tiltcal.stated_arguments import require_text
 
 R = TypeVar("R")
+N = TypeVar("N", int, float)
 
 _PORT = re.compile(r"/dev/(?!spi|i2c|gpio)|COM\d+(\?|$)")
 """A serial port alone, which is an address of its own."""
@@ -86,9 +87,7 @@ class Address:
         text = self.text(name)
         if not _INTEGER.fullmatch(text) or len(text) > 20:
             self.refuse(f"option {name}={text} is not a whole number")
-        value = int(text, 16 if "x" in text.lower() else 10)
-        self._bound(name, text, value, low, high)
-        return value
+        return self._bounded(name, int(text, 16 if "x" in text.lower() else 10), low, high)
 
     def number(
         self, name: str, default: float | None = None, *, low: float | None = None, high: float | None = None
@@ -99,9 +98,7 @@ class Address:
         text = self.text(name)
         if not _NUMBER.fullmatch(text) or not isfinite(float(text)):
             self.refuse(f"option {name}={text} is not a finite number")
-        value = float(text)
-        self._bound(name, text, value, low, high)
-        return value
+        return self._bounded(name, float(text), low, high)
 
     def choice(self, name: str, meanings: Mapping[str, R], default: R) -> R:
         """Return the meaning of the word that an option gives; one that is none of the words is refused."""
@@ -116,11 +113,14 @@ class Address:
         """Raise a UsageError that quotes the address."""
         _refuse(self.written, why)
 
-    def _bound(self, name: str, text: str, value: float, low: float | None, high: float | None) -> None:
-        if low is not None and value < low:
-            self.refuse(f"option {name}={text} is too small (at least {low})")
-        if high is not None and value > high:
-            self.refuse(f"option {name}={text} is too large (at most {high})")
+    def _bounded(self, name: str, value: N, low: float | None, high: float | None) -> N:
+        for wrong, why in (
+            (low is not None and value < low, f"small (at least {low})"),
+            (high is not None and value > high, f"large (at most {high})"),
+        ):
+            if wrong:
+                self.refuse(f"option {name}={self.options[name]} is too {why}")
+        return value
 
 
 def parse_address(text: str) -> Address:

@@ -10,14 +10,12 @@ import sys
 from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import import_library
 from tiltcal.errors import BusError, HardwareError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Device
-    from tiltcal.drivers.bus.address import Address
 
 LETTER = "n"
 SYSFS = Path("/sys/bus/iio/devices")

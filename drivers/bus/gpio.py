@@ -14,14 +14,12 @@ import errno
 from collections.abc import Iterable, Iterator
 from struct import Struct
 from time import sleep
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import Node, import_library
 from tiltcal.errors import BusError, HardwareError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Device
-    from tiltcal.drivers.bus.address import Address
 
 RECORD = Struct("<QBBI")
 
@@ -71,12 +69,7 @@ def unpack_edges(records: bytes) -> Iterator[Edge]:
 
 
 def open_gpio(address: Address, model: Device) -> GpioLink:
-    """Open a GPIO chip: options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge.
-
-    UsageError: a line is missing, or both are the same.
-    HardwareError: the gpiod package is not installed, or is older than version 2.
-    BusError: no such chip or line, no permission, or in use.
-    """
+    """Open a GPIO chip: options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge."""
     address.allow("x", "y", "timeout", *model.options)
     x, y = (address.integer(name, low=0, high=MOST_LINES - 1) for name in ("x", "y"))
     if x == y:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import errno
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import Node, import_library
 from tiltcal.errors import BusError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Device
-    from tiltcal.drivers.bus.address import Address
 
 LOWEST, HIGHEST = 0x08, 0x77
 """The 7-bit addresses that a device may have; the I2C specification reserves the others."""
@@ -23,11 +21,7 @@ OPENING = (
 
 
 def open_i2c(address: Address, model: Device) -> I2cLink:
-    """Open an ``i2c:`` address for one device, whose 7-bit ``address`` is required.
-
-    UsageError: an unknown option, or an I2C address that is missing or reserved.
-    BusError: no such device node, or no permission.
-    """
+    """Open an ``i2c:`` address for one device, whose 7-bit ``address`` is required."""
     address.allow("address", *model.options)
     return I2cLink(address.path, address.integer("address", low=LOWEST, high=HIGHEST))
 

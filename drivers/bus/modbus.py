@@ -6,16 +6,15 @@ import logging
 import os
 import re
 from collections.abc import MutableMapping
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import SERIAL_PORT, import_library
 from tiltcal.drivers.bus.serial import PARITIES, require_line
 from tiltcal.errors import BusError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Device
-    from tiltcal.drivers.bus.address import Address
 
 BAUDRATE = 9600
 """If the address names none, baud."""
@@ -40,13 +39,12 @@ def open_modbus(address: Address, model: Device, lines: MutableMapping[str, Modb
 
     lines: the serial lines that were opened before, by their port, which the units of an RS-485 line share; a new one
         is added.
-
-    UsageError: an unknown or wrong option, or one that another unit on the line contradicts.
-    BusError: no such port, no permission, or no server.
     """
     unit = address.integer("unit", 1, low=1, high=247)
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=60.0)
-    library = _pymodbus()
+    library = import_library("pymodbus.client", "Modbus needs the Python package pymodbus", "'tiltcal[modbus]'")
+    if not (logger := logging.getLogger("pymodbus")).handlers:
+        logger.addHandler(logging.NullHandler())  # our errors report lost frames
     if address.path.startswith("tcp://"):
         address.allow("unit", "timeout", *model.options)
         return ModbusLink(_server(address, library, timeout), unit)
@@ -107,22 +105,17 @@ class ModbusLine:
 
     def __init__(self, place: str, client: Any, *, numbered: bool = False) -> None:
         self.place = place
+        self.settings = client.comm_params
         self._client = client
         self._numbered = numbered
         self._late: set[int] = set()
         """The units whose late answers may still come."""
 
-    @property
-    def settings(self) -> Any:
-        """The settings of the line, for comparison."""
-        return self._client.comm_params
-
     def open(self) -> None:
         """Open the line, unless it is open."""
-        try:
+        opened = False
+        with suppress(UnicodeError):  # a name that cannot be one of a host
             opened = self._client.connect()
-        except UnicodeError as cause:  # a name that cannot be one of a host
-            raise BusError(_why_not_opened(self.place)) from cause
         if not opened:
             raise BusError(_why_not_opened(self.place))
 
@@ -131,10 +124,7 @@ class ModbusLine:
         self._client.close()
 
     def read(self, unit: int, function: int, first: int, number: int) -> Any:
-        """Return the answer of a unit: pymodbus' response to this request, or an exception response.
-
-        BusError: no answer with the right checksum, function and length, or the connection is gone.
-        """
+        """Return the answer of a unit: pymodbus' response to this request, or an exception response."""
         from pymodbus.exceptions import ConnectionException, ModbusException
 
         read = self._client.read_holding_registers if function == HOLDING else self._client.read_input_registers
@@ -205,15 +195,6 @@ class ModbusLink:
     def close(self) -> None:
         """Close the line; closing twice is allowed, and the next request of another unit opens it again."""
         self._line.close()
-
-
-def _pymodbus() -> Any:
-    """Import the clients of pymodbus, and silence its log, because our errors report lost frames."""
-    client = import_library("pymodbus.client", "Modbus needs the Python package pymodbus", "'tiltcal[modbus]'")
-    logger = logging.getLogger("pymodbus")
-    if not logger.handlers:
-        logger.addHandler(logging.NullHandler())
-    return client
 
 
 def _why_not_opened(place: str) -> str:

@@ -6,14 +6,12 @@ import errno
 import re
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import SERIAL_PORT, error_number, import_library
 from tiltcal.errors import BusError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Device
-    from tiltcal.drivers.bus.address import Address
 
 BAUDRATE = 115_200
 """Default, baud."""
@@ -48,11 +46,7 @@ ERRORS = (
 
 
 def open_serial(address: Address, model: Device) -> SerialLink:
-    """Open a port, or a URL of pyserial's with one of :data:`HANDLERS`; ``timeout`` is the silence that is an error, s.
-
-    UsageError: an unknown or wrong option, or a URL that pyserial does not support.
-    BusError: no such port, no permission, no server, or in use.
-    """
+    """Open a port, or a URL of pyserial's with one of :data:`HANDLERS`; ``timeout`` is the longest silence, s."""
     address.allow(*dict.fromkeys(("baudrate", "parity", "stopbits", "timeout", *model.options)))
     parity, stop_bits = address.text("parity", "N").upper(), address.text("stopbits", "1")
     if parity not in PARITIES:

@@ -3,32 +3,12 @@
 from __future__ import annotations
 
 import errno
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import Node, import_library
 from tiltcal.errors import BusError
-
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Device
-    from tiltcal.drivers.bus.address import Address
-
-
-@dataclass(frozen=True, slots=True)
-class SpiPort:
-    """The SPI settings that a part accepts.
-
-    modes: clock modes (CPOL and CPHA as bits 1 and 0) that the part works in, the preferred one first.
-    fastest: highest clock, Hz; None where no source states it.
-    speed: clock if the address states none, Hz; None is the fastest.
-    slowest: lowest clock at which the part's words do not change while they are read, Hz.
-    """
-
-    modes: tuple[int, ...]
-    fastest: int | None
-    speed: int | None = None
-    slowest: int = 1
-
 
 FASTEST = 100_000_000
 """Highest clock of a part whose own is not known, Hz; spidev would take 2**32 and more for other clocks."""
@@ -45,11 +25,7 @@ ERRORS = (
 
 
 def open_spi(address: Address, model: Device) -> SpiLink:
-    """Open a ``spi:`` address for one device: options ``mode`` (0 to 3) and ``speed`` (Hz), within those of the model.
-
-    UsageError: an unknown option, or a mode or speed that the part does not support.
-    BusError: no such device, no permission, or a clock that is too slow for the part.
-    """
+    """Open a ``spi:`` address; its options ``mode`` (0 to 3) and ``speed`` (Hz) are within those of the model."""
     address.allow("mode", "speed", *model.options)
     port = model.spi
     if port is None:

@@ -7,30 +7,27 @@ from collections.abc import Iterator
 from fractions import Fraction
 from io import BufferedReader
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from operator import attrgetter
+from typing import Any
 
+from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
 from tiltcal.drivers.bus.link import CaptureEnded
 from tiltcal.drivers.bus.nodes import import_library
 from tiltcal.errors import BusError
 
-if TYPE_CHECKING:
-    from tiltcal.drivers.bus import Device
-    from tiltcal.drivers.bus.address import Address
-
-
 PREFACE = 20
 """Lines before the header that are skipped."""
+
+_IDENTITY = attrgetter("st_ino", "st_size", "st_mtime_ns")
 
 MOST_NS = 1 << 63
 """The record of an edge holds times up to 292 years."""
 
 
 def open_vcd(address: Address, model: Device) -> VcdLink:
-    """Open a capture; ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several scopes have the name.
-
-    BusError: the file cannot be read, is damaged, or has no such signal.
-    """
+    """Open a capture; ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several scopes have the name."""
     address.allow("x", "y", *model.options)
     x, y = address.text("x"), address.text("y")
     if x == y:
@@ -82,7 +79,7 @@ class VcdLink:
     def _open(self) -> None:
         try:
             self._file = open(self._path, "rb")  # noqa: SIM115 - it stays open as long as the link
-            self._identity = _identity(os.fstat(self._file.fileno()))
+            self._identity = _IDENTITY(os.fstat(self._file.fileno()))
         except OSError as cause:
             raise BusError(f"{self._path} cannot be read ({cause.strerror}): is the path right?") from cause
         try:
@@ -97,16 +94,12 @@ class VcdLink:
 
     def _renew(self) -> None:
         try:
-            written_anew = _identity(os.stat(self._path)) != self._identity
+            written_anew = _IDENTITY(os.stat(self._path)) != self._identity
         except OSError:
             written_anew = False
         if written_anew:
             self.close()
             self._open()
-
-
-def _identity(status: os.stat_result) -> tuple[int, int, int]:
-    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _skip_preface(path: str, file: BufferedReader) -> None:

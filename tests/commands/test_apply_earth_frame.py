@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 import xarray
 from click.testing import CliRunner, Result
 
-import tiltcal
 from tiltcal.cli.apply import command
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
@@ -88,19 +86,6 @@ def test_notes_name_the_north_and_what_counts_as_exact() -> None:
     assert "U95_heading 0.56° (0.72°)" in found.stderr
     # 0.003 and 0.004 V of 2 V/g are 0.1433°; the field dips by atan 2.
     assert columns(found)["u_heading"][0] == pytest.approx(2 * 0.14324, rel=1e-3)
-
-
-def test_the_noise_of_the_magnetometer_counts() -> None:
-    found = columns(apply("--magnetometer", "mx,my,mz", "--uncertainty", "--magnetometer-noise", "0.2"))
-    assert found["u_heading"][0] == pytest.approx(np.hypot(2 * 0.14324, np.degrees(0.2 / 20)), rel=1e-3)
-
-
-def test_a_log_and_a_frame_give_the_same() -> None:
-    values = np.genfromtxt("log.csv", delimiter=",", names=True)
-    options = {"magnetometer": ("mx", "my", "mz"), "velocity": "u,v,w", "declination": 5.0, "uncertainty": True}
-    frame = tiltcal.read("cal.yaml").apply({name: values[name] for name in values.dtype.names}, **options)
-    for name, column in columns(apply(*COMPASS, "--uncertainty")).items():
-        assert frame[name].tolist() == column
 
 
 def test_a_field_of_another_length_is_flagged_on_its_row() -> None:

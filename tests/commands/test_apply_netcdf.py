@@ -12,7 +12,6 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 from support import FIXTURES
-from support.command import loaded_by
 
 from tiltcal.cli.apply import command
 from tiltcal.cli.match import command as match_command
@@ -185,12 +184,6 @@ class TestRefusals:
         said = refused(apply(CAL, "bad.nc", "-o", "out.nc"), InputError)
         assert said.startswith("bad.nc: this is no NetCDF-4 file, or a damaged one")
 
-    def test_a_file_that_was_cut(self, bench: Path) -> None:
-        content = (bench / "log.nc").read_bytes()
-        (bench / "cut.nc").write_bytes(content[: len(content) // 2])
-        assert refused(apply(CAL, "cut.nc", "-o", "out.nc"), InputError).startswith("cut.nc: ")
-        assert sorted(os.listdir(bench)) == ["cut.nc", "log.nc"]
-
     def test_netcdf_3(self) -> None:
         Path("old.nc").write_bytes(b"CDF\x01" + bytes(100))
         assert "nccopy -k nc4" in refused(apply(CAL, "old.nc", "-o", "out.nc"), InputError)
@@ -208,17 +201,6 @@ class TestRefusals:
         assert said in refused(apply(CAL, "log.nc", "--columns", columns, "-o", "out.nc"), InputError)
         assert os.listdir(bench) == ["log.nc"]
 
-    def test_a_result_is_not_compensated_again(self) -> None:
-        apply(CAL, "log.nc", "-o", "out.nc")
-        assert "column 'g_x' already" in refused(apply(CAL, "out.nc", "-o", "again.nc"), UsageError)
-
     def test_libraries_that_are_not_there(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, "h5netcdf", None)
         assert "pip install 'tiltcal[netcdf]'" in refused(apply(CAL, "log.nc", "-o", "out.nc"), UsageError)
-
-
-def test_csv_loads_none_of_it() -> None:
-    Path("log.csv").write_text("x,y\n1024,1024\n")
-    loaded = loaded_by(f"from tiltcal.cli.main import run\nrun(['apply', {CAL!r}, 'log.csv', '-o', 'out.csv'])")
-    assert "numpy" in loaded
-    assert not loaded & {"xarray", "h5netcdf", "h5py", "pandas", "distributed", "dask", "pyarrow"}

@@ -119,10 +119,6 @@ class TestOutput:
             applied(pl.DataFrame({"x": [3.0, 2.0], "y": [2.0, 3.0], "temperature": [20.0, 25.0]})).select(ADDED),
         )
 
-    def test_a_column_of_nothing_is_missing(self) -> None:
-        found = applied(pl.DataFrame({"x": [2.5, 2.5], "y": [2.5, 2.5], "temperature": pl.Series([None, None])}))
-        assert found["reason"].to_list() == [16, 16]
-
     def test_order_stays_over_many_blocks_and_row_groups(self) -> None:
         rows = 300_000
         log = pl.DataFrame({"n": np.arange(rows), "x": np.linspace(1.5, 3.5, rows), "y": 2.5, "temperature": 20.0})
@@ -140,12 +136,6 @@ class TestOutput:
         made = json.loads(notes["tiltcal"])
         assert (made["serial"], made["calibration"]) == ("S-1", "cal.yaml")
         assert made["sha256"] == hashlib.sha256(WARM.encode()).hexdigest()
-
-    def test_columns_by_name_and_names_with_brackets(self) -> None:
-        log = pl.DataFrame({"Vout X": [3.5], "b": [2.5], "T": [20]})
-        log.write_parquet("night[1].parquet")
-        apply("cal.yaml", "night[1].parquet", "--columns", "x=Vout X,y=b,temperature=T", "-o", "out.parquet")
-        assert pl.read_parquet("out.parquet")["flag"].to_list() == [1]
 
 
 class TestBesideCsv:
@@ -239,11 +229,6 @@ class TestFromCsvToParquet:
         assert found["n"].to_list()[-1] == 5.0
         assert len(found) == 6
 
-    def test_a_row_that_cannot_be_parsed_is_named_with_its_line(self, bench: Path) -> None:
-        result = apply("cal.yaml", "-", "-o", "out.parquet", stdin=b"x,y\n1,2\n1,oops\n")
-        assert refused(result, InputError) == "standard input:3: column 'y': 'oops' is no number"
-        assert not (bench / "out.parquet").exists()
-
     def test_a_column_that_changes_its_type_far_down_is_named_with_the_row(self, bench: Path) -> None:
         text = b"x,y,n\n" + b"3.5,2.5,1\n" * 700_000 + b"3.5,2.5,off\n"
         said = refused(apply("cal.yaml", "-", "-o", "out.parquet", stdin=text), InputError)
@@ -261,21 +246,6 @@ class TestFromParquetToCsv:
         assert header == ",".join(["time", "x", "y", *ADDED])
         assert first.startswith("0.0,3.5,2.5,")
         assert second == "0.1,,1.5,NaN,NaN,NaN,NaN,9,32"
-
-    def test_what_has_a_comma_is_quoted_and_a_moment_is_iso_8601(self) -> None:
-        moment = datetime(2026, 5, 1, 12, 0, 0, 500_000)
-        pl.DataFrame(
-            {"x": [2.5], "y": [2.5], "a,b": ['c"d'], "naive": [moment], "zoned": [moment.replace(tzinfo=UTC)]}
-        ).with_columns(pl.col("zoned").dt.convert_time_zone("Europe/Berlin")).write_parquet("in.parquet")
-        header, row = apply("cal.yaml", "in.parquet").stdout.splitlines()
-        assert header.startswith('x,y,"a,b",naive,zoned,')
-        assert row.startswith('2.5,2.5,"c""d",2026-05-01T12:00:00.500,2026-05-01T12:00:00.500Z,')
-
-    def test_a_list_has_no_place_in_a_cell(self) -> None:
-        LOG.with_columns(spectrum=pl.lit([1, 2])).write_parquet("in.parquet")
-        said = refused(apply("cal.yaml", "in.parquet"), UsageError)
-        assert "column 'spectrum' holds List" in said
-        assert "write Parquet" in said
 
 
 class TestRefusals:
@@ -308,27 +278,11 @@ class TestRefusals:
             with pytest.raises(InputError, match="gives 4 of 5 rows"):
                 list(log.rows([1]))
 
-    def test_a_missing_column(self) -> None:
-        LOG.rename({"x": "X"}).write_parquet("in.parquet")
-        said = refused(apply("cal.yaml", "in.parquet"), InputError)
-        assert said.startswith("in.parquet: there is no column 'x' (did you mean 'X'?); the log has time, X, y. ")
-
     @pytest.mark.parametrize(("kind", "called"), [(pl.String, "String"), (pl.Boolean, "Boolean")])
     def test_a_column_that_holds_no_numbers(self, kind: pl.DataType, called: str) -> None:
         LOG.with_columns(y=pl.lit(None, kind)).write_parquet("in.parquet")
         said = refused(apply("cal.yaml", "in.parquet"), InputError)
         assert said == f"in.parquet: column 'y' holds {called}, not numbers: name another, or make numbers of it"
-
-    def test_a_log_without_rows(self) -> None:
-        LOG.clear().write_parquet("in.parquet")
-        assert "no rows" in refused(apply("cal.yaml", "in.parquet"), InputError)
-
-    def test_a_result_is_not_compensated_again(self) -> None:
-        apply("cal.yaml", "log.parquet", "-o", "out.parquet")
-        assert "column 'g_x' already" in refused(apply("cal.yaml", "out.parquet"), UsageError)
-
-    def test_an_absent_log(self) -> None:
-        assert "cannot read none.parquet" in refused(apply("cal.yaml", "none.parquet"), UsageError)
 
     @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
     def test_a_full_disk(self) -> None:

@@ -19,7 +19,7 @@ from support.command import TILTCAL, tiltcal, tiltcal_process
 
 from tiltcal.cli import apply
 from tiltcal.cli.unforeseen import TRACEBACK
-from tiltcal.library.apply import apply_log
+from tiltcal.library.recorded import apply_log
 from tiltcal.logs.apply_summary import ApplySummary
 
 CAL = FIXTURES / "mavs.yaml"
@@ -116,7 +116,7 @@ def test_a_log_that_ends_in_an_error_of_a_library_costs_itself_alone(
             raise Panic("invalid or out-of-range datetime")
         return apply_log(calibration, log, *args, **options)
 
-    monkeypatch.setattr("tiltcal.library.apply.apply_log", panicking)
+    monkeypatch.setattr("tiltcal.library.recorded.apply_log", panicking)
     monkeypatch.delenv(TRACEBACK)
     done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "log3.csv", "-o", "tilt", cwd=bench)
     assert done.returncode == 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import replace
 from math import cos, degrees, hypot, isnan, nan, radians
 from pathlib import Path
@@ -20,7 +19,7 @@ from tiltcal.calibration.estimate_record import rounded, stated_section
 from tiltcal.cli.apply import command
 from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import InputError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.library.calibration import Calibration
 from tiltcal.logs.apply_summary import ColumnWidths
@@ -143,15 +142,6 @@ class TestSummary:
         said = apply("cal.yaml", "log.csv", "--uncertainty", "-o", "out.csv").stderr.splitlines()
         assert said[-1] == "  median (largest) U95_tilt_x 0.28° (0.33°), U95_tilt_y 0.28° (0.28°)"
 
-    def test_is_there_for_a_program(self) -> None:
-        found = json.loads(apply("cal.yaml", "log.csv", "--uncertainty", "-o", "out.csv", "--json").stdout)
-        largest = 1.96 * degrees(hypot(0.005, 0.001) / 2 / cos(radians(30)))
-        assert found["uncertainty"]["U95_tilt_x"]["largest"] == pytest.approx(largest, rel=2e-3)
-
-    def test_of_nothing(self) -> None:
-        found = apply("cal.yaml", "-", "--uncertainty", "-o", "out.csv", stdin="x,y\n,\n")
-        assert "U95_tilt_x none" in found.stderr
-
     def test_the_median_of_many(self) -> None:
         widths, drawn = ColumnWidths(), np.random.default_rng(4).lognormal(-3.0, 1.5, 100_001)
         for some in np.array_split(drawn, 7):
@@ -193,9 +183,6 @@ class TestWhatTheFileDoesNotSay:
             SILENT + "uncertainty: {covariance: {parameters: [offset.x, offset.y], matrix: [[1.0, 2.0], [2.0, 1.0]]}}\n"
         )
         assert "contradict" in str(apply("odd.yaml", "log.csv", "--uncertainty").exception)
-
-    def test_reading_noise_without_uncertainty(self) -> None:
-        assert isinstance(apply("cal.yaml", "log.csv", "--reading-noise", "1").exception, UsageError)
 
 
 def calibrated(rng: np.random.Generator, *, stated: bool) -> tuple[CalibrationRecord, Estimate, object]:

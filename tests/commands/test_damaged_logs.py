@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import signal
-import subprocess
-import time
 from pathlib import Path
 
 import h5netcdf
@@ -14,9 +11,8 @@ import numpy as np
 import polars as pl
 import pytest
 from support import FIXTURES
-from support.command import TILTCAL, tiltcal, tiltcal_process
+from support.command import tiltcal, tiltcal_process
 
-from tiltcal.errors import InputError
 from tiltcal.logs.formats import open_log
 
 DAMAGED = Path(__file__).parents[1] / "support" / "damaged"
@@ -41,23 +37,6 @@ def test_an_engine_that_panics(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith("tiltcal: panic.parquet: this is no Parquet file, or a damaged one")
     assert not (tmp_path / "out.csv").exists()
-
-
-@pytest.mark.parametrize(("name", "signals"), [("abort.parquet", ()), ("endless.nc", (signal.SIGTERM,))])
-def test_a_library_that_ends_the_command_or_never_returns(
-    name: str, signals: tuple[signal.Signals, ...], tmp_path: Path
-) -> None:
-    """Whatever becomes of the command, a log with a whole output is there or not."""
-    shutil.copy(DAMAGED / name, tmp_path)
-    (tmp_path / "tilt").mkdir()
-    command = [*TILTCAL, "apply", CAL, name, "-o", "tilt"]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        for number in signals:
-            while not any(word in Path(f"/proc/{process.pid}/maps").read_text() for word in ("h5py", "hdf5")):
-                time.sleep(0.01)
-            process.send_signal(number)
-        assert process.wait(60) < 0
-    assert not list((tmp_path / "tilt").iterdir())
 
 
 def test_an_offset_that_is_text(tmp_path: Path) -> None:
@@ -122,9 +101,3 @@ def test_every_kind_of_column_to_csv(tmp_path: Path) -> None:
     readings.with_columns(list=pl.Series([[1], [2]])).write_parquet(tmp_path / "log.parquet")
     done = tiltcal("apply", CAL, "log.parquet", "-o", "out.csv", cwd=tmp_path)
     assert (done.returncode, "which CSV has no place for" in done.stderr) == (2, True)
-
-
-def test_the_library_refuses_as_the_command_does(tmp_path: Path) -> None:
-    shutil.copy(DAMAGED / "panic.parquet", tmp_path)
-    with pytest.raises(InputError, match="no Parquet file, or a damaged one"), open_log(tmp_path / "panic.parquet"):
-        pass

@@ -6,7 +6,6 @@ from math import radians, sin
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 import xarray
 from support.command import tiltcal
@@ -77,12 +76,6 @@ def test_a_variable_that_is_no_time_of_the_rows_is_left_alone(tmp_path: Path, ti
     log = xarray.Dataset({"x": ("row", x), "y": ("row", y), "time": time})
     log.to_netcdf(tmp_path / "log.nc", engine="h5netcdf")
     assert fitted_log(tmp_path, "log.nc").provenance.ended is None
-
-
-def test_a_column_of_lists_that_is_called_time_is_left_alone(tmp_path: Path) -> None:
-    x, y = np.array(readings()).T
-    pl.DataFrame({"x": x, "y": y, "time": [[1]] * len(x)}).write_parquet(tmp_path / "log.parquet")
-    assert fitted_log(tmp_path, "log.parquet").provenance.ended is None
 
 
 def test_a_folder_of_calibrations_uses_what_was_fitted(tmp_path: Path) -> None:

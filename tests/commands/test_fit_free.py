@@ -60,17 +60,10 @@ class TestXsens:
         scales = xsens.calibration.derived.sensitivity_per_m_s2
         assert [scales[axis] for axis in "xyz"] == pytest.approx([414.41, 412.05, 414.61], rel=2e-4)
 
-    def test_sensitivity_is_per_g(self, xsens: Fit) -> None:
-        diagonal = xsens.calibration.coefficients.sensitivity.diagonal()
-        assert diagonal == pytest.approx([414.41 * 9.81744, 412.05 * 9.81744, 414.61 * 9.81744], rel=2e-4)
-
     def test_the_published_offsets_within_twice_their_uncertainty(self, xsens: Fit) -> None:
         published, u = (33123.8, 33275.2, 32364.5), (0.24, 0.14, 0.15)
         for found, value, uncertainty in zip(xsens.calibration.coefficients.offset, published, u, strict=True):
             assert abs(found - value) < 2 * uncertainty
-
-    def test_the_still_means_miss_by_0_10_mg(self, xsens: Fit) -> None:
-        assert xsens.calibration.fit.misfit_rms_mg == pytest.approx(0.10, abs=0.01)
 
     def test_about_40_attitudes_are_found_and_shown(self, xsens: Fit) -> None:
         calibration, said = xsens.calibration, xsens.said
@@ -123,10 +116,6 @@ class TestMpu9150:
             assert (
                 abs(found - published) < 2 * mpu.calibration.uncertainty[f"offset.{axis}"] + 0.0005
             )  # half its last digit
-
-    def test_far_more_than_nine_attitudes(self, mpu: Fit) -> None:
-        assert mpu.calibration.fit.distinct_attitudes >= 20
-        assert mpu.calibration.fit.degrees_of_freedom == len(mpu.calibration.positions) - 9
 
 
 # ------------------------------------------------------------------------------------------- without recorded data

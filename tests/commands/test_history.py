@@ -92,19 +92,6 @@ def test_a_page_of_the_folder(folder: Path, tmp_path: Path) -> None:
     assert '<td class="n">U-0-b.yaml</td><td class="n">306</td><td>unknown</td>' in text
 
 
-def test_the_numbers_of_a_coefficient_have_two_digits_of_their_spread(folder: Path, tmp_path: Path) -> None:
-    """Drifts of 1.0(7) count/°C: the spread has two decimals, and so have the median, the least and the most."""
-    (fleet,) = json.loads(tiltcal("history", folder, "--json").stdout)["fleets"]
-    drift = next(one for one in fleet["coefficients"] if one["name"] == "temperature.offset.x.1")
-    assert 0.1 <= drift["spread"] < 1.0
-    assert tiltcal("report", folder, "-o", tmp_path / "fleet.html").returncode == 0
-    text = (tmp_path / "fleet.html").read_text(encoding="utf-8")
-    row = next(row for row in text.split("<tr") if ">Drift of offset x" in row)
-    cells = [re.sub(r"<[^>]*>|\s", "", cell) for cell in re.findall(r'<td class="n">.*?</td>', row, re.DOTALL)]
-    numbers = [drift["median"], drift["spread"], *drift["range"]]
-    assert cells == [f"{number:.2f}".replace("-", "−") for number in numbers]
-
-
 def test_a_change_is_told_with_its_uncertainty_and_the_folder_of_its_file(tmp_path: Path) -> None:
     """What the column of z leaves of the offset's variance is each file's own; twice that is the difference's."""
     for name in ("a", "b"):

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from support import coloured_noise as coloured
-from support.command import tiltcal
 from support.recordings import RECORDINGS, needs
 from support.warm_start import WarmStart, wait_until_grown
 
@@ -134,14 +133,6 @@ class TestOfALog:
         first = found["channels"]["y"]["averages"][0]
         assert first["std_degrees"] == pytest.approx(degrees(first["std"] / 700), rel=0.01)
 
-    def test_without_time_the_rate_is_said(self, tmp_path: Path) -> None:
-        path = tmp_path / "log.csv"
-        path.write_text("a,b\n" + "".join(f"{x:.4f},{y:.4f}\n" for x, y in counts(2000).tolist()))
-        found = as_json(path, "--columns", "x=b", "--rate", "50")
-        assert list(found["channels"]) == ["x"]
-        assert found["interval"] == 0.02
-        assert "--rate" in refused(noise(path, "--columns", "x=b"), InputError)
-
     def test_a_figure(self, tmp_path: Path) -> None:
         log = written(tmp_path / "log.csv", counts(4000))
         result = noise(log, "--sensor", "sca100t-d02", "--figure", tmp_path / "a.svg")
@@ -167,11 +158,6 @@ class TestOfALog:
 
 
 class TestWhatIsWrongWithALog:
-    def test_stuck(self, tmp_path: Path) -> None:
-        samples = counts(500)
-        samples[:, 1] = 1024.0
-        assert "y reads 1024 in all 500 samples" in refused(noise(written(tmp_path / "l.csv", samples)), InputError)
-
     def test_too_short(self, tmp_path: Path) -> None:
         assert "fewer than 64" in refused(noise(written(tmp_path / "l.csv", counts(63))), EstimateError)
 
@@ -191,11 +177,6 @@ class TestWhatIsWrongWithALog:
         found = as_json(written(tmp_path / "l.csv", samples))
         assert found["missing"] == {"x": 40}
         assert found["channels"]["x"]["noise_density"]["value"] == pytest.approx(0.6 * sqrt(0.02), rel=0.06)
-
-    def test_a_column_of_nothing(self, tmp_path: Path) -> None:
-        samples = counts(200)
-        samples[:, 0] = np.nan
-        assert "is x connected?" in refused(noise(written(tmp_path / "l.csv", samples)), InputError)
 
     def test_bad_rows(self, tmp_path: Path) -> None:
         path = written(tmp_path / "l.csv", counts(1000))
@@ -222,11 +203,6 @@ class TestWhatIsWrongWithALog:
         begin, end = as_json(path)["hung"]
         assert (begin, end) == pytest.approx((10.0, 12.0), abs=0.05)
         assert "the readings were stuck" in noise(path).stderr
-
-    def test_times_that_are_none(self, tmp_path: Path) -> None:
-        path = tmp_path / "l.csv"
-        path.write_text("time,x\n" + "".join(f"noon,{x:.3f}\n" for x in counts(100)[:, 0].tolist()))
-        assert "--rate" in refused(noise(path), InputError)
 
 
 class TestLive:
@@ -258,9 +234,6 @@ class TestLive:
     def test_a_virtual_sensor_needs_an_end(self) -> None:
         assert "--samples or --for" in refused(noise(*self.ONE), UsageError)
 
-    def test_what_is_not_kept_is_called_the_record(self) -> None:
-        assert refused(noise(*self.ONE, "--samples", "20"), EstimateError).startswith("the record: x has 20 samples")
-
     def test_interrupted_it_tells_of_what_it_has(self, warm: WarmStart, tmp_path: Path) -> None:
         log = tmp_path / "still.csv"
         process = subprocess.Popen(
@@ -276,18 +249,6 @@ class TestLive:
         rows = len(log.read_text().splitlines()) - 1
         assert f"{rows} samples in" in said
         assert printed.startswith(f"{rows} samples of x, y")
-
-    def test_a_log_is_never_replaced(self, tmp_path: Path) -> None:
-        (tmp_path / "still.csv").write_text("mine")
-        assert "exists" in refused(noise(*self.ONE, "--samples", "100", "-o", tmp_path / "still.csv"), UsageError)
-        assert (tmp_path / "still.csv").read_text() == "mine"
-
-    def test_a_sensor_that_is_not_there(self, tmp_path: Path) -> None:
-        done = tiltcal(
-            *("noise", "--sensor", "sca100t-d02", "--address", "spi:///dev/spidev9.9", "--samples", "100"), cwd=tmp_path
-        )
-        assert done.returncode == 3, done.stderr
-        assert done.stdout == ""
 
 
 class TestUsage:

@@ -9,14 +9,14 @@ from typing import Any
 import click
 import pytest
 
-from tiltcal.bench.plan import plan
 from tiltcal.cli.main import group
-from tiltcal.cli.options import NumberFromZero
+from tiltcal.cli.options import Number
 from tiltcal.cli.talk import wrapped
 from tiltcal.errors import UsageError
-from tiltcal.library.apply import apply_log
-from tiltcal.library.fit import fit
 from tiltcal.library.measure import measure
+from tiltcal.library.plan import plan
+from tiltcal.library.recorded import apply_log, fit
+from tiltcal.stated_arguments import require_from_zero
 
 
 @pytest.mark.parametrize(
@@ -24,8 +24,8 @@ from tiltcal.library.measure import measure
     [
         ("measure", measure, "operator"),
         ("plan", plan, "as_json"),
-        ("fit", fit, "log segments_out output"),
-        ("apply", apply_log, "files calibrations scheduler as_json"),
+        ("fit", fit, "log topic segments_out output"),
+        ("apply", apply_log, "files calibrations scheduler as_json topic"),
     ],
 )
 def test_every_option_but_a_command_s_own_is_a_parameter_of_the_library(
@@ -52,13 +52,13 @@ def test_remarks_break_between_words_at_the_width_of_the_terminal(monkeypatch: p
 def test_no_option_takes_what_is_no_finite_number(value: str) -> None:
     """Click takes nan for a number in any range; ``record --rate nan`` ended in a traceback."""
     with pytest.raises(UsageError, match=f"takes 0 or a number from 1e-09 to 1e\\+09, not {value}"):
-        NumberFromZero().convert(value, None, None)
+        Number(require_from_zero).convert(value, None, None)
     every = {name: group.get_command(click.Context(group), name) for name in group.list_commands(click.Context(group))}
     loose = [
         (name, one.name)
         for name, command in every.items()
         if command is not None
         for one in command.params
-        if type(one.type) is click.FloatRange and one.type.max is None
+        if isinstance(one.type, click.FloatRange | click.IntRange) and one.type.max is None
     ]
     assert loose == []

@@ -82,12 +82,6 @@ def test_a_level_is_proposed_no_other_direction(lean: tuple[str, ...]) -> None:
     assert all("adding level with the fixture turned by 180°" in line for line in proposed)
 
 
-def test_nothing_left_over_is_said() -> None:
-    """{0°, 45°} has no degree of freedom left."""
-    assert plan("zero-45")["degrees_of_freedom"] == 0
-    assert "no residuals are left to check the result" in tiltcal("plan", "zero-45", "--sensor", "sca100t-d02").stdout
-
-
 PROCEDURE = """\
 tiltcal: 1
 kind: procedure
@@ -134,12 +128,6 @@ def test_what_cannot_be_determined_is_refused_with_what_to_add(
     assert measured.returncode == 2
     assert "1/" not in measured.stderr, "refused before the first position"
     assert [path.name for path in tmp_path.iterdir()] == ["short.yaml"]
-
-
-def test_measure_shows_it_first(tmp_path: Path) -> None:
-    told = measure("--jig", "0.05", cwd=tmp_path).stderr
-    assert told.index("predicted standard uncertainty") < told.index("1/4")
-    assert "a jig of 0.05°" in told
 
 
 def test_a_mounting_is_told_in_its_angles() -> None:

@@ -41,17 +41,6 @@ def test_a_sensor_that_sends_by_itself_is_recorded_for_a_time(tmp_path: Path) ->
     assert len(rows_of(tmp_path / "log.csv")) == pytest.approx(200, abs=1)
 
 
-def test_its_log_goes_through_apply(tmp_path: Path) -> None:
-    tiltcal("record", *ONE, "--rows", "10", "-o", "log.csv", cwd=tmp_path)
-    tiltcal(
-        *("measure", "plane", *ONE, "--serial", "S", "-o", "S.yaml", "--operator", "sim", "--samples", "20"),
-        cwd=tmp_path,
-    )
-    result = tiltcal("apply", "S.yaml", "log.csv", "-o", "tilt.csv", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert {row["flag"] for row in rows_of(tmp_path / "tilt.csv")} == {"1"}
-
-
 def test_a_bench_to_parquet(tmp_path: Path) -> None:
     (tmp_path / "bench.yaml").write_text(
         "tiltcal: 1\nkind: bench\nthermometer: {model: thermistor, address: 'sim:'}\nsensors:\n"
@@ -112,16 +101,6 @@ def test_it_says_what_was_damaged_and_lost_on_the_line(name: str, tmp_path: Path
         assert counts == {"adxl202": {"sentences": 150, "damaged": damaged, "lost": lost, "restarts": 0}}
 
 
-def test_the_counts_of_the_line_stay_in_a_log_that_is_compensated(tmp_path: Path) -> None:
-    sensor = ("--sensor", "adxl202", "--address", "sim:")
-    assert tiltcal("record", *sensor, "--rows", "20", "-o", "log.parquet", cwd=tmp_path).returncode == 0
-    measured = ("measure", "plane", *sensor, "--serial", "A", "-o", "A.yaml", "--operator", "sim", "--samples", "20")
-    assert tiltcal(*measured, cwd=tmp_path).returncode == 0
-    assert tiltcal("apply", "A.yaml", "log.parquet", "-o", "tilt.parquet", cwd=tmp_path).returncode == 0
-    before, after = (pl.read_parquet_metadata(tmp_path / name) for name in ("log.parquet", "tilt.parquet"))
-    assert after["link_statistics"] == before["link_statistics"]
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_stopped_in_the_middle_it_keeps_its_rows(number: int, warm: WarmStart, tmp_path: Path) -> None:
     """A virtual sensor without end: stopped by Ctrl-C, or killed, when the log has grown."""
@@ -138,14 +117,6 @@ def test_stopped_in_the_middle_it_keeps_its_rows(number: int, warm: WarmStart, t
     if number == signal.SIGINT:
         assert process.returncode == 130
         assert f"{len(rows)} rows in" in said
-
-
-@pytest.mark.parametrize("name", ["log.pq", "log.PARQUET"])
-def test_the_end_of_the_name_selects_parquet(tmp_path: Path, name: str) -> None:
-    """A Parquet file begins with PAR1."""
-    assert tiltcal("record", *ONE, "--rows", "3", "-o", name, cwd=tmp_path).returncode == 0
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-    assert (tmp_path / name).read_bytes()[:4] == b"PAR1"
 
 
 @pytest.mark.parametrize("command", [("record", "--rows", "3"), ("noise", "--samples", "300")])

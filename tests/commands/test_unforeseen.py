@@ -164,11 +164,3 @@ def test_an_odd_file_among_calibrations_is_named_and_left_out(odd: Callable[[Pat
     applied = tiltcal("apply", "--calibrations", folder, "log.csv", "--serial", "SIM-42", cwd=tmp_path)
     assert applied.returncode == 0
     assert f"left out: {folder}/odd.yaml" in applied.stderr
-
-
-def test_sessions_without_a_common_range_of_readings_are_not_combined(tmp_path: Path) -> None:
-    (tmp_path / "other.yaml").write_text(changed(r"reading: \{x: \[101.0, 2047.0\]", "reading: {x: [10.0, 20.0]"))
-    done = tiltcal("combine", "other.yaml", FIXTURES / "plane.yaml", "-o", "both.yaml", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "limits.reading.x" in done.stderr
-    assert not (tmp_path / "both.yaml").exists()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import closing
 
 import pytest
-from support.fuzz_targets import TARGETS
+from support.fuzz_inputs import TARGETS
 from support.fuzzing import FAILED, Campaign, attempt
 
 

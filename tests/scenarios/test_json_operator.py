@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support import FIXTURES
 from support.command import measure
-from support.json_program import GONE, Event, ProgramSession, lead
+from support.json_program import Event, ProgramSession, lead
 
-import tiltcal
 from tiltcal.bench.operators import parsed, understood
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import read_calibration
@@ -100,24 +99,6 @@ def test_a_program_is_told_once_a_minute_what_is_waited_for(tmp_path: Path) -> N
     assert not table(tmp_path / "quick", "plane", ready).events("waiting")
 
 
-def test_a_rig_in_python_is_told_too_where_it_listens(tmp_path: Path) -> None:
-    class Rig:
-        def __init__(self) -> None:
-            self.waited: list[Event] = []
-
-        def position(self, ask: Event) -> Event:
-            return {"answer": "ready"}
-
-        def waiting(self, event: Event) -> None:
-            self.waited.append(event)
-
-    rig = Rig()
-    sensor = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1"}
-    tiltcal.measure("two-temperature", operator=rig, output=tmp_path / "S-1.yaml", samples=5, **sensor)
-    assert [event["event"] for event in rig.waited] == ["waiting"] * len(rig.waited)
-    assert rig.waited[0]["seconds"] >= 60
-
-
 def test_redo_asks_again_and_back_goes_back(tmp_path: Path) -> None:
     words = iter(["redo", "ready", "ready", "back", "ready", "ready", "ready", "ready"])
     led = table(tmp_path, "plane", lambda ask, n: {"answer": next(words)})
@@ -126,42 +107,6 @@ def test_redo_asks_again_and_back_goes_back(tmp_path: Path) -> None:
         *("x-tilt1", "x-tilt1", "x-tilt2", "y-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"),
     ]
     assert next(words) == "ready"
-
-
-@pytest.mark.parametrize(
-    ("stubborn", "why"),
-    [
-        ({"answer": "ready", "tilt": {"x": 95}}, "95"),
-        ({"answer": "ready", "temperature": 200}, "not between"),
-        ({"answer": "ready", "temperature": 80}, "one of them is wrong"),
-    ],
-)
-def test_a_program_that_does_not_act_on_refusals_is_asked_100_times(stubborn: Event, why: str, tmp_path: Path) -> None:
-    led = table(tmp_path, "plane", lambda ask, n: ready(ask, n) if n < 2 else stubborn)
-    assert led.exit_code == 130
-    refused = led.events("refused")
-    assert {event["position"] for event in refused} == {"x-tilt2"}
-    assert len(refused) == 100
-    assert "x-tilt2 was asked for 100 times in a row in vain" in led.errors
-    assert why in led.errors
-    assert "--resume S-1.journal.jsonl" in led.errors
-    assert not (tmp_path / "S-1.yaml").exists()
-    resumed = measure("--resume", "S-1.journal.jsonl", cwd=tmp_path)
-    assert resumed.returncode == 0, resumed.stderr
-
-
-def test_a_program_that_answers_redo_alone_is_asked_100_times(tmp_path: Path) -> None:
-    """It was asked 40,000 times a second, each with a line of the journal."""
-    led = table(tmp_path, "plane", lambda ask, n: {"answer": "redo"})
-    assert led.exit_code == 130
-    assert len(led.asks) == 100
-    assert "in vain, the last time because the program answered redo" in led.errors
-
-
-def test_refusals_of_other_positions_count_apart(tmp_path: Path) -> None:
-    led = table(tmp_path, "plane", lambda ask, n: ready(ask, n) if n % 60 == 0 else "what?")
-    assert led.exit_code == 0, led.errors
-    assert len(led.events("refused")) == 4 * 59
 
 
 def test_back_at_the_first_position_is_refused_with_the_reason(tmp_path: Path) -> None:
@@ -179,12 +124,6 @@ def test_quit_keeps_what_was_measured(tmp_path: Path) -> None:
     resumed = measure("--resume", "S-1.journal.jsonl", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
     assert (tmp_path / "S-1.yaml").exists()
-
-
-def test_a_program_that_goes_away_is_a_quit(tmp_path: Path) -> None:
-    led = table(tmp_path, "plane", lambda ask, n: {"answer": "ready"} if n < 2 else GONE)
-    assert led.exit_code == 130
-    assert not (tmp_path / "S-1.yaml").exists()
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from support.command import tiltcal
 from support.json_program import lead
 
 from tiltcal.core.model import Thermal
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import InputError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.library.calibration import Calibration
 from tiltcal.library.measure import measure
@@ -50,24 +50,6 @@ def test_the_offset_alone_is_new(plugged_in: Path) -> None:
     }
     assert new.provenance.base is not None
     assert new.provenance.base.name == BASE.name
-
-
-def test_it_is_replayed_to_the_byte(plugged_in: Path) -> None:
-    done = tiltcal("replay", JOURNAL, "--golden", "again.yaml", cwd=plugged_in)
-    assert done.returncode == 0, done.stderr
-
-
-def test_it_is_resumed_from_any_byte(plugged_in: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, golden = (plugged_in / JOURNAL).read_bytes(), read_calibration(plugged_in / "again.yaml")
-    (tmp_path / "askew.yaml").write_bytes((plugged_in / "askew.yaml").read_bytes())
-    monkeypatch.chdir(tmp_path)
-    header = whole.index(b"\n") + 1
-    accepted = whole.index(b'"answer":"ready"')
-    for place in (accepted + 200, len(whole) - 300, len(whole) - 1):
-        (tmp_path / JOURNAL).write_bytes(whole[: max(place, header)])
-        measure(resume=tmp_path / JOURNAL, operator="sim")
-        again = read_calibration(tmp_path / "again.yaml")
-        assert again.coefficients.offset == pytest.approx(golden.coefficients.offset, abs=0.6), place
 
 
 def test_the_same_from_a_log_that_is_all_level(plugged_in: Path, tmp_path: Path) -> None:
@@ -155,42 +137,8 @@ def test_what_does_not_go_together_is_refused(arguments: tuple[str, ...], why: s
     assert why in done.stderr
 
 
-def test_the_base_of_one_sensor_may_be_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It has the file of the serial number; a folder names no sensor by itself."""
-    monkeypatch.chdir(tmp_path)
-    Path("bases").mkdir()
-    Path("bases/SIM-42.yaml").write_bytes(BASE.read_bytes())
-    named = {"address": "sim:", "operator": "sim", "samples": 20, "output": "again.yaml"}
-    measure("level", base="bases", sensor="sca100t-d02", serial="SIM-42", **named)
-    assert read_calibration("again.yaml").provenance.base.name == "SIM-42.yaml"
-    with pytest.raises(UsageError, match="measure needs --sensor, --serial"):
-        measure("level", base="bases", **named)
-    with pytest.raises(InputError, match=r"bases/SIM-43\.yaml: no such file"):
-        measure("level", base="bases", sensor="sca100t-d02", serial="SIM-43", **named)
-    Path("bases/SIM-43.yaml").write_text("tiltcal: 1\nkind: tilt\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"bases/SIM-43\.yaml:1: the key 'sensor' is missing"):
-        measure("level", base="bases", sensor="sca100t-d02", serial="SIM-43", **named)
-
-
-def test_another_base_beside_resume_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("other.yaml").write_text(BASE.read_text(encoding="utf-8").replace("1026.", "1027."), encoding="utf-8")
-    assert Path("other.yaml").read_bytes() != BASE.read_bytes()
-    measure("level", base=BASE, address="sim:", operator="sim", samples=20, output="again.yaml")
-    whole, remarks = Path("again.yaml").read_bytes(), []
-    measure(base="other.yaml", resume=JOURNAL, remark=remarks.append)
-    assert "the session goes on as it began: --base beside --resume changes nothing" in remarks
-    assert Path("again.yaml").read_bytes() == whole
-
-
 def test_a_base_that_is_wrong_is_named(tmp_path: Path) -> None:
     """As it was given, with its folder."""
     (tmp_path / "base.yaml").write_text("tiltcal: 1\nkind: tilt\n", encoding="utf-8")
     with pytest.raises(InputError, match=f"^{tmp_path / 'base.yaml'}:1: the key 'sensor' is missing"):
         measure("level", base=tmp_path / "base.yaml", address="sim:", operator="sim", output=tmp_path / "again.yaml")
-
-
-def test_the_base_names_the_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    measure("level", base=BASE, address="sim:", operator="sim", samples=20, output="again.yaml")
-    assert read_calibration("again.yaml").sensor == read_calibration(BASE).sensor

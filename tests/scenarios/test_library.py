@@ -135,18 +135,6 @@ def test_another_unit_is_refused(columns: dict[str, Any], segments: list[dict[st
         tiltcal.fit("six-face", data, segments=segments, columns=NAMED, **SENSOR)
 
 
-@pytest.mark.parametrize(("column", "unit"), [("x", "V"), ("uy", "V"), ("temperature", "K")])
-def test_a_table_in_another_unit_is_refused(column: str, unit: str) -> None:
-    """293 K as 293 °C, or volts as m/s², would be a calibration without a word."""
-    means = {axis: [9.8 * up[k] for up in FACES.values()] for k, axis in enumerate("xyz")}
-    table = means | {f"u{axis}": [0.01] * 6 for axis in "xyz"} | {"temperature": [20.0] * 6}
-    data = xr.Dataset({name: ("position", values) for name, values in table.items()}, {"position": list(FACES)})
-    assert tiltcal.fit("six-face", data, **SENSOR).offset["x"] == pytest.approx(0.0, abs=1e-9)
-    data[column].attrs["units"] = unit
-    with pytest.raises(tiltcal.InputError, match=f"the table: column '{column}' is in {unit}, and"):
-        tiltcal.fit("six-face", data, **SENSOR)
-
-
 def test_apply_and_apply_log_agree(folder: Path, columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:
     found = tiltcal.fit("six-face", columns, segments=segments, columns=NAMED, **SENSOR)
     assert isinstance(found, tiltcal.Calibration)
@@ -190,11 +178,6 @@ def test_a_session_gives_the_same_file(
     assert found == tiltcal.read(tmp_path / "command/it.yaml")
 
 
-def test_a_sensor_is_read() -> None:
-    with tiltcal.open_sensor("sca100t-d02", "sim:?seed=3") as sensor:
-        assert len(sensor.read().values) == 2
-
-
 def test_pairs_are_matched_from_frame_and_file_alike(tmp_path: Path) -> None:
     """Two accelerometers at 0° and 180° of a turning disk, the second 1 % larger, a third at a right angle."""
     theta = np.arange(0.0, 360.0 * 20, 7.0)
@@ -233,23 +216,6 @@ def test_pairs_are_matched_from_frame_and_file_alike(tmp_path: Path) -> None:
     assert loops == tiltcal.read(tmp_path / "loops.yaml") != of_file
     with pytest.raises(tiltcal.UsageError, match="three different columns"):
         tiltcal.match(frame, [("a1", "a1", "a4")], phase="theta")
-
-
-def test_noise_of_a_frame_is_that_of_its_log(tmp_path: Path) -> None:
-    """White noise of 0.02 m/s² at 100 Hz: a density of 0.02 sqrt(2/100) m/s²/√Hz."""
-    rng = np.random.default_rng(11)
-    frame = pl.DataFrame({axis: np.round(rng.normal(0.0, 0.02, 4000), 6) for axis in "xy"})
-    frame.write_csv(tmp_path / "still.csv")
-    result = command("noise", "still.csv", "--rate", "100", "--unit", "m/s2", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    found = tiltcal.noise(frame, rate=100.0, unit="m/s2")
-    assert result.stdout == f"{found}\n"
-    renamed = frame.rename({"x": "a", "y": "b"})
-    assert str(tiltcal.noise(renamed, rate=100.0, unit="m/s2", columns={"x": "a", "y": "b"})) == str(found)
-    density = found.as_data()["channels"]["x"]["noise_density"]["value"]
-    assert density == pytest.approx(0.02 * np.sqrt(2 / 100), rel=0.05)
-    with pytest.raises(tiltcal.UsageError, match="nothing says how much a degree is"):
-        tiltcal.noise(frame, rate=100.0, unit="V", target=0.1)
 
 
 def _without_provenance(calibration: tiltcal.Calibration) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -80,32 +79,6 @@ def test_one_damaged_sentence_in_seven_is_counted_never_used_and_replays_to_the_
 
     replayed = tiltcal("replay", "A-1005.journal.jsonl", "--golden", "A-1005.yaml", cwd=tmp_path)
     assert replayed.returncode == 0, replayed.stderr
-
-
-def test_the_session_goes_on_once_the_sensor_is_plugged_in_again(tmp_path: Path) -> None:
-    part, name, plugged = Adxl202Part(), tmp_path / "ttyUSB0", ExitStack()
-
-    def plug() -> None:
-        name.unlink(missing_ok=True)
-        name.symlink_to(plugged.enter_context(on_a_pty(part)))
-
-    def take(ask: Event) -> Event:
-        asked.append(ask["position"])
-        if len(asked) == 2:
-            plugged.close()
-        if len(asked) == 3:
-            plug()
-        return posed(part, ask)
-
-    asked: list[str] = []
-    plug()
-    with plugged:
-        session = led(f"serial://{name}", tmp_path, take)
-
-    assert asked == ["x-45", "y-45", "y-45", "level-warm", "level-cold"]
-    (refused,) = session.events("refused")
-    assert "plug" in refused["why"]
-    require_near(part, yaml.safe_load((tmp_path / "A-1005.yaml").read_text()))
 
 
 @pytest.mark.parametrize(("address", "procedure"), [("sim:seed=4", "mavs"), ("sim:seed=4&wiring=edges", "zero-45")])

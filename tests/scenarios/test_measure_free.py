@@ -125,20 +125,6 @@ def test_refused_before_anyone_starts(name: str, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_nothing_can_be_verified_by_it(tmp_path: Path) -> None:
-    made = tiltcal(
-        *("measure", "free", "--sensor", "sca3000-d01", "--address", "sim:", "--serial", "S-1", "-o", "S-1.yaml"),
-        *("--operator", "sim", "--samples", "20"),
-        cwd=tmp_path,
-    )
-    assert made.returncode == 0, made.stderr
-    result = tiltcal(
-        "verify", "S-1.yaml", "--address", "sim:", "--procedure", "free", "--operator", "sim", cwd=tmp_path
-    )
-    assert result.returncode == 2
-    assert "sets no position" in result.stderr
-
-
 def test_a_plan_says_what_hand_held_positions_will_give() -> None:
     """Eighteen directions spread over the sphere, noise of one mean s: the bound of an independent ellipsoid fit."""
     result = tiltcal("plan", "free", "--sensor", "sca3000-d01", "--noise", "1.0", "--samples", "100", "--json")

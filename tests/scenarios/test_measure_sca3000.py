@@ -6,7 +6,6 @@ within 0.9 count/g of the part's truth.
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from support.emulated.bench import Sca3000, run_on_i2c, run_on_spi
 from support.warm_start import WarmStart
 
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.journal import read_journal
 
 ON_SPI = ("sca3000-d01", "spi:///dev/spidev0.0")
 ON_I2C = ("sca3000-i2c", "i2c:///dev/i2c-1?address=0x1d&counts_per_g=1333&rate=250")
@@ -55,43 +53,6 @@ def test_six_face_on_i2c(warm: WarmStart, tmp_path: Path) -> None:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     require_true(told, tmp_path, part)
-
-
-def test_a_session_captured_on_i2c_replays_to_the_byte_with_no_bus(warm: WarmStart, tmp_path: Path) -> None:
-    pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
-    with run_on_i2c(
-        program(warm.program, *ON_I2C, tmp_path, "--samples", "20"), Sca3000(thermometer=False), 0x1D
-    ) as bench:
-        assert bench.lead()[-1]["event"] == "done"
-    again = tiltcal("replay", tmp_path / "A-3000.journal.jsonl")
-    assert again.stdout.encode() == (tmp_path / "A-3000.yaml").read_bytes()
-
-
-def test_unplugged_on_i2c_in_mid_session_and_plugged_in_again(warm: WarmStart, tmp_path: Path) -> None:
-    pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
-    part = Sca3000(thermometer=False)
-    with run_on_i2c(program(warm.program, *ON_I2C, tmp_path, "--samples", "20"), part, 0x1D) as bench:
-        bench.take()
-        assert bench.read()["event"] == "accepted"
-        bench.fail(errno.EREMOTEIO)
-        bench.take()
-        refused = bench.read()
-        assert refused["event"] == "refused"
-        assert "no device acknowledges at address 0x1d on /dev/i2c-1" in str(refused["why"])
-        bench.fail(0)
-        assert bench.lead()[-1]["event"] == "done"
-        assert bench.exit_code == 0, bench.errors()
-    assert any(event.kind == "!" for event in read_journal(tmp_path / "A-3000.journal.jsonl").events)
-
-
-def test_a_faulty_part_is_told_before_the_first_prompt(warm: WarmStart, tmp_path: Path) -> None:
-    pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
-    address = ON_I2C[1].replace("0x1d", "0x1e")
-    with run_on_i2c(program(warm.program, "sca3000-i2c", address, tmp_path), Sca3000(), 0x1D) as bench:
-        assert bench.lead() == []
-        assert bench.exit_code == 3
-        assert "no device acknowledges at address 0x1e" in bench.errors()
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_twin_file_with_too_few_channels_is_refused(tmp_path: Path) -> None:

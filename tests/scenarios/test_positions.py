@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.command import measure, tiltcal
+from support.command import measure
 
 from tiltcal.bench.journal import SessionResult, calibrations_of
 from tiltcal.bench.measure import run_session
@@ -69,15 +69,6 @@ def test_plane_finds_the_twin(bench: Path) -> None:
     assert found.sensitivity[:, :2].ravel() == pytest.approx([817.4, 11.2, -7.9, 821.6], abs=0.6)
 
 
-def test_two_temperatures_find_the_drift_and_take_the_nominal_sensitivity(bench: Path) -> None:
-    calibration, _ = run("two-temperature")
-    thermal = calibration.coefficients.thermal
-    assert thermal is not None
-    assert thermal.drift.ravel() == pytest.approx([0.4, -0.1], abs=0.05)
-    assert calibration.coefficients.sensitivity.tolist() == [[819.0, 0.0], [0.0, 819.0]]
-    assert calibration.derived.assumed == ("sensitivity: nominal of the model",)
-
-
 class Clumsy(VirtualJig):
     """Types, at the second position, the angle of the first one: the sensor is where it was."""
 
@@ -108,22 +99,6 @@ def test_a_fault_that_passes_costs_a_redo(kind: str, why: str, bench: Path) -> N
     assert refused
     assert all(why in line for line in refused)
     assert calibration.coefficients.offset == pytest.approx([1026.0, 1021.0], abs=0.3)
-
-
-def test_a_stuck_reading_is_refused_as_a_wrong_position(bench: Path) -> None:
-    twin_with("faults: [{kind: stuck, start: 3.1, end: 6.2}]")
-    _, said = run()
-    assert any("x-tilt2 refused" in line for line in said)
-
-
-def test_a_fault_that_stays_ends_the_session(bench: Path) -> None:
-    twin_with("faults: [{kind: unplugged, start: 5.0, end: 1.0e+9}]")
-    live = session()
-    live.probe()
-    with pytest.raises(HardwareError, match="unplugged"):
-        run_session(live, VirtualJig())
-    assert not Path("S-1.yaml").exists()
-    assert Path("S-1.journal.jsonl").exists()
 
 
 def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone(bench: Path) -> None:
@@ -170,11 +145,8 @@ truth:
 """
 
 
-@pytest.mark.parametrize("minutes", [0.0, 10.0])
-def test_a_thermometer_that_is_five_minutes_late_is_waited_for(
-    minutes: float, bench: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The chamber goes by 1 °C/min, the part with it; its thermometer is 0.7 °C behind ten minutes later."""
+def test_a_thermometer_that_is_five_minutes_late_is_waited_for(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The chamber goes by 1 °C/min, the part with it; its thermometer is still behind when it has arrived."""
     Path("twin.yaml").write_text(LATE)
     move = Fixture.move
     monkeypatch.setattr(Fixture, "move", lambda fixture, gravity, to=None, _=0.0: move(fixture, gravity, to, 1.0))
@@ -182,13 +154,7 @@ def test_a_thermometer_that_is_five_minutes_late_is_waited_for(
     live = session("two-temperature", model="scl3300")
     live.probe()
 
-    class Late(VirtualJig):
-        def ask(self, question: Message) -> object:
-            if (question["ask"], question.get("position")) == ("position", "level-cold") and minutes:
-                live.clock.sleep(60.0 * (18.5 + minutes))
-            return super().ask(question)
-
-    found = written(run_session(live, Late()))
+    found = written(run_session(live, VirtualJig()))
     assert found.positions[1].temperature == pytest.approx(5.5, abs=0.15)
     assert found.coefficients.thermal is not None
     for drift, channel, truth in zip(found.coefficients.thermal.drift[:, 0], "xy", (6.0, -6.0), strict=False):
@@ -254,22 +220,6 @@ class TestBeforeTheFirstPrompt:
         assert result.returncode == 2
         assert "no folder" in result.stderr
         assert list(tmp_path.iterdir()) == []
-
-    def test_serial_is_asked_for(self, tmp_path: Path) -> None:
-        result = tiltcal(
-            *("measure", "plane", "--sensor", "sca100t-d02", "--address", "sim:", "-o", "a.yaml", "--operator", "sim"),
-            cwd=tmp_path,
-        )
-        assert result.returncode == 2
-        assert "--serial" in result.stderr
-
-    def test_near_names_are_offered(self, tmp_path: Path) -> None:
-        unknown = measure(procedure="plain", cwd=tmp_path)
-        assert unknown.returncode == 2
-        assert "'plane'" in unknown.stderr
-        unknown = measure("--sensor", "sca100t-d2", cwd=tmp_path)
-        assert unknown.returncode == 2
-        assert "sca100t-d02" in unknown.stderr
 
     def test_an_angle_beyond_the_sensors_range(self, tmp_path: Path) -> None:
         result = measure("--sensor", "sca100t-d01", "--tilt", "45", cwd=tmp_path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -104,44 +103,6 @@ def test_a_sensor_that_fails_is_reported_and_the_others_go_on(tmp_path: Path) ->
     assert replayed.returncode == 0, replayed.stderr
 
 
-def test_a_sensor_called_thermometer_is_given_up_as_any_other(tmp_path: Path) -> None:
-    good, bad = twin(tmp_path, 1), twin(tmp_path, 2, "  faults: [{kind: unplugged, start: 4.5, end: 1.0e+9}]\n")
-    bench(
-        tmp_path,
-        f'serial: GOOD, model: sca100t-d02, address: "{good}"',
-        f'serial: thermometer, model: sca100t-d02, address: "{bad}"',
-    )
-    result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", "--samples", "5", cwd=tmp_path)
-    assert result.returncode == 3
-    assert "thermometer is dropped, the others continue" in result.stderr
-    assert len(read_calibration(tmp_path / "GOOD.yaml").positions) == 4
-
-
-def test_the_folder_of_the_calibration_files_is_made(tmp_path: Path) -> None:
-    bench(tmp_path, *(f'serial: A-{n}, model: sca100t-d02, address: "sim:?seed={n}"' for n in (1, 2)))
-    measured(tmp_path, "-o", "z")
-    assert {path.name for path in (tmp_path / "z").iterdir()} == {"A-1.yaml", "A-2.yaml", "bench.journal.jsonl"}
-    (tmp_path / "file").touch()
-    for named, why in (("file", "File exists"), ("no/where", "No such file or directory")):
-        refused = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", "-o", named, cwd=tmp_path)
-        assert refused.returncode == 2
-        assert f"{named} cannot be made: {why}" in refused.stderr
-
-
-def test_a_refusal_names_its_sensor_when_all_others_are_dropped(tmp_path: Path) -> None:
-    lost = "  faults: [{kind: unplugged, start: 4.5, end: 1.0e+9}]\n"
-    stuck = "  faults: [{kind: stuck, start: 4.5, end: 1.0e+9}]\n"
-    bench(
-        tmp_path,
-        f'serial: LOST, model: sca100t-d02, address: "{twin(tmp_path, 1, lost)}"',
-        f'serial: STUCK, model: sca100t-d02, address: "{twin(tmp_path, 2, stuck)}"',
-    )
-    result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", "--samples", "5", cwd=tmp_path)
-    assert result.returncode == 130
-    _, _, after = result.stderr.partition("LOST is dropped")
-    assert "refused: STUCK: no position of this procedure reads like this" in after
-
-
 def test_a_failure_of_the_whole_bench_loses_no_sensor(tmp_path: Path) -> None:
     """Both twins are unplugged from 4.5 s on, until both have failed five times, a second apart."""
     fault = "  faults: [{kind: unplugged, start: 4.5, end: 15.0}]\n"
@@ -164,24 +125,6 @@ def test_a_failure_of_the_whole_bench_loses_no_sensor(tmp_path: Path) -> None:
         assert found.coefficients.offset == pytest.approx([x, 1021.0], abs=0.5)
         assert len(found.positions) == 4
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / name).read_bytes()
-
-
-def test_a_program_is_told_of_every_sensor(tmp_path: Path) -> None:
-    bench(
-        tmp_path,
-        f'serial: A, model: sca100t-d02, address: "{twin(tmp_path, 1)}"',
-        f'serial: B, model: sca100t-d02, address: "{twin(tmp_path, 2)}"',
-    )
-    result = tiltcal(
-        *("measure", "plane", "--bench", "bench.yaml", "--operator", "json", "--samples", "30"),
-        cwd=tmp_path,
-        said='{"answer": "ready"}\n' * 4,
-    )
-    assert result.returncode == 0, result.stderr
-    told = [json.loads(line) for line in result.stdout.splitlines()]
-    accepted = [message for message in told if message.get("event") == "accepted"]
-    assert set(accepted[0]["sensors"]) == {"A", "B"}
-    assert told[-1]["calibrations"] == ["A.yaml", "B.yaml"]
 
 
 def test_resumed_it_keeps_what_every_sensor_has(tmp_path: Path) -> None:
@@ -233,14 +176,3 @@ def test_a_wrong_bench_file(text: str, line: int, told: str, tmp_path: Path) -> 
     assert f"bench.yaml:{line}: " in result.stderr
     assert told in result.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["bench.yaml"]
-
-
-def test_a_thermometer_must_have_a_temperature(tmp_path: Path) -> None:
-    bench(
-        tmp_path,
-        'serial: A, model: sca100t-d02, address: "sim:"',
-        more='thermometer: {model: sca3000-e05, address: "sim:"}\n',
-    )
-    result = tiltcal("measure", "plane", "--bench", "bench.yaml", "--operator", "sim", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "reports no temperature" in result.stderr

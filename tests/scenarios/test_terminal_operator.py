@@ -121,26 +121,6 @@ def test_not_written_when_the_operator_says_no(warm: WarmStart, tmp_path: Path) 
     assert not (tmp_path / "S-1.yaml").exists()
 
 
-def test_a_dumb_terminal_gets_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TERM", "dumb")
-    terminal = start(TILTCAL, tmp_path)
-    terminal.expect("Enter measure")
-    terminal.sendline("q")
-    terminal.expect(pexpect.EOF)
-    assert "\x1b" not in terminal.before
-    terminal.close()
-    assert terminal.exitstatus == 130
-
-
-def test_plain_lines_need_no_terminal(tmp_path: Path) -> None:
-    """Enter per position and per review, and one to write: seven lines. No escape sequence is written."""
-    result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="zero-45", said="\n" * 7)
-    assert result.returncode == 0, result.stderr
-    assert "\x1b" not in result.stderr + result.stdout
-    assert result.stdout.startswith("sca100t-d02 S-1  (±")
-    assert (tmp_path / "S-1.yaml").exists()
-
-
 def test_input_that_ends_is_a_stop(tmp_path: Path) -> None:
     result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="zero-45", said="\n\n")
     assert result.returncode == 130
@@ -154,11 +134,3 @@ def test_back_and_redo_at_the_prompt(key: str, tmp_path: Path) -> None:
     assert result.returncode in (0, 130), result.stderr
     asked = [line.split()[1] for line in result.stderr.splitlines() if line[:3] in ("1/3", "2/3", "3/3")]
     assert asked[:3] == (["level", "x-45", "level"] if key == "b" else ["level", "x-45", "x-45"])
-
-
-def test_back_at_the_first_position_is_refused_with_the_reason(tmp_path: Path) -> None:
-    result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="zero-45", said="b\n" + "\n" * 7)
-    assert result.returncode == 0, result.stderr
-    asked = [line.split()[1] for line in result.stderr.splitlines() if line[:3] in ("1/3", "2/3", "3/3")]
-    assert asked == ["level", "level", "x-45", "y-45"]
-    assert "refused: this is the first position: there is none before it to go back to" in result.stderr

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from collections.abc import Sequence
@@ -16,25 +15,22 @@ from support.damage import (
     WORDS,
     damaged_bytes,
     damaged_journal,
-    damaged_json,
     damaged_table,
     damaged_text,
     damaged_yaml,
 )
 from support.fuzz_inputs import (
-    BENCH,
     CALIBRATIONS,
     JOURNALS,
     LOG,
     SEGMENTS,
     TABLE,
-    VCD,
     golden,
     netcdf_log,
     parquet_log,
     shipped,
+    target,
 )
-from support.fuzz_targets import target
 from tiltcal.errors import TiltcalError
 
 
@@ -69,26 +65,10 @@ def calibration_used(draw: Random) -> None:
 
 
 @target()
-def pair_used(draw: Random) -> None:
-    Path("p.yaml").write_bytes(damaged_yaml(draw, golden("rotation.yaml")))
-    run("check", "p.yaml")
-    Path("log.csv").write_text("time,theta,a1,a2,a3,a4\n" + "".join(f"{k},{k * 9},1,2,3,{k}\n" for k in range(50)))
-    run(*draw.choice((("apply", "p.yaml", "log.csv", "-o", "out.csv"), ("report", "p.yaml", "-o", "p.html"))))
-
-
-@target()
 def procedure_used(draw: Random) -> None:
     Path("p.yaml").write_bytes(damaged_yaml(draw, draw.choice([*shipped("procedures").values()])))
     run("check", "p.yaml")
     run(*draw.choice((("procedures", "./p.yaml"), ("plan", "./p.yaml", "--sensor", "sca100t-d02", "--jig", "0.1"))))
-
-
-@target()
-def bench_used(draw: Random) -> None:
-    Path("b.yaml").write_bytes(damaged_yaml(draw, BENCH))
-    run("check", "b.yaml")
-    if "sim:" in Path("b.yaml").read_text(errors="replace"):
-        run("record", "--bench", "b.yaml", "--rows", "3", "-o", "log.csv")
 
 
 @target()
@@ -135,15 +115,6 @@ def segments_used(draw: Random) -> None:
 
 
 @target()
-def segments_json_used(draw: Random) -> None:
-    Path("log.csv").write_text(LOG)
-    rows = [dict(zip(("position", "start", "end"), row.split(","), strict=True)) for row in SEGMENTS.split()[1:]]
-    text = json.dumps([row | {"start": int(row["start"]), "end": int(row["end"])} for row in rows])
-    Path("s.json").write_bytes(damaged_yaml(draw, text) if draw.random() < 0.3 else damaged_json(draw, text))
-    run("fit", "six-face", "log.csv", "--segments", "s.json", "--unit", "g", "--serial", "S", "-o", "s.yaml")
-
-
-@target()
 def table_used(draw: Random) -> None:
     Path("t.csv").write_bytes(damaged_table(draw, TABLE))
     run("fit", "plane", "t.csv", "--table", "--unit", "V", "--serial", "S", "-o", "s.yaml")
@@ -173,22 +144,6 @@ def csv_used(draw: Random) -> None:
             )
         )
     )
-
-
-@target()
-def address_used(draw: Random) -> None:
-    from tiltcal.drivers import models
-    from tiltcal.drivers.bus.address import parse_address
-
-    model = draw.choice(list(models()))
-    text = draw.choice((*model.addresses, "sim:seed=1", "sim:twin=t.yaml&seed=2"))
-    text = (
-        damaged_text(draw, text) if draw.random() < 0.8 else damaged_bytes(draw, text.encode()).decode(errors="replace")
-    )
-    where = parse_address(text)
-    model.at(where)
-    if where.simulated:
-        run("probe", "--sensor", model.name, "--address", text)
 
 
 # Commands
@@ -282,9 +237,3 @@ def parquet_used(draw: Random) -> None:
 def netcdf_used(draw: Random) -> None:
     Path("log.nc").write_bytes(damaged_bytes(draw, netcdf_log()))
     run("apply", str(FIXTURES / "plane.yaml"), "log.nc", "-o", "out.nc")
-
-
-@target()
-def vcd_used(draw: Random) -> None:
-    Path("c.vcd").write_bytes(damaged_table(draw, VCD))
-    run("probe", "--sensor", "adxl202", "--address", "vcd:c.vcd?x=D0&y=D1")

@@ -1,13 +1,43 @@
-"""Good input of every kind, for the fuzzer to damage."""
+"""What is given damaged input, by name, and good input of every kind to damage."""
 
 from __future__ import annotations
 
 import io
 import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from random import Random
 
 from support import FIXTURES
+
+Body = Callable[[Random], object]
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is given damaged input: so many for each of a target with a share of 1.
+
+    A library in C or Rust that parses the input (``compiled``) may end the process.
+    """
+
+    body: Body
+    share: int = 1
+    compiled: bool = False
+
+
+TARGETS: dict[str, Target] = {}
+
+
+def target(*, share: int = 1, compiled: bool = False) -> Callable[[Body], Body]:
+    """Register a function as a target, by its name."""
+
+    def register(body: Body) -> Body:
+        TARGETS[body.__name__] = Target(body, share, compiled)
+        return body
+
+    return register
 
 
 @cache

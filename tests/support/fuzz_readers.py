@@ -13,16 +13,11 @@ from support.fuzz_inputs import (
     BENCH,
     CALIBRATIONS,
     JOURNALS,
-    LOG,
-    SEGMENTS,
-    TABLE,
     VCD,
     golden,
-    netcdf_log,
-    parquet_log,
     shipped,
+    target,
 )
-from support.fuzz_targets import target
 from tiltcal.drivers import models
 from tiltcal.drivers.model import Model
 from tiltcal.errors import TiltcalError
@@ -100,44 +95,6 @@ def journal(draw: Random) -> None:
         pass
 
 
-# Tables and texts
-
-
-@target(share=100)
-def segments(draw: Random) -> None:
-    from tiltcal.files.tables import read_segments
-
-    Path("s.csv").write_bytes(damaged_table(draw, SEGMENTS))
-    read_segments("s.csv")
-
-
-@target(share=100)
-def segments_json(draw: Random) -> None:
-    from tiltcal.files.tables import read_segments
-
-    text = '[{"position": "x-up", "start": 0, "end": 30}, {"position": "x-down", "start": 30, "end": 60}]'
-    Path("s.json").write_bytes(damaged_bytes(draw, text.encode()) if draw.random() < 0.3 else damaged_json(draw, text))
-    read_segments("s.json")
-
-
-@target(share=100)
-def table(draw: Random) -> None:
-    from tiltcal.files.tables import read_positions
-
-    Path("t.csv").write_bytes(damaged_table(draw, TABLE))
-    read_positions("t.csv", "xy")
-
-
-@target(share=100)
-def columns(draw: Random) -> None:
-    from tiltcal.logs.columns import locate_columns, named_columns
-    from tiltcal.logs.frames import FrameReader
-
-    log = FrameReader({name: [0.0] for name in ("VoutX", "VoutY", "T", "when")}, name="log.csv")
-    named = named_columns(damaged_text(draw, "x=VoutX,y=VoutY,temperature=T,time=when"), "xy")
-    locate_columns(log, "xy", named)
-
-
 @target(share=100)
 def address(draw: Random) -> None:
     from tiltcal.drivers.bus.address import parse_address
@@ -157,16 +114,6 @@ def answer(draw: Random) -> None:
     for line in (way(draw, text.encode()), damaged_json(draw, text)):
         with suppress(TiltcalError):
             understood(parsed(line.decode(errors="replace")))
-
-
-@target(share=20)
-def csv(draw: Random) -> None:
-    from tiltcal.logs.formats import open_log
-
-    Path("log.csv").write_bytes(damaged_table(draw, "".join(LOG.splitlines(keepends=True)[:ROWS])))
-    with open_log("log.csv", skip_bad_rows=draw.random() < 0.5) as log:
-        for _ in log.rows(range(min(len(log.names), 5)), time=0, frames=draw.random() < 0.5):
-            pass
 
 
 # What a device says
@@ -221,29 +168,6 @@ def device(draw: Random) -> None:
             act()
     if isinstance(driver, SelfTesting):
         driver.self_test(model.channels[0])
-
-
-# Formats that others parse
-
-
-@target(share=10, compiled=True)
-def parquet(draw: Random) -> None:
-    Path("log.parquet").write_bytes(damaged_bytes(draw, parquet_log()))
-    _read("log.parquet")
-
-
-@target(share=4, compiled=True)
-def netcdf(draw: Random) -> None:
-    Path("log.nc").write_bytes(damaged_bytes(draw, netcdf_log()))
-    _read("log.nc")
-
-
-def _read(path: str) -> None:
-    from tiltcal.logs.formats import open_log
-
-    with open_log(path) as log:
-        for _ in log.rows(range(min(len(log.names), 4)), frames=True):
-            pass
 
 
 @target(share=40)

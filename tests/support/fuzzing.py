@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import support.fuzz_commands
 import support.fuzz_readers  # noqa: F401
-from support.fuzz_targets import TARGETS
+from support.fuzz_inputs import TARGETS
 from tiltcal.errors import TiltcalError
 
 SECONDS = 10
@@ -106,12 +106,7 @@ class Figures:
 
 
 class Campaign:
-    """Tries inputs in a worker process that is started again when it ends.
-
-    Parameters
-    ----------
-    seed : int
-    """
+    """Tries inputs in a worker process that is started again when it ends."""
 
     def __init__(self, seed: int) -> None:
         self._seed = seed

@@ -15,7 +15,7 @@ EMPTY = b'<svg viewBox="0 0 1 1"></svg>'
 @contextmanager
 def undrawn() -> Iterator[None]:
     """Leave the figures of a page empty."""
-    with patch("tiltcal.report.figure.save", lambda figure, stream: stream.write(EMPTY)):
+    with patch("tiltcal.report.figure.save", lambda plot, stream, *style: stream.write(EMPTY)):
         yield
 
 

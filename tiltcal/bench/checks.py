@@ -80,12 +80,12 @@ class PositionResult:
         }
 
 
-def measurement_of(
+def _measurement(
     sensor: BenchDevice,
     position: Position,
     readings: Sequence[Reading],
     when: Mapping[str, Any],
-    typed: float | None = None,
+    typed: float | None,
 ) -> Measurement:
     """Return one sensor's samples of a position as the estimator takes them, in the sensor's own frame.
 
@@ -109,6 +109,34 @@ def measurement_of(
         heading=position.heading,
         stage=position.stage,
     )
+
+
+def result_of(
+    sensors: Sequence[BenchDevice],
+    actual: Position,
+    asked: Position,
+    samples: Sequence[Mapping[str, Reading]],
+    when: str,
+    *,
+    typed: float | None = None,
+    left_out: int = 0,
+    steps: Mapping[str, ReadingStep] | None = None,
+) -> PositionResult:
+    """Return what the samples of a position give at a time; of a ramp, without ``steps``, but for those at a rail.
+
+    Where a model states no step, the one that the readings show is added to ``steps``.
+    """
+    where = {"time": when, **({"left_out": left_out} if left_out else {})}
+    measurements = {}
+    for sensor in sensors:
+        readings, model = [sample[sensor.serial] for sample in samples], sensor.wired
+        if steps is None:
+            readings = [reading for reading in readings if not at_rail(reading, model)]
+        elif not model.resolution:
+            values = np.array([reading.values for reading in readings]).T
+            steps[sensor.serial].add(values, min(reading.step for reading in readings))
+        measurements[sensor.serial] = _measurement(sensor, actual, readings, where, typed)
+    return PositionResult(actual, measurements, typed is not None, left_out, asked.temperature)
 
 
 def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: bool) -> dict[int, str]:
@@ -246,9 +274,9 @@ class Expectations:
         require_plausible_temperature(result, self._accepted)
         determines = self._determines
         if determines.level or determines.mounting:
-            from tiltcal.calibration import level
+            from tiltcal.calibration.complete import objection_to_level
 
-            objection = level.objection if determines.level else missing_temperature
+            objection = objection_to_level if determines.level else missing_temperature
             for serial, measurement in result.measurements.items():
                 if refusal := objection(self._setup.known[serial].calibration, measurement):
                     raise Unsettled(refusal)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, far_off, measurement_of
+from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, far_off, result_of
 from tiltcal.bench.devices import BenchDevice
 from tiltcal.bench.operators import Message, OperatorAnswer
 from tiltcal.bench.sensors import THERMOMETER, named_error
@@ -379,19 +379,16 @@ class RecordedSession:
             samples = self._of_position(noted, list(values), typed)
         if not samples or any(serial not in sample.readings for sample in samples for serial in values):
             raise self._error(f"accepts {noted.position!r}, and does not hold its samples", event)
-        when: dict[str, Any] = {"time": stamp(moment_after(self.setup.began, samples[-1].now_ns))}
-        when |= {"left_out": noted.left_out} if noted.left_out else {}
-        measurements = {}
-        for serial in values:
-            sensor = self.sensors[serial]
-            readings = [sample.readings[serial] for sample in samples]
-            if self.setup.steps.ramp is not None:
-                readings = [reading for reading in readings if not at_rail(reading, sensor.wired)]
-            elif not sensor.wired.resolution:
-                rows = np.array([reading.values for reading in readings]).T
-                self._steps[serial].add(rows, min(reading.step for reading in readings))
-            measurements[serial] = measurement_of(sensor, position, readings, when, typed)
-        result = PositionResult(position, measurements, typed is not None, noted.left_out, asked.temperature)
+        result = result_of(
+            [self.sensors[serial] for serial in values],
+            position,
+            asked,
+            [sample.readings for sample in samples],
+            stamp(moment_after(self.setup.began, samples[-1].now_ns)),
+            typed=typed,
+            left_out=noted.left_out,
+            steps=self._steps if self.setup.steps.ramp is None else None,
+        )
         self._require_same_means(result, values, event)
         self.accepted.append(result)
 

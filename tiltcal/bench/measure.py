@@ -5,15 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 
 from tiltcal.bench.journal import SessionResult, calibrations_of, positions_of
 from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
-from tiltcal.bench.ramp import take_leg
 from tiltcal.bench.sensors import RECOVERY
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
 from tiltcal.errors import HardwareError, InputError, JournalError, SensorError, Stopped, TiltcalError, UsageError
 from tiltcal.files.journal import read_journal
+from tiltcal.files.procedure import Position
 
 
 @contextmanager
@@ -92,10 +93,15 @@ def run_session(session: Session, operator: Operator) -> SessionResult:
             from tiltcal.bench.rotation import TurningStage
 
             TurningStage(session, steps.rotation, recorded).turn()
+        attempt: Callable[[Position], str] = session.attempt
+        if steps.ramp is not None:
+            from tiltcal.bench.ramp import take_leg
+
+            attempt = partial(take_leg, session, steps.ramp)
         while len(session.accepted) < len(steps.positions):
             position = steps.positions[len(session.accepted)]
             try:
-                answer = session.attempt(position) if steps.ramp is None else take_leg(session, steps.ramp, position)
+                answer = attempt(position)
                 if answer == "back" and not session.accepted:
                     raise InputError("this is the first position: there is none before it to go back to")
                 if answer == "back":

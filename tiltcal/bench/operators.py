@@ -28,14 +28,19 @@ it. A person is asked for a review of each position and before the files are wri
 
 from __future__ import annotations
 
+import io
 import json
+import os
+import select
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import dist
 from typing import Any, Protocol, TextIO
 
-from tiltcal.bench.keys import LineReader
+import msgspec
+
 from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.rounding import plus_minus
@@ -66,7 +71,7 @@ LOOK = "look"
 HEARD = ("waiting", "accepted", "refused", "lost", "done", "turn", "held", "resumed")
 """The events that a program gets."""
 
-KEYS = {"answer", "tilt", "gravity", "temperature"}
+KEYS = ("answer", "gravity", "temperature", "tilt")
 TILT_AXES = ("x", "y")
 
 REPEATS, VIRTUAL_REPEATS = 100, 10
@@ -75,6 +80,12 @@ again."""
 
 SAME = 1e-4
 """Directions that differ by less are one, g: 0.006°."""
+
+CHUNK = 1 << 16
+LONGEST = 1 << 16
+"""Bytes of a line that are kept; the rest of a longer one is dropped, and what is left is no answer."""
+MOST_LINES = 1000
+"""Lines that are looked at while more arrive."""
 
 
 class Operator(Protocol):
@@ -91,18 +102,9 @@ class Operator(Protocol):
 
 @dataclass(frozen=True)
 class OperatorAnswer:
-    """An answer of the operator, as the journal keeps it.
+    """An answer of the operator, as the journal keeps it: one of :data:`WORDS`, and what was actually set.
 
-    Attributes
-    ----------
-    word : str
-        One of :data:`WORDS`.
-    tilt : dict of str to float
-        Angles actually set, degrees; empty where they are as asked.
-    gravity : tuple of float or None
-        Direction actually set; None where it is as asked.
-    temperature : float or None
-        °C, typed; None where it is left to the thermometer.
+    Angles are in degrees, ``temperature``, in °C, was typed; what is as asked is empty or None.
     """
 
     word: str
@@ -152,44 +154,29 @@ def understood(said: object, words: Sequence[str] = WORDS["position"]) -> Operat
     """
     if not isinstance(said, Mapping):
         raise InputError('an answer is an object such as {"answer": "ready"}')
-    strange = sorted(str(key) for key in set(said) - KEYS)
+    strange = sorted(str(key) for key in set(said) - set(KEYS))
     if strange:
-        raise InputError(f"unknown key {strange[0]!r} in the answer; it may have {', '.join(sorted(KEYS))}")
-    word = said.get("answer")
+        raise InputError(f"unknown key {strange[0]!r} in the answer; it may have {', '.join(KEYS)}")
+    word, tilt, gravity, temperature = said.get("answer"), said.get("tilt"), of_python(said.get("gravity")), None
     if not isinstance(word, str) or word not in words:
         raise InputError(f"answer {word!r} is not one of {', '.join(words)}")
-    return OperatorAnswer(
-        word, _tilt(said.get("tilt")), _gravity(said.get("gravity")), _temperature(said.get("temperature"))
-    )
-
-
-def _tilt(tilt: object) -> dict[str, float]:
-    if tilt is None:
-        return {}
-    if not isinstance(tilt, Mapping):
+    if not isinstance(tilt, Mapping | None):
         raise InputError('tilt is an object of degrees such as {"y": 30.02}')
-    other = [axis for axis in tilt if axis not in TILT_AXES]
-    if other:
-        raise InputError(f"tilt of {other[0]!r} in the answer: an angle is that of {' or '.join(TILT_AXES)}")
-    return {axis: _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()}
-
-
-def _gravity(gravity: object) -> tuple[float, ...] | None:
-    gravity = of_python(gravity)
-    if gravity is None:
-        return None
-    if not (isinstance(gravity, list | tuple) and len(gravity) == 3):
+    for axis in tilt or {}:
+        if axis not in TILT_AXES:
+            raise InputError(f"tilt of {axis!r} in the answer: an angle is that of {' or '.join(TILT_AXES)}")
+    if gravity is not None and not (isinstance(gravity, list | tuple) and len(gravity) == 3):
         raise InputError("gravity is a list of three numbers")
-    return tuple(_number(component, "gravity") for component in gravity)
-
-
-def _temperature(value: object) -> float | None:
-    if value is None:
-        return None
-    temperature, (low, high) = _number(value, "temperature"), TEMPERATURES
-    if not low <= temperature <= high:
-        raise InputError(f"temperature in the answer is {temperature:g} °C, not between {low:g} and {high:g}")
-    return temperature
+    if said.get("temperature") is not None:
+        temperature, (low, high) = _number(said["temperature"], "temperature"), TEMPERATURES
+        if not low <= temperature <= high:
+            raise InputError(f"temperature in the answer is {temperature:g} °C, not between {low:g} and {high:g}")
+    return OperatorAnswer(
+        word,
+        {axis: _number(angle, f"tilt.{axis}") for axis, angle in (tilt or {}).items()},
+        None if gravity is None else tuple(_number(component, "gravity") for component in gravity),
+        temperature,
+    )
 
 
 def _number(value: object, key: str) -> float:
@@ -222,11 +209,7 @@ class Attempts:
 
 
 class VirtualJig:
-    """The operator of a virtual bench: the virtual jig has taken the position before it is asked.
-
-    say : callable
-        Takes one line of talk.
-    """
+    """The operator of a virtual bench, whose jig has taken the position before it is asked; ``say`` takes its talk."""
 
     def __init__(self, say: Callable[[str], None] = lambda line: None) -> None:
         self._say = say
@@ -241,52 +224,38 @@ class VirtualJig:
 
     def tell(self, event: Message) -> None:
         """Print what a person would like to read afterwards."""
-        for line in self._lines(event):
-            self._say(line)
-        if event["event"] == "refused" and event["position"] == "rotation":
-            raise Stopped(event["why"])  # asked again, the virtual stage would do the same
-        self._attempts.tell(event)
-
-    def _lines(self, event: Message) -> Iterator[str]:
+        stage = event.get("position") == "rotation"
         match event["event"]:
             case "begin":
                 self._begin = event
-                yield ": ".join(filter(None, (event["title"], event["length"])))
-            case "accepted" if event["position"] == "rotation":
-                yield from (f"  {line}" for line in matched_in_words(event))
-            case "accepted":
-                names = self._begin["positions"]
-                number = f"{names.index(event['position']) + 1:{len(str(len(names)))}}/{len(names)}"
-                for serial, values in values_by_serial(event, self._begin).items():
-                    stated = (f"{name} {mean:.6g} ± {values['std'][name]:.2g}" for name, mean in values["mean"].items())
-                    whose = f"{serial}  " if len(self._begin["sensors"]) > 1 else ""
-                    warmth = f"  at {values['temperature']:.1f} °C" if "temperature" in values else ""
-                    unit = self._begin["sensors"][serial]["unit"]
-                    yield f"  {number} {event['position']:<12} {whose}{'  '.join(stated)} {unit}{warmth}"
-            case "refused" if event["position"] != "rotation":
-                yield f"  {event['position']} refused: {event['why']}"
-            case "lost":
-                yield f"  {event['sensor']} is dropped, the others continue: {event['why']}"
-            case "turn":
-                yield f"  {turn_in_words(event)}"
-            case "held":
-                yield f"  held: {event['why']}"
-            case "resumed":
-                yield "  goes on"
-            case "done":
-                yield from (f"wrote {path}" for path in event["calibrations"])
-                yield f"journal {event['journal']}"
+                self._say(": ".join(filter(None, (event["title"], event["length"]))))
+            case "accepted" if not stage:
+                for line in self._measured(event):
+                    self._say(line)
+            case "refused" if stage:
+                raise Stopped(event["why"])  # asked again, the virtual stage would do the same
+            case "refused":
+                self._say(f"  {event['position']} refused: {event['why']}")
+            case _:
+                for line in in_words(event):
+                    self._say(line)
+        self._attempts.tell(event)
+
+    def _measured(self, event: Message) -> Iterator[str]:
+        """Yield mean and scatter of each sensor of an accepted position."""
+        names, sensors = self._begin["positions"], self._begin["sensors"]
+        number = f"{names.index(event['position']) + 1:{len(str(len(names)))}}/{len(names)}"
+        for serial, values in (event["sensors"] if "sensors" in event else {next(iter(sensors)): event}).items():
+            stated = (f"{name} {mean:.6g} ± {values['std'][name]:.2g}" for name, mean in values["mean"].items())
+            whose = f"{serial}  " if len(sensors) > 1 else ""
+            warmth = f"  at {values['temperature']:.1f} °C" if "temperature" in values else ""
+            yield f"  {number} {event['position']:<12} {whose}{'  '.join(stated)} {sensors[serial]['unit']}{warmth}"
 
 
 class Program:
     """A program that speaks JSON Lines on two text streams; it is asked for positions and rotations alone.
 
-    Parameters
-    ----------
-    answers : text stream
-        What the program says; its end, while it is asked, ends the session.
-    questions : text stream
-        What the program gets.
+    The end of its ``answers``, while it is asked, ends the session.
     """
 
     def __init__(self, answers: TextIO, questions: TextIO) -> None:
@@ -355,49 +324,85 @@ def _counted(said: object, question: Message, attempts: Attempts) -> object:
 
 
 def parsed(line: str) -> object:
-    """Return the JSON of one line.
-
-    InputError: it is not JSON, or an object has a key twice.
-    """
+    """Return the JSON of one line; an InputError where it is none."""
     try:
-        return json.loads(line, parse_constant=_no_constant, object_pairs_hook=_once)
-    except (ValueError, RecursionError):
+        return msgspec.json.decode(line)
+    except (ValueError, RecursionError, msgspec.MsgspecError):
         raise InputError(
             f'not understood: {line.strip()[:80]!r}; an answer is one line such as {{"answer": "ready"}}'
         ) from None
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the object of these keys and values; an InputError where a key is there twice."""
-    members = dict(pairs)
-    if len(members) < len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise InputError(f"the key {twice[:80]!r} is there twice in one answer: give each key once")
-    return members
+class LineReader:
+    """The lines of a text stream, waited for or taken where they have arrived.
+
+    It reads the stream's descriptor itself, because Python's buffer cannot be asked without waiting; nothing else may
+    read the stream. A stream without a descriptor is read as it is, and has nothing ready.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._ready: deque[str] = deque()
+        self._rest = b""
+        self._ended = False
+        try:
+            self._descriptor: int | None = stream.fileno()
+        except (OSError, ValueError, io.UnsupportedOperation):
+            self._descriptor = None
+
+    def next(self) -> str:
+        """Wait for the next line and return it with its end; empty at the end of the stream."""
+        if self._descriptor is None:
+            return self._stream.readline()
+        while not self._ready and not self._ended:
+            self._listen(self._descriptor)
+        return self._ready.popleft() if self._ready else ""
+
+    def waiting(self) -> list[str]:
+        """Return the lines that have arrived; they stay."""
+        while self._descriptor is not None and not self._ended and len(self._ready) < MOST_LINES:
+            if not select.select([self._descriptor], [], [], 0.0)[0]:
+                break
+            self._listen(self._descriptor)
+        return list(self._ready)
+
+    def _listen(self, descriptor: int) -> None:
+        arrived = os.read(descriptor, CHUNK)
+        self._ended = not arrived
+        *lines, rest = arrived.split(b"\n")
+        if lines:
+            lines[0] = self._rest + lines[0]
+            self._rest = b""
+        self._rest = (self._rest + rest)[:LONGEST]
+        self._ready.extend(line[:LONGEST].decode(errors="replace") + "\n" for line in lines)
+        if self._ended and self._rest:
+            self._ready.append(self._rest.decode(errors="replace"))
+            self._rest = b""
 
 
-def _no_constant(name: str) -> float:
-    raise ValueError(name)
-
-
-def values_by_serial(event: Message, begin: Message) -> Mapping[str, Message]:
-    """Return mean, std, n and temperature of each sensor of an accepted position, by serial number."""
-    return event["sensors"] if "sensors" in event else {next(iter(begin["sensors"])): event}
-
-
-def turn_in_words(event: Message) -> str:
-    """Return a turn of a stage in a line, with p and q of each pair by then."""
-    parts = [f"turn {event['turn']} of {event['of']}", *_pairs_in_words(event)]
-    parts += [f"{name}: {why}" for name, why in event.get("unknown", {}).items()]
-    if event.get("left_out"):
-        parts.append(f"{event['left_out']} samples left out")
-    return "   ".join(parts)
-
-
-def matched_in_words(event: Message) -> list[str]:
-    """Return p and q of each matched pair in a line."""
-    return [f"{pair} after {event['turns']:.1f} turns" for pair in _pairs_in_words(event)]
+def in_words(event: Message) -> list[str]:
+    """Return what has happened as lines for a person."""
+    match event["event"]:
+        case "accepted" if event["position"] == "rotation":
+            return [f"  matched {pair} after {event['turns']:.1f} turns" for pair in _pairs_in_words(event)]
+        case "accepted":
+            return [f"  accepted {event['position']}"]
+        case "refused":
+            return [f"  refused: {event['why']}"]
+        case "lost":
+            return [f"  {event['sensor']} is dropped, the others continue: {event['why']}"]
+        case "turn":
+            parts = [f"  turn {event['turn']} of {event['of']}", *_pairs_in_words(event)]
+            parts += [f"{name}: {why}" for name, why in event.get("unknown", {}).items()]
+            parts += [f"{event['left_out']} samples left out"] if event.get("left_out") else []
+            return ["   ".join(parts)]
+        case "held":
+            return [f"  held: {event['why']}"]
+        case "resumed":
+            return ["  goes on"]
+        case "done":
+            return [*(f"wrote {path}" for path in event["calibrations"]), f"journal {event['journal']}"]
+    return []
 
 
 def _pairs_in_words(event: Message) -> list[str]:

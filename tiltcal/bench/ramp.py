@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.bench.checks import PositionResult, at_rail, measurement_of, require_few
+from tiltcal.bench.checks import at_rail, require_few, result_of
 from tiltcal.bench.sensors import RECOVERY, Sample
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
@@ -30,22 +30,20 @@ def take_leg(session: Session, ramp: Ramp, position: Position) -> str:
     actual = replace(answer.as_set(position), temperature=position.temperature)
     if session.accepted and actual.gravity != session.accepted[0].position.gravity:
         raise Unsettled("a ramp has one attitude: leave the sensor as it lies")
+    sensors = session.sensors.sensors
     first = session.leg[0].line if session.leg else session.recorder.line + 1
-    samples = [tuple(one.readings[sensor.serial] for sensor in session.sensors.sensors) for one in session.leg]
-    samples += _sampled(session, ramp, actual)
+    samples = [one.readings for one in session.leg]
+    samples += [session.sensors.by_serial(sample) for sample in _sampled(session, ramp, actual)]
     last = session.recorder.line
-    measurements = {}
-    for index, sensor in enumerate(session.sensors.sensors):
-        readings = [sample[index] for sample in samples]
-        railed = [why for reading in readings if (why := at_rail(reading, sensor.wired))]
+    for sensor in sensors:
+        railed = [why for sample in samples if (why := at_rail(sample[sensor.serial], sensor.wired))]
         if railed:
-            require_few(len(railed), len(readings), railed[-1])
-            readings = [reading for reading in readings if not at_rail(reading, sensor.wired)]
-        measurements[sensor.serial] = measurement_of(sensor, actual, readings, {"time": session.now()})
+            require_few(len(railed), len(samples), railed[-1])
+    result = result_of(sensors, actual, position, samples, session.now())
     session.leg = []
     if len(session.accepted) == len(session.setup.steps.positions) - 1:
         session.tip(position)
-    session.accept(PositionResult(actual, measurements, asked=position.temperature), {"lines": [first, last]})
+    session.accept(result, {"lines": [first, last]})
     return answer.word
 
 

@@ -12,16 +12,14 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from tiltcal.bench.checks import (
     Expectations,
     PositionResult,
     ReadingSpans,
     at_rail,
     far_off,
-    measurement_of,
     require_few,
+    result_of,
 )
 from tiltcal.bench.devices import VirtualBench, probe_devices
 from tiltcal.bench.journal import RecordedSample, RecordedSession
@@ -157,7 +155,9 @@ class Session:
         actual = answer.as_set(position)
         if actual != position:
             self._hold(actual)
-        self._settle(position, answer.temperature)
+        window = self._window(position, answer.temperature)
+        wait_until_still(self.sensors, self.recorder, window, partial(self.look, position))
+        self._soaked = position.temperature
         first = self.recorder.line + 1
         samples, without = self._sampled(position, thermometers=answer.temperature is None)
         last = self.recorder.line
@@ -284,21 +284,19 @@ class Session:
             ramp = self.setup.steps.ramp
             self._virtual.fixture.move(position.gravity, position.temperature, 0.0 if ramp is None else ramp.pace)
 
-    def _settle(self, position: Position, typed: float | None) -> None:
-        """Wait until the readings hold still, and the temperature too, where the sensors do not have it already."""
+    def _window(self, position: Position, typed: float | None) -> Window:
+        """Return the time over which the readings, and a temperature that is new, must hold still."""
         soaked, settings, soak = self._soaked, self.setup.settings, self.setup.steps.soak
         if self._interrupted and soaked is not None and not self._still_at(soaked, typed):
             soaked = None
         self._interrupted = False
-        window = Window(settings.settle)
-        if position.temperature is not None and position.temperature != soaked:
-            # A temperature that the operator types counts, because the thermometer may be far off.
-            target = position.temperature if typed is None else None
-            late = None if soak.thermometer is None else soak.thermometer * settings.soak / soak.seconds
-            window = Window(settings.soak, soak.drift, target, late)
-            self._soaked = None
-        wait_until_still(self.sensors, self.recorder, window, partial(self.look, position))
-        self._soaked = position.temperature
+        if position.temperature is None or position.temperature == soaked:
+            return Window(settings.settle)
+        self._soaked = None
+        # A temperature that the operator types counts, because the thermometer may be far off.
+        target = position.temperature if typed is None else None
+        late = None if soak.thermometer is None else soak.thermometer * settings.soak / soak.seconds
+        return Window(settings.soak, soak.drift, target, late)
 
     def _still_at(self, soaked: float, typed: float | None) -> bool:
         """Return whether the thermometers still read, after an interruption, about what they read before it."""
@@ -337,21 +335,18 @@ class Session:
         self, asked: Position, actual: Position, samples: list[Timed], left_out: int, typed: float | None
     ) -> PositionResult:
         """Return what the samples of a position give; Unsettled where they moved, or are at a rail."""
-        models = self.sensors.models
+        sensors, models = self.sensors.sensors, self.sensors.models
         moved = movement(samples, models, still=NUDGED, sigmas=NUDGED_SIGMAS) if len(samples) > 2 else None
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
-        measurements = {}
-        when = {"time": self.now(), **({"left_out": left_out} if left_out else {})}
-        for index, (sensor, model) in enumerate(zip(self.sensors.sensors, models, strict=True)):
-            readings = [sample[index] for _, sample in samples]
-            if why := next(filter(None, (at_rail(reading, model) for reading in readings)), ""):
-                raise Unsettled(why)
-            if not model.resolution:
-                values = np.array([reading.values for reading in readings]).T
-                self._steps[sensor.serial].add(values, min(reading.step for reading in readings))
-            measurements[sensor.serial] = measurement_of(sensor, actual, readings, when, typed)
-        result = PositionResult(actual, measurements, typed is not None, left_out, asked.temperature)
+        for _, sample in samples:
+            for reading, model in zip(sample, models, strict=True):
+                if why := at_rail(reading, model):
+                    raise Unsettled(why)
+        readings = [self.sensors.by_serial(sample) for _, sample in samples]
+        result = result_of(
+            sensors, actual, asked, readings, self.now(), typed=typed, left_out=left_out, steps=self._steps
+        )
         return result.with_steps(self._steps)
 
     def tip(self, position: Position) -> None:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import os
+import select
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from math import asin, copysign, degrees, isfinite
-from typing import Any, TypeVar
+from typing import Any, Protocol, TextIO, TypeVar
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from tiltcal.bench.keys import ENTER, Keys, LineKeys, TerminalKeys
-from tiltcal.bench.operators import LOOK, Message, matched_in_words, turn_in_words
+from tiltcal.bench.operators import LOOK, LineReader, Message, in_words
 from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.errors import InputError, Stopped
@@ -30,6 +30,13 @@ WIDEST = 10_000
 
 CLEAR = "\r\x1b[2K"
 """Empties the line of the live reading."""
+
+ENTER, ESCAPE = "\n", "\x1b"
+REST = 0.05
+"""Time within which the rest of an escape sequence arrives, s."""
+
+STYLES = {"accepted": "green", "refused": "bold red", "lost": "bold red", "held": "yellow"}
+"""The style of an event's lines."""
 
 
 def open_terminal(stack: ExitStack, *, plain: bool) -> Terminal:
@@ -83,27 +90,11 @@ class Terminal:
                 self._say(f"\n{'  '.join(filter(None, (event['title'], event['length'])))}", "bold")
             case "look":
                 self._show(event)
-            case "accepted" if event["position"] == "rotation":
-                for line in matched_in_words(event):
-                    self._say(f"  matched {line}", "green")
-            case "accepted":
-                self._say(f"  accepted {event['position']}", "green")
-            case "refused":
-                self._say(f"  refused: {event['why']}", "bold red")
-            case "lost":
-                self._say(f"  {event['sensor']} is dropped, the others continue: {event['why']}", "bold red")
             case "turn" if self._live:
-                self._line(turn_in_words(event))
-            case "turn":
-                self._say(f"  {turn_in_words(event)}")
-            case "held":
-                self._say(f"  held: {event['why']}", "yellow")
-            case "resumed":
-                self._say("  goes on")
-            case "done":
-                for path in event["calibrations"]:
-                    self._say(f"wrote {path}", "green")
-                self._say(f"journal {event['journal']}")
+                self._line(in_words(event)[0].strip())
+            case kind:
+                for line in in_words(event):
+                    self._say(line, "green" if line.startswith("wrote ") else STYLES.get(kind, ""))
 
     def _position(self, question: Message) -> object:
         """Show what to set, until a key is pressed; where none is for a moment, ask for a reading to show."""
@@ -340,3 +331,96 @@ def direction(typed: str) -> list[float]:
     except ValueError:
         raise InputError("type three numbers such as 0 0.5 0.866") from None
     return list(normalised(parts))
+
+
+class Keys(Protocol):
+    """A source of the operator's choices."""
+
+    def choice(self, timeout: float | None) -> str | None:
+        """Return the next key (:data:`ENTER` for Enter), or None when ``timeout`` seconds pass without one.
+
+        Stopped: the input has ended.
+        """
+        ...
+
+    def pressed(self, choices: str) -> str | None:
+        """Return one of these keys if it has been pressed already, without waiting."""
+        ...
+
+    def line(self) -> str:
+        """Read a typed line, without its newline."""
+        ...
+
+
+class LineKeys:
+    """Reads whole lines of a stream and never returns by itself: for ``--plain``, pipes and screen readers."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._lines = LineReader(stream)
+
+    def choice(self, timeout: float | None) -> str | None:
+        return self.line()[:1].lower() or ENTER
+
+    def pressed(self, choices: str) -> str | None:
+        # What else waits may be the answer to a question that is still to come.
+        for number, line in enumerate(self._lines.waiting(), start=1):
+            key = line.strip()[:1].lower()
+            if key and key in choices:
+                for _ in range(number):
+                    self._lines.next()
+                return key
+        return None
+
+    def line(self) -> str:
+        typed = self._lines.next()
+        if not typed:
+            raise Stopped("the input has ended")
+        return typed.strip()
+
+
+class TerminalKeys:
+    """Reads single keys from a terminal, which is given back as it was at the end of a ``with``."""
+
+    def __init__(self) -> None:
+        self._descriptor = sys.stdin.fileno()
+        self._before: list[object] = []
+
+    def __enter__(self) -> TerminalKeys:
+        import termios
+        import tty
+
+        self._before = termios.tcgetattr(self._descriptor)
+        tty.setcbreak(self._descriptor)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        import termios
+
+        termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)  # type: ignore[arg-type]
+
+    def choice(self, timeout: float | None) -> str | None:
+        ready, _, _ = select.select([self._descriptor], [], [], timeout)
+        if not ready:
+            return None
+        key = os.read(self._descriptor, 1).decode(errors="replace")
+        if key in ("", "\x04"):
+            raise Stopped("the input has ended")
+        if key == ESCAPE and select.select([self._descriptor], [], [], REST)[0]:
+            os.read(self._descriptor, 16)  # of an arrow or a function key, whose letters are no choices
+        return ENTER if key in "\r\n" else key.lower()
+
+    def pressed(self, choices: str) -> str | None:
+        key = self.choice(0.0)
+        return key if key is not None and key in choices else None
+
+    def line(self) -> str:
+        import tty
+
+        self.__exit__()
+        try:
+            typed = sys.stdin.readline()
+        finally:
+            tty.setcbreak(self._descriptor)
+        if not typed:
+            raise Stopped("the input has ended")
+        return typed.strip()

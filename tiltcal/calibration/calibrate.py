@@ -12,15 +12,11 @@ from dataclasses import replace
 from typing import Any
 
 from tiltcal.calibration.checks import require_no_jig, require_own_readings
-from tiltcal.calibration.free_positions import calibrate_free
 from tiltcal.calibration.joint_fit import fit_jointly
-from tiltcal.calibration.level import level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.calibration.mounting import mount
-from tiltcal.calibration.ramp import calibrate_ramp
 from tiltcal.calibration.temperature import calibrate_sweep, with_typical_temperature
 from tiltcal.core.rounding import round_to
-from tiltcal.drivers.columns import ACCELERATION
+from tiltcal.drivers.model import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
@@ -50,15 +46,23 @@ def calibrate(
     for sensor in sensors:
         require_own_readings(sensor)
     if procedure.determines.mounting:
+        from tiltcal.calibration.complete import mount
+
         found = [mount(_base(sensor), sensor.measurements, jig=bench.jig) for sensor in sensors]
     elif procedure.determines.level:
         bench = _with_thermometer(bench, sensors)
+        from tiltcal.calibration.complete import level
+
         found = [level(_base(sensor), sensor.measurements, procedure, bench) for sensor in sensors]
     elif procedure.ramp is not None:
+        from tiltcal.calibration.ramp import calibrate_ramp
+
         found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
     else:
         bench = _with_thermometer(bench, sensors)
         if procedure.determines.free:
+            from tiltcal.calibration.free_positions import calibrate_free
+
             found = [calibrate_free(sensor, procedure, bench) for sensor in sensors]
         else:
             fit = calibrate_sweep if procedure.determines.cross_validated else fit_jointly

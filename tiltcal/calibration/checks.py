@@ -18,8 +18,7 @@ from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.model import AXES, Coefficients
 from tiltcal.core.plausibility import UNKNOWN_OFFSET
 from tiltcal.core.rounding import significant
-from tiltcal.drivers.columns import OF_G
-from tiltcal.drivers.model import Model
+from tiltcal.drivers.model import OF_G, Model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.procedure import Procedure
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import tiltcal
-from tiltcal.calibration.comparison import compare_records
+from tiltcal.calibration.comparison import compare_records, temperature_of
 from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, rounded_covariance, stated_section
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
@@ -69,11 +69,13 @@ class CombinedSession:
     def of(cls, given: CalibrationRecord | str | Path) -> CombinedSession:
         """Return the session of a calibration or of its file."""
         if isinstance(given, CalibrationRecord):
-            return cls(given.procedure.name or "a calibration", _sha(dump_calibration(given)), given)
+            text = dump_calibration(given)
+            return cls(given.procedure.name or "a calibration", sha256(text.encode()).hexdigest(), given)
         if not isinstance(given, str | Path):
             raise UsageError(f"combine takes tilt calibrations or their files, not {given!r:.40}")
         text = read_text(given)
-        return cls(Path(given).name, _sha(text), tilt_record(parse_document(text, str(given))))
+        record = tilt_record(parse_document(text, str(given)))
+        return cls(Path(given).name, sha256(text.encode()).hexdigest(), record)
 
     @property
     def coefficients(self) -> Coefficients:
@@ -127,14 +129,11 @@ class CombinedSession:
     @property
     def temperature(self) -> tuple[float, float] | None:
         """Where the offset holds, °C, and the standard uncertainty of that; None where it is not known."""
-        thermal, fit = self.coefficients.thermal, self.record.fit
-        if thermal is not None:
-            return thermal.reference, 0.0
-        met = [position.temperature for position in self.positions if position.temperature is not None]
-        if not met:
-            return None
-        stated = fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0
-        return float(np.mean(met)), hypot(float(np.std(met)), stated)
+        fit, at = self.record.fit, temperature_of(self.record)
+        if at is None or self.coefficients.thermal is not None:
+            return None if at is None else (at, 0.0)
+        spread = float(np.std([one.temperature for one in self.positions if one.temperature is not None]))
+        return at, hypot(spread, fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0)
 
     def observations(self, design: Design) -> list[Observation]:
         """Return its positions for the estimator, by their names in the combination."""
@@ -214,14 +213,18 @@ def combine_records(
     stated = stated_mounting(mounting) if mounting else None
     if not sessions or (len(sessions) < 2 and stated is None):
         raise UsageError("name two calibrations or more, or a --mounting")
-    _require_one_sensor(sessions)
+    _require_consistent(sessions)
     if stated is not None:
         sessions = [replace(session, record=with_mounting(session.record, stated)) for session in sessions]
     if len(sessions) == 1:
         return replace(sessions[0].record, provenance=_provenance(sessions))
-    _require_one_mounting(sessions)
-    thermals = [session.coefficients.thermal for session in sessions if session.coefficients.thermal is not None]
-    if thermals:
+    mounted = {s.label: s.coefficients.mounting for s in sessions if s.coefficients.mounting is not None}
+    warm = {s.label: s.coefficients.thermal for s in sessions if s.coefficients.thermal is not None}
+    mountings = {label: mounting_in_words(mounting) for label, mounting in mounted.items()}
+    _require_one("mountings", mountings, "state one with --mounting")
+    lags = {label: f"{thermal.lag:g} s" for label, thermal in warm.items() if thermal.lag}
+    _require_one("lags", lags, "combine one of them")
+    if warm:
         cold = [any(one.temperature is None for one in session.positions) for session in sessions]
         sessions = [replace(session, by_values=lacks) for session, lacks in zip(sessions, cold, strict=True)]
     design = _design(sessions)
@@ -229,13 +232,13 @@ def combine_records(
     remarks = [*_notes(sessions, design), *_disagreement(sessions, design, seen)]
     together = [one for group in seen for one in group]
     found = with_hysteresis(estimate(together, design), SensorObservations(design, together))
-    thermal, mountings = found.coefficients.thermal, [s.coefficients.mounting for s in sessions]
+    thermal = found.coefficients.thermal
     if thermal is not None:
-        met = [one.range for one in thermals if one.range is not None]
-        covered = (min(low for low, _ in met), max(high for _, high in met)) if met else None
-        thermal = replace(thermal, lag=max(one.lag for one in thermals), range=covered)
-    mounted = next(filter(None, mountings), None)
-    found = replace(found, coefficients=replace(found.coefficients, thermal=thermal, mounting=mounted))
+        met = [one.range for one in warm.values() if one.range is not None]
+        lag = max(one.lag for one in warm.values())
+        thermal = replace(thermal, lag=lag, range=_union(met) if met else None)
+    turned = next(iter(mounted.values()), None)
+    found = replace(found, coefficients=replace(found.coefficients, thermal=thermal, mounting=turned))
     return _record(sessions, found, design, remarks)
 
 
@@ -255,16 +258,12 @@ def _named(sessions: Sequence[CombinedSession]) -> list[CombinedSession]:
     ]
     times = Counter(name for names, session in zip(own, named, strict=True) if not session.counted for name in names)
     return [
-        replace(session, names={n: n if times[n] == 1 else f"{_stem(session.label)}/{n}" for n in names})
+        replace(session, names={n: n if times[n] == 1 else f"{session.label.replace('.yaml', '')}/{n}" for n in names})
         for names, session in zip(own, named, strict=True)
     ]
 
 
-def _stem(label: str) -> str:
-    return label.replace(".yaml", "")
-
-
-def _require_one_sensor(sessions: Sequence[CombinedSession]) -> None:
+def _require_consistent(sessions: Sequence[CombinedSession]) -> None:
     """Refuse sessions of several sensors, and measurements that would count twice, with a UsageError."""
     for session, other in combinations(sessions, 2):
         one, another = session.record.sensor, other.record.sensor
@@ -280,18 +279,12 @@ def _require_one_sensor(sessions: Sequence[CombinedSession]) -> None:
             )
 
 
-def _require_one_mounting(sessions: Sequence[CombinedSession]) -> None:
-    """Refuse mountings, and thermal lags, that contradict, with a UsageError."""
-    mounted = [(s.label, s.coefficients.mounting) for s in sessions if s.coefficients.mounting is not None]
-    for label, mounting in mounted[1:]:
-        if mounting != mounted[0][1]:
-            mountings = f"{mounted[0][0]} has {mounting_in_words(mounted[0][1])} and {label} has"
-            raise UsageError(
-                f"the mountings contradict: {mountings} {mounting_in_words(mounting)}; state one with --mounting"
-            )
-    lags = sorted({s.coefficients.thermal.lag for s in sessions if s.coefficients.thermal is not None} - {0.0})
-    if len(lags) > 1:
-        raise UsageError(f"the lags contradict: {' s and '.join(f'{lag:g}' for lag in lags)} s; combine one of them")
+def _require_one(what: str, stated: Mapping[str, object], advice: str) -> None:
+    """Refuse sessions that state more than one mounting or thermal lag, with a UsageError."""
+    for label, value in stated.items():
+        first = next(iter(stated))
+        if value != stated[first]:
+            raise UsageError(f"the {what} contradict: {first} has {stated[first]} and {label} has {value}; {advice}")
 
 
 def _design(sessions: Sequence[CombinedSession]) -> Design:
@@ -471,11 +464,10 @@ def _fit(sessions: Sequence[CombinedSession], found: Estimate, design: Design, r
 
 def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncertainty:
     """Return the uncertainty of all coefficients, and that of a mounting with its covariance."""
-    single: dict[str, float] = {}
-    for session in sessions:
-        for name, u in session.record.uncertainty.single_reading.items():
-            single[name] = max(u, single.get(name, 0.0))
-    alignment = max(session.record.uncertainty.alignment for session in sessions)
+    stated = [session.record.uncertainty for session in sessions]
+    names = dict.fromkeys(name for one in stated for name in one.single_reading)
+    single = {name: max(one.single_reading.get(name, 0.0) for one in stated) for name in names}
+    alignment = max(one.alignment for one in stated)
     both = replace(stated_section(found.uncertain), single_reading=single, alignment=alignment)
     mounted = next((session.record for session in sessions if session.coefficients.mounting), sessions[0].record)
     before = uncertain_coefficients(mounted.uncertainty, mounted.coefficients)
@@ -492,30 +484,33 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncert
         np.block([[of_coefficients, across], [across.T, of_turn]])
         for of_coefficients, of_turn in ((every.covariance, turned.covariance), (every.wide, turned.wide))
     )
-    standard, factors = (
-        of | {name: value for name, value in own.items() if name.startswith("mounting.")}
-        for of, own in (
-            (dict(both.standard), mounted.uncertainty),
-            (dict(both.coverage_factor), mounted.uncertainty.coverage_factor),
-        )
+    angles, factors = (
+        {name: value for name, value in own.items() if name.startswith("mounting.")}
+        for own in (mounted.uncertainty, mounted.uncertainty.coverage_factor)
     )
     joint = replace(every.beside(turned), covariance=covariance, wide=wide)
-    return replace(both, standard=standard, coverage_factor=factors, covariance=rounded_covariance(joint))
+    return replace(
+        both,
+        standard={**both.standard, **angles},
+        coverage_factor={**both.coverage_factor, **factors},
+        covariance=rounded_covariance(joint),
+    )
 
 
 def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRecord]) -> Limits:
     """Return the tilts that the sensitivity was measured in, the temperatures of the drift, the rails of all."""
-    tilt: dict[str, tuple[float, float]] = {}
     reading: dict[str, tuple[float, float]] = {}
-    for record in scaled:
-        for axis, (low, high) in record.limits.tilt.items():
-            before = tilt.get(axis, (low, high))
-            tilt[axis] = min(low, before[0]), max(high, before[1])
     for record in records:
-        for channel, rails in record.limits.reading.items():
-            reading[channel] = overlap(reading.get(channel), rails) or rails
+        reading |= {c: overlap(reading.get(c), rails) or rails for c, rails in record.limits.reading.items()}
     met = [record.limits.temperature for record in records if record.limits.temperature and record.coefficients.thermal]
-    return Limits(tilt, (min(low for low, _ in met), max(high for _, high in met)) if met else None, reading)
+    tilts = {axis: [r.limits.tilt[axis] for r in scaled if axis in r.limits.tilt] for axis in AXES}
+    return Limits(
+        {axis: _union(ranges) for axis, ranges in tilts.items() if ranges}, _union(met) if met else None, reading
+    )
+
+
+def _union(ranges: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    return min(low for low, _ in ranges), max(high for _, high in ranges)
 
 
 def _provenance(sessions: Sequence[CombinedSession]) -> Provenance:
@@ -530,7 +525,3 @@ def _provenance(sessions: Sequence[CombinedSession]) -> Provenance:
         started=min((provenance.started for provenance in each if provenance.started), default=None),
         ended=max((provenance.ended for provenance in each if provenance.ended), default=None),
     )
-
-
-def _sha(text: str) -> str:
-    return sha256(text.encode()).hexdigest()

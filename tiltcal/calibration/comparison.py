@@ -18,6 +18,7 @@ from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, weighted_sum
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor
 from tiltcal.files.results import NOISE_ALONE, PositionSet
 from tiltcal.files.uncertainty import uncertain_coefficients
+from tiltcal.printable import in_html
 
 ROUNDED = 1e-3
 """The share of an uncertainty that remains of a difference although both errors are one: files round their numbers."""
@@ -66,7 +67,7 @@ class CoefficientChange:
             return NormalDist().inv_cdf(upper)
         from scipy.special import stdtrit
 
-        return float(stdtrit(self.dof, upper))
+        return float(stdtrit(max(self.dof, 1.0), upper))
 
 
 @dataclass(frozen=True)
@@ -259,12 +260,13 @@ class Comparison:
         return "\n".join([*lines, str(verdict)])
 
     __repr__ = __str__
+    _repr_html_ = in_html
 
 
 def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Comparison:
     """Compare two calibrations of one sensor; a UsageError names what differs where they are not of one."""
     require_same_sensor(old, new)
-    reference = _temperature(old if old.coefficients.thermal is None else new)
+    reference = temperature_of(old if old.coefficients.thermal is None else new)
     steady = {record.coefficients.thermal is None for record in (old, new)}
     unlike = {"offset", "sensitivity"} if len(steady) == 2 and reference is None else set()
     bent = (old.coefficients.nonlinearity is None) != (new.coefficients.nonlinearity is None)
@@ -285,7 +287,7 @@ def compare_records(old: CalibrationRecord, new: CalibrationRecord) -> Compariso
     return Comparison(new.sensor, compared, verdict, tuple(sorted(rest)))
 
 
-def _temperature(record: CalibrationRecord) -> float | None:
+def temperature_of(record: CalibrationRecord) -> float | None:
     """Return the reference temperature, without a drift the mean of the positions, °C; None where none is stated."""
     if record.coefficients.thermal is not None:
         return record.coefficients.thermal.reference

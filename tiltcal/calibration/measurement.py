@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tiltcal.core.attitude import STRAIGHT
-from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.results import PositionRecord
 from tiltcal.stated_arguments import require_from_zero
+
+if TYPE_CHECKING:
+    from tiltcal.core.ramp.record import RampRecord
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
+from tiltcal.printable import in_html
 
 PARTS = 8
 """Positions that stand for a leg of a ramp."""
@@ -91,6 +92,7 @@ class PredictedUncertainty:
         return "\n".join([*lines, *(f"  {sentence}" for sentence in (self.closing, self.not_covered) if sentence)])
 
     __repr__ = __str__
+    _repr_html_ = in_html
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,7 @@ class PredictedMounting:
         )
 
     __repr__ = __str__
+    _repr_html_ = in_html
 
 
 def predict_mounting(

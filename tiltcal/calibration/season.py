@@ -135,7 +135,7 @@ class SensorHistory:
         uncertainty = record.uncertainty
         if days:
             errors = _with_walk(uncertain_of(record, None), self._walked(k, days, 1.0, stability))
-            uncertainty = _section(errors, uncertainty.single_reading, uncertainty.alignment)
+            uncertainty = stated_section(errors, uncertainty)
         return _interpolated(record, record.coefficients, record.limits, uncertainty)
 
     def require_line(self, k: int) -> None:
@@ -241,7 +241,7 @@ def _require_consistent(before: DatedCalibration, after: DatedCalibration) -> No
             file=after.path,
         ) from None
     one, other = before.record.coefficients, after.record.coefficients
-    same = values(one) == values(other) and one.mounting == other.mounting
+    same = values(one) == values(other) and one.mounting == other.mounting and repr(one.thermal) == repr(other.thermal)
     if before.date == after.date and not same:
         raise InputError(
             f"{before.path} has the same date, {to_the_second(after.date)}, and other coefficients of {serial}: keep "
@@ -266,7 +266,8 @@ def _between(
     tilt = {a: overlap(before.limits.tilt.get(a), limits) or limits for a, limits in after.limits.tilt.items()}
     limits = Limits(tilt, overlap(before.limits.temperature, after.limits.temperature), after.limits.reading)
     coefficients = _on_line(referred(before.coefficients, reference), after.coefficients, share)
-    return _interpolated(after, coefficients, limits, _section(errors, single, alignment))
+    uncertainty = replace(stated_section(errors), single_reading=single, alignment=alignment)
+    return _interpolated(after, coefficients, limits, uncertainty)
 
 
 def _on_line(before: Coefficients, after: Coefficients, share: float) -> Coefficients:
@@ -304,10 +305,6 @@ def _with_walk(errors: Uncertain, walked: Mapping[str, float]) -> Uncertain:
     if not errors.names or not walked:
         return errors
     return weighted_sum(errors, Uncertain.errors(tuple(walked), np.diag(list(walked.values()))), (1.0, 1.0), ())
-
-
-def _section(errors: Uncertain, single: Mapping[str, float], alignment: float) -> Uncertainty:
-    return replace(stated_section(errors), single_reading=single, alignment=alignment)
 
 
 def _interpolated(

@@ -176,22 +176,27 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
     coefficients = calibration.coefficients
     if coefficients.thermal is not None:
         raise EstimateError("the unit's own temperature run is in this calibration: leave --typical-temperature out")
-    known = [m.temperature for m in sensor.measurements if m.temperature is not None]
-    reference = round(float(np.mean(known)), 3) if known else ROOM
-    drift = _from_reference(population.drift, reference)[1:]
-    gain = _from_reference(population.gain, reference)
-    relative = gain[1:] / (1.0 + gain[0])
+    met = [m.temperature for m in sensor.measurements if m.temperature is not None]
+    reference = round(float(np.mean(met)), 3) if met else ROOM
+    # The curves are polynomials in T; the file's count from the reference, and a gain from the sensitivity there.
+    drift, gain = (
+        np.asarray(Polynomial(curve)(Polynomial([reference, 1.0])).coef, dtype=float)
+        for curve in (population.drift, population.gain)
+    )
+    drift, gain = drift[1:], gain[1:] / (1.0 + gain[0])
     channels = coefficients.channels
     thermal = Thermal(
         reference=reference,
         range=None,
         drift=np.tile([round_to(k, population.drift_spread / 1000) for k in drift], (len(channels), 1)),
-        gain=np.tile([significant(k, 8) for k in relative], (len(channels), 1)),
+        gain=np.tile([significant(k, 8) for k in gain], (len(channels), 1)),
     )
-    spreads = (("offset", population.drift_spread, drift), ("sensitivity", population.gain_spread, relative))
     typical = {
         f"temperature.{name}.{channel}.{power}": significant(spread, 4) if power == 1 else 0.0
-        for name, spread, curve in spreads
+        for name, spread, curve in (
+            ("offset", population.drift_spread, drift),
+            ("sensitivity", population.gain_spread, gain),
+        )
         for channel in channels
         for power in range(1, len(curve) + 1)
     }
@@ -205,8 +210,3 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
         uncertainty=replace(u, standard={**u.standard, **typical}, covariance=rounded_covariance(both)),
         derived=derived.replaced(assumed=assumed),
     )
-
-
-def _from_reference(curve: Sequence[float], reference: float) -> Array:
-    """Return the coefficients of a polynomial in T as those of one in T - reference."""
-    return np.asarray(Polynomial(curve)(Polynomial([reference, 1.0])).coef, dtype=float)

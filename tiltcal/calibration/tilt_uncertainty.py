@@ -75,4 +75,6 @@ def tilt_uncertainty_lines(calibration: CalibrationRecord) -> Iterator[str]:
         tilt, half = uncertain.tilt, uncertain.alone
         level, low, high = half[np.argmin(np.abs(tilt))], half[0], half[-1]
         ends = f"{low:.2g}° at {tilt[0]:.0f}°, {high:.2g}° at {tilt[-1]:.0f}°"
-        yield f"  tilt {axis} within  ± {level:.2g}° near level, {ends}  (95 %)"
+        largest = float(np.nanmax(half))
+        between = f", at most {largest:.2g}° between" if largest > 1.05 * max(level, low, high) else ""
+        yield f"  tilt {axis} within  ± {level:.2g}° near level, {ends}{between}  (95 %)"

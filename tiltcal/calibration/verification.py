@@ -17,6 +17,7 @@ import numpy as np
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.attitude import tilt_from_gravity
 from tiltcal.core.compensation import Compensation
+from tiltcal.core.model import AXES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.uncertainty import length_tolerance
@@ -138,18 +139,15 @@ def verify_positions(
         temperature = None if measurement.temperature is None else np.array([measurement.temperature])
         readings = np.array([[measurement.summaries[channel].mean for channel in coefficients.channels]])
         result = compensation(readings, temperature)
-        x, y, z = measurement.gravity
-        expected = {**tilt_from_gravity(measurement.gravity), "z": 90.0 - degrees(acos(max(-1.0, min(1.0, z))))}
-        read = result.gravity[0]
-        direction = None
-        noise = [0.0]
+        up, read = dict(zip(AXES, measurement.gravity, strict=True)), result.gravity[0]
+        expected = {**tilt_from_gravity(measurement.gravity), "z": 90.0 - degrees(acos(max(-1.0, min(1.0, up["z"]))))}
+        direction, noise = None, [0.0]
         if whole:
             apart = np.linalg.norm(np.cross(measurement.gravity, read))
             direction = degrees(float(np.arctan2(apart, np.dot(measurement.gravity, read))))
         for channel in set(coefficients.channels) & set(coefficients.axes):
             # Of three axes the direction is judged, whose error does not grow where one axis nears the vertical.
-            up = {"x": x, "y": y, "z": z}[channel]
-            slope = 1.0 if whole else max(sqrt(1.0 - min(up**2, 1.0)), STEEP)
+            slope = 1.0 if whole else max(sqrt(1.0 - min(up[channel] ** 2, 1.0)), STEEP)
             u = measurement.summaries[channel].u
             noise.append(degrees(u / abs(coefficients.own_sensitivity(channel)) / slope))
         found.append(

@@ -7,6 +7,7 @@ from math import asin, degrees, radians, sin, sqrt
 
 import numpy as np
 
+from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty_lines
 from tiltcal.core.model import AXES
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.rounding import plus_minus
@@ -32,13 +33,9 @@ LOOKS_LIKE, LARGEST_BEND = 0.8, 0.1
 """Residuals look like non-linearity where a square and a cube of less than the second explain this share of them."""
 
 
-_POWERS = {"1": "", "2": "²", "3": "³"}
-_SHAPES = {"2": "square", "3": "cube"}
-
-
 def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:
-    """Return all coefficients with their standard uncertainties, how well the positions fit, and the notes."""
-    lines = [*_coefficient_lines(calibration), *mounting_lines(calibration)]
+    """Return all coefficients and tilts with their uncertainties, how well the positions fit, and the notes."""
+    lines = [*_coefficient_lines(calibration), *tilt_uncertainty_lines(calibration), *mounting_lines(calibration)]
     return "\n".join(lines + [f"  {note}" for note in calibration.fit.notes if notes])
 
 
@@ -46,16 +43,18 @@ def mounting_summary(calibration: CalibrationRecord) -> str:
     """Return how a sensor sits in its application, with standard uncertainties where they are known."""
     sensor = calibration.sensor
     lines = [f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)", *mounting_lines(calibration)]
-    fit = calibration.fit.mounting
-    if fit is not None and fit.residuals_degrees:
-        worst = max(fit.residuals_degrees, key=lambda name: fit.residuals_degrees[name])
-        lines.append(f"  worst residual  {worst}: {fit.residuals_degrees[worst]:.3g}°")
-        chi_square = "" if fit.chi_square is None else f", chi-square {fit.chi_square:g}"
-        lines.append(
-            f"  degrees of freedom {fit.degrees_of_freedom}, uncertainty from {fit.uncertainty_from}{chi_square}"
-        )
-        lines += [f"  {objection}" for objection in _objections_to_mounting(fit)]
+    if (fit := calibration.fit.mounting) is not None:
+        lines += [f"  {line}" for line in (*mounting_fit_lines(fit), *_objections_to_mounting(fit))]
     return "\n".join(lines)
+
+
+def mounting_fit_lines(fit: MountingFit) -> Iterator[str]:
+    """Yield how well the positions of a mounting agree."""
+    if fit.residuals_degrees:
+        worst = max(fit.residuals_degrees, key=lambda name: fit.residuals_degrees[name])
+        yield f"worst residual  {worst}: {fit.residuals_degrees[worst]:.3g}°"
+        chi_square = "" if fit.chi_square is None else f", chi-square {fit.chi_square:g}"
+        yield f"degrees of freedom {fit.degrees_of_freedom}, uncertainty from {fit.uncertainty_from}{chi_square}"
 
 
 def level_summary(calibration: CalibrationRecord) -> str:
@@ -234,62 +233,34 @@ def _pair(value: float, u: float) -> str:
 
 def words(name: str) -> str:
     """Return a coefficient in words, such as ``Sensitivity of x to y`` for ``sensitivity.x.y``."""
-    match name.split("."):
-        case ["offset", channel]:
-            return f"Offset of {channel}"
-        case ["sensitivity", channel, axis] if channel == axis:
-            return f"Sensitivity of {channel}"
-        case ["sensitivity", channel, axis]:
-            return f"Sensitivity of {channel} to {axis}"
-        case ["nonlinearity", channel, power]:
-            return f"Nonlinearity of {channel}, {_SHAPES.get(power, power)}"
-        case ["temperature", "offset", channel, power]:
-            return f"Drift of offset {channel}, ΔT{_raised(power)}"
-        case ["temperature", "sensitivity", channel, power]:
-            return f"Drift of sensitivity {channel}, ΔT{_raised(power)}"
-        case ["mounting", "turn", axis]:
-            return f"Turn of the mounting about {axis}"
-    return name
+    return _label(name)[0]
 
 
 def symbol(name: str) -> tuple[str, str]:
     """Return a coefficient's letter and its index, such as ``S`` and ``xy``."""
-    match name.split("."):
-        case ["offset", channel]:
-            return "u", f"0{channel}"
-        case ["sensitivity", channel, axis]:
-            return "S", channel + axis
-        case ["nonlinearity", channel, power]:
-            return "n", channel + power
-        case ["temperature", "offset", channel, power]:
-            return "d", channel + power
-        case ["temperature", "sensitivity", channel, power]:
-            return "e", channel + power
-        case ["mounting", "turn", axis]:
-            return "r", axis
-    return name, ""
+    return _label(name)[1:3]
 
 
 def unit_of(name: str, unit: str) -> str:
-    """Return the unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number.
+    """Return the unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number."""
+    return _label(name, unit)[3]
 
-    ValueError: there is no such coefficient.
-    """
+
+def _label(name: str, unit: str = "") -> tuple[str, str, str, str]:
+    """Return a coefficient in words, its letter, its index, and its unit."""
     match name.split("."):
-        case ["offset", _]:
-            return unit
-        case ["sensitivity", *_]:
-            return f"{unit}/g"
-        case ["mounting", "turn", _]:
-            return "°"
-        case ["temperature", "lag"]:
-            return "s"
-        case ["nonlinearity", *_]:
-            return ""
-        case ["temperature", kind, _, power]:
-            return f"{unit if kind == 'offset' else '1'}/°C{_raised(power)}"
-    raise ValueError(f"there is no coefficient {name!r}")
-
-
-def _raised(power: str) -> str:
-    return _POWERS.get(power, f"^{power}")
+        case ["offset", channel]:
+            return f"Offset of {channel}", "u", f"0{channel}", unit
+        case ["sensitivity", channel, axis]:
+            other = "" if channel == axis else f" to {axis}"
+            return f"Sensitivity of {channel}{other}", "S", channel + axis, f"{unit}/g"
+        case ["nonlinearity", channel, power]:
+            shape = {"2": "square", "3": "cube"}.get(power, power)
+            return f"Nonlinearity of {channel}, {shape}", "n", channel + power, ""
+        case ["temperature", kind, channel, power]:
+            raised = {"1": "", "2": "²", "3": "³"}.get(power, f"^{power}")
+            letter, of = ("d", unit) if kind == "offset" else ("e", "1")
+            return f"Drift of {kind} {channel}, ΔT{raised}", letter, channel + power, f"{of}/°C{raised}"
+        case ["mounting", "turn", axis]:
+            return f"Turn of the mounting about {axis}", "r", axis, "°"
+    return name, name, "", "s" if name == "temperature.lag" else ""

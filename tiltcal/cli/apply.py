@@ -59,7 +59,7 @@ Examples:
     "--json",
     "as_json",
     is_flag=True,
-    help="Print the summary as JSON; on stderr if the rows go to stdout.",
+    help="Print the summary as JSON (beside rows, on stderr).",
 )
 def command(
     files: tuple[str, ...],
@@ -79,7 +79,7 @@ def command(
     the time of the calibrations, 128 no direction or field of unusual length, 256 gravity is not 1 g. Of several logs,
     into the folder OUT, one that fails is named.
     """
-    from tiltcal.library.apply import apply_log
+    from tiltcal.library.recorded import apply_log
     from tiltcal.logs.apply import prepare_any
 
     calibration, logs = (Path(files[0]), files[1:]) if calibrations is None else (calibrations, files)
@@ -181,7 +181,7 @@ def _outcome(calibration: Path, log: str, output: str, how: Mapping[str, Any], *
     """Apply a calibration to one log of several; where ``shown`` with a bar of progress."""
     from contextlib import nullcontext
 
-    from tiltcal.library.apply import apply_log
+    from tiltcal.library.recorded import apply_log
 
     remarks: list[str] = []
     try:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
+from importlib import import_module
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,19 +73,10 @@ def _checked(path: Path) -> tuple[str, list[str], list[str]]:
         raise document.error("the key 'kind' is missing: this is not a tiltcal file")
     if kind in ("tilt", "pair"):
         return _of_calibration(path, document)
-    if kind == "bench":
-        from tiltcal.bench.setup import known_bench
-
-        known_bench(document)
-        return kind, [], []
-    if kind == "twin":
-        from tiltcal.files.twin import twin_of
-
-        twin_of(document)
-        return kind, [], []
-    from tiltcal.files.procedure import procedure_in
-
-    procedure_in(document)
+    module, read = {"bench": ("bench.setup", "known_bench"), "twin": ("files.twin", "twin_of")}.get(
+        kind, ("files.procedure", "procedure_in")
+    )
+    getattr(import_module(f"tiltcal.{module}"), read)(document)
     return kind, [], []
 
 
@@ -138,7 +132,9 @@ def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tup
     for new in made.calibrations.values():
         if isinstance(new, CalibrationRecord) and isinstance(found, CalibrationRecord) and new.sensor == found.sensor:
             # Of the same positions also coefficients that hold a share of others agree within what is stated of it.
-            verdicts = compare_records(found, new).verdict, judge(changes_between(found, new, None))
+            every = compare_records(found, new).changes, changes_between(found, new, None)
+            # No chance is between two fits of the same readings: few residuals widen no threshold.
+            verdicts = [judge([replace(change, dof=inf) for change in changes]) for changes in every]
             if new.provenance.journal == captured and "unchanged" in [verdict.word for verdict in verdicts]:
                 return [], [f"{journal} gives other digits with this version, which agree within their uncertainty"]
     return [f"{journal} does not give this file"], []

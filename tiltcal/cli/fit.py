@@ -44,7 +44,7 @@ def command(
     """
     from tiltcal.calibration.wording import level_summary, mounting_summary, summary
     from tiltcal.files.procedure import find_procedure
-    from tiltcal.library.fit import fit
+    from tiltcal.library.recorded import fit
     from tiltcal.logs.fit import FOUND_ONLY
 
     log = Path(options.of_topic(str(log), topic))

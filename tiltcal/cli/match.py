@@ -58,14 +58,9 @@ Examples:
 @options.as_json
 @options.file_option("-o", "--output", metavar="PAIR.yaml", help="The pair file to write.")
 def command(
-    log: str,
-    pairs: tuple[str, ...],
-    orthogonals: tuple[str, ...],
-    figure: Path | None,
-    as_json: bool,
-    output: Path | None,
-    **settings: Any,
-) -> None:
+    log: str, pairs: tuple[str, ...], orthogonals: tuple[str, ...], figure: Path | None, as_json: bool,
+    output: Path | None, **settings: Any,
+) -> None:  # fmt: skip
     """Match accelerometer pairs on a rotary stage: scale factor p and misalignment q.
 
     LOG is CSV with a header, Parquet, NetCDF-4, or - for CSV on standard input; it is read once, whatever its size. The
@@ -75,7 +70,7 @@ def command(
     With --online, Ctrl-C ends the stream, and the estimates until then are the result.
     """
     from tiltcal.files.atomic import check_writable
-    from tiltcal.library.pair_calibration import PairCalibration
+    from tiltcal.library.calibration import PairCalibration
     from tiltcal.logs.match import match_log, pairs_of
     from tiltcal.report.record_figures import draw_matching
 

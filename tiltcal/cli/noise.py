@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -24,7 +25,7 @@ Examples:
 @click.argument("log", required=False)
 @click.option("--sensor", metavar="MODEL", help="The model of the sensor; for a LOG it gives unit and sensitivity.")
 @click.option("--address", help="Its address, to record it now instead of reading a LOG.")
-@click.option("--samples", type=options.Count(2, "samples"), help="Number of samples to record.")
+@click.option("--samples", type=options.count(2, "samples"), help="Number of samples to record.")
 @options.above_zero("--for", "seconds", metavar="SECONDS", help="Time to record.")
 @options.above_zero(
     "--rate",
@@ -57,15 +58,7 @@ Examples:
 @options.as_json
 def command(
     log: str | None,
-    sensor: str | None,
-    address: str | None,
-    samples: int | None,
-    seconds: float | None,
-    rate: float | None,
-    output: Path | None,
-    columns: str,
     topic: str | None,
-    skip_bad_rows: bool,
     calibration: Path | None,
     unit: str | None,
     averages: str,
@@ -73,6 +66,7 @@ def command(
     target_range: float | None,
     figure: Path | None,
     as_json: bool,
+    **recorded: Any,
 ) -> int:
     """Characterise the noise of a sensor at rest, and recommend the number of samples per position.
 
@@ -88,11 +82,12 @@ def command(
     from tiltcal.report.record_figures import draw_noise
 
     log = log and options.of_topic(log, topic)
-    if address is None:
-        _refuse_for_log(log, samples, seconds, output)
-    else:
-        _refuse_live(log, sensor, columns, skip_bad_rows, address, samples, seconds)
-    sizes = _sizes(averages)
+    _require_log_or_sensor(log, recorded)
+    sensor, address, rate, output = (recorded[name] for name in ("sensor", "address", "rate", "output"))
+    try:
+        sizes = tuple(int(part) for part in averages.split(",") if part.strip())
+    except ValueError:
+        raise UsageError(f"--averages {averages!r}: write whole numbers of samples, such as 5,20") from None
     facts = NoiseFacts.of(sensor, address, calibration, unit)
     wanted = NoiseTarget(target, target_range)
     facts.require_scale(wanted)
@@ -107,7 +102,7 @@ def command(
             from tiltcal.cli.record import record_log
 
             path = output or Path(stack.enter_context(TemporaryDirectory(prefix="tiltcal-"))) / "recorded"
-            tally = record_log(single(str(sensor), "", address), rate, samples, seconds, path)
+            tally = record_log(single(str(sensor), "", address), rate, recorded["samples"], recorded["seconds"], path)
             kept = f" in {output}" if output is not None else ""
             remark(f"{tally.rows} samples{kept}{tally.losses_in_words}")
             interrupted = tally.interrupted
@@ -118,9 +113,9 @@ def command(
             facts,
             wanted,
             rate=rate,
-            columns=columns,
+            columns=recorded["columns"],
             averages=sizes,
-            skip_bad_rows=skip_bad_rows,
+            skip_bad_rows=recorded["skip_bad_rows"],
             name=name,
             progress=progress,
         )
@@ -132,37 +127,23 @@ def command(
     return INTERRUPTED if interrupted else 0
 
 
-def _refuse_for_log(log: str | None, samples: int | None, seconds: float | None, output: Path | None) -> None:
-    if log is None:
-        raise UsageError("noise needs either a LOG, or --sensor MODEL and --address ADDRESS to record one now")
-    for option, value in (("--samples", samples), ("--for", seconds), ("--output", output)):
-        if value is not None:
-            raise UsageError(f"{option} is for recording a sensor with --address, not for a LOG")
-
-
-def _refuse_live(
-    log: str | None,
-    sensor: str | None,
-    columns: str,
-    skip_bad_rows: bool,
-    address: str,
-    samples: int | None,
-    seconds: float | None,
-) -> None:
+def _require_log_or_sensor(log: str | None, recorded: dict[str, Any]) -> None:
+    """Refuse options that are not for a log, or not for a sensor that is recorded now."""
     from tiltcal.drivers.bus.address import parse_address
 
+    address = recorded["address"]
+    if address is None:
+        if log is None:
+            raise UsageError("noise needs either a LOG, or --sensor MODEL and --address ADDRESS to record one now")
+        for option, name in (("--samples", "samples"), ("--for", "seconds"), ("--output", "output")):
+            if recorded[name] is not None:
+                raise UsageError(f"{option} is for recording a sensor with --address, not for a LOG")
+        return
     if log is not None:
         raise UsageError(f"either the log {log} or the sensor at {address}, not both; -o LOG keeps what is recorded")
-    if sensor is None:
+    if recorded["sensor"] is None:
         raise UsageError("--address needs the --sensor model that is connected there")
-    if columns or skip_bad_rows:
+    if recorded["columns"] or recorded["skip_bad_rows"]:
         raise UsageError("--columns and --skip-bad-rows are for a LOG")
-    if samples is None and seconds is None and parse_address(address).simulated:
+    if recorded["samples"] is None and recorded["seconds"] is None and parse_address(address).simulated:
         raise UsageError("a recording on the virtual bench needs --samples or --for")
-
-
-def _sizes(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(part) for part in text.split(",") if part.strip())
-    except ValueError:
-        raise UsageError(f"--averages {text!r}: write whole numbers of samples, such as 5,20") from None

@@ -75,33 +75,21 @@ command = partial(click.command, cls=Command)
 """Make a command of a function."""
 
 
-class NumberFromZero(click.FloatRange):
-    """A number from 0, or above it; the library refuses what is none in the same words."""
+class Number(click.ParamType[Any]):
+    """A number; the library refuses what is none with the same check, in the same words."""
 
-    def __init__(self, *, above: bool = False) -> None:
-        super().__init__(0.0, min_open=above)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        found = _as_number(value)
-        (require_above_zero if self.min_open else require_from_zero)(_option(param), found)
-        return float(found)
-
-
-class Count(click.IntRange):
-    """A number of something, which is whole; the library refuses what is none in the same words."""
-
-    def __init__(self, least: int, what: str) -> None:
-        super().__init__(least)
-        self._least, self._what = least, what
+    def __init__(self, check: Callable[[str, object], None], name: str = "float") -> None:
+        self.name, self._check = name, check
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        found = _as_number(value)
-        require_whole(_option(param), found, self._least, self._what)
-        return found
+        number = _as_number(value)
+        self._check("" if param is None else param.opts[0], number)
+        return number
 
 
-def _option(parameter: click.Parameter | None) -> str:
-    return "" if parameter is None else parameter.opts[0]
+def count(least: int, what: str) -> Number:
+    """Return the type of a whole number of something."""
+    return Number(lambda option, value: require_whole(option, value, least, what), "integer")
 
 
 def _as_number(value: Any) -> Any:
@@ -155,8 +143,8 @@ def declared(declaration: type) -> Callable[[F], F]:
 
 
 file_option = partial(click.option, type=FILE)
-at_least_zero = partial(click.option, type=NumberFromZero())
-above_zero = partial(click.option, type=NumberFromZero(above=True))
+at_least_zero = partial(click.option, type=Number(require_from_zero))
+above_zero = partial(click.option, type=Number(require_above_zero))
 degrees = partial(at_least_zero, metavar="DEGREES")
 """Options that take a path, a number from 0, a number above 0, an angle in degrees."""
 
@@ -171,7 +159,7 @@ alignment = click.option(
     "was not unplugged.",
 )
 tilt = click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
-samples = click.option("--samples", type=Count(2, "samples"), help="Samples per position; overrides the procedure.")
+samples = click.option("--samples", type=count(2, "samples"), help="Samples per position; overrides the procedure.")
 resume = file_option("--resume", metavar="JOURNAL", help="Continue an interrupted session.")
 plain = click.option("--plain", is_flag=True, help="Plain lines: no live reading, no single keys.")
 as_json = click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")

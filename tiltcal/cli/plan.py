@@ -31,7 +31,7 @@ def command(procedure: str, as_json: bool, **design: Any) -> None:
 
     A procedure that cannot determine its coefficients is refused (exit code 2), with the position to add.
     """
-    from tiltcal.bench.plan import plan
+    from tiltcal.library.plan import plan
 
     found = plan(procedure, **design)
     click.echo(options.json_text(found.as_data()) if as_json else str(found))

@@ -29,7 +29,7 @@ SHOWN_EVERY = 0.25
 @click.option("--sensor", metavar="MODEL", help="The model of a single sensor.")
 @click.option("--address", help="Its address.")
 @options.above_zero("--rate", metavar="HZ", help="Rows per second [the rate of the slowest sensor].")
-@click.option("--rows", type=options.Count(1, "rows"), help="Stop after this number of rows.")
+@click.option("--rows", type=options.count(1, "rows"), help="Stop after this number of rows.")
 @options.above_zero("--for", "seconds", metavar="SECONDS", help="Stop after this time.")
 @options.file_option("-o", "--output", required=True, help="The log to write: .csv or .parquet.")
 def command(

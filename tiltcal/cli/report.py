@@ -99,22 +99,12 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
     calibrations = [tilt_record(document) for document in documents]
     for earlier in calibrations[:-1]:
         require_same_sensor(earlier, calibrations[-1])
-    return _tilt_page(calibrations, names, logs, columns, skip_bad_rows)
-
-
-def _tilt_page(
-    calibrations: Sequence[CalibrationRecord],
-    names: Sequence[str],
-    logs: Sequence[str],
-    columns: str,
-    skip_bad_rows: bool,
-) -> str:
     from tiltcal.report.page import tilt_page
 
-    last, source = calibrations[-1], _source(names[-1])
-    earlier = [(calibration, Path(name).name) for calibration, name in zip(calibrations[:-1], names, strict=False)]
-    reported = [_look_over(log, last, Path(names[-1]), columns, skip_bad_rows) for log in logs]
-    return tilt_page(last, source, earlier, reported)
+    last, file = calibrations[-1], Path(names[-1])
+    before = [(calibration, Path(name).name) for calibration, name in zip(calibrations[:-1], names, strict=False)]
+    reported = [_look_over(log, last, file, columns, skip_bad_rows) for log in logs]
+    return tilt_page(last, _source(names[-1]), before, reported)
 
 
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:

@@ -25,7 +25,6 @@ def command(calibration: Path, matrix: bool) -> None:
     """
     from tiltcal.calibration.pair_summary import pair_summary
     from tiltcal.calibration.record import record_in
-    from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty_lines
     from tiltcal.calibration.wording import summary
     from tiltcal.errors import UsageError
     from tiltcal.files.calibration import CalibrationRecord
@@ -37,7 +36,7 @@ def command(calibration: Path, matrix: bool) -> None:
             raise UsageError(f"{calibration} is of pairs, which have no matrix: leave --matrix out")
         click.echo("\n\n".join(map(pair_summary, record.matchings)))
         return
-    lines = [summary(record), *tilt_uncertainty_lines(record), *(_map_lines(record) if matrix else ())]
+    lines = [summary(record), *(_map_lines(record) if matrix else ())]
     click.echo("\n".join(lines))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -40,20 +40,9 @@ if TYPE_CHECKING:
 @options.plain
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session, as with --operator json.")
 def command(
-    calibration: Path,
-    address: str | None,
-    procedure: str,
-    limit: float,
-    jig: float | None,
-    tilt: float | None,
-    operator: str,
-    samples: int | None,
-    settle: float | None,
-    journal: Path | None,
-    resume: Path | None,
-    plain: bool,
-    as_json: bool,
-) -> int:
+    calibration: Path, procedure: str, limit: float, operator: str, resume: Path | None, plain: bool, as_json: bool,
+    **stated: Any,
+) -> int:  # fmt: skip
     """Measure positions that CALIBRATION was not fitted to, and compare tilts.
 
     The verdict follows ISO 14253-1 with the expanded uncertainty of the verification, from --jig and the noise: passed
@@ -70,20 +59,17 @@ def command(
 
     judged = read_calibration(calibration)
     if resume is not None:
-        named = None if options.left_at_default("procedure") else procedure
-        stated = {
-            "--procedure": named, "--address": address, "--jig": jig, "--tilt": tilt, "--samples": samples,
-            "--settle": settle, "--journal": journal,
-        }  # fmt: skip
-        session = resumed(resume, None, stated, remark, verifies=True)
+        named = {"--procedure": None if options.left_at_default("procedure") else procedure}
+        named |= {f"--{name}": value for name, value in stated.items()}
+        session = resumed(resume, None, named, remark, verifies=True)
         operator = session.setup.operator if options.left_at_default("operator") else operator
-    elif address is None:
+    elif stated["address"] is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
     else:
-        path = journal or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), remark)
-        bench = single(judged.sensor.model, judged.sensor.serial, address, jig)
-        steps = _positions(procedure, tilt)
-        setup = Setup.begin(steps, bench, [None], path, operator=operator, samples=samples, settle=settle)
+        path = stated["journal"] or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), remark)
+        bench = single(judged.sensor.model, judged.sensor.serial, stated["address"], stated["jig"])
+        steps, settings = _positions(procedure, stated["tilt"]), {name: stated[name] for name in ("samples", "settle")}
+        setup = Setup.begin(steps, bench, [None], path, operator=operator, **settings)
         session = Session(setup, SessionFiles(setup, path))
     _require_sensor(session, judged.sensor, calibration)
     again = f"verify {quote(str(calibration))}"

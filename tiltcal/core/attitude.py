@@ -55,14 +55,10 @@ _STEP = 1e-6  # turn by which the angles' derivatives are taken, radians
 
 
 def gravity_from_tilt(tilt: Mapping[str, float]) -> Vector:
-    """Return up in the sensor frame where axes are tilted: (g_x, g_y, g_z) with g_z = +sqrt(1 - g_x² - g_y²).
+    """Return up in the sensor frame where x and y are tilted, degrees: (g_x, g_y, g_z) with a g_z that is not negative.
 
-    Parameters
-    ----------
-    tilt : mapping of str to float
-        Tilt of axes x and y in degrees; an axis that is left out is level. Tilt of axis i is asin(g_i).
-
-    InputError: an axis other than x and y, an angle outside ±90°, or two tilts that no direction has.
+    Tilt of axis i is asin(g_i); an axis that is left out is level. An InputError for other axes, an angle outside ±90°,
+    or two tilts that no direction has.
     """
     strange = sorted(set(tilt) - {"x", "y"})
     if strange:
@@ -109,13 +105,7 @@ def _sine(angle: float) -> float:
 
 @dataclass(frozen=True)
 class Orientation:
-    """A turn by right angles from the fixture's frame to a sensor's.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The fixture axis that each sensor axis points along, such as ``("-y", "x", "z")``.
-    """
+    """A turn by right angles from the fixture's frame to a sensor's, whose axes point along ``("-y", "x", "z")``."""
 
     names: tuple[str, ...] = AXES
 
@@ -141,15 +131,10 @@ STRAIGHT = Orientation()
 
 
 def orientation(names: Sequence[str]) -> Orientation:
-    """Return the orientation that two or three signed axis names state.
+    """Return the orientation of a sensor whose x, y and, where it is given, z axis point along ``x``, ``-x``, ...
 
-    Parameters
-    ----------
-    names : sequence of str
-        ``x``, ``-x``, ``y``, ... for the sensor's x, y and, where it is given, z axis. A third one that is left out
-        completes a right-handed frame.
-
-    InputError: not two or three different axes, or a left-handed frame.
+    A third one that is left out completes a right-handed frame. An InputError for other than two or three different
+    axes, and for a left-handed frame.
     """
     plain = [name.lstrip("+-") for name in names]
     if len(names) not in (2, 3) or any(axis not in _UNIT for axis in plain) or len(set(plain)) < len(plain):

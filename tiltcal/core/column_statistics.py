@@ -22,18 +22,9 @@ _REACH = 180.0
 
 
 class ColumnStatistics:
-    """Named angles and flags of a log, summed up row after row.
+    """Named angles and flags of a log, summed up row after row, and how many rows have each flag and bit of the reason.
 
     The rows are parted into stretches of one length; when there are twice as many as are needed, neighbours are joined.
-
-    Attributes
-    ----------
-    rows : int
-        So far.
-    flags : Counter
-        Rows by flag.
-    reasons : Counter
-        Rows by bit of the reason; a row may have several.
     """
 
     def __init__(self, angles: Sequence[str]) -> None:
@@ -50,16 +41,7 @@ class ColumnStatistics:
         self._sums = np.zeros(len(self.angles))
 
     def add(self, time: Array, angles: Array, flag: NDArray[Any], reason: NDArray[Any]) -> None:
-        """Take some rows.
-
-        Parameters
-        ----------
-        time : ndarray, shape (n,)
-            Seconds, or what the log counts instead.
-        angles : ndarray, shape (n, angles)
-            Degrees; NaN where there is none. Fastest where each column is contiguous.
-        flag, reason : ndarray of whole numbers, shape (n,)
-        """
+        """Take some rows: time, s, shape (n,); angles, degrees, shape (n, angles), NaN where there is none; flags."""
         count_flags(self.flags, self.reasons, flag, reason)
         self._distribute(angles)
         if not len(flag):

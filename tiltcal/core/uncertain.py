@@ -131,10 +131,9 @@ class Uncertain:
     def through_function(self, names: Sequence[str], function: Callable[[Array], Array]) -> Uncertain:
         """Return quantities by a function of these, from shape (k,) to (m,), that may have corners.
 
-        The function is evaluated one standard deviation to either side along each column of the covariance's Cholesky
-        factor, as the unscented transform does. That is :meth:`through` where the function is linear, and stays finite
-        where it has a corner, such as the angle between two directions that are nearly parallel. Principal axes turn
-        with the last digit of a covariance where two of them are equally long, and such a result with them.
+        The function is evaluated one standard deviation to either side along each column of the Cholesky factor, as the
+        unscented transform does: it stays finite where the function has a corner, such as the angle between two
+        directions that are nearly parallel, and does not turn with the last digit as principal axes do.
 
         Source: S. Julier and J. Uhlmann, *Unscented filtering and nonlinear estimation*, Proc. IEEE 92 (2004) 401.
         """

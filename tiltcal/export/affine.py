@@ -17,15 +17,7 @@ from tiltcal.core.model import Array, Coefficients, polynomial
 
 @dataclass(frozen=True)
 class Affine:
-    """The map g = A (u - b).
-
-    Attributes
-    ----------
-    matrix : ndarray, shape (axes, channels)
-        A, g/unit.
-    offset : ndarray, shape (channels,)
-        b, unit.
-    """
+    """The map g = A (u - b): A in g/unit, shape (axes, channels), and b in the unit, shape (channels,)."""
 
     matrix: Array
     offset: Array

@@ -29,18 +29,10 @@ class Integers:
 
     Readings are in the unit of the calibration times ``per_unit``, temperatures in 0.01 °C, gravity in µg.
 
-    Attributes
-    ----------
-    signal_bits, matrix_bits : int
-        Behind the binary point of a reading without its offset, and of an element of A.
-    matrix : ndarray of int, shape (axes, channels)
-        A, µg a reading.
-    offset : ndarray of int, shape (channels, 1 + order)
-        b, and its drift by the powers of the temperature difference over 327.68 °C.
-    gain : ndarray of int, shape (channels, order)
-        By the same powers.
-    reference : int
-        0.01 °C.
+    signal_bits, matrix_bits: behind the binary point of a reading without its offset, and of an element of A.
+    matrix: A, µg a reading, shape (axes, channels). reference: 0.01 °C.
+    offset: b and its drift by the powers of the temperature difference over 327.68 °C, shape (channels, 1 + order).
+    gain: by the same powers, shape (channels, order).
     """
 
     per_unit: int

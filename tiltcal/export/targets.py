@@ -28,10 +28,7 @@ STANDARD_GRAVITY = 9.80665
 
 @dataclass(frozen=True)
 class Source:
-    """A calibration that is exported.
-
-    ``limits`` are those of the library, with the rails of the model; ``name`` is that of the functions in C.
-    """
+    """A calibration that is exported, its limits with the rails of the model, and the name of the functions in C."""
 
     record: CalibrationRecord
     limits: Limits
@@ -86,16 +83,9 @@ class Source:
 class Export:
     """A calibration as a program reads it.
 
-    Attributes
-    ----------
-    text : callable
-        Returns what is written, with the bound.
-    formula : callable
-        Gravity as the program computes it.
-    rounding : ndarray, shape (axes,)
-        How far each component may be off beside the formula, g.
-    step : float
-        That of readings which the program takes in whole numbers, unit; 0 where it takes any.
+    text: returns what is written, with the bound. formula: gravity as the program computes it.
+    rounding: how far each component may be off beside the formula, g, shape (axes,).
+    step: that of readings which the program takes in whole numbers, unit; 0 where it takes any.
     """
 
     text: Callable[[float], str]

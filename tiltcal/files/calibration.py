@@ -48,6 +48,9 @@ class SensorIdentity(Record):
         Meta(extra_json_schema={"minItems": 1, "maxItems": 3, "uniqueItems": True}),
         about("its readings, one to three of x, y, z"),
     ]
+    columns: Annotated[
+        ByAxis[Text], about("the columns of the log that it was fitted from, which `apply` takes where they are there")
+    ] = {}
 
 
 class LimitsSection(Record, kw_only=True):

@@ -25,7 +25,7 @@ import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 from zlib import crc32
@@ -53,8 +53,10 @@ LINE_LIMIT = 4_000_000
 
 _BUS = re.compile("[a-z]")
 _BYTES = re.compile("(?:[0-9a-f]{2})*")
-_ARRAY_CHECK = len(',"00000000"]')
-_OBJECT_CHECK = len(',"check":"00000000"}')
+_ARRAY_CHECK = len(',"00000000"]\n')
+_OBJECT_CHECK = len(',"check":"00000000"}\n')
+_CHANGED = "the line is damaged: its check does not fit its content"
+_TOO_LONG = "the line is longer than any of a journal"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +88,23 @@ class Events(Collection[Event]):
             for number in range(2, self.count + 2):
                 line = stream.readline(LINE_LIMIT)
                 if not line.endswith(b"\n"):
-                    why = "the journal was made shorter while it was read"
-                    raise JournalError(why, file=self.path, line=number)
-                yield _event_of(_loads(_body(line[:-1]), self.path, number), number)
+                    raise _damage("the journal was made shorter while it was read", self.path, number)
+                yield _event_of(line, self.path, number)
+
+
+@dataclass
+class Written:
+    """What stands in a journal before its end record: CRC-32 and SHA-256, bytes of whole lines, events."""
+
+    crc: int
+    digest: hashlib._Hash
+    size: int
+    events: int = 0
+
+    def add(self, line: bytes, crc: int) -> None:
+        """Count a line of an event."""
+        self.crc, self.size, self.events = crc, self.size + len(line), self.events + 1
+        self.digest.update(line)
 
 
 @dataclass(frozen=True)
@@ -96,8 +112,7 @@ class Journal:
     """A journal that was read and found sound, without a torn last line.
 
     ``accepted`` are the accepted positions among the events; ``end`` is the end record, None where the session was
-    interrupted; ``size`` counts the bytes of whole lines; ``crc`` and ``digest`` (SHA-256) are those of everything
-    before the end record.
+    interrupted.
     """
 
     path: Path
@@ -106,15 +121,13 @@ class Journal:
     events: Events
     accepted: tuple[Event, ...]
     end: dict[str, Any] | None
-    size: int
     torn: bool
-    crc: int
-    digest: hashlib._Hash
+    written: Written
 
     @property
     def sha256(self) -> str:
         """SHA-256 of everything before the end record, or of all whole lines where there is none."""
-        return self.digest.hexdigest()
+        return self.written.digest.hexdigest()
 
 
 def read_journal(path: str | Path) -> Journal:
@@ -134,38 +147,35 @@ def _read(stream: BinaryIO, path: Path) -> Journal:
     line = stream.readline(HEADER_LIMIT)
     if not line.endswith(b"\n"):
         if len(line) == HEADER_LIMIT:
-            raise _too_long(path, 1)
+            raise _damage(_TOO_LONG, path, 1)
         raise JournalError("holds no complete header: nothing was captured; start the session anew", file=path)
-    header, crc = _header(line[:-1], path)
-    version = header.pop("tiltcal-journal")
+    header, written = _header(line, path)
     accepted: list[Event] = []
-    digest, size, number, torn = hashlib.sha256(line), len(line), 1, False
     end: dict[str, Any] | None = None
+    number, torn = 1, False
     while line := stream.readline(LINE_LIMIT):
         number += 1
         if not line.endswith(b"\n"):
             if len(line) == LINE_LIMIT:
-                raise _too_long(path, number)
+                raise _damage(_TOO_LONG, path, number)
             torn = True
             break
         if end is not None:
-            raise JournalError("something follows the end record; nothing may", file=path, line=number)
-        event, crc = _event(line[:-1], crc, path, number)
-        size += len(line)
+            raise _damage("something follows the end record; nothing may", path, number)
+        crc = crc32(_body(line), written.crc)
+        if line[-_ARRAY_CHECK:] != f',"{crc:08x}"]\n'.encode():
+            raise _damage(_CHANGED, path, number)
+        event = _event_of(line, path, number)
         if event.kind == END:
             end = event.payload[0]
-            if end != {"events": number - 2, "sha256": digest.hexdigest()}:
-                raise JournalError("the end record does not fit the lines before it", file=path, line=number)
-        else:
-            digest.update(line)
-            if event.kind == POSITION:
-                accepted.append(event)
-    events = Events(path, number - 1 - torn - (end is not None))
-    return Journal(path, version, header, events, tuple(accepted), end, size, torn, crc, digest)
-
-
-def _too_long(path: Path, number: int) -> JournalError:
-    return JournalError("the line is longer than any of a journal", file=path, line=number)
+            if end != {"events": written.events, "sha256": written.digest.hexdigest()}:
+                raise _damage("the end record does not fit the lines before it", path, number)
+            continue
+        written.add(line, crc)
+        if event.kind == POSITION:
+            accepted.append(event)
+    version = header.pop("tiltcal-journal")
+    return Journal(path, version, header, Events(path, written.events), tuple(accepted), end, torn, written)
 
 
 class JournalWriter:
@@ -174,13 +184,10 @@ class JournalWriter:
     Use :meth:`create` or :meth:`resume`.
     """
 
-    def __init__(self, path: Path, descriptor: int, crc: int, events: int, digest: hashlib._Hash, size: int) -> None:
+    def __init__(self, path: Path, descriptor: int, written: Written) -> None:
         self.path = path
         self._descriptor = descriptor
-        self._size = size
-        self._crc = crc
-        self._events = events
-        self._digest = digest
+        self._written = written
 
     @classmethod
     def create(cls, path: str | Path, header: Mapping[str, Any]) -> JournalWriter:
@@ -209,7 +216,7 @@ class JournalWriter:
             raise UsageError(f"{path} exists: resume it with --resume {path}, or name another --journal") from None
         except OSError as error:
             raise UsageError(f"{path}: the journal cannot be made: {error.strerror}") from None
-        return cls(path, descriptor, crc, 0, hashlib.sha256(line), len(line))
+        return cls(path, descriptor, Written(crc, hashlib.sha256(line), len(line)))
 
     @classmethod
     def resume(cls, journal: Journal) -> JournalWriter:
@@ -224,19 +231,20 @@ class JournalWriter:
             raise JournalError(f"cannot be continued: {error.strerror}", file=journal.path) from None
         try:
             _lock(descriptor, journal.path)
-            if b"\n" in os.pread(descriptor, LINE_LIMIT, journal.size):
+            if b"\n" in os.pread(descriptor, LINE_LIMIT, journal.written.size):
                 why = "another process has written to it since it was read: resume it again"
                 raise JournalError(why, file=journal.path)
-            os.ftruncate(descriptor, journal.size)
+            os.ftruncate(descriptor, journal.written.size)
         except BaseException:
             os.close(descriptor)
             raise
-        return cls(journal.path, descriptor, journal.crc, len(journal.events), journal.digest.copy(), journal.size)
+        before = journal.written
+        return cls(journal.path, descriptor, replace(before, digest=before.digest.copy()))
 
     @property
     def line(self) -> int:
         """The line of the last event, or of the header."""
-        return self._events + 1
+        return self._written.events + 1
 
     def append(self, dt_ns: int, kind: str, *payload: Any) -> None:
         """Write one event, whole or not at all.
@@ -244,16 +252,13 @@ class JournalWriter:
         JournalError: the disk is full or fails; the journal ends with the event before.
         """
         body = _dumps([dt_ns, kind, *payload]).encode()
-        crc = crc32(body, self._crc)
+        crc = crc32(body, self._written.crc)
         line = body[:-1] + f',"{crc:08x}"]\n'.encode()
         try:
-            append_whole(self._descriptor, line, self._size)
+            append_whole(self._descriptor, line, self._written.size)
         except OSError as error:
             raise self._failed(error) from error
-        self._size += len(line)
-        self._crc = crc
-        self._digest.update(line)
-        self._events += 1
+        self._written.add(line, crc)
 
     def secure(self) -> None:
         """Wait until all that was written is on the disk; a JournalError where the disk is full or fails."""
@@ -264,8 +269,8 @@ class JournalWriter:
 
     def finish(self, dt_ns: int) -> str:
         """Write the end record and return the SHA-256 of everything before it."""
-        sha256 = self._digest.hexdigest()
-        self.append(dt_ns, END, {"events": self._events, "sha256": sha256})
+        sha256 = self._written.digest.hexdigest()
+        self.append(dt_ns, END, {"events": self._written.events, "sha256": sha256})
         self.secure()
         return sha256
 
@@ -301,29 +306,18 @@ def _give_name(part: Path, path: Path) -> None:
         os.rename(part, path)
 
 
-def _header(line: bytes, path: Path) -> tuple[dict[str, Any], int]:
-    body = line[:-_OBJECT_CHECK] + b"}"
+def _header(line: bytes, path: Path) -> tuple[dict[str, Any], Written]:
     if not line.startswith(b'{"tiltcal-journal":'):
-        raise JournalError("is no tiltcal journal", file=path, line=1)
+        raise _damage("is no tiltcal journal", path, 1)
+    body = line[:-_OBJECT_CHECK] + b"}"
     crc = crc32(body)
-    if line[-_OBJECT_CHECK:] != f',"check":"{crc:08x}"}}'.encode():
-        raise JournalError("the line is damaged: its check does not fit its content", file=path, line=1)
+    if line[-_OBJECT_CHECK:] != f',"check":"{crc:08x}"}}\n'.encode():
+        raise _damage(_CHANGED, path, 1)
     header: dict[str, Any] = _loads(body, path, 1)
     version = header["tiltcal-journal"]
     if version not in VERSIONS:
-        raise JournalError(f"is of journal version {version}; this tiltcal reads version {VERSION}", file=path, line=1)
-    return header, crc
-
-
-def _event(line: bytes, crc: int, path: Path, number: int) -> tuple[Event, int]:
-    body = _body(line)
-    crc = crc32(body, crc)
-    if line[-_ARRAY_CHECK:] != f',"{crc:08x}"]'.encode():
-        raise JournalError("the line is damaged: its check does not fit its content", file=path, line=number)
-    found = _loads(body, path, number)
-    if not _is_event(found):
-        raise JournalError("the line is no event of a journal, though its check fits", file=path, line=number)
-    return _event_of(found, number), crc
+        raise _damage(f"is of journal version {version}; this tiltcal reads version {VERSION}", path, 1)
+    return header, Written(crc, hashlib.sha256(line), len(line))
 
 
 def _body(line: bytes) -> bytes:
@@ -331,7 +325,10 @@ def _body(line: bytes) -> bytes:
     return line[:-_ARRAY_CHECK] + b"]"
 
 
-def _event_of(found: list[Any], number: int) -> Event:
+def _event_of(line: bytes, path: Path, number: int) -> Event:
+    found = _loads(_body(line), path, number)
+    if not _is_event(found):
+        raise _damage("the line is no event of a journal, though its check fits", path, number)
     return Event(number, found[0], found[1], tuple(found[2:]))
 
 
@@ -340,9 +337,13 @@ def _loads(body: bytes, path: Path, number: int) -> Any:
     try:
         return msgspec.json.decode(body)
     except RecursionError:
-        raise JournalError("the line is nested too deeply", file=path, line=number) from None
+        raise _damage("the line is nested too deeply", path, number) from None
     except (ValueError, msgspec.MsgspecError) as error:
-        raise JournalError(f"the line is not JSON: {error}", file=path, line=number) from None
+        raise _damage(f"the line is not JSON: {error}", path, number) from None
+
+
+def _damage(why: str, path: Path, number: int) -> JournalError:
+    return JournalError(why, file=path, line=number)
 
 
 class RecordedAnswer(Record, kw_only=True):

@@ -219,10 +219,7 @@ class Procedure:
         return replace(self, rotation=self.rotation.with_turns(turns))
 
     def with_alignment(self, alignment: float | None) -> Procedure:
-        """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it.
-
-        A UsageError where it renews no offset, or the angle cannot be.
-        """
+        """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it."""
         if alignment is None:
             return self
         if not self.determines.level:
@@ -234,14 +231,11 @@ class Procedure:
     @property
     def closes(self) -> bool:
         """Whether the last position is the first one again."""
-        return len(self.positions) > 1 and _setting(self.positions[0]) == _setting(self.positions[-1])
+        settings = [(one.gravity, one.heading, one.temperature, one.stage) for one in self.positions]
+        return len(settings) > 1 and settings[0] == settings[-1]
 
     def with_closing(self, closing: bool) -> Procedure:
-        """Return this procedure with its first position once more at the end, which shows what has changed meanwhile.
-
-        One that ends where it began stays as it is, and so does every one without ``closing``. A UsageError where there
-        are no positions, or they are free.
-        """
+        """Return this procedure with its first position once more at the end, unless it ends where it began."""
         if not closing:
             return self
         self.require_positions()
@@ -291,10 +285,7 @@ class ProcedureFile(Record, kw_only=True):
 
 
 def _procedure_of(file: ProcedureFile, document: Document, given: float | None) -> Procedure:
-    """Return the procedure of a file, with an angle that the user gives in place of the file's, degrees.
-
-    An InputError where one key contradicts another.
-    """
+    """Return the procedure of a file, with an angle that the user gives in place of the file's, degrees."""
     _check_determines(file.determines, document.at("determines"))
     angle = _chosen_angle(file.name, file.angle, given)
     places = [document.at("positions", number) for number in range(len(file.positions))]
@@ -365,16 +356,8 @@ def _filled_in(prompt: str, place: Document, values: Mapping[str, float | None])
     return _PLACEHOLDER.sub(value_of, prompt)
 
 
-def _setting(position: Position) -> tuple[object, ...]:
-    """Return all that a position sets."""
-    return position.gravity, position.heading, position.temperature, position.stage
-
-
 def _chosen_angle(name: str, free: float | None, angle: float | None) -> float | None:
-    """Return the angle that a procedure leaves free, or the one that the user gives in its place, degrees.
-
-    A UsageError where it leaves none free, or the angle is beyond 90°.
-    """
+    """Return the angle that a procedure leaves free, or the one that the user gives in its place, degrees."""
     if angle is None:
         return free
     if free is None:
@@ -393,17 +376,12 @@ def shipped_procedures() -> dict[str, Path]:
 def find_procedure(name_or_path: str | Path, angle: float | None = None) -> Procedure:
     """Return a shipped procedure by its name, which comes first, or a user's by its path, such as ``./plane``.
 
-    ``angle`` takes the place of the angle that the procedure leaves free, degrees.
-
-    UsageError: no such procedure, or an angle that it cannot take.
-    InputError: the file is wrong; the message names file, line and key.
+    ``angle`` takes the place of the angle that the procedure leaves free, degrees; a UsageError where it takes none.
     """
     require_path("PROCEDURE", name_or_path)
     shipped = shipped_procedures()
-    if name_or_path in shipped:
-        return read_procedure(shipped[name_or_path], angle)
-    if os.path.exists(name_or_path):
-        return read_procedure(name_or_path, angle)
+    if name_or_path in shipped or os.path.exists(name_or_path):
+        return read_procedure(shipped.get(str(name_or_path), Path(name_or_path)), angle)
     near = get_close_matches(str(name_or_path), shipped, n=3, cutoff=0.4)
     hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"there are {', '.join(shipped)}"
     raise UsageError(f"unknown procedure {str(name_or_path)!r}, and no such file; {hint}")
@@ -417,10 +395,7 @@ def read_procedure(path: str | Path, angle: float | None = None) -> Procedure:
 def procedure_from_record(
     record: Mapping[str, Any], angle: float | None = None, *, file: str | None = None, line: int | None = None
 ) -> Procedure:
-    """Return the procedure of a journal's header, from its :attr:`Procedure.record` and the angle that was given.
-
-    Errors name ``file`` and ``line``, where the record stands.
-    """
+    """Return the procedure of a :attr:`Procedure.record`, which stands in a line of a file, and the angle given."""
     return procedure_in(document_of(record, file, line), angle)
 
 

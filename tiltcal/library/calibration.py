@@ -6,27 +6,83 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Unpack, overload
+from typing import Any, TypeVar, Unpack, overload
 
 from tiltcal.calibration.comparison import Comparison, compare_records
+from tiltcal.calibration.pair_summary import pair_summary
 from tiltcal.calibration.record import compensation_of, limits_of, record_in, stated_mounting, with_mounting
 from tiltcal.calibration.wording import summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
+from tiltcal.core.pair.compensation import PairCompensation
+from tiltcal.core.pair.matching import Matching
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
 from tiltcal.files.document import read_document
-from tiltcal.files.pair import PairRecord
-from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.pair import PairRecord, dump_pair
+from tiltcal.files.results import (
+    DerivedRecord,
+    FitRecord,
+    PairProvenance,
+    PositionRecord,
+    ProcedureRecord,
+    Provenance,
+)
 from tiltcal.files.uncertainty import Uncertainty
-from tiltcal.library.pair_calibration import Frame, PairCalibration
 from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete, takes
+from tiltcal.printable import in_html
+
+Frame = TypeVar("Frame")
+"""A frame of any kind: the same kind comes back; without their stubs those of pandas and pyarrow are Any."""
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class SavedCalibration:
+    """What calibrations of both kinds have: the content of a file."""
+
+    record: Any
+
+    @property
+    def _text(self) -> str:
+        """The text of its file."""
+        return dump_pair(self.record) if isinstance(self.record, PairRecord) else dump_calibration(self.record)
+
+    def save(self, path: str | Path) -> None:
+        """Write the calibration file, whole or not at all.
+
+        Raises
+        ------
+        UsageError
+            The file cannot be written there.
+        """
+        write_whole(path, self._text)
+
+    def report(self, path: str | Path) -> None:
+        """Write the HTML page that is filed with the sensor; it needs no other file, and prints on A4.
+
+        Raises
+        ------
+        UsageError
+            The extra ``report`` is not installed, or the page cannot be written there.
+        """
+        from tiltcal.report.page import write_page
+
+        write_page(path, self.record)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both give the same file."""
+        return isinstance(other, type(self)) and self._text == other._text
+
+    def __hash__(self) -> int:
+        return hash(self._text)
+
+    _repr_html_ = in_html
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration(SavedCalibration):
     """The calibration of one tilt sensor.
 
     Attributes
@@ -162,6 +218,24 @@ class Calibration:
 
         return apply_frame(self.record, frame, complete(ApplyOptions, options))
 
+    def plot(self) -> Any:
+        """Draw the error of the tilt over its range before and after the calibration, degrees, for a notebook.
+
+        Raises
+        ------
+        UsageError
+            The extra ``report`` is not installed, or the file states no uncertainty.
+        """
+        from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty
+        from tiltcal.report.calibration_figures import tilt_figure
+        from tiltcal.report.figure import require_extra
+
+        require_extra()
+        figure = tilt_figure(self.record, tilt_uncertainty(self.record))
+        if figure is None:
+            raise UsageError(f"the calibration of {self.sensor.serial} states no uncertainty: there is nothing to plot")
+        return figure
+
     def with_mounting(self, angles: Mapping[str, float] | str) -> Calibration:
         """Return this calibration for a sensor that sits in a known way; a mounting that it has is replaced.
 
@@ -178,41 +252,90 @@ class Calibration:
         """
         return Calibration(with_mounting(self.record, stated_mounting(angles)))
 
-    def save(self, path: str | Path) -> None:
-        """Write the calibration file, whole or not at all.
-
-        Raises
-        ------
-        UsageError
-            The file cannot be written there.
-        """
-        write_whole(path, dump_calibration(self.record))
-
-    def report(self, path: str | Path) -> None:
-        """Write the HTML page that is filed with the sensor; it needs no other file, and prints on A4.
-
-        Raises
-        ------
-        UsageError
-            The extra ``report`` is not installed, or the page cannot be written there.
-        """
-        from tiltcal.report.page import write_page
-
-        write_page(path, self.record)
-
-    def __eq__(self, other: object) -> bool:
-        """Whether both give the same file."""
-        return isinstance(other, Calibration) and dump_calibration(self.record) == dump_calibration(other.record)
-
-    def __hash__(self) -> int:
-        return hash(dump_calibration(self.record))
-
     def __repr__(self) -> str:
         sensor = self.sensor
         return f"<Calibration of {sensor.model} {sensor.serial}: {', '.join(sensor.channels)} in {sensor.unit}>"
 
     def __str__(self) -> str:
         return summary(self.record)
+
+
+@dataclass(frozen=True, eq=False)
+class PairCalibration(SavedCalibration):
+    """The matching of one or two accelerometer pairs on a rotary stage.
+
+    Attributes
+    ----------
+    record : PairRecord
+        The content of its file.
+    """
+
+    record: PairRecord
+
+    @property
+    def matchings(self) -> tuple[Matching, ...]:
+        """The pairs: ``p`` and ``q`` with their uncertainties, components before and after, and the suppression."""
+        return self.record.matchings
+
+    @property
+    def phase(self) -> str | None:
+        """The column of the stage angle; None where the spin was estimated."""
+        return self.record.spin.phase
+
+    @property
+    def frequency(self) -> float | None:
+        """Spin frequency, Hz; None where the data have no time."""
+        return self.record.spin.frequency
+
+    @property
+    def provenance(self) -> PairProvenance:
+        """Who made the matching, when, and from which data."""
+        return self.record.provenance
+
+    def compensation(self) -> PairCompensation:
+        """Return the matched sums and the gradient signal of readings in arrays."""
+        return PairCompensation(self.matchings, self.phase)
+
+    @overload
+    def apply(self, frame: Mapping[str, Any], *, columns: Mapping[str, str] | str = "") -> dict[str, Any]: ...
+
+    @overload
+    def apply(self, frame: Frame, *, columns: Mapping[str, str] | str = "") -> Frame: ...
+
+    def apply(self, frame: Any, *, columns: Mapping[str, str] | str = "", **options: Any) -> Any:
+        """Add the matched sum of each pair to a frame and, with both pairs, the gradient signal.
+
+        Parameters
+        ----------
+        frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
+            A column for each accelerometer by its name in the pairs, and for the stage angle in degrees.
+        columns : mapping of str to str, or str
+            The column of each of them, such as ``{"a1": "Q1"}``; without it, the column of its name.
+        **options
+            Those of :meth:`tiltcal.Calibration.apply`, all of which are for tilt: one that is given is refused.
+
+        Returns
+        -------
+        frame
+            The same kind, with the new columns, ``flag`` and ``reason`` behind its own.
+
+        Raises
+        ------
+        UsageError
+            The frame is of no known kind, or has a column of a name that the result needs; or an option is for tilt.
+        InputError
+            A column is not there or holds no numbers.
+        """
+        from tiltcal.logs.apply import apply_frame
+
+        return apply_frame(self.record, frame, complete(ApplyOptions, {"columns": columns, **options}))
+
+    def __repr__(self) -> str:
+        pairs = ", ".join(f"{matching.pair.first} and {matching.pair.second}" for matching in self.matchings)
+        return f"<PairCalibration of {pairs}>"
+
+    def __str__(self) -> str:
+        return "\n\n".join(pair_summary(matching) for matching in self.matchings)
 
 
 def read(path: str | Path) -> Calibration | Any:

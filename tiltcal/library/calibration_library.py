@@ -9,8 +9,7 @@ from typing import Any, Unpack, overload
 
 from tiltcal.calibration.season import CalibrationFolder, SensorHistory
 from tiltcal.files.calibration_folder import FolderIndex
-from tiltcal.library.calibration import Calibration
-from tiltcal.library.pair_calibration import Frame
+from tiltcal.library.calibration import Calibration, Frame
 from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete, takes
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from math import hypot
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from tiltcal.bench.journal import SessionResult
@@ -13,7 +14,7 @@ from tiltcal.bench.measure import led_by, run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
 from tiltcal.calibration.checks import require_no_jig, unchecked
-from tiltcal.calibration.level import NO_LEVEL
+from tiltcal.calibration.complete import NO_LEVEL
 from tiltcal.calibration.prediction import predict
 from tiltcal.calibration.wording import NOT_FOLLOWED, level_summary, summary, verdict
 from tiltcal.core.rounding import plus_minus
@@ -25,8 +26,7 @@ from tiltcal.files.calibration import CalibrationRecord, bases_of, read_calibrat
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Procedure, find_procedure
-from tiltcal.library.calibration import Calibration
-from tiltcal.library.pair_calibration import PairCalibration
+from tiltcal.library.calibration import Calibration, PairCalibration
 from tiltcal.stated_arguments import (
     of_python,
     require_above_zero,
@@ -167,7 +167,7 @@ def measure(
         opened.tell({"event": "done", "calibrations": files, "journal": str(session.files.journal)})
         if outcome.lost:
             raise HardwareError("no calibration file for " + "; ".join(outcome.lost.values()))
-    return _results(session.setup, outcome, remark, None if operator == "json" else result)
+    return _results(session, outcome, remark, None if operator == "json" else result)
 
 
 def resumed(
@@ -180,17 +180,11 @@ def resumed(
 ) -> Session:
     """Return the session of a journal; options that are stated again are a remark, for it goes on as it began.
 
-    Parameters
-    ----------
-    output : Path or None
-        Where the calibrations go, in place of what the journal says.
-    stated : mapping of str to object
-        Values by option; None and False of those that are not stated.
-    verifies : bool
-        Whether the journal is to be that of a verification.
+    ``stated`` are values by option, None and False of those that are not stated. ``output`` takes the place of where
+    the journal says that calibrations go.
 
     JournalError: it cannot be read or used.
-    UsageError: it is of the other kind.
+    UsageError: it is not of a verification, or is of one, as ``verifies`` asks.
     """
     journal = read_journal(path)
     setup = Setup.of(journal)
@@ -222,13 +216,22 @@ def _begun(
         identity = read_calibration(base).sensor
         sensor, serial = sensor or identity.model, serial or identity.serial
     one = {"--sensor": sensor, "--address": address, "--serial": serial}
-    _require_named(stated["PROCEDURE"], one, named, output, missing)
+    wanted = {"PROCEDURE": stated["PROCEDURE"], **({} if named is not None else {**one, "-o": output})}
+    absent = [name for name, value in wanted.items() if value is None]
+    if missing is not None and absent:
+        raise JournalError("no such journal", file=str(missing))
+    if absent:
+        raise UsageError(f"measure needs {', '.join(absent)} (or --resume JOURNAL); see tiltcal measure --help")
+    if named is not None and any(one.values()):
+        raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
     steps = find_procedure(str(stated["PROCEDURE"]), stated["--tilt"])
     steps = steps.with_turns(stated["--turns"]).with_alignment(stated["--alignment"]).with_closing(stated["--closing"])
+    _require_settings(steps, stated)
     if named is None:
         require_name(str(serial), "the serial number")
-    _require_settings(steps, stated)
-    bench = single(str(sensor), str(serial), str(address)) if named is None else _bench(named)
+        bench = single(str(sensor), str(serial), str(address))
+    else:
+        bench = named if isinstance(named, BenchFile) else known_bench(read_document(named))
     stated_of = {"jig": "--jig", "table": "--table-lean", "heading": "--heading-uncertainty"}
     bench = bench.replaced(**{key: stated[name] for key, name in stated_of.items() if stated[name] is not None})
     bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
@@ -248,29 +251,12 @@ def _begun(
         typical=bool(stated["--typical-temperature"]),
     )
     _predict(setup, remark)
-    if steps.rotation is None:
-        _make_folder(beside.parent)
+    try:
+        beside.parent.mkdir(exist_ok=True)
+    except OSError as error:
+        why = f"{beside.parent} cannot be made: {error.strerror}"
+        raise UsageError(f"with --bench, -o names the folder for the calibration files; {why}") from None
     return Session(setup, SessionFiles(setup, path))
-
-
-def _require_named(
-    procedure: object, one: Mapping[str, object], bench: object, output: Path | None, missing_journal: Path | None
-) -> None:
-    """Refuse a session whose procedure or sensor is not named; ``one`` names a single sensor, by option."""
-    wanted = {"PROCEDURE": procedure}
-    if bench is None:
-        wanted |= {**one, "-o": output}
-    missing = [name for name, value in wanted.items() if value is None]
-    if missing_journal is not None and missing:
-        raise JournalError("no such journal", file=str(missing_journal))
-    if missing:
-        raise UsageError(f"measure needs {', '.join(missing)} (or --resume JOURNAL); see tiltcal measure --help")
-    if bench is not None and any(one.values()):
-        raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
-
-
-def _bench(bench: str | Path | BenchFile) -> BenchFile:
-    return bench if isinstance(bench, BenchFile) else known_bench(read_document(bench))
 
 
 def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
@@ -334,15 +320,6 @@ def _outputs(
     return [folder / f"{sensor.serial}.yaml" for sensor in sensors.sensors], folder / name
 
 
-def _make_folder(folder: Path) -> None:
-    """Make the folder of a bench's calibration files, unless it is there."""
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        why = f"{folder} cannot be made: {error.strerror}"
-        raise UsageError(f"with --bench, -o names the folder for the calibration files; {why}") from None
-
-
 def _remark_notes(
     calibrations: Sequence[Calibration], remark: Callable[[str], None], *, renewed: bool, judged: bool
 ) -> None:
@@ -362,11 +339,12 @@ def _remark_notes(
 
 
 def _results(
-    setup: Setup, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
+    session: Session, outcome: SessionResult, remark: Callable[[str], None], result: Callable[[str], None] | None
 ) -> Calibration | PairCalibration | list[Calibration]:
     """Return what a session gives, and remark what limits it."""
     for name, statistics in outcome.link_statistics.items():
         remark(f"{name}: {link_in_words(statistics)}")
+    setup = session.setup
     records, determines = list(outcome.calibrations.values()), setup.steps.determines
     if setup.steps.rotation is not None:
         pair = PairCalibration(records[0])  # type: ignore[arg-type]
@@ -381,6 +359,9 @@ def _results(
             (result or unheard)(summary(calibration.record, notes=False))
         if setup.steps.closes:
             remark(changes_in_words(calibration.record))
+    if result is not None:
+        file = quote(str(session.files.outputs[calibrations[0].sensor.serial]))
+        remark(f"next: tiltcal verify {file} --address ADDRESS, or tiltcal apply {file} LOG.csv -o TILT.csv")
     return calibrations[0] if len(setup.sensors) == 1 else calibrations
 
 

@@ -39,7 +39,7 @@ from tiltcal.logs.kernel import LagCorrection, PreparedCalibration, RoleValues, 
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import Means
 from tiltcal.logs.options import ApplyOptions, require_consistent
-from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of, with_writeback
+from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of
 from tiltcal.stated_arguments import require_path
 
 NO_TIME = (
@@ -72,7 +72,7 @@ def apply_to_log(
         rows = CompensatedLog(reader, prepared, options)
         with log_sink(str(output)) as sink:
             writer = create_log(output, sink, reader, prepared.columns, prepared.origin, rows.units)
-            writer.write(with_writeback(sink, rows.blocks(frames=writer.frames)))
+            writer.write(rows.blocks(frames=writer.frames))
     return rows.summary
 
 
@@ -91,11 +91,7 @@ def apply_frame(
     reader = FrameReader(frame)
     prepared = prepare_any(calibration, options)(reader)
     log = CompensatedLog(reader, prepared, options)
-    blocks = list(log.blocks())
-    if prepared.averaging is not None:
-        return reader.of_means(blocks, log.channels, log.units)
-    ((_block, table),) = blocks
-    return reader.with_columns(table, log.channels, log.units)
+    return reader.with_columns(list(log.blocks()), log.channels, log.units)
 
 
 def prepare_any(calibration: Applied, options: ApplyOptions) -> Callable[[LogReader], PreparedCalibration]:
@@ -135,6 +131,8 @@ class CompensatedLog:
         self._lagged = any(sensor.lag for sensor in prepared.sensors)
         thermometers = [name for one in prepared.sensors if one.lead and (name := one.lead + TEMPERATURE) in log.names]
         named = named_columns(options["columns"], [*prepared.channels, *thermometers], prepared.roles)
+        for sensor in prepared.sensors:
+            named = {sensor.lead + axis: name for axis, name in sensor.columns.items() if name in log.names} | named
         takes_time = TIME not in prepared.roles and (self._lagged or prepared.averaging is not None)
         roles = (*prepared.roles, *((TIME,) if takes_time and (TIME in named or TIME in log.names) else ()))
         where = locate_columns(log, [*prepared.channels, *thermometers], named, roles)

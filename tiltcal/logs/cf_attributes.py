@@ -61,10 +61,8 @@ _SECONDS = {
 
 _UNEVEN = ("month", "months", "year", "years", "yr", "common_year", "common_years")
 _SINCE = re.compile(r"\s+since\s+", re.IGNORECASE)
-_EPOCH = re.compile(
-    r"(\d{1,4})-(\d\d?)-(\d\d?)(?:(?:\s+|T)(\d\d?)(?::(\d\d?)(?::(\d\d?)(\.\d+)?\.?)?)?)?"
-    r"(?:\s*(?:Z|UTC|GMT)|\s*([+-])(\d\d?)(?::?(\d\d))?)?"
-)
+_SINGLE_DIGIT = re.compile(r"(?<![\d.])(\d)(?!\d)")
+_ZONE = re.compile(r"\.?\s*(?:Z|UTC|GMT)?$|\.?\s+(?=[+-]\d)")
 
 _UNITS = {
     "count": ("count", "counts", "lsb", "digit", "digits"),
@@ -105,12 +103,10 @@ def _epoch(text: str, unit: str | None, file: str | None) -> float:
     """Return the moment from which a time counts, seconds since 1970; CF needs no zeros in front of its numbers."""
     from tiltcal.files.moments import moment
 
-    if found := _EPOCH.fullmatch(text):
-        year, month, day, hour, minute, second, part, sign, zone_hour, zone_minute = (g or "" for g in found.groups())
-        zone = f"{sign}{zone_hour:0>2}:{zone_minute:0>2}" if sign else ""
-        text = f"{year:0>4}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute:0>2}:{second:0>2}{part}{zone}"
+    year, _, rest = text.partition("-")
+    padded = _ZONE.sub("", _SINGLE_DIGIT.sub(r"0\1", rest))
     try:
-        return moment(text).timestamp()
+        return moment(f"{year:0>4}-{padded}").timestamp()
     except InputError:
         raise InputError(
             f"the time is in {unit!r}, and {text!r} is no moment: write it as 2026-05-01 12:00:00", file=file
@@ -119,10 +115,11 @@ def _epoch(text: str, unit: str | None, file: str | None) -> float:
 
 def same_unit(one: str, other: str) -> bool:
     """Return whether two spellings of units mean the same, or one of them means nothing."""
-    return one in _DIMENSIONLESS or other in _DIMENSIONLESS or _spelt(one) == _spelt(other)
+    return one in _DIMENSIONLESS or other in _DIMENSIONLESS or spelt(one) == spelt(other)
 
 
-def _spelt(unit: str) -> str:
+def spelt(unit: str) -> str:
+    """Return a unit as this program spells it."""
     text = unit.strip()
     return next((name for name, others in _UNITS.items() if text == name or text.casefold() in others), text)
 
@@ -130,8 +127,7 @@ def _spelt(unit: str) -> str:
 def split_unit(name: str) -> tuple[str, str | None]:
     """Return the name of a column without the unit behind it, as in ``x (m/s^2)`` or ``x [V]``, and this unit."""
     found = _NAME_AND_UNIT.fullmatch(name.strip())
-    spelt = _spelt(found[2]) if found else ""
-    return (found[1], found[2]) if found and spelt in _UNITS else (name, None)
+    return (found[1], found[2]) if found and spelt(found[2]) in _UNITS else (name, None)
 
 
 def is_judgement(name: str) -> bool:

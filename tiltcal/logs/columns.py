@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
 TEMPERATURE = "temperature"
 TIME = "time"
 HEADING = "heading"
+
+_AXIS = re.compile(r"(?:acc(?:el(?:eration|erometer)?)?|a|g-?force|gf)?[ _.-]*([xyz])(?:[ _-]?axis)?", re.IGNORECASE)
+"""A component of the acceleration; linear accelerations, without gravity, are none."""
+_CLOCKS = ("time", "t", "seconds_elapsed", "timestamp")
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,28 @@ def _pairs(text: str, example: str) -> Iterator[tuple[str, str]]:
         yield role, column
 
 
+def column_names(names: Sequence[str], roles: Sequence[str], named: Mapping[str, str]) -> dict[str, str]:
+    """Return the column of each role that a log has: the one that was named, of its name, or that means it.
+
+    A column means an axis as phones and loggers write it (``Acceleration x (m/s^2)``, ``ax``, ``gFx``), and the time as
+    ``Time (s)`` or ``seconds_elapsed``, where no other column does.
+    """
+    bare = {split_unit(name)[0]: name for name in names} | {name: name for name in names}
+    meant: dict[str, list[str]] = {}
+    for short, name in bare.items():
+        if axis := _AXIS.fullmatch(short):
+            meant.setdefault(axis[1].lower(), []).append(name)
+        elif short.lower() in _CLOCKS:
+            meant.setdefault(TIME, []).append(name)
+    found = {}
+    for role in roles:
+        column = bare.get(named.get(role, role))
+        alone = set(meant.get(role, ())) if role not in named else set()
+        if column is not None or len(alone) == 1:
+            found[role] = column or alone.pop()
+    return found
+
+
 def locate_columns(
     log: LogReader,
     channels: Sequence[str],
@@ -80,15 +107,15 @@ def locate_columns(
 
     InputError: a column is not there; the message lists those that are.
     """
-    where = {split_unit(name)[0]: index for index, name in enumerate(log.names)}
-    where |= {name: index for index, name in enumerate(log.names)}
+    where = {name: index for index, name in enumerate(log.names)}
+    roles = tuple(dict.fromkeys((*channels, *others, TEMPERATURE, TIME)))
+    columns = column_names(log.names, roles, named)
     located: dict[str, int] = {}
-    for role in dict.fromkeys((*channels, *others, TEMPERATURE, TIME)):
-        column = named.get(role, role)
-        if column in where:
-            located[role] = where[column]
+    for role in roles:
+        if role in columns:
+            located[role] = where[columns[role]]
         elif role in named or role in channels or role in others:
-            why = _absent(role, column, log.names, option.format(role=role))
+            why = _absent(role, named.get(role, role), log.names, option.format(role=role))
             raise InputError(why, file=log.name, line=log.header_line)
     shared = [role for role in located if role in channels and list(located.values()).count(located[role]) > 1]
     if shared:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -26,8 +27,9 @@ from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.record import Record, keys_of
 from tiltcal.files.results import FileRecord, LogRecord, Provenance, SegmentsRecord
 from tiltcal.files.tables import Segment, SegmentRow, TabledRow, read_positions, read_segments, tabled_channels
-from tiltcal.logs.columns import named_columns, require_celsius, require_unit
-from tiltcal.logs.formats import open_log
+from tiltcal.logs.cf_attributes import spelt
+from tiltcal.logs.columns import column_names, named_columns, require_celsius, require_unit
+from tiltcal.logs.formats import CSV, log_format, open_log
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.log import Progress
 from tiltcal.logs.numbers import RecordedReadings, read_readings
@@ -74,9 +76,12 @@ def fit_recorded(
     serial = _serial(options["serial"], base)
     known = bases_of(steps, base, [serial]).get(serial)
     own = None if known is None else known.calibration
-    identity = _identity(own, model, steps, options["unit"], serial)
+    unit = options["unit"] or (source.header.unit if own is None and model is None else None)
+    identity = _identity(own, model, steps, unit, serial)
     if own is None and model is None:
         identity = identity.replaced(channels=source.channels(steps, say))
+    columns = {axis: name for axis, name in source.header.columns.items() if axis in identity.channels and name != axis}
+    identity = identity.replaced(columns=columns or identity.columns)
     nominal = None if model is None or model.unit != identity.unit else model
     source = replace(source, rails=rails_of(identity.channels, nominal, own))
     source.require_unit(identity.unit)
@@ -114,6 +119,14 @@ class FitPositions:
 
 
 @dataclass(frozen=True)
+class LogHeader:
+    """The column of each axis that a log has, and the unit that all of them state."""
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    unit: str | None = None
+
+
+@dataclass(frozen=True)
 class FitSource:
     """Recorded data as the user names them; the attributes are the arguments of :func:`tiltcal.fit`."""
 
@@ -147,6 +160,25 @@ class FitSource:
         if self.window is not None and not (free and self.finds):
             raise UsageError(FOUND_ONLY)
 
+    @property
+    def _is_stream(self) -> bool:
+        """Whether the log is read once."""
+        return isinstance(self.data, str | Path) and log_format(self.data) == CSV and not os.path.isfile(self.data)
+
+    @cached_property
+    def header(self) -> LogHeader:
+        """What the log says of its readings before the first row; nothing of a table and of a stream."""
+        if self.table or self._is_stream:
+            return LogHeader()
+        with open_log(self.data) as log:
+            columns = column_names(log.names, AXES, named_columns(self.columns, AXES))
+            units = {
+                spelt(log.unit(log.names.index(name)) or "")
+                or ("g" if name.lower().startswith(("gf", "g-f")) else None)
+                for name in columns.values()
+            }
+        return LogHeader(columns, units.pop() if len(units) == 1 else None)
+
     def require_unit(self, unit: str) -> None:
         """Raise InputError for a table in an xarray Dataset whose means are in another unit; a log is checked later."""
         if not (self.table and hasattr(self.data, "data_vars")):
@@ -160,15 +192,13 @@ class FitSource:
     def channels(self, procedure: Procedure, say: Callable[[str], None]) -> tuple[str, ...]:
         """Return the axes of a procedure that the data have a reading of: a sensor of two axes has no column z."""
         axes = procedure.determines.axes
-        stream = isinstance(self.data, str | Path) and not Path(self.data).is_file()  # which is read once
-        if procedure.determines.free or not axes or stream:
+        if procedure.determines.free or not axes or self._is_stream:
             return axes or AXES
         if self.table:
             found = tabled_channels(_path_or_rows(self.data, "the table", TabledRow), axes)
         else:
             named = named_columns(self.columns, axes)
-            with open_log(self.data) as log:
-                found = tuple(axis for axis in axes if axis in named or axis in log.names)
+            found = tuple(axis for axis in axes if axis in named or axis in self.header.columns)
         if not found:
             return axes
         absent = [axis for axis in axes if axis not in found]

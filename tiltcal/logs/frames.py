@@ -95,17 +95,15 @@ class FrameReader(LogReader):
         typed = pl.DataFrame({name: column for name, column in alike.items() if len(column) in rows})
         return LogBlock(values, frame=typed, wrong_time=wrong)
 
-    def of_means(self, blocks: Sequence[tuple[LogBlock, Table]], channels: Sequence[int], units: Units) -> Any:
-        """Return the means of a frame, of its own kind, with columns behind them; see :meth:`with_columns`."""
+    def with_columns(self, blocks: Sequence[tuple[LogBlock, Table]], channels: Sequence[int], units: Units) -> Any:
+        """Return the frame, or means of its rows, of its own kind, with columns made of its ``channels`` behind."""
         import polars as pl
 
-        frame = pl.concat([block.framed() for block, _ in blocks])
-        table = {name: np.concatenate([block[name] for _, block in blocks]) for name in blocks[0][1]}
-        return self._frame.of_rows(frame).with_columns(table, self.names[channels[0]], units)
-
-    def with_columns(self, table: Table, channels: Sequence[int], units: Units) -> Any:
-        """Return the frame, of its own kind, with columns made of its ``channels``; ``units`` are stated of some."""
-        return self._frame.with_columns(table, self.names[channels[0]], units)
+        frame, table = self._frame, blocks[0][1]
+        if blocks[0][0].counts is not None:
+            frame = frame.of_rows(pl.concat([block.framed() for block, _ in blocks]))
+            table = {name: np.concatenate([block[name] for _, block in blocks]) for name in table}
+        return frame.with_columns(table, self.names[channels[0]], units)
 
 
 def rows_of(frame: Any, name: str, keys: Collection[str] = ()) -> list[dict[str, Any]]:

@@ -128,7 +128,7 @@ class TiltKernel:
         remarks: RowRemarks | None = None,
     ) -> None:
         self._compensation, self._uncertain_angles, self._earth = compensation, uncertain_angles, earth
-        self._averaged, self._remarks = averaged, remarks or RowRemarks()
+        self.angles, self._averaged, self._remarks = compensation.angles, averaged, remarks or RowRemarks()
         uncertain = () if uncertain_angles is None else uncertainty_columns(compensation.angles, averaged=averaged)
         self._uncertain = len(uncertain)
         self.columns = (*compensation.columns, *uncertain, *(() if earth is None else earth.columns))
@@ -186,8 +186,8 @@ class PreparedSensor:
 
     ``units`` are those of the readings, of pairs that of the stage angle alone; ``origin`` is what a file made with it
     should state: software, calibration, sha256, serial; ``watched`` are columns to be summed up; ``lag`` is by how much
-    the element is later than the thermometer, s; ``judge`` judges the readings of which means are made; the names of
-    its columns begin with ``lead``.
+    the element is later than the thermometer, s; ``judge`` judges the readings of which means are made; ``columns`` are
+    those of the log of the fit; the names of its columns begin with ``lead``.
     """
 
     kernel: Kernel
@@ -199,6 +199,7 @@ class PreparedSensor:
     lag: float = 0.0
     judge: Kernel | None = None
     remarks: RowRemarks = field(default_factory=RowRemarks)
+    columns: Mapping[str, str] = field(default_factory=dict)
     lead: str = ""
 
 
@@ -284,11 +285,12 @@ def prepare(
                 coefficients.channels,
                 dict.fromkeys(coefficients.channels, sensor.unit),
                 {**stated, "serial": sensor.serial},
-                compensation_of(calibration).angles,
+                kernel.angles,
                 kernel.expanded,
                 0.0 if coefficients.thermal is None else coefficients.thermal.lag,
                 judge,
                 remarks,
+                sensor.columns,
             ),
         ),
         (

@@ -146,14 +146,12 @@ class Means:
         flags, reasons = np.empty(counts.shape, np.uint8), np.empty(counts.shape, np.uint16)
         judged = self.judged(block)
         used_for: dict[int, NDArray[np.bool_]] = {}
-        strict: set[int] = set()
         for number, sensor in enumerate(self.sensors):
             used, counts[:, number] = _counted(complete[number], starts)
             reason = np.where(used, judged[f"{sensor.lead}reason"], 0).astype(np.uint16) & (RAIL | GRAVITY_LENGTH)
             reasons[:, number] = np.bitwise_or.reduceat(reason, starts)
             flags[:, number] = np.maximum.reduceat(np.where(reason, judged[f"{sensor.lead}flag"], 0), starts)
             used_for |= dict.fromkeys(sensor.columns, used)
-            strict |= {*sensor.readings}
         values = {}
         apart = np.zeros(len(starts), bool)
         for index, column in block.values.items():
@@ -162,7 +160,10 @@ class Means:
                 values[index] = full_circle(np.degrees(np.arctan2(east, north)), 360.0)
                 apart = np.hypot(east, north) < 1.0 - FIELD_TOLERANCE
             else:
-                values[index] = _mean(column, used_for.get(index, shared), starts, strict=index in strict)
+                values[index] = _mean(column, used_for.get(index, shared), starts)
+        for number, sensor in enumerate(self.sensors):
+            for index in sensor.readings:
+                values[index][counts[:, number] == 0] = np.nan
         frame = None if block.frame is None else self._frame(block.frame, groups, shared, values)
         return BlockOfMeans(
             values, frame=frame, counts=counts, rows=rows, flags=flags, reasons=reasons, apart=apart, bad_rows=bad
@@ -201,9 +202,9 @@ def _counted(complete: NDArray[np.bool_], starts: NDArray[np.intp]) -> tuple[NDA
     return complete | np.repeat(counts == 0, np.diff(starts, append=len(complete))), counts
 
 
-def _mean(column: Array, used: NDArray[np.bool_], starts: NDArray[np.intp], *, strict: bool = False) -> Array:
-    """Return the mean of each group; NaN counts where ``strict``, and is left out elsewhere."""
-    taken = used if strict else used & np.isfinite(column)
+def _mean(column: Array, used: NDArray[np.bool_], starts: NDArray[np.intp]) -> Array:
+    """Return the mean of each group without what is missing."""
+    taken = used & np.isfinite(column)
     total = np.add.reduceat(np.where(taken, column, 0.0), starts)
     number = np.add.reduceat(taken.astype(np.int64), starts)
     with np.errstate(invalid="ignore", divide="ignore"):

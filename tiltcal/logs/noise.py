@@ -17,7 +17,7 @@ from tiltcal.core.model import AXES, Array
 from tiltcal.core.noise import FEWEST_SAMPLES, ChannelNoise, NoiseScale, characterise
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.columns import OF_G
+from tiltcal.drivers.model import OF_G
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.logs.columns import TIME, locate_columns, locate_readings, named_columns

@@ -12,7 +12,7 @@ import numpy as np
 
 from tiltcal.core.detection import Span
 from tiltcal.core.noise import FLICKER, RANGE_OF_100, ChannelNoise, Limit, NoiseScale, SampleSize, sample_size
-from tiltcal.printable import counted
+from tiltcal.printable import counted, in_html
 from tiltcal.stated_arguments import require_above_zero
 
 _SHOWS = 0.1  # share of the lowest deviation above which what rounding leaves is worth a word
@@ -160,6 +160,7 @@ class SensorNoise:
         return "\n".join([extent, *self._averages(), "", *kinds, "", *self._recommendation()])
 
     __repr__ = __str__
+    _repr_html_ = in_html
 
     def _averages(self) -> Iterator[str]:
         """Averages of 1, 10, 100 (the source's Table I)."""

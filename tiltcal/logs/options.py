@@ -39,7 +39,7 @@ class ApplyOptions(TypedDict, total=False):
 
     columns: Annotated[
         Mapping[str, str] | str,
-        Option("Columns, such as x=VoutX,temperature=T, or numbers from 1.", "ROLE=NAME,…", default=""),
+        Option("Columns: x=VoutX,temperature=T, or numbers from 1.", "ROLE=NAME,…", default=""),
     ]
     uncertainty: Annotated[
         bool, _flag("Add of each angle u_tilt_x (standard uncertainty) and U95_tilt_x (95 % interval).")

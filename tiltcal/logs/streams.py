@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import signal
@@ -10,9 +9,9 @@ import stat
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from hashlib import file_digest
 from importlib import import_module
 from pathlib import Path
@@ -30,7 +29,6 @@ STANDARD = "-"
 _LOOK = 0.2  # seconds until a wait for bytes looks whether Ctrl-C came
 _OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")  # how the engine ends its message where the system refuses
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
-_WRITEBACK = 32 << 20  # bytes of a result that go to the disk together
 
 
 @contextmanager
@@ -87,22 +85,6 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         stdout = sys.stdout.buffer
         shutil.copyfileobj(spool, stdout)
         stdout.flush()
-
-
-def with_writeback(sink: BinaryIO, items: Iterable[T]) -> Iterator[T]:
-    """Yield items that are written to a sink, and let the system bring to the disk what it has meanwhile.
-
-    Without it, all that is in the system's memory goes to the disk when the file is complete, and the command waits.
-    """
-    begun, advise = 0, getattr(os, "posix_fadvise", None)
-    for item in items:
-        yield item
-        if advise is not None and isinstance(sink, io.BufferedIOBase | io.RawIOBase):
-            size = os.fstat(sink.fileno()).st_size
-            if size - begun >= _WRITEBACK:
-                with suppress(OSError):
-                    advise(sink.fileno(), begun, size - begun, os.POSIX_FADV_DONTNEED)
-                begun = size
 
 
 def keep_freed_memory() -> None:

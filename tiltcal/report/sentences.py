@@ -10,16 +10,13 @@ import numpy as np
 
 from tiltcal.calibration.fleet import FleetHistory
 from tiltcal.calibration.tilt_uncertainty import TiltUncertainty
-from tiltcal.calibration.wording import fit_lines, objections
+from tiltcal.calibration.wording import fit_lines, mounting_fit_lines, objections
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files import record
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord
-from tiltcal.files.results import FileRecord, FitRecord, LevelFit, MountingFit, PairProvenance, PositionSet, Provenance
+from tiltcal.files.results import FileRecord, PairProvenance, PositionSet, Provenance
 from tiltcal.report.numbers import at_place, half_width, plain, signed
-
-_VIRTUAL = "virtual"
-"""The mark of a file that was made without a real sensor."""
 
 _WORDS = {
     "made_by": "Made by",
@@ -60,52 +57,50 @@ class Fact(NamedTuple):
 def facts(calibration: CalibrationRecord, source: FileRecord) -> list[Fact]:
     """Return what was calibrated, when and by whom, and the rest of the provenance."""
     sensor = calibration.sensor
-    return [
-        Fact("Sensor", sensor.model),
-        Fact("Serial number", sensor.serial),
-        Fact("Readings", f"{', '.join(sensor.channels)}, in {sensor.unit}"),
-        *provenance_facts(calibration.provenance, source),
-    ]
+    readings = f"{', '.join(sensor.channels)}, in {sensor.unit}"
+    said = {"Sensor": sensor.model, "Serial number": sensor.serial, "Readings": readings}
+    return [*stated(said), *provenance_facts(calibration.provenance, source)]
 
 
 def result(calibration: CalibrationRecord, tilt: Mapping[str, TiltUncertainty]) -> list[Fact]:
     """Return what a reader asks first: the verdict, and how uncertain the tilt is."""
-    against = objections(calibration)
-    return [
-        Fact("Verdict", "; ".join(against) or "good: nothing in its data speaks against it"),
-        *(Fact(f"Tilt of {axis} within", _within(uncertainty)) for axis, uncertainty in tilt.items()),
-    ]
-
-
-def _within(uncertainty: TiltUncertainty) -> str:
-    alone, reading = (half_width(float(np.nanmax(half))) for half in (uncertainty.alone, uncertainty.reading))
-    low, high = (signed(f"{end:.3g}") for end in (uncertainty.tilt[0], uncertainty.tilt[-1]))
-    one_reading = f"; one single reading within ±{reading}°" if reading != alone else ", also of one single reading"
-    return f"±{alone}° (95 %) from {low} to {high}°{one_reading}"
+    said = {"Verdict": "; ".join(objections(calibration)) or "good: nothing in its data speaks against it"}
+    for axis, one in tilt.items():
+        alone, reading = (half_width(float(np.nanmax(half))) for half in (one.alone, one.reading))
+        low, high = (signed(f"{end:.3g}") for end in (one.tilt[0], one.tilt[-1]))
+        single = f"; one single reading within ±{reading}°" if reading != alone else ", also of one single reading"
+        said[f"Tilt of {axis} within"] = f"±{alone}° (95 %) from {low} to {high}°{single}"
+    return stated(said)
 
 
 def pair_facts(calibration: PairRecord, source: FileRecord) -> list[Fact]:
     """Return how the stage turned, and the rest of the provenance."""
     spin = calibration.spin
-    said = [
-        Fact("Turns of the stage", plain(spin.turns, 6)),
-        Fact("Frequency of the spin", f"{plain(spin.frequency, 6)} Hz" if spin.frequency else ""),
-        Fact("Column of the stage angle", spin.phase or ""),
-        Fact("Estimated", "turn by turn" if calibration.online else "from the whole record"),
-    ]
-    return [*(fact for fact in said if fact.value), *provenance_facts(calibration.provenance, source)]
+    said = {
+        "Turns of the stage": plain(spin.turns, 6),
+        "Frequency of the spin": f"{plain(spin.frequency, 6)} Hz" if spin.frequency else "",
+        "Column of the stage angle": spin.phase or "",
+        "Estimated": "turn by turn" if calibration.online else "from the whole record",
+    }
+    return [*stated(said), *provenance_facts(calibration.provenance, source)]
+
+
+def stated(facts: Mapping[str, str | None]) -> list[Fact]:
+    """Return the facts that have a value."""
+    return [Fact(label, value) for label, value in facts.items() if value]
 
 
 def fleet_facts(history: FleetHistory) -> list[Fact]:
     """Return what is in a folder, and how many sensors are due."""
     sensors = history.histories
-    return [
-        Fact("Folder", history.folder),
-        Fact("Sensors", str(len(sensors))),
-        Fact("Calibrations", str(sum(len(sensor.calibrations) for sensor in sensors))),
-        Fact("Interval", f"{history.interval.days} days"),
-        Fact("Due", f"{sum(map(history.is_due, sensors))} on {history.now:%Y-%m-%d}"),
-    ]
+    said = {
+        "Folder": history.folder,
+        "Sensors": str(len(sensors)),
+        "Calibrations": str(sum(len(sensor.calibrations) for sensor in sensors)),
+        "Interval": f"{history.interval.days} days",
+        "Due": f"{sum(map(history.is_due, sensors))} on {history.now:%Y-%m-%d}",
+    }
+    return stated(said)
 
 
 def fleet_remarks(history: FleetHistory) -> Iterator[str]:
@@ -119,16 +114,13 @@ def fleet_remarks(history: FleetHistory) -> Iterator[str]:
 
 def provenance_facts(provenance: Provenance | PairProvenance, source: FileRecord) -> list[Fact]:
     """Return the content of a provenance, times first, and the calibration file that states it."""
-    file = Fact("Calibration file", source.name), Fact("SHA-256 of the file", source.sha256 or "", code=True)
-    return [fact for fact in (*_facts(provenance), *file) if fact.value]
-
-
-def _facts(provenance: Provenance | PairProvenance) -> Iterator[Fact]:
-    yield Fact("Calibrated", period(provenance))
+    facts = [Fact("Calibrated", period(provenance))]
     for name, value in _leaves(record.plain(provenance)):
         if name not in ("started", "ended") and not (name == "made_by" and notice(provenance)):
             label = _WORDS.get(name, name[:1].upper() + name[1:].replace("_", " ").replace(".", ": "))
-            yield Fact(label, value, code=name.endswith(("sha256", "address")))
+            facts.append(Fact(label, value, code=name.endswith(("sha256", "address"))))
+    facts += [Fact("Calibration file", source.name), Fact("SHA-256 of the file", source.sha256 or "", code=True)]
+    return [fact for fact in facts if fact.value]
 
 
 def period(provenance: Provenance | PairProvenance) -> str:
@@ -149,23 +141,23 @@ def dated(name: str, provenance: Provenance) -> str:
 def notice(provenance: Provenance | PairProvenance) -> str:
     """Return the notice that no real sensor was measured; empty for a real one."""
     made_by = provenance.made_by or ""
-    return f"Made by {made_by}." if _VIRTUAL in made_by else ""
+    return f"Made by {made_by}." if "virtual" in made_by else ""
 
 
 def procedure_facts(calibration: CalibrationRecord) -> list[Fact]:
     """Return the procedure and its settings."""
     run = calibration.procedure
-    said = [
-        ("Procedure", " – ".join(filter(None, (run.name, run.title)))),
-        ("Source", run.source),
-        ("Samples per position", run.samples and str(run.samples)),
-        ("Still before sampling", run.settle_seconds is not None and f"{run.settle_seconds:g} s"),
-    ]
+    said = {
+        "Procedure": " – ".join(filter(None, (run.name, run.title))),
+        "Source": run.source,
+        "Samples per position": str(run.samples or ""),
+        "Still before sampling": None if run.settle_seconds is None else f"{run.settle_seconds:g} s",
+    }
     for label, completing in (("Mounting", run.mounting), ("Level", run.level)):
         if completing is not None:
             kept = _leaves(record.plain(completing))
-            said.append((label, "; ".join(f"{name.replace('_', ' ')} {value}" for name, value in kept)))
-    return [Fact(label, value) for label, value in said if value]
+            said[label] = "; ".join(f"{name.replace('_', ' ')} {value}" for name, value in kept)
+    return stated(said)
 
 
 def _leaves(content: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, str]]:
@@ -201,7 +193,8 @@ def as_set(position: PositionSet) -> str:
     """Return the attitude of a position as text: the set angles, or the direction that points up."""
     said = [f"{axis} {signed(f'{angle:g}')}°" for axis, angle in (position.tilt or {}).items()]
     if position.gravity is not None:
-        said.append(f"up ({', '.join(_short(component) for component in position.gravity)})")
+        shown = (at_place(component, 3).rstrip("0").rstrip(".") for component in position.gravity)
+        said.append(f"up ({', '.join(shown)})")
     for label, angle in (("heading", position.heading), ("stage", position.stage)):
         if angle is not None:
             said.append(f"{label} {signed(f'{angle:g}')}°")
@@ -228,14 +221,7 @@ def verdict(calibration: CalibrationRecord) -> Iterator[str]:
     if fit.misfit_rms_mg is not None:
         where = "" if fit.distinct_attitudes is None else f" in {fit.distinct_attitudes} attitudes"
         yield f"The misfit of the length of gravity is {plain(fit.misfit_rms_mg, 3)} mg rms{where}."
-    yield from _swept(fit, unit)
-    yield from _mounted(fit.mounting)
-    yield from _levelled(fit.level, unit)
-
-
-def _swept(fit: FitRecord, unit: str) -> Iterator[str]:
-    chosen = fit.cross_validation
-    if chosen is not None:
+    if (chosen := fit.cross_validation) is not None:
         listed = ", ".join(f"{plain(error, 3)} for order {order}" for order, error in chosen.error_by_order.items())
         yield (
             f"Cross-validation chose a drift of order {chosen.order}; the mean square error of predicting a left-out "
@@ -243,50 +229,30 @@ def _swept(fit: FitRecord, unit: str) -> Iterator[str]:
         )
     for channel, loop in fit.hysteresis.items():
         yield f"Hysteresis of {channel}: {plain(loop.difference, 2)} {unit} between {' and '.join(loop.between)}."
-
-
-def _mounted(fit: MountingFit | None) -> Iterator[str]:
-    if fit is None or not fit.residuals_degrees:
-        return
-    worst = max(fit.residuals_degrees, key=lambda name: abs(fit.residuals_degrees[name]))
-    yield (
-        f"Mounting: {fit.degrees_of_freedom} degrees of freedom, uncertainty from {fit.uncertainty_from}, largest "
-        f"residual {plain(fit.residuals_degrees[worst], 3)}° in {worst}"
-        + ("." if fit.chi_square is None else f", χ² {plain(fit.chi_square, 4)}.")
-    )
-
-
-def _levelled(fit: LevelFit | None, unit: str) -> Iterator[str]:
-    if fit is None:
-        return
-    changes = [
-        f"{channel} by {signed(plus_minus(change, fit.change_uncertainty.get(channel, 0.0)))} {unit}"
-        for channel, change in fit.change.items()
-    ]
-    yield f"A level position has renewed the offset: it changed in {' and in '.join(changes)}; {fit.verdict}."
-
-
-def _short(component: float) -> str:
-    return at_place(component, 3).rstrip("0").rstrip(".")
+    if fit.mounting is not None:
+        yield f"Mounting: {'; '.join(line.strip() for line in mounting_fit_lines(fit.mounting))}."
+    if (level := fit.level) is not None:
+        changes = [
+            f"{channel} by {signed(plus_minus(change, level.change_uncertainty.get(channel, 0.0)))} {unit}"
+            for channel, change in level.change.items()
+        ]
+        yield f"A level position has renewed the offset: it changed in {' and in '.join(changes)}; {level.verdict}."
 
 
 def covered(calibration: CalibrationRecord) -> list[Fact]:
     """Return the ranges that the positions covered."""
     limits, unit = calibration.limits, calibration.sensor.unit
     thermal = calibration.coefficients.thermal
-    found = [
-        Fact(f"Tilt of {axis}", _span(round(degrees(low), 2), round(degrees(high), 2), "°"))
+    said = {
+        f"Tilt of {axis}": _span(round(degrees(low), 2), round(degrees(high), 2), "°")
         for axis, (low, high) in limits.tilt.items()
-    ]
-    temperature = limits.temperature or (thermal.range if thermal else None)
-    if temperature:
-        found.append(Fact("Temperature", _span(*temperature, " °C")))
+    }
+    if temperature := limits.temperature or (thermal.range if thermal else None):
+        said["Temperature"] = _span(*temperature, " °C")
     if thermal:
-        found.append(Fact("Reference temperature", f"{signed(f'{thermal.reference:g}')} °C"))
-    rails = [f"{channel} {_span(low, high, ' ' + unit)}" for channel, (low, high) in limits.reading.items()]
-    if rails:
-        found.append(Fact("Readings between their rails", ", ".join(rails)))
-    return found
+        said["Reference temperature"] = f"{signed(f'{thermal.reference:g}')} °C"
+    rails = (f"{channel} {_span(low, high, ' ' + unit)}" for channel, (low, high) in limits.reading.items())
+    return stated({**said, "Readings between their rails": ", ".join(rails)})
 
 
 def not_covered(calibration: CalibrationRecord) -> Iterator[str]:

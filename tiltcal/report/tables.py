@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from html import escape
@@ -59,7 +59,7 @@ _DARK = 0.6  # from which the text of a correlation is white
 
 
 class Column(NamedTuple):
-    """One column of a table: its head, its cells, their style, and the heading over several columns."""
+    """A column of a table: its head, its cells, their style, and the heading over several columns."""
 
     head: str
     cells: Sequence[str]
@@ -132,14 +132,11 @@ def coefficient_table(calibration: CalibrationRecord) -> Table:
 
 
 def _quantities(rows: Sequence[Quantity]) -> Table:
-    factors = [row.factor if row.u else None for row in rows]
-    names = [row.name for row in rows]
+    factors, names = [row.factor if row.u else None for row in rows], [row.name for row in rows]
     columns = [Column("Quantity", [row.words for row in rows])]
     columns += [Column("", [sign(name) for name in names])] if any(names) else []
-    columns += [
-        numbers("Value", [measured(row.value, row.u) for row in rows]),
-        Column("Unit", [row.unit for row in rows]),
-    ]
+    columns.append(numbers("Value", [measured(row.value, row.u) for row in rows]))
+    columns.append(Column("Unit", [row.unit for row in rows]))
     if any(factors):
         widths = [half_width(k * row.u) if k and row.u else "" for k, row in zip(factors, rows, strict=True)]
         columns.append(numbers("95 % interval: ±", widths))
@@ -155,19 +152,15 @@ def budget_table(calibration: CalibrationRecord) -> tuple[Table, dict[str, str]]
     names = sorted(budget, key=lambda name: coefficients.index(name) if name in coefficients else len(coefficients))
     stated = {source for shares in budget.values() for source in shares}
     sources = [*(source for source in SOURCES if source in stated), *sorted(stated - set(SOURCES))]
-    percent = [[f"{100 * budget[n][s]:.1f}" if s in budget[n] else "" for n in names] for s in sources]
-    table = Table(
-        [
-            Column("Coefficient", [words(name) for name in names]),
-            Column("", [sign(name) for name in names]),
-            Column("Share of the variance", [_bar(budget[name], sources) for name in names]),
-            *(
-                Column(f"{SOURCES.get(source, source)} / %", cells, "share")
-                for source, cells in zip(sources, percent, strict=True)
-            ),
-        ]
-    )
-    return table, {source: SOURCES.get(source, source) for source in sources}
+    columns = [*_coefficients(names), Column("Share of the variance", [_bar(budget[name], sources) for name in names])]
+    for source in sources:
+        cells = [f"{100 * budget[name][source]:.1f}" if source in budget[name] else "" for name in names]
+        columns.append(Column(f"{SOURCES.get(source, source)} / %", cells, "share"))
+    return Table(columns), {source: SOURCES.get(source, source) for source in sources}
+
+
+def _coefficients(names: Sequence[str]) -> list[Column]:
+    return [Column("Coefficient", [words(name) for name in names]), Column("", [sign(name) for name in names])]
 
 
 def _bar(shares: Mapping[str, float], sources: Sequence[str]) -> Html:
@@ -197,9 +190,8 @@ def correlation_table(calibration: CalibrationRecord) -> Table | None:
     def cell(i: int, j: int) -> str:
         return _correlation(matrix[i][j] / (u[i] * u[j]) if u[i] and u[j] else 0.0) if j < i else ""
 
-    rows = range(1, len(names))
-    columns = [Column(sign(name), [cell(i, j) for i in rows]) for j, name in enumerate(names[:-1])]
-    return Table([Column("", [sign(names[i]) for i in rows]), *columns], style="heat")
+    columns = [Column(sign(name), [cell(i, j) for i in range(1, len(names))]) for j, name in enumerate(names[:-1])]
+    return Table([Column("", [sign(name) for name in names[1:]]), *columns], style="heat")
 
 
 def _correlation(value: float) -> Html:
@@ -221,14 +213,10 @@ class Group(NamedTuple):
 
 def derived_groups(calibration: CalibrationRecord) -> list[Group]:
     """Return the derived quantities: cross-axis sensitivity, misalignment, intrinsic parameters, mounting, scale."""
-    return [group for group in _derived(calibration) if group.table or group.remark]
-
-
-def _derived(calibration: CalibrationRecord) -> Iterator[Group]:
     derived, unit = calibration.derived, calibration.sensor.unit
     crossed = _by_channel(derived, "cross_axis_percent", "Cross-axis sensitivity of {}", "%")
     turned = _by_channel(derived, "misalignment_degrees", "Misalignment of {}", "°")
-    yield _group("Cross-axis error", [*crossed, *turned])
+    groups = [_group("Cross-axis error", [*crossed, *turned])]
     if (intrinsic := derived.intrinsic) is not None:
         rows = [
             *_by_channel(intrinsic, "offset", "Offset of {}", unit),
@@ -236,10 +224,12 @@ def _derived(calibration: CalibrationRecord) -> Iterator[Group]:
             *_by_channel(intrinsic, "angle_degrees", "Angle between {}", "°"),
             *_by_channel(intrinsic, "rotation_degrees", "Rotation in the jig’s frame, {}", "°"),
         ]
-        yield _group("Intrinsic parameters", rows, intrinsic.left_handed or "These do not change with the mounting.")
-    yield _mounting(calibration)
+        remark = intrinsic.left_handed or "These do not change with the mounting."
+        groups.append(_group("Intrinsic parameters", rows, remark))
+    groups.append(_mounting(calibration))
     if (gravity := derived.gravity_m_s2) is not None:
-        yield _group("Scale", _scale(calibration, gravity), f"At a gravity of {plain(gravity, 7)} m/s².")
+        groups.append(_group("Scale", _scale(calibration, gravity), f"At a gravity of {plain(gravity, 7)} m/s²."))
+    return [group for group in groups if group.table or group.remark]
 
 
 def _by_channel(record: DerivedRecord | IntrinsicRecord, name: str, sentence: str, unit: str) -> list[Quantity]:
@@ -272,10 +262,8 @@ def _mounting(calibration: CalibrationRecord) -> Group:
         remark = "Gimbal lock: roll and yaw cannot be separated at this pitch; yaw contains both. " + remark
     if mounting is None:
         return Group("Mounting", None, remark)
-    rows = []
-    for angle in ANGLES:
-        name, value = f"mounting.{angle}", degrees(getattr(mounting, angle))
-        rows.append(Quantity(angle.capitalize(), value, u.get(name, 0.0), "°", u.coverage_factor.get(name)))
+    named = {f"mounting.{angle}": (angle.capitalize(), degrees(getattr(mounting, angle))) for angle in ANGLES}
+    rows = [Quantity(*one, u.get(name, 0.0), "°", u.coverage_factor.get(name)) for name, one in named.items()]
     return _group("Mounting", rows, remark or "Roll first, then pitch, then yaw.")
 
 
@@ -297,10 +285,6 @@ def position_table(calibration: CalibrationRecord) -> Table | None:
     settings = [as_set(calibration.procedure.set.get(name, PositionSet())) for name in names[:first]]
     settings += ["for the mounting"] * mounted + ["level, for the offset"] * levelled
     decimals, unit = three_digits(v for row in fit.residuals.values() for v in row.values()), calibration.sensor.unit
-
-    def residual(name: str, channel: str) -> str:
-        return at_place_if_stated(fit.residuals[name].get(channel), decimals)
-
     columns = [
         Column("Position", names, "name"),
         Column("As set", settings),
@@ -312,7 +296,8 @@ def position_table(calibration: CalibrationRecord) -> Table | None:
         texts = ["" if mean is None else measured(mean, u, 7) for mean, u in means]
         columns.append(numbers(Html(f"<var>{channel}</var>"), texts, f"Mean / {unit}"))
     for channel in channels:
-        texts = [residual(name, channel) if known else "" for name, known in zip(names, fitted, strict=True)]
+        residuals = [fit.residuals[n].get(channel) if known else None for n, known in zip(names, fitted, strict=True)]
+        texts = [at_place_if_stated(residual, decimals) for residual in residuals]
         columns.append(numbers(Html(f"<var>{channel}</var>"), texts, f"Residual / {unit}"))
     suspect = frozenset(k for k, name in enumerate(names) if fitted[k] and name in fit.suspect_positions)
     return Table(columns, suspect, style="wide dense" if len(channels) > 2 else "wide")
@@ -324,18 +309,15 @@ def change_table(before: CalibrationRecord, after: CalibrationRecord) -> tuple[s
     changes, verdict, unit = comparison.changes, comparison.verdict, after.sensor.unit
     rest = ", ".join(words(name) for name in comparison.not_comparable)
     said = f"{verdict}; not comparable: {rest}" if rest else str(verdict)
+    ratios = ["" if change.ratio is None else f"{change.ratio:.2f}" for change in changes]
     table = Table(
         [
-            Column("Coefficient", [words(change.name) for change in changes]),
-            Column("", [sign(change.name) for change in changes]),
+            *_coefficients([change.name for change in changes]),
             numbers("Before", [measured(change.before, before.uncertainty.get(change.name)) for change in changes]),
             numbers("Now", [measured(change.after, after.uncertainty.get(change.name)) for change in changes]),
             numbers("Change", [measured(change.difference, change.u) for change in changes]),
             Column("Unit", [unit_of(change.name, unit) for change in changes]),
-            numbers(
-                Html("Change / <var>u</var>"),
-                ["" if change.ratio is None else f"{change.ratio:.2f}" for change in changes],
-            ),
+            numbers(Html("Change / <var>u</var>"), ratios),
         ],
         frozenset(k for k, change in enumerate(changes) if change.name in verdict.changed),
     )
@@ -381,9 +363,8 @@ def angle_words(angle: str) -> str:
 
 def pair_coefficient_table(matching: Matching) -> Table:
     """Return p and q."""
-    said = [Html("Scale factor mismatch <var>p</var>"), Html("Misalignment <var>q</var>")]
-    texts = [measured(matching.p, matching.u_p), measured(matching.q, matching.u_q)]
-    return Table([Column("Quantity", said), numbers("Value", texts)])
+    rows = ("Scale factor mismatch p", matching.p, matching.u_p), ("Misalignment q", matching.q, matching.u_q)
+    return _quantities([Quantity(said, value, u, "") for said, value, u in rows])
 
 
 def component_table(matching: Matching) -> Table:
@@ -449,8 +430,7 @@ def distribution_table(fleet: ModelFleet) -> Table:
     texts = zip(*map(_distribution_numbers, rows), strict=True)
     return Table(
         [
-            Column("Coefficient", [words(row.name) for row in rows]),
-            Column("", [sign(row.name) for row in rows]),
+            *_coefficients([row.name for row in rows]),
             *(numbers(head, column) for head, column in zip(heads, texts, strict=True)),
             Column("Unit", [unit_of(row.name, fleet.unit) for row in rows]),
             Column("Outliers", [", ".join(row.outliers) for row in rows], "name"),

@@ -8,23 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import scipy
 from support.command import tiltcal
 
-from tiltcal import Calibration, measure, plan
+from tiltcal import Calibration, measure
 from tiltcal.bench import devices, settle
 from tiltcal.bench.checks import PositionResult, require_plausible_temperature
-from tiltcal.bench.operators import understood
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
-from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.samples import summarise
-from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
-from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
-from tiltcal.files.calibration import SensorIdentity
+from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Position, find_procedure
 
 TWIN = """\
@@ -130,13 +125,6 @@ def test_a_dead_converter_is_tipped_and_what_does_not_follow_is_in_the_file(
     assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
 
 
-def test_a_dead_converter_on_a_ramp_is_tipped_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    disturb(monkeypatch, flickering)
-    found = session("ramp")
-    assert any(note.startswith("x was not seen to follow") for note in found.fit.notes)
-    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
-
-
 @pytest.mark.parametrize("offset", [1026.1, 1026.5])
 def test_a_sound_sensor_that_stands_still_is_tipped_once_and_good(offset: float) -> None:
     """Noise of a fiftieth of a step, no drift: one code, or two where the reading lies between them."""
@@ -149,33 +137,6 @@ def test_a_sound_sensor_that_stands_still_is_tipped_once_and_good(offset: float)
     assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
 
 
-def test_a_change_that_probing_has_seen_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before the first position the sensor lay otherwise; the first link of a session is that of the probe."""
-    quiet = TWIN.replace("{x: 0.6, y: 0.6}", "{x: 0.02, y: 0.6}")
-    Path("twin.yaml").write_text(quiet)
-    connect = devices.open_device
-    links: list[object] = []
-
-    def opened(*args: Any) -> Any:
-        link = connect(*args)
-        links.append(link)
-        if len(links) == 1:
-            exchange = link.exchange
-            link.exchange = lambda out, count=0: word(1300) if out[0] == 0x10 else exchange(out, count)  # type: ignore[method-assign]
-        return link
-
-    monkeypatch.setattr(devices, "open_device", opened)
-    session("reversal", operator=(table := Table()))
-    assert "tip" not in [ask["position"] for ask in table.asks]
-
-
-@pytest.mark.parametrize("dead", [frozen, flickering])
-def test_in_a_procedure_that_tilts_a_dead_converter_is_refused(dead: Change, monkeypatch: pytest.MonkeyPatch) -> None:
-    disturb(monkeypatch, dead)
-    with pytest.raises(Stopped, match="x reads 1024"):
-        session("plane")
-
-
 def test_a_session_that_is_stopped_at_the_tip_is_resumed_there(monkeypatch: pytest.MonkeyPatch) -> None:
     disturb(monkeypatch, frozen)
     session("reversal", journal="whole.jsonl", samples=10)
@@ -185,22 +146,6 @@ def test_a_session_that_is_stopped_at_the_tip_is_resumed_there(monkeypatch: pyte
         Path("whole.jsonl").write_bytes(b"".join(lines[:end]))
         found = measure(resume="whole.jsonl", operator="sim")
         assert [note.split()[0] for note in found.fit.notes if "was not seen to follow" in note] == ["x"]
-
-
-def test_a_sound_sensor_whose_drift_is_below_its_step_is_calibrated() -> None:
-    """The noise of the SCA100T's data sheet, 0.06 count; 18.5 °C change 1026.1 counts by 0.37, and 1020.9 by 0.19."""
-    quiet = TWIN.replace("{x: 0.6, y: 0.6}", "{x: 0.06, y: 0.06}").replace(
-        "{x: [0.4], y: [-0.1]}", "{x: [0.02], y: [0.01]}"
-    )
-    Path("twin.yaml").write_text(quiet.replace("{x: 1026.0, y: 1021.0}", "{x: 1026.1, y: 1020.9}"))
-    found = session("two-temperature", operator=(table := Table()))
-    assert not table.refusals
-    assert [ask["position"] for ask in table.asks].count("tip") == 1
-    for channel, drift in (("x", 0.02), ("y", 0.01)):
-        name = f"temperature.offset.{channel}.1"
-        # Two readings that are each within half a step, √2 / √12 / 18.5 °C, and noise that is hidden in the step.
-        assert 0.022 < found.uncertainty[name] < 0.035
-        assert abs(drift) < 1.96 * found.uncertainty[name]
 
 
 @pytest.mark.parametrize("procedure", ["two-temperature", "reversal", "mavs"])
@@ -239,13 +184,6 @@ def test_a_coarse_reading_that_flickers_in_one_position_and_stands_still_in_the_
     found = session("two-temperature")
     assert [one.std["x"] > 0.4 for one in found.positions] == [True, False]
     assert found.positions[1].std["x"] == 0.0
-
-
-def test_a_coarse_reading_that_stands_still_in_a_position_is_not_stuck() -> None:
-    """Noise of a tenth of a step: within a position every sample is the same, over ±30° they differ by 800 steps."""
-    Path("twin.yaml").write_text(TWIN.replace("noise: {x: 0.6, y: 0.6}", "noise: {x: 0.05, y: 0.05}"))
-    found = session("plane")
-    assert found.offset["x"] == pytest.approx(1026.0, abs=1.0)
 
 
 def test_one_sample_of_a_hundred_that_is_far_off_is_taken_again_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -335,54 +273,6 @@ def test_a_temperature_that_is_answered_is_judged_too(temperature: float, why: s
     assert why in rig.why[0]
 
 
-def test_an_answer_of_minus_127_is_no_answer() -> None:
-    with pytest.raises(InputError, match="not between"):
-        understood({"answer": "ready", "temperature": -127})
-
-
-def test_a_thermometer_at_its_power_on_value_is_refused_where_no_temperature_is_asked_for() -> None:
-    """A DS18B20's data sheet: 85 °C stands in its register until the first conversion."""
-    position = find_procedure("plane").positions[0]
-    summaries = {"x": summarise([1.0, 2.0]), "y": summarise([1.0, 2.0])}
-    at = {
-        celsius: PositionResult(
-            position, {"S-1": Measurement(position.name, position.gravity, position.tilt, celsius, summaries)}
-        )
-        for celsius in (85.0, 84.94)
-    }
-    with pytest.raises(Unsettled, match=r"reads 85 °C in every sample, as a DS18B20 does that converts nothing"):
-        require_plausible_temperature(at[85.0], [])
-    require_plausible_temperature(replace(at[85.0], asked=85.0), [])
-    require_plausible_temperature(replace(at[85.0], typed=True), [])
-    require_plausible_temperature(at[84.94], [])
-
-
-def test_a_bench_thermometer_is_judged_as_the_sensors_own() -> None:
-    bench = BenchFile(
-        (BenchSensor("S-1", "sca100t-d02", "sim:?twin=twin.yaml"),),
-        thermometer=BenchThermometer("sca100t-d02", "sim:?seed=3"),
-    )
-    found = measure("two-temperature", operator="sim", bench=bench, samples=20)
-    assert isinstance(found, Calibration)
-
-
-def test_a_channel_that_does_not_react_to_gravity_has_no_sensitivity() -> None:
-    """Noise alone on y, from a generator of its own: 2.5 V with 1 mV over ±30° of both axes."""
-    noise = np.random.default_rng(3)
-    measurements = []
-    for position in find_procedure("plane").positions:
-        x = 2.5 + 2.0 * position.gravity[0] + noise.normal(0.0, 1e-3, 100)
-        y = 2.5 + noise.normal(0.0, 1e-3, 100)
-        summaries = {"x": summarise(x.tolist()), "y": summarise(y.tolist())}
-        measurements.append(Measurement(position.name, position.gravity, position.tilt, None, summaries))
-    sensor = MeasuredSensor(SensorIdentity("any", "A-1", "V", ("x", "y")), measurements)
-    with pytest.raises(EstimateError, match=r"y of A-1 does not react to gravity: its sensitivity is .* V/g"):
-        calibrate([sensor], find_procedure("plane"), BenchUncertainty(jig=0.05))
-    still = [replace(one, summaries={**one.summaries, "y": summarise([2.5] * 100)}) for one in measurements]
-    with pytest.raises(EstimateError, match="y of A-1 does not react to gravity"):
-        calibrate([replace(sensor, measurements=still)], find_procedure("plane"), BenchUncertainty())
-
-
 def test_a_closing_visit_shows_a_sensor_that_was_knocked(monkeypatch: pytest.MonkeyPatch) -> None:
     """In the fourth position x steps by 12 counts, 15 mg; each position takes about 140 readings."""
     said: list[str] = []
@@ -403,15 +293,18 @@ def test_a_closing_visit_shows_a_sensor_that_was_knocked(monkeypatch: pytest.Mon
     assert p[0] < 1e-3 < p[1]
 
 
-def test_a_closing_visit_is_planned_once_and_replays() -> None:
-    steps = find_procedure("plane").with_closing(True)
-    assert len(steps.positions) == 5
-    assert steps.with_closing(True) == steps
-    costs = plan("plane", sensor="sca100t-d02", jig=0.1, samples=40)
-    assert "--closing takes x-tilt1 again at the end (40 samples), and leaves 4 degrees" in str(costs)
-    assert "--closing" not in str(plan("plane", sensor="sca100t-d02", jig=0.1, closing=True))
-    assert plan("plane", sensor="sca100t-d02", jig=0.1, closing=True).prediction.dof == 4  # type: ignore[union-attr]
-    with pytest.raises(UsageError, match="sets no position that could be visited again"):
-        find_procedure("free").with_closing(True)
-    session("zero-45", closing=True, settle=0.2, samples=10)
-    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
+def test_a_thermometer_at_its_power_on_value_is_refused_where_no_temperature_is_asked_for() -> None:
+    """A DS18B20's data sheet: 85 °C stands in its register until the first conversion."""
+    position = find_procedure("plane").positions[0]
+    summaries = {"x": summarise([1.0, 2.0]), "y": summarise([1.0, 2.0])}
+    at = {
+        celsius: PositionResult(
+            position, {"S-1": Measurement(position.name, position.gravity, position.tilt, celsius, summaries)}
+        )
+        for celsius in (85.0, 84.94)
+    }
+    with pytest.raises(Unsettled, match=r"reads 85 °C in every sample, as a DS18B20 does that converts nothing"):
+        require_plausible_temperature(at[85.0], [])
+    require_plausible_temperature(replace(at[85.0], asked=85.0), [])
+    require_plausible_temperature(replace(at[85.0], typed=True), [])
+    require_plausible_temperature(at[84.94], [])

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from tiltcal.bench.keys import ENTER
-from tiltcal.bench.operators import Attempts, Program, VirtualJig
-from tiltcal.bench.terminal import Terminal
-from tiltcal.errors import InputError, Stopped
+from tiltcal.bench.operators import Attempts, VirtualJig
+from tiltcal.bench.terminal import ENTER, Terminal
+from tiltcal.errors import Stopped
 
 LEVEL = {
     "ask": "position", "position": "level", "tilt": {"x": 0.0, "y": 0.0}, "gravity": [0, 0, 1], "heading": 0,
@@ -78,16 +77,6 @@ def test_what_is_wrong_with_a_typed_number_is_said_in_plain_words(person, shown)
     assert "could not convert" not in said
 
 
-def test_an_unknown_key_is_answered_with_those_that_are_offered(person, shown) -> None:
-    """Once each time. With --plain a line that is not answered would look like a program that hangs."""
-    assert asked(person("\x1b\x1b\x1b\n")) == {"answer": "ready"}
-    assert shown.getvalue().count("  not one of the keys: Enter, a, t, b, q\n") == 1
-    operator = person("z\n")
-    operator.tell(begin(S_1=SCA100T))
-    assert operator.ask(REVIEWED) == {"answer": "accept"}
-    assert "  not one of the keys: Enter, r, b, q\n" in shown.getvalue()
-
-
 def test_a_live_reading_is_shown_until_a_key_is_pressed(shown: io.StringIO) -> None:
     """The session takes one each time that the answer is a look; what was typed before is kept."""
     console = Console(file=shown, force_terminal=True, width=100, color_system=None)
@@ -148,44 +137,6 @@ def test_no_number_of_a_review_is_cut_off(width: int, shown: io.StringIO) -> Non
     assert all(len(line) <= width for line in text.splitlines())
 
 
-def test_a_reading_is_shown_whole_or_not_at_all(shown: io.StringIO) -> None:
-    """45 columns have no room for y: a part of its number would be one that nobody measured."""
-    console = Console(file=shown, force_terminal=True, width=45, color_system=None)
-    operator = Terminal(console, Typed(ENTER), live=True)
-    operator.tell(begin(S_1=SCA100T))
-    shown.truncate(0)
-    operator.tell(look("waiting until still", S_1=({"x": 1045.0, "y": 1019.0}, 24.9)))
-    line = shown.getvalue().rpartition("K")[2]
-    assert line == "  waiting until still   x 1045 (+1.47°) …"
-    operator.clear()
-    assert shown.getvalue().endswith("\r\x1b[2K")
-
-
-@pytest.mark.parametrize("width", range(30, 100))
-def test_the_live_line_of_two_sensors_names_each_and_is_cut_between_its_parts(width: int, shown: io.StringIO) -> None:
-    console = Console(file=shown, force_terminal=True, width=width, color_system=None)
-    operator = Terminal(console, Typed(ENTER), live=True)
-    operator.tell(begin(S_1=SCA100T, S_2=SCA100T))
-    first, second = ({"x": 1045.0, "y": 1019.0}, 24.9), ({"x": 1024.0, "y": 205.0}, None)
-    operator.tell(look("not still", S_1=first, S_2=second))
-    line = shown.getvalue().rpartition("K")[2]
-    parts = ["not still", "S-1 x 1045 (+1.47°)", "y 1019 (-0.35°)", "24.9 °C", "S-2 x 1024 (+0.00°)", "y 205 (-90.00°)"]
-    whole = ["  " + "   ".join(parts[:count]) + (" …" if count < len(parts) else "") for count in range(1, 7)]
-    assert line == max((text for text in whole if len(text) < width), key=len)
-
-
-def test_what_is_said_after_a_live_line_has_a_line_of_its_own(shown: io.StringIO) -> None:
-    """A leg of a ramp is accepted without a review, right after a live reading."""
-    console = Console(file=shown, force_terminal=True, width=80, color_system=None)
-    operator = Terminal(console, Typed(ENTER), live=True)
-    operator.tell(begin(S_1=SCA100T))
-    operator.tell(look("on the way to 5 °C", S_1=({"x": 1045.0, "y": 1019.0}, 24.9)))
-    operator.tell(ACCEPTED)
-    assert shown.getvalue().endswith("24.9 °C\r\x1b[2K  accepted level\n")
-    operator.tell({"event": "refused", "position": "level", "why": "it moves"})
-    assert shown.getvalue().endswith("  accepted level\n  refused: it moves\n")
-
-
 def test_the_virtual_jig_numbers_a_position_that_a_resumed_session_only_reports() -> None:
     """It was accepted before the interruption, so it is not asked for again."""
     said: list[str] = []
@@ -216,13 +167,3 @@ def test_attempts_before_a_success_do_not_count() -> None:
         attempts.tell(refused)
     with pytest.raises(Stopped, match="rotation was asked for 100 times in a row in vain"):
         attempts.tell(refused)
-
-
-@pytest.mark.parametrize(
-    "line", ['{"answer": "quit", "answer": "ready"}', '{"answer": "ready", "tilt": {"x": 1, "x": 2}}']
-)
-def test_a_key_that_is_there_twice_is_refused(line: str) -> None:
-    """The last of both counted (RFC 8259, section 4: what happens is unpredictable)."""
-    program = Program(io.StringIO(f"{line}\n"), io.StringIO())
-    with pytest.raises(InputError, match="is there twice in one answer"):
-        program.ask(LEVEL)

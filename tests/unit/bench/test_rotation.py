@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-import tracemalloc
 from itertools import chain
 from pathlib import Path
 
@@ -12,7 +10,6 @@ import pytest
 from support import accelerometer_disk as disk
 from support.stage_bench import A1_A2, A3_A4, Attendant, Line, line, lines, regressed, turned
 
-from tiltcal.bench.operators import Message
 from tiltcal.bench.rotation import ALL_TURNS, CONVERGED, STOPPED
 from tiltcal.core.pair.matching import Matching
 from tiltcal.errors import BusError, HardwareError, Stopped
@@ -70,16 +67,6 @@ def test_it_stops_where_p_and_q_are_known_as_asked() -> None:
     assert len(attendant.turns) in (5, 6, 7)
 
 
-def test_after_an_interruption_all_that_counts_says_when_it_is_enough() -> None:
-    """2 * 3e-4 / (3.383 sqrt(100 n)) is 4.5e-6 after 15.5 turns; the line is gone after ten."""
-    printed: list[Line] = lines(RECORD)
-    printed[1000:1000] = [BusError("has gone")]
-    found = turned(printed, Attendant(), turns=40, converged=4.5e-6)
-    assert found.ended == CONVERGED
-    assert 13.0 < found.turns < 19.0
-    assert found.matchings[0].u_p <= 4.5e-6
-
-
 def test_noise_that_is_not_white_keeps_it_from_stopping_early() -> None:
     """Amplitudes that wander by themselves scatter from turn to turn, which no white noise within a turn shows."""
     wild = disk.record(seconds=80.0, rate=50.0, spin=0.5, noise=1e-5)
@@ -126,20 +113,6 @@ def test_a_stage_that_turns_the_wrong_way_is_refused() -> None:
     assert "the stage turns backwards: its angle is to count up" in attendant.told[-1]
 
 
-def test_angles_too_far_apart_to_follow_are_refused() -> None:
-    attendant = Attendant(readies=1)
-    with pytest.raises(Stopped, match="enough"):
-        turned(lines(RECORD)[::30], attendant, interval=0.6)
-    assert "the stage turns, but no sample can be used" in attendant.told[-1]
-
-
-def test_a_slow_stage_is_waited_for() -> None:
-    """A sixth of a turn a minute: longer than the patience to the first eighth."""
-    slow = disk.record(seconds=4000.0, rate=0.5, spin=1 / 360, noise=3e-4)
-    found = turned(lines(slow), Attendant(), turns=5, interval=2.0)
-    assert near(found.matchings[0], disk.truth())
-
-
 def stopped_for(seconds: float) -> list[Line]:
     """Ten turns, a stop, and ten turns more."""
     before, after = RECORD.rows(slice(0, 1030)), RECORD.rows(slice(1030, 2200))
@@ -183,15 +156,6 @@ def test_an_encoder_that_lost_its_zero_while_the_line_was_gone_changes_neither_p
     assert near(found.matchings[0], disk.truth())
     assert found.matchings[0].u_p == pytest.approx(undisturbed.u_p, rel=0.15)
     assert found.samples > 2900
-
-
-def test_a_stage_that_turns_back_is_held() -> None:
-    attendant = Attendant()
-    back = RECORD.rows(slice(500, 700))
-    printed = [*lines(RECORD.rows(slice(0, 700))), *reversed(lines(back)), *lines(RECORD.rows(slice(500, 2500)))]
-    found = turned(printed, attendant, turns=15)
-    assert attendant.told == ["the stage runs backwards", "goes on"]
-    assert near(found.matchings[0], disk.truth())
 
 
 def test_a_damaged_line_is_left_out_and_told_once_a_turn() -> None:
@@ -250,38 +214,3 @@ def test_pairs_without_a_signal_are_left_out_with_the_reason() -> None:
     assert "a3 has no clear signal at the spin frequency" in attendant.turns[-1]["unknown"]["a3_a4"]
     assert list(attendant.turns[-1]["p"]) == ["a1_a2"]
     assert attendant.told == [why]
-
-
-def test_where_no_pair_has_a_signal_it_is_asked_for_again() -> None:
-    flat = disk.record(seconds=40.0, rate=50.0, spin=0.5)
-    flat.readings[:] = 1e-4 * np.random.default_rng(3).standard_normal(flat.readings.shape)
-    attendant = Attendant(readies=1)
-    with pytest.raises(Stopped, match="enough"):
-        turned(lines(flat), attendant, turns=3)
-    assert "incline the spin axis" in attendant.told[-1]
-
-
-class Weighing(Attendant):
-    """Keeps nothing of the turns but the memory that is held after every tenth, bytes."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.held: dict[int, int] = {}
-
-    def tell(self, event: Message) -> None:
-        if event["event"] == "turn" and event["turn"] % 10 == 0:
-            gc.collect()
-            self.held[event["turn"]] = tracemalloc.get_traced_memory()[0]
-
-
-def test_memory_grows_with_the_samples_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A line of six numbers of eight bytes takes less than 100, once there are as many turns as the estimators keep."""
-    monkeypatch.setattr("tiltcal.core.pair.online.MEMORY", 10.0)
-    printed, attendant = lines(disk.record(seconds=380.0, rate=8.0, spin=0.5)), Weighing()
-    tracemalloc.start()
-    try:
-        turned(iter(printed), attendant, turns=180)
-    finally:
-        tracemalloc.stop()
-    first, second = (max(attendant.held[turn] for turn in range(end - 50, end + 1, 10)) for end in (120, 180))
-    assert second - first < 100 * 16 * 60

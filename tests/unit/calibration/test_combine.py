@@ -13,8 +13,8 @@ from support import FIXTURES
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
+from tiltcal.calibration.complete import mount
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.calibration.mounting import mount
 from tiltcal.core.model import Array, Coefficients, Mounting, Thermal
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.samples import SampleSummary

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support import FIXTURES
 
-from tiltcal.calibration.level import level
+from tiltcal.calibration.complete import level
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement
 from tiltcal.calibration.season import DAY, DatedCalibration, SensorHistory
 from tiltcal.core.model import Coefficients

@@ -14,7 +14,6 @@ from tiltcal.core.closed_forms import (
     first_order_compensation,
     first_order_compensation_from_tilt,
     offset_from_pair,
-    referenced_reading,
     referenced_tilt,
     scale_from_tilt,
     sensitivity_from_pair,
@@ -22,8 +21,6 @@ from tiltcal.core.closed_forms import (
     tempco_from_two_temperatures,
     tilt_from_channel,
 )
-from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import Coefficients
 from tiltcal.errors import EstimateError
 
 THIRTY = pi / 6  # its sine is one half, which keeps the arithmetic below to what a pencil can do
@@ -82,24 +79,9 @@ class TestSignOfEquations5And6:
         assert self.error(plus) == pytest.approx(0.0159, abs=5e-5)
         assert self.error(minus) == pytest.approx(0.0001, abs=5e-5)
 
-    def test_naming_the_other_position_tilt1_changes_nothing(self) -> None:
-        def readings(g_y: float) -> np.ndarray:
-            return self.OFFSET + self.S @ (0.0, g_y)
-
-        (x1, y1), (x2, y2) = readings(0.5), readings(-0.5)
-        one_way = [sensitivity_from_pair(a, b, THIRTY, THIRTY) for a, b in ((x1, x2), (y1, y2))]
-        other_way = [sensitivity_from_pair(b, a, THIRTY, THIRTY) for a, b in ((x1, x2), (y1, y2))]
-        compensated = [first_order_compensation(self.U_X, self.U_Y, 2.5, *pair) for pair in (one_way, other_way)]
-        assert compensated[0] == pytest.approx(compensated[1], rel=1e-15)
-
     def test_eq_5_is_eq_6_by_way_of_the_angle(self) -> None:
         by_angle = first_order_compensation_from_tilt(self.U_X, tilt_from_channel(self.U_Y, 2.5, 2.0), 0.04)
         assert by_angle == pytest.approx(first_order_compensation(self.U_X, self.U_Y, 2.5, 0.04, 2.0), rel=1e-14)
-
-    def test_the_whole_matrix_leaves_no_error(self) -> None:
-        compensation = Compensation(Coefficients(("x", "y"), ("x", "y"), np.array(self.OFFSET), np.array(self.S)))
-        gravity = compensation.inverse @ (np.array([self.U_X, self.U_Y]) - self.OFFSET)
-        assert gravity == pytest.approx([self.G_X, self.G_Y], abs=1e-15)
 
 
 class TestTiltMeterPaper:
@@ -111,10 +93,6 @@ class TestTiltMeterPaper:
 
     def test_the_temperature_coefficient_from_24_and_5_5_degrees(self) -> None:
         assert tempco_from_two_temperatures(2740.0, 2555.0, 24.0, 5.5) == 10.0
-
-    def test_a_reading_is_referenced_to_0_degrees(self) -> None:
-        assert referenced_reading(2740.0, 24.0, 10.0) == 2500.0
-        assert referenced_reading(2740.0, 24.0, 10.0, reference=20.0) == 2700.0
 
     def test_the_arcsine_is_trapped(self) -> None:
         assert isnan(referenced_tilt(3001.0, 0.0, 2500.0, 500.0, 10.0))

@@ -43,20 +43,6 @@ def test_the_kernel_takes_the_bend_out(bends: list[list[float]], g_x: float, g_y
     assert found.tilt[0] == pytest.approx([degrees(asin(g_x)), degrees(asin(g_y))], abs=1e-6)
 
 
-@given(terms, st.floats(-0.7, 0.7), st.floats(-0.7, 0.7))
-def test_the_model_predicts_the_bend(bends: list[list[float]], g_x: float, g_y: float) -> None:
-    gravity = np.array([[g_x, g_y, np.sqrt(1 - g_x**2 - g_y**2)]])
-    assert part(bends).predict(gravity)[0] == pytest.approx(reading(g_x, g_y, bends), rel=1e-12)
-
-
-def test_the_file_keeps_it() -> None:
-    calibration = CalibrationRecord(SensorIdentity("m", "s", "count", ("x", "y")), part([[0.006, -0.01], [0.0, 0.002]]))
-    text = dump_calibration(calibration)
-    assert "nonlinearity: {x: [0.006, -0.01], y: [0.0, 0.002]}" in text
-    again = tilt_record(parse_document(text)).coefficients.nonlinearity
-    np.testing.assert_array_equal(again, [[0.006, -0.01], [0.0, 0.002]])
-
-
 @pytest.mark.parametrize("bad", [[[0.6, 0.0]], [[0.0, -0.4]], [[1.5, 0.7]]])
 def test_a_reading_with_several_angles_is_refused(bad: list[list[float]]) -> None:
     text = dump_calibration(CalibrationRecord(SensorIdentity("m", "s", "V", ("x",)), _single(bad)))

@@ -14,7 +14,6 @@ from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation, separated
 from tiltcal.core.model import AXES, Coefficients, Mounting
 from tiltcal.core.uncertain import Uncertain, degrees_of_freedom
-from tiltcal.errors import EstimateError
 
 TRIANGULAR = np.array([[1.02, 0.03, -0.02], [0.0, 0.97, 0.05], [0.0, 0.0, 1.01]])
 NAMES = tuple(f"{name}" for c in AXES for name in (f"offset.{c}", *(f"sensitivity.{c}.{a}" for a in AXES)))
@@ -62,17 +61,6 @@ def test_one_estimated_variance_gives_all_of_them_the_factor_of_student() -> Non
     known = uncertain(NAMES, 1e-12 * by @ by.T, student)
     factors = np.concatenate([intrinsic(STRAIGHT, known).factors, rotation(STRAIGHT, known)[0].factors])
     np.testing.assert_allclose(factors, np.full(12, student), rtol=1e-4)
-
-
-def test_a_mirror_image_has_no_rotation_and_its_nine_numbers_all_the_same() -> None:
-    """A channel that is wired the other way round: lengths stay, and its angles with the others are 180° less."""
-    mirrored = Coefficients(AXES, AXES, np.zeros(3), TRIANGULAR * np.array([[1.0], [-1.0], [1.0]]))
-    own = intrinsic(mirrored, uncertain(NAMES, 1e-12 * np.eye(12)))
-    nine = own.by_name(own.value)
-    assert nine["sensitivity.y"] == pytest.approx(sqrt(0.97**2 + 0.05**2))
-    assert nine["angle_degrees.yz"] == pytest.approx(180.0 - degrees(np.arccos(0.05 / sqrt(0.97**2 + 0.05**2))))
-    with pytest.raises(EstimateError, match="left-handed"):
-        rotation(mirrored, uncertain(NAMES, 1e-12 * np.eye(12)))
 
 
 def test_cross_axis_and_misalignment_with_their_uncertainty() -> None:

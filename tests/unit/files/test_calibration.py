@@ -91,25 +91,12 @@ def test_example_is_read() -> None:
     assert calibration.provenance == Provenance()
 
 
-@pytest.mark.parametrize(
-    ("present", "former"),
-    [
-        ("fit: {jig_estimated_degrees: 0.1}", "jig_that_shows_degrees: 0.1"),
-        ("fit: {suspect_positions: {a: {off_degrees: 1}}}", "worse_than_stated: {a: {off_degrees: 1}}"),
-    ],
-)
-def test_former_name_of_a_key_is_read(present: str, former: str) -> None:
+def test_former_names_of_keys_are_read() -> None:
     head = EXAMPLE[: EXAMPLE.index("limits")] + "limits: {}\n"
-    section, entry = present.split(": {", 1)
-    both = f"{section}: {{{entry[:-1]}, {former}}}\n"
-    found = dump_calibration(read(head + present.replace(entry, former + "}") + "\n"))
-    assert found == dump_calibration(read(head + present + "\n"))
-    assert found != dump_calibration(read(head))
+    present, former = "fit: {jig_estimated_degrees: 0.1}\n", "fit: {jig_that_shows_degrees: 0.1}\n"
+    assert read(head + former).fit == read(head + present).fit == FitRecord(jig_estimated_degrees=0.1)
     with pytest.raises(InputError, match="by its present and its former name"):
-        read(head + both)
-
-
-def test_calibration_of_an_earlier_version_is_read() -> None:
+        read(head + "fit: {jig_estimated_degrees: 0.1, jig_that_shows_degrees: 0.1}\n")
     text = EXAMPLE.replace("  covariance", "  reading: {x: 0.2}\n  covariance")
     assert read(text).uncertainty.single_reading == {"x": 0.2}
 
@@ -127,12 +114,10 @@ def test_two_channels_may_have_a_z_column() -> None:
     assert sorted(read(text).limits.tilt) == ["x", "y"]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line", "key", "about"),
-    [
+def test_error_names_line_and_key() -> None:
+    curve = "    offset: {x: [0.21]"
+    for old, new, line, key, about in (
         ("serial: 0042, ", "", 3, "sensor", "'serial' is missing"),
-        ("serial: 0042", "serial: ", 3, "sensor.serial", "found nothing"),
-        ("serial", "serail", 3, "sensor.serail", "did you mean 'serial'"),
         ("[x, y]}", "[x, x]}", 3, "sensor.channels", "different ones"),
         ("[x, y]}", "[x, w]}", 3, "sensor.channels[1]", "unknown value 'w'"),
         ("[x, y]}", "[]}", 3, "sensor.channels", "one to three"),
@@ -141,20 +126,11 @@ def test_two_channels_may_have_a_z_column() -> None:
         ("x: {x: 818.2, y: 9.1}", "x: {x: 818.2}", 8, "calibration.sensitivity.y", "same columns"),
         ("x: {x: 818.2, y: 9.1}", "x: {x: 6.4, y: -820.7}", 6, "calibration.sensitivity", "singular"),
         ("x: {x: 818.2, y: 9.1}", "x: {x: 0, y: 0}", 6, "calibration.sensitivity", "singular"),
-        ("reference: 24.0\n    ", "", 9, "calibration.temperature", "'reference' is missing"),
         ("[5.5, 24.0]", "[24.0, 5.5]", 11, "calibration.temperature.range", "wrong way round"),
         ("[-0.05, 1e-4]", "[1, 2, 3, 4, 5, 6, 7]", 12, "calibration.temperature.offset.y", "at most 6"),
         (", y: [-0.05, 1e-4]}", "}", 12, "calibration.temperature.offset", "'y' is missing"),
-        (
-            "    offset: {x: [0.21]",
-            "    sensitivity: {y: [0]}\n    offset: {x: [0.21]",
-            12,
-            "calibration.temperature.sensitivity",
-            "'x' is",
-        ),
+        (curve, "    sensitivity: {y: [0]}\n" + curve, 12, "calibration.temperature.sensitivity", "'x' is"),
         ("  mounting:", "  nonlinearity: {y: [0.1]}\n  mounting:", 13, "calibration.nonlinearity", "'x' is missing"),
-        ("fit:", "provenance: {ended: 12:30}\nfit:", 18, "provenance.ended", "'12:30' is no date"),
-        ("mean: {x: 1024.6}", "time: soon", 19, "positions[0].time", "'soon' is no date"),
         ("roll: 180", "rol: 180", 13, "calibration.mounting.rol", "did you mean 'roll'"),
         ("{x: 0.1, y: 0.1}", "{x: -0.1}", 15, "uncertainty.offset.x", "at least 0"),
         ("[1e-8, 0.01]]", "[2e-8, 0.01]]", 16, "uncertainty.covariance.matrix[1]", "not symmetric"),
@@ -162,55 +138,33 @@ def test_two_channels_may_have_a_z_column() -> None:
         ("{x: 0.1, y: 0.1}", "{x: 0.3, y: 0.1}", 16, "uncertainty.covariance", "uncertainty of 0.1, and 0.3 is stated"),
         (", [1e-8, 0.01]]", "]", 16, "uncertainty.covariance.matrix", "2 rows of 2"),
         ("offset.y], matrix", "offset.x], matrix", 16, "uncertainty.covariance.parameters", "twice"),
-        (
-            "offset.y], matrix",
-            "ofset.y], matrix",
-            16,
-            "uncertainty.covariance.parameters[1]",
-            "did you mean 'offset.y'",
-        ),
-        (
-            "0.1}\n  cov",
-            "0.1}\n  coverage_factor: {ofset.x: 2.5}\n  cov",
-            16,
-            "uncertainty.coverage_factor.ofset.x",
-            "did you mean 'offset.x'",
-        ),
+        ("offset.y], matrix", "ofset.y], matrix", 16, "uncertainty.covariance.parameters[1]", "mean 'offset.y'"),
+        ("0.1}\n  cov", "0.1}\n  coverage_factor: {a: 2.5}\n  cov", 16, "uncertainty.coverage_factor.a", "unknown"),
         ("tilt: [-60, 60]", "tilt: {w: [0, 1]}", 17, "limits.tilt.w", "unknown key"),
         ("chi_square: 3.1", "chi_square: .inf", 18, "fit.chi_square", "must be finite"),
-        ("[{position", "[1, {position", 19, "positions[0]", "a mapping is needed"),
-        ("chi_square: 3.1", "chi_square: x", 18, "fit.chi_square", "a number is needed"),
-        ("chi_square", "chi_sqare", 18, "fit.chi_sqare", "did you mean 'chi_square'"),
-        (
-            "{chi_square: 3.1",
-            "{budget: {ofset.x: {noise: 1.0}}, chi_square: 3.1",
-            18,
-            "fit.budget.ofset.x",
-            "did you mean 'offset.x'",
-        ),
-        ("fit:", "provenance: {journal: x}\nfit:", 18, "provenance.journal", "a mapping is needed"),
-        ("residual: 2}", "residual: [2]}", 18, "fit.worst.residual", "a number is needed"),
+        ("{chi_square", "{budget: {a: {noise: 1.0}}, chi_square", 18, "fit.budget.a", "unknown key"),
+        ("fit:", "provenance: {ended: 12:30}\nfit:", 18, "provenance.ended", "'12:30' is no date"),
         ("fit:", "fitt:", 18, "fitt", "did you mean 'fit'"),
-    ],
-)
-def test_error_names_line_and_key(old: str, new: str, line: int, key: str, about: str) -> None:
-    assert old in EXAMPLE
-    with pytest.raises(InputError) as caught:
-        read(EXAMPLE.replace(old, new, 1))
-    assert (caught.value.file, caught.value.line, caught.value.key) == ("c.yaml", line, key)
-    assert about in caught.value.message
+        ("mean: {x: 1024.6}", "time: soon", 19, "positions[0].time", "'soon' is no date"),
+        ("[{position", "[1, {position", 19, "positions[0]", "a mapping is needed"),
+    ):
+        assert old in EXAMPLE
+        with pytest.raises(InputError) as caught:
+            read(EXAMPLE.replace(old, new, 1))
+        assert (caught.value.file, caught.value.line, caught.value.key) == ("c.yaml", line, key), new
+        assert about in caught.value.message
 
 
-@pytest.mark.parametrize(("channels", "columns"), [("xy", "x"), ("x", "yz"), ("xyz", "xy"), ("xy", "")])
-def test_columns_go_with_channels(channels: str, columns: str) -> None:
-    row = "{" + ", ".join(f"{axis}: {n + 1}" for n, axis in enumerate(columns)) + "}"
-    text = (
-        f"tiltcal: 1\nkind: tilt\nsensor: {{model: m, serial: s, unit: V, channels: [{', '.join(channels)}]}}\n"
-        f"calibration:\n  offset: {{{', '.join(f'{channel}: 0' for channel in channels)}}}\n  sensitivity:\n"
-    ) + "".join(f"    {channel}: {row}\n" for channel in channels)
-    with pytest.raises(InputError, match="columns") as caught:
-        read(text)
-    assert (caught.value.line, caught.value.key) == (6, "calibration.sensitivity")
+def test_columns_go_with_channels() -> None:
+    for channels, columns in (("xy", "x"), ("x", "yz"), ("xyz", "xy"), ("xy", "")):
+        row = "{" + ", ".join(f"{axis}: {n + 1}" for n, axis in enumerate(columns)) + "}"
+        text = (
+            f"tiltcal: 1\nkind: tilt\nsensor: {{model: m, serial: s, unit: V, channels: [{', '.join(channels)}]}}\n"
+            f"calibration:\n  offset: {{{', '.join(f'{channel}: 0' for channel in channels)}}}\n  sensitivity:\n"
+        ) + "".join(f"    {channel}: {row}\n" for channel in channels)
+        with pytest.raises(InputError, match="columns") as caught:
+            read(text)
+        assert (caught.value.line, caught.value.key) == (6, "calibration.sensitivity")
 
 
 def test_pair_calibration_is_told_apart(tmp_path: Path) -> None:
@@ -266,12 +220,6 @@ def test_unit_cannot_break_the_file() -> None:
     calibration = read(EXAMPLE)
     strange = replace(calibration, sensor=calibration.sensor.replaced(unit="a\nb: # c"))
     assert read(dump_calibration(strange)).sensor.unit == "a\nb: # c"
-
-
-def test_file_written_twice_is_the_same(tmp_path: Path) -> None:
-    Calibration(read(EXAMPLE)).save(tmp_path / "a.yaml")
-    Calibration(read_calibration(tmp_path / "a.yaml")).save(tmp_path / "b.yaml")
-    assert (tmp_path / "a.yaml").read_bytes() == (tmp_path / "b.yaml").read_bytes()
 
 
 def test_nothing_is_written_where_a_record_is_not_finite(tmp_path: Path) -> None:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from support import FIXTURES
 
+import tiltcal
 from tiltcal.drivers import find_model
 from tiltcal.errors import InputError
-from tiltcal.library.calibration import Calibration, read
-from tiltcal.library.pair_calibration import PairCalibration
+from tiltcal.library.calibration import Calibration, PairCalibration, read
 
 FILE = """\
 tiltcal: 1
@@ -98,6 +98,16 @@ def test_text_has_every_coefficient_with_its_uncertainty_and_unit(calibration: C
 def test_at_a_prompt_it_is_named_in_a_line(calibration: Calibration) -> None:
     assert repr(calibration) == "<Calibration of sca100t-d02 S-0042: x, y in count>"
     assert repr(read(FIXTURES / "rotation.yaml")) == "<PairCalibration of a1 and a2, a3 and a4>"
+
+
+def test_a_notebook_shows_calibration_plan_comparison_and_figure() -> None:
+    cal = read(FIXTURES / "complete.yaml")
+    for shown in (cal, tiltcal.plan("zero-45", sensor="sca100t-d02"), tiltcal.compare(cal, cal)):
+        assert str(shown).splitlines()[1] in shown._repr_html_()
+        assert isinstance(shown, tiltcal.Calibration) or repr(shown) == str(shown)
+    shown = cal.plot()._repr_html_()
+    assert "error, data sheet [°]" in shown
+    assert "95 % interval, calibrated" in shown
 
 
 def test_saved_file_reads_back_equal(calibration: Calibration, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, date, datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -127,35 +127,6 @@ def test_a_heading_takes_the_short_way_between_both(tmp_path: Path) -> None:
     assert found["heading"] == pytest.approx([1.0 if after < 180.0 else 359.0])
 
 
-def test_a_row_has_the_same_result_wherever_its_block_begins(tmp_path: Path) -> None:
-    first, last = calibrated(0, (1000, 990)), calibrated(100, (1010, 1000))
-    library = tiltcal.open_calibrations(kept(tmp_path, first, last))
-    days = np.linspace(-10.0, 110.0, 1201)
-    frame = {"time": seconds(days), "x": np.linspace(500.0, 1500.0, 1201), "y": np.full(1201, 1100.0)}
-    whole = library.apply(frame, uncertainty=True)
-    order = np.random.default_rng(1).permutation(1201)
-    mixed = library.apply({name: column[order] for name, column in frame.items()}, uncertainty=True)
-    for name, column in whole.items():
-        np.testing.assert_array_equal(mixed[name], column[order])
-    for row in (0, 100, 101, 700, 1200):
-        alone = library.apply({name: column[row : row + 1] for name, column in frame.items()}, uncertainty=True)
-        assert {name: column[0] for name, column in alone.items()} == {name: whole[name][row] for name in whole}
-
-
-def test_a_season_of_hours_with_many_calibrations_takes_each_in_its_time(tmp_path: Path) -> None:
-    """4 calibrations, 30 days apart, have 192 steps of 12 rows; the uncertainty is that of a step's middle."""
-    records = [calibrated(30.0 * k, (1000.0 + k * k, 990.0 - k)) for k in range(4)]
-    library = tiltcal.open_calibrations(kept(tmp_path, *records))
-    days = (np.arange(2304) + 0.5) * 90.0 / 2304
-    frame = {"time": seconds(days), "x": np.full(2304, 1400.0), "y": np.full(2304, 900.0)}
-    found = library.apply(frame, uncertainty=True, stability=0.5)
-    for row in (6, 1002, 2298):
-        at = library.at("S-1", START + timedelta(days=days[row]), stability=0.5)
-        alone = at.apply({"x": np.array([1400.0]), "y": np.array([900.0])}, uncertainty=True)
-        assert found["tilt_x"][row] == pytest.approx(alone["tilt_x"][0], abs=1e-9)
-        assert found["u_tilt_x"][row] == pytest.approx(alone["u_tilt_x"][0], rel=0.005)
-
-
 def test_the_uncertainty_is_that_of_both_calibrations_and_of_a_stated_walk(tmp_path: Path) -> None:
     """At the middle of 100 days: half of each variance, and 0.5² mg² times 25; 20 days outside 0.5² mg² times 20."""
     library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
@@ -242,11 +213,6 @@ class TestMeansOfSeveralSensors:
         frame |= {"A_x": np.array(a), "B_x": np.array(b), **others}
         return library.apply(frame, average=len(a), uncertainty=True)
 
-    def test_a_rail_is_seen_beside_a_dead_sensor(self, library: tiltcal.CalibrationLibrary) -> None:
-        found = self.means(library, [np.nan, np.nan], [2000.0, 1000.0])
-        assert (found["B_flag"].tolist(), found["B_reason"].tolist()) == ([4], [4])
-        assert found["A_flag"].tolist() == [9]
-
     def test_a_rail_fails_its_own_sensor_alone(self, library: tiltcal.CalibrationLibrary) -> None:
         found = self.means(library, [2000.0, 1000.0], [1000.0, 1000.0])
         assert (found["A_flag"].tolist(), found["B_flag"].tolist()) == ([4], [1])
@@ -257,13 +223,6 @@ class TestMeansOfSeveralSensors:
         assert found["B_x"] == pytest.approx([1002.0])
         assert found["B_u_random_tilt_x"] == pytest.approx(np.degrees([4.0 / SCALE]), rel=0.002)
         assert found["count"].tolist() == [4]
-
-    def test_each_mean_is_over_the_rows_of_its_sensor(self, library: tiltcal.CalibrationLibrary) -> None:
-        """``count`` is of the rows in which one of them has its readings; two rows of A, one of B, none of the last."""
-        found = self.means(library, [1000.0, 1010.0, np.nan, np.nan], [np.nan, np.nan, 1020.0, np.nan])
-        assert (found["A_x"].tolist(), found["B_x"].tolist(), found["count"].tolist()) == ([1005.0], [1020.0], [3])
-        assert found["A_u_random_tilt_x"] == pytest.approx(np.degrees([8.0 / np.sqrt(2.0) / SCALE]), rel=0.002)
-        assert found["B_u_random_tilt_x"] == pytest.approx(np.degrees([8.0 / SCALE]), rel=0.002)
 
     def test_a_thermometer_that_fails_costs_no_row(self, library: tiltcal.CalibrationLibrary) -> None:
         warm = np.array([20.0, np.nan, 22.0])
@@ -289,15 +248,6 @@ def test_each_column_of_several_sensors_has_its_unit(tmp_path: Path, units: dict
     }
     with pytest.raises(InputError, match=why):
         library.apply(xarray.Dataset(log))
-
-
-def test_the_unit_that_is_stated_for_a_frame_is_that_of_every_sensor(tmp_path: Path) -> None:
-    kept(tmp_path, *(calibrated(0, (1000, 1000), serial=serial) for serial in ("A", "B")))
-    library = tiltcal.open_calibrations(tmp_path)
-    frame = {"time": seconds(np.zeros(1))} | {name: np.array([1000.0]) for name in ("A_x", "A_y", "B_x", "B_y")}
-    with pytest.raises(InputError, match="column 'A_x' is in V, and the calibration in count: convert the readings"):
-        library.apply(frame, unit="V")
-    assert library.apply(frame, unit="count")["A_flag"].tolist() == [1]
 
 
 def test_a_calibration_without_a_date_is_named_where_it_is_missed(tmp_path: Path) -> None:
@@ -327,17 +277,6 @@ def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
     assert library.apply(frame, serial="A", start=stamp(0.0))["reason"].tolist() == [0, 0]
 
 
-@pytest.mark.parametrize(
-    "time",
-    ["2026-01-02", date(2026, 1, 2), datetime(2026, 1, 2), np.datetime64("2026-01-02"), START + timedelta(days=1)],
-)
-def test_moments_of_every_kind(time: Any, tmp_path: Path) -> None:
-    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(4, (1010, 1000))))
-    assert library.at("S-1", time).offset["x"] == pytest.approx(1002.5)
-    at_zero = {"time": [0.0], "x": [1100.0], "y": [1000.0]}
-    assert library.apply(at_zero, start=time)["g_x"] == pytest.approx([(1100.0 - 1002.5) / SCALE], abs=1e-6)
-
-
 def test_what_is_no_moment_and_no_stability(tmp_path: Path) -> None:
     library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000))))
     for time in (5, None, "soon"):
@@ -346,14 +285,6 @@ def test_what_is_no_moment_and_no_stability(tmp_path: Path) -> None:
     for stability in (-1.0, np.nan, "1"):
         with pytest.raises(UsageError, match="--stability takes 0 or a number from"):
             library.at("S-1", stamp(0), stability=stability)  # type: ignore[arg-type]
-
-
-def test_rows_before_the_first_time_have_that_time(tmp_path: Path) -> None:
-    """25 days of 100 are 2.5 counts of 10; the last calibration would give 10."""
-    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
-    time = np.array([np.nan, seconds(25.0), np.nan])
-    found = library.apply({"time": time, "x": np.full(3, 1100.0), "y": np.full(3, 1000.0)})
-    assert found["g_x"] == pytest.approx(np.full(3, 97.5 / SCALE), abs=1e-9)
 
 
 def test_rows_without_any_time_are_refused_unless_they_have_no_readings(tmp_path: Path) -> None:
@@ -407,11 +338,3 @@ def test_of_different_mountings_the_nearer_in_time_is_taken(tmp_path: Path) -> N
     turned = replace(last, coefficients=replace(last.coefficients, sensitivity=-SCALE * np.eye(2)))
     with pytest.raises(UsageError, match=r"0\.yaml and S-1-1\.yaml: the sensitivity of x differs"):
         tiltcal.open_calibrations(kept(tmp_path / "other", first, turned)).apply(frame)
-
-
-def test_a_file_of_the_same_date_and_another_mounting_is_no_copy(tmp_path: Path) -> None:
-    library = tiltcal.open_calibrations(
-        kept(tmp_path, calibrated(0, (1000, 1000)), mounted(calibrated(0, (1000, 1000)), 180.0))
-    )
-    with pytest.raises(InputError, match="has the same date"):
-        library.at("S-1", stamp(1))

@@ -9,8 +9,8 @@ import pytest
 from support import FIXTURES
 
 from tiltcal.errors import InputError
-from tiltcal.library.apply import apply_log
 from tiltcal.library.calibration import Calibration, read
+from tiltcal.library.recorded import apply_log
 from tiltcal.logs.apply import NO_TIME
 
 LAG = 120.0
@@ -64,14 +64,6 @@ def test_a_row_without_a_time_is_suspect_and_a_missing_reading_has_no_other_reas
     assert np.flatnonzero(found["reason"] == 16).tolist() == [7]
     found = lagging(LAG).apply({"x": [1300.0, np.nan], "y": [900.0, 900.0], "temperature": [10.0, 10.0]})
     assert (found["flag"].tolist(), found["reason"].tolist()) == ([3, 9], [16, 32])
-
-
-def test_the_lag_is_kept_in_the_file(tmp_path):
-    lagging(-35.5).save(tmp_path / "cal.yaml")
-    assert read(tmp_path / "cal.yaml").coefficients.thermal.lag == -35.5
-    (tmp_path / "bad.yaml").write_text((tmp_path / "cal.yaml").read_text().replace("lag: -35.5", "lag: soon"))
-    with pytest.raises(InputError, match="lag"):
-        read(tmp_path / "bad.yaml")
 
 
 @pytest.mark.parametrize(

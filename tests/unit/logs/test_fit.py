@@ -15,7 +15,7 @@ import xarray
 import tiltcal
 from tiltcal.errors import InputError
 from tiltcal.files.procedure import find_procedure
-from tiltcal.library.fit import fit
+from tiltcal.library.recorded import fit
 
 OWN = """\
 tiltcal: 1

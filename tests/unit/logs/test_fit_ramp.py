@@ -9,7 +9,7 @@ from support.recordings import RECORDINGS, needs
 
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.library.calibration import read
-from tiltcal.library.fit import fit
+from tiltcal.library.recorded import fit
 
 LAG = 120.0
 SECONDS = np.arange(0.0, 9600.0, 4.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,14 +15,11 @@ import xarray
 from support import FIXTURES
 from support.frames import READINGS, array
 
-from tiltcal.errors import UsageError
-from tiltcal.library.apply import apply_log
-from tiltcal.library.calibration import Calibration, read
-from tiltcal.library.pair_calibration import PairCalibration
+from tiltcal.library.calibration import Calibration, PairCalibration, read
+from tiltcal.library.recorded import apply_log
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import rows_of
 from tiltcal.logs.kernel import RoleValues, prepare
-from tiltcal.logs.log import LogBlock
 from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete
 
@@ -147,11 +143,6 @@ class TestIndexOfPandas:
         assert found["count"].tolist() == [2]
         assert found.index.name == "time"
 
-    def test_it_stays(self, calibration: Calibration) -> None:
-        found = calibration.apply(pd.DataFrame(READINGS, index=self.TIMES))
-        assert found.index.equals(self.TIMES)
-        assert list(found.columns[:3]) == ["x", "y", "g_x"]
-
     @pytest.mark.parametrize("how", [{"average": 2}, {"every": "10s"}])
     def test_moments_without_a_name_are_the_time(self, how: dict[str, Any], calibration: Calibration) -> None:
         """As ``pandas.date_range`` makes them; means had the numbers of their rows for an index."""
@@ -164,10 +155,6 @@ class TestIndexOfPandas:
     def test_of_a_table_without_a_name_it_is_nothing(self) -> None:
         table = pd.DataFrame({"position": ["level"], "x": [1.0]}, index=self.TIMES[:1].rename(None))
         assert rows_of(table, "the table") == [{"position": "level", "x": 1}]
-
-    def test_a_column_of_its_name_is_meant(self, calibration: Calibration) -> None:
-        frame = pd.DataFrame(READINGS | {"time": [0.0, 5.0]}, index=self.TIMES)
-        assert calibration.apply(frame, every="10s")["time"].tolist() == [2.5]
 
 
 class TestPairs:
@@ -182,11 +169,6 @@ class TestPairs:
         renamed = {{"a1": "Q1"}.get(name, name): column for name, column in self.READINGS.items()}
         found, expected = pairs.apply(renamed, columns={"a1": "Q1"}), pairs.apply(self.READINGS)
         assert found["matched_a1_a2"].tolist() == expected["matched_a1_a2"].tolist()
-
-    @pytest.mark.parametrize("option", [{"uncertainty": True}, {"average": 2}, {"mounting": "roll=180"}])
-    def test_what_is_for_tilt(self, option: dict[str, Any]) -> None:
-        with pytest.raises(UsageError, match="is for tilt calibrations; the calibration is of pairs"):
-            read(FIXTURES / "rotation.yaml").apply(self.READINGS, **option)
 
 
 MOMENTS = ["2026-05-01T12:00:00.5Z", "2026-05-01T12:00:01.75Z"]
@@ -213,24 +195,6 @@ def test_a_frame_is_read_like_a_log(frame: Any) -> None:
         (block,) = reader.rows(where, where[0])
         assert block.values[where[0]].tolist() == [1777636800.5, 1777636801.75]
         assert block.values[where[1]].tolist() == [1.0, 2.0]
-
-
-def test_csv_files_load_no_frames(tmp_path: Path) -> None:
-    script = f"import sys, tiltcal\ntiltcal.apply_log({str(CAL)!r}, 'log.csv', 'out.csv')\nprint(*sys.modules)"
-    import subprocess
-
-    (tmp_path / "log.csv").write_text("x,y\n1024,1024\n")
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
-    loaded = set(done.stdout.split())
-    assert "tiltcal.logs.formats.csv" in loaded
-    unwanted = ("tiltcal.drivers", "tiltcal.logs.frames", "narwhals")
-    assert not [name for name in loaded if name.startswith((*unwanted, "tiltcal.logs.formats.netcdf", "xarray"))]
-
-
-def test_a_block_gives_readings_side_by_side() -> None:
-    block = LogBlock({2: np.array([1.0, 2.0]), 0: np.array([3.0, 4.0])})
-    assert block.readings([0, 2]).tolist() == [[3.0, 1.0], [4.0, 2.0]]
-    assert len(block) == 2
 
 
 @pytest.mark.parametrize("name", ["mavs", "six-face", "mounting", "temperature-sweep"])

@@ -88,28 +88,6 @@ class TestPythonValues:
         for how in ({"average": 2}, {"every": "10s"}):
             assert calibration.apply(columns, **how)["time"] == [np.datetime64("2026-05-01T12:00:02.5")]
 
-    def test_moments_in_a_polars_column_of_objects(self, calibration: Calibration) -> None:
-        """They had the time of the first row."""
-        times = pl.Series("time", [datetime(2026, 5, 1, 12), datetime(2026, 5, 1, 12, 0, 5)], pl.Object)
-        found = calibration.apply(pl.DataFrame(READINGS).with_columns(times), average=2)
-        assert found["time"].to_list() == [datetime(2026, 5, 1, 12, 0, 2, 500_000)]
-
-    @pytest.mark.parametrize("name", ["x", "other"])
-    def test_decimals_of_256_bits(self, name: str, calibration: Calibration) -> None:
-        """Polars has none: it panicked."""
-        cells = [Decimal("1000.25"), Decimal("1001.25")]
-        table = READINGS | {"temperature": [20.0, 20.0], name: pa.array(cells, pa.decimal256(40, 2))}
-        found = calibration.apply(pa.table(table), average=2)
-        assert found.column(name).to_pylist() == [1000.75]
-
-    def test_durations(self, calibration: Calibration) -> None:
-        found = calibration.apply(READINGS | {"time": [timedelta(0), timedelta(seconds=5)]}, every="10s")
-        assert found["time"] == [np.timedelta64(2500, "ms")]
-
-    def test_a_moment_that_is_missing(self, calibration: Calibration) -> None:
-        times = [datetime(2026, 5, 1, 12), None]
-        assert calibration.apply(READINGS | {"time": times}, every="10s")["time"] == [np.datetime64(times[0])]
-
 
 class TestMeans:
     """Of two rows; what a column holds besides numbers is that of the first."""
@@ -141,17 +119,6 @@ class TestMeans:
         assert found["time"].tolist() == [times[0].astype(object)]
 
     @pytest.mark.parametrize(
-        ("cells", "first"),
-        [(["a", np.nan], "a"), ([np.nan, "a"], None), ([None, "a"], None), (["a", 1], "a"), ([1, "a"], 1)],
-    )
-    def test_text_beside_values_of_another_kind(self, cells: list[Any], first: Any, calibration: Calibration) -> None:
-        columns = READINGS | {"temperature": [20.0, 20.0], "note": np.array(cells, object)}
-        data = xarray.Dataset({name: ("row", column) for name, column in columns.items()})
-        for frame in (columns, data, pd.DataFrame(columns)):
-            (found,) = np.asarray(calibration.apply(frame, average=2)["note"]).tolist()
-            assert (None if found != found else found) == first
-
-    @pytest.mark.parametrize(
         "frame",
         [
             pl.DataFrame(READINGS).with_columns(pl.Series("other", ["a", 1], pl.Object)),
@@ -169,11 +136,6 @@ class TestMeans:
         assert array(calibration.apply(frame), "flag").tolist() == [3, 3]
         means = calibration.apply(frame, average=2)
         assert array(means, "tilt_x").tolist() == expected["tilt_x"].tolist()
-
-    def test_a_masked_text_is_missing(self, calibration: Calibration) -> None:
-        note = np.ma.masked_array(["a", "b"], mask=[True, False])
-        found = calibration.apply(READINGS | {"temperature": [20.0, 20.0], "note": note}, average=2)
-        assert found["note"].tolist() == [None]
 
 
 class TestRowsOfATable:
@@ -198,9 +160,3 @@ class TestRowsOfATable:
         rows = rows_of(made(self.TABLE), "the table")
         assert rows == [{"position": "level", "x": 2.5, "n": 100}, {"position": "x-45", "x": 3}]
         assert isinstance(rows[0]["n"], int)
-
-    def test_numbers_of_numpy_are_those_of_python(self) -> None:
-        row = {"position": "level", "x": np.float32(2.5), "y": np.float64(1.25), "z": Decimal("0.5"), "n": np.int64(9)}
-        assert rows_of([row], "the table") == [{"position": "level", "x": 2.5, "y": 1.25, "z": 0.5, "n": 9}]
-        (found,) = rows_of([row], "the table")
-        assert {type(cell) for cell in found.values()} == {str, float, int}

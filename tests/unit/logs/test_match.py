@@ -13,7 +13,7 @@ from support import accelerometer_disk as stage
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.library.match import match
+from tiltcal.library.recorded import match
 from tiltcal.logs.match import match_log
 
 THETA = np.arange(0.0, 20 * 360.0, 7.0)

@@ -14,8 +14,8 @@ import xarray
 
 import tiltcal
 from tiltcal.errors import InputError, UsageError
-from tiltcal.library.apply import apply_log
 from tiltcal.library.calibration import Calibration, read
+from tiltcal.library.recorded import apply_log
 from tiltcal.logs.formats.csv import ColumnTypes
 from tiltcal.logs.formats.csv_rows import CsvBlock, Dialect, RowGrammar
 from tiltcal.logs.kernel import RoleValues, prepare
@@ -96,10 +96,6 @@ class TestGroups:
         time = begin + np.round(np.arange(900) * interval, 6)
         assert set(cal.apply(rows(time=time), every=every)["count"].tolist()) == {count}
 
-    def test_a_row_a_microsecond_before_a_border_does_not(self, cal: Calibration) -> None:
-        time = 1767225600.0 + np.array([0.0, 0.099999, 0.1, 0.199999])
-        assert cal.apply(rows(time=time), every="100ms")["count"].tolist() == [2, 2]
-
     def test_rows_without_any_time_are_refused(self, cal: Calibration) -> None:
         with pytest.raises(InputError, match=r"the frame: none of the first rows \(2\) has a time, which .* mean"):
             cal.apply(rows(time=[nan, nan]), every="10s")
@@ -146,11 +142,6 @@ class TestGroups:
         with pytest.raises(UsageError, match="--every takes a time such as 10s"):
             GroupSize.of(None, every)
 
-    def test_both_are_refused(self, cal: Calibration) -> None:
-        with pytest.raises(UsageError, match="give one of them"):
-            cal.apply(rows(x=[2.5]), average=2, every="10s")
-        assert GroupSize.of(None, "5min") == GroupSize(seconds=300.0)
-
 
 def test_blocks_of_a_file_and_a_frame_give_the_same(cal: Calibration) -> None:
     """A CSV block is 4 MB: 150,000 rows are several."""
@@ -189,15 +180,6 @@ def test_the_uncertainty_of_a_mean_holds(cal: Calibration, count: int) -> None:
     np.testing.assert_allclose(shares, table["u_tilt_x"], rtol=1e-3)
 
 
-@pytest.mark.parametrize(("options", "told"), [({"uncertainty": True}, 1), ({}, 0)])
-def test_that_the_noise_counts_as_white_is_told_where_there_is_an_uncertainty(
-    cal: Calibration, options: dict[str, bool], told: int
-) -> None:
-    said: list[str] = []
-    prepare(cal.record, complete(ApplyOptions, {"average": 2, "say": said.append, **options}))
-    assert sum("the noise of readings counts as white" in line for line in said) == told
-
-
 def test_shares_are_those_worked_out_by_hand(cal: Calibration) -> None:
     found = cal.apply(rows(x=np.full(100, 2.5)), average=100, uncertainty=True)
     degree = np.degrees(1.0 / 2.0)
@@ -225,14 +207,6 @@ def test_netcdf_states_which_errors_are_random(cal: Calibration) -> None:
             assert (attrs["err_corr_1_dim"], attrs["err_corr_1_form"]) == ("time", form)
             assert len(attrs["err_corr_1_params"]) == len(attrs["err_corr_1_units"]) == 0
             assert attrs["pdf_shape"] == "gaussian"
-
-
-def test_netcdf_keeps_what_is_true_or_false(cal: Calibration) -> None:
-    columns = rows(x=np.full(4, 2.6), wet=np.array([True, True, False, True]))
-    xarray.Dataset({name: ("row", values) for name, values in columns.items()}).to_netcdf("log.nc", engine="h5netcdf")
-    apply_log(cal, "log.nc", "out.nc", average=2)
-    with xarray.open_dataset("out.nc", engine="h5netcdf") as found:
-        assert (found["wet"].dtype, found["wet"].values.tolist()) == (bool, [True, False])
 
 
 def test_every_kind_of_frame_stays_its_kind(cal: Calibration) -> None:
@@ -269,27 +243,6 @@ class TestTimeOfCsv:
         types.typed(self.block("1767225600000000001"))
         with pytest.raises(InputError, match=r"^log\.csv: row 1: column 'time' holds '1.5', and numbers above it"):
             types.typed(self.block("1.5"))
-
-    @pytest.mark.parametrize(
-        ("cells", "mean"),
-        [
-            (("1767225600000000", "1767225600000002"), 1767225600000001),
-            (("0012.5", "0013.5"), 13),
-            (("12:00:01", "12:00:03"), "12:00:01"),
-            (("2026-05-01 12:00", "2026-05-01 12:01"), "2026-05-01T12:00:30Z"),
-        ],
-    )
-    @pytest.mark.usefixtures("cal")
-    def test_means_of_so_many_rows_have_one(self, cells: tuple[str, str], mean: str | int) -> None:
-        Path("log.csv").write_text("time,x,y\n" + "".join(f"{cell},2.5,2.5\n" for cell in cells))
-        apply_log("cal.yaml", "log.csv", output="means.csv", average=2)
-        (found,) = pl.read_csv("means.csv", infer_schema=False)["time"]
-        assert (found if isinstance(mean, str) else float(found)) == mean
-
-    def test_the_text_of_a_bad_row_stays(self) -> None:
-        frame = self.types().typed(self.block("noon", "soon,2")).frame
-        assert frame is not None
-        assert frame["time"].to_list() == ["noon", "soon,2,1"]
 
     @staticmethod
     def types() -> ColumnTypes:

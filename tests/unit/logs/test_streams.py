@@ -7,13 +7,12 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from itertools import count, pairwise
+from itertools import count
 from pathlib import Path
 
 import pytest
 
-from tiltcal.logs import streams
-from tiltcal.logs.streams import imported_meanwhile, log_source, read_ahead, with_writeback
+from tiltcal.logs.streams import log_source, read_ahead
 
 
 def test_the_items_come_in_order_from_another_thread() -> None:
@@ -24,24 +23,6 @@ def test_the_items_come_in_order_from_another_thread() -> None:
     found = list(read_ahead(items()))
     assert [number for number, _ in found] == list(range(50))
     assert {thread for _, thread in found}.isdisjoint({threading.get_ident()})
-
-
-def test_an_error_does_not_wait_for_an_import(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that Ctrl-C ended held a lock for ever, and the command with it: seen in 1 of 800 interrupted commands."""
-    goes_on, ended = threading.Event(), threading.Event()
-
-    def held(_module: str) -> None:
-        goes_on.wait(5.0)
-        ended.set()
-
-    monkeypatch.setattr(streams, "import_module", held)
-    with pytest.raises(KeyboardInterrupt), imported_meanwhile("scipy.special"):
-        raise KeyboardInterrupt
-    assert not ended.is_set()
-    goes_on.set()
-    with imported_meanwhile("scipy.special"):
-        pass
-    assert ended.is_set()
 
 
 def test_an_error_comes_in_its_place() -> None:
@@ -62,20 +43,6 @@ def test_the_thread_ends_when_the_reader_stops() -> None:
     assert next(ahead) == 1
     ahead.close()  # type: ignore[attr-defined]
     assert threading.active_count() == before
-
-
-@pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="the system takes no such advice")
-def test_what_is_written_goes_to_the_disk_piece_by_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    advised: list[tuple[int, int]] = []
-    monkeypatch.setattr(os, "posix_fadvise", lambda _, start, length, advice: advised.append((start, start + length)))
-    monkeypatch.setattr(streams, "_WRITEBACK", 100)
-    with open(tmp_path / "result", "w+b", buffering=0) as sink:
-        for number in with_writeback(sink, range(10)):
-            sink.write(b"." * (7 * number))
-    assert advised[0][0] == 0
-    assert all(before[1] == after[0] for before, after in pairwise(advised))
-    assert all(end - start >= 100 for start, end in advised)
-    assert 315 - advised[-1][1] < 100
 
 
 def test_ctrl_c_that_does_not_reach_the_wait_ends_it(tmp_path: Path) -> None:

@@ -16,7 +16,6 @@ import pytest
 import xarray
 
 from tiltcal.errors import InputError
-from tiltcal.logs.formats import open_log
 from tiltcal.logs.formats.csv import CsvReader
 from tiltcal.logs.formats.netcdf import NetcdfReader
 from tiltcal.logs.formats.parquet import ParquetReader
@@ -66,16 +65,6 @@ def test_text_that_is_no_time_is_refused_with_its_line(text: str, block: int) ->
         csv(f"time,x\n,1\n{text},2\n{text},3\n", block=block)
 
 
-def test_missing_times_and_bad_rows_are_no_text() -> None:
-    assert np.isnan(csv("time,x\n,1\nNaN,2\n")).all()
-    assert np.isnan(csv("time,x\nnoon,y\nnoon,1,2\n", skip_bad_rows=True)).all()
-
-
-def test_text_is_missing_where_no_time_is_needed() -> None:
-    source = LogSource(BytesIO(b"time,x\nnoon,1\n"), "-", "log.csv")
-    assert [len(rows) for rows in CsvReader(source).rows([0, 1], 0)] == [1]
-
-
 def test_a_text_behind_the_first_times_counts_as_missing() -> None:
     assert csv("time,x\n1,1\nnoon,2\n", block=8) == pytest.approx([1.0, np.nan], nan_ok=True)
 
@@ -112,32 +101,6 @@ def test_netcdf_may_have_its_times_as_text(times: list[object], tmp_path: Path) 
     assert netcdf(tmp_path, times) == pytest.approx([NOON, NOON + 1.0, np.nan], nan_ok=True)
 
 
-@pytest.mark.parametrize(
-    ("times", "there"),
-    [(["noon", "1 pm"], True), ([b"noon", b"1 pm"], True), ([0.0, 1.0], True)],
-)
-def test_what_may_be_times_of_netcdf(times: list[object], there: bool, tmp_path: Path) -> None:
-    xarray.Dataset({"time": ("row", np.array(times)), "x": ("row", [0.0, 1.0])}).to_netcdf(
-        tmp_path / "log.nc", engine="h5netcdf"
-    )
-    with open_log(tmp_path / "log.nc") as reader:
-        assert reader.has_times("time", reader.names.index("x")) == there
-
-
-def test_a_text_behind_the_first_times_of_netcdf_counts_as_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In a block of its own, which has no time that can be read."""
-    monkeypatch.setattr("tiltcal.logs.formats.netcdf._ROWS", 1)
-    assert netcdf(tmp_path, ["2026-05-01T12:00:00Z", "noon"]) == pytest.approx([NOON, np.nan], nan_ok=True)
-
-
-@pytest.mark.parametrize("times", [["", "noon"], [b"", b"noon"]])
-def test_text_in_netcdf_that_is_no_time_is_refused_with_its_row(times: list[object], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^log\.nc: row 1: column 'time' holds 'noon', neither"):
-        netcdf(tmp_path, times)
-
-
 def frame_times(frame: object) -> list[float]:
     return [
         time
@@ -162,15 +125,3 @@ def test_text_in_a_frame_that_is_no_time_is_refused_with_its_row(made: Callable[
         frame_times(made(["", "noon", "noon"]))
     assert frame_times(made(["", "noon", "7"])) == pytest.approx([np.nan, np.nan, 7.0], nan_ok=True)
     assert np.isnan(frame_times(made(["", "NaN"]))).all()
-
-
-@pytest.mark.parametrize("missing", [np.nan, None])
-def test_text_beside_missing_objects_is_refused_with_its_row(missing: object) -> None:
-    with pytest.raises(InputError, match="row 1: column 'time' holds 'noon', neither"):
-        frame_times({"time": np.array([missing, "noon"], object), "x": [0.0, 0.0]})
-
-
-@pytest.mark.parametrize("kind", ["polars", "pyarrow"])
-def test_a_date_in_a_frame_is_its_midnight(kind: str) -> None:
-    made = FRAMES[kind]([date(2026, 5, 1), None])
-    assert frame_times(made) == pytest.approx([NOON - 43200.0, np.nan], nan_ok=True)

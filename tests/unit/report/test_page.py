@@ -93,12 +93,6 @@ class TestCoefficients:
         assert checked == len(data["uncertainty"]["covariance"]["parameters"])
         assert len(rows) >= checked
 
-    def test_the_points_of_a_column_are_below_each_other(self, complete: Page) -> None:
-        table = next(one for one in complete.root.find("table") if "Quantity" in one.text)
-        spans = [row.find("td")[1].find("span") for row in table.find("tr")[1:]]
-        assert len({whole.attributes["style"] for whole, _ in spans}) == 1
-        assert all(rest.text.startswith(".") for _, rest in spans)
-
 
 def coefficients(data: dict[str, Any]) -> list[tuple[str, float, float]]:
     """Name, value and uncertainty of all that the section ``calibration`` holds, but the mounting."""

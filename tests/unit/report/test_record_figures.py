@@ -80,12 +80,6 @@ def test_a_record_of_table_1_reads_as_table_1_does() -> None:
     assert lines[4].split()[-2:] == ["0.0000(2)", "0.0000(2)"]
 
 
-def test_the_summary_names_the_noise_floor() -> None:
-    text = pair_summary(match(table_1_record(), Pair("a1", "a2", "a4")))
-    assert "p = -0.0094" in text
-    assert text.endswith("times after p and q (the noise floor)")
-
-
 class TestFigure:
     FREQUENCY = np.linspace(0.0, 25.0, 200)
     DENSITIES = {name: np.full(200, 1e-6) for name in ("a1", "sum after p", "sum after p and q")}  # noqa: RUF012
@@ -103,8 +97,3 @@ class TestFigure:
         drawn = (tmp_path / "both.svg").read_text(encoding="utf-8")
         for text in ("p, loops", "q, recursive", "stated uncertainty", "turns"):
             assert text in drawn
-
-    def test_is_the_same_each_time(self, tmp_path: Path) -> None:
-        for name in ("a.svg", "b.svg"):
-            draw_matching(tmp_path / name, PairDrawing(self.FREQUENCY, self.DENSITIES, 0.125, "Hz"))
-        assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()

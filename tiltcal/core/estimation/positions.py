@@ -84,11 +84,6 @@ class Design:
         """Whether the directions of gravity are unknown."""
         return self.jig == inf
 
-    @property
-    def bench(self) -> tuple[float | None, ...]:
-        """What the sensors of one fixture have in common."""
-        return self.jig, self.table, self.heading, self.thermometer
-
     @cached_property
     def models(self) -> tuple[ChannelModel, ...]:
         """The model of each channel."""
@@ -113,23 +108,14 @@ class SensorObservations:
 
 
 def require_sound(sensors: Sequence[SensorObservations]) -> None:
-    """Refuse sensors that do not belong on one fixture, and designs that contradict themselves, with EstimateErrors."""
-    if not sensors:
-        raise EstimateError("no sensor, nothing to estimate")
+    """Refuse sensors without positions, and positions that are there twice or lack a temperature, as EstimateErrors."""
     for design, observations in ((sensor.design, sensor.observations) for sensor in sensors):
         if not observations:
             raise EstimateError("no position was measured: measure the procedure's positions first")
-        if design.bench != sensors[0].design.bench:
-            raise EstimateError("the sensors of one fixture share its jig, its table and its thermometer")
         names = [observation.position for observation in observations]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
             raise EstimateError(f"position {twice} is there twice: name each one differently")
-        if design.nonlinearity and not set(design.channels) <= set(design.axes):
-            raise EstimateError("a nonlinearity is counted along each channel's own axis: determine that axis too")
         cold = next((one.position for one in observations if design.thermal and one.temperature is None), None)
         if cold is not None:
             raise EstimateError(f"position {cold}: a temperature is needed for the temperature terms")
-        strange = sorted(set(design.priors) - set(design.names))
-        if strange:
-            raise EstimateError(f"a prior names {strange[0]}, which is no coefficient of this design")

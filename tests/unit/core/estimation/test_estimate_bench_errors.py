@@ -19,8 +19,6 @@ from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.estimate import Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.model import Mounting
-from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means, summarise
-from tiltcal.core.uncertain import coverage_factor
 
 Array = NDArray[np.float64]
 
@@ -128,61 +126,6 @@ class TestLean:
             found = estimate(observations, Design(("x", "y"), ("x", "y"), jig=0.0, heading=2.0))
             hits.append(inside(found, self.OFFSETS))
         assert np.mean(hits) == pytest.approx(0.95, abs=0.065)
-
-
-def records(rng: np.random.Generator, memory: float, count: int, samples: int = 300) -> list[SampleSummary]:
-    """Positions with the noise of an autoregressive process of variance 1 about 0."""
-    white = rng.standard_normal((count, samples + 2000))
-    noise = scipy.signal.lfilter([1.0], [1.0, -memory], white, axis=1)[:, 2000:] * sqrt(1.0 - memory**2)
-    return [summarise(one) for one in noise.tolist()]
-
-
-class TestCorrelatedNoise:
-    @pytest.mark.parametrize("memory", [0.98, 0.995])
-    def test_intervals_hold_and_the_operator_is_told(self, memory: float) -> None:
-        """At least 93 % of the means' intervals hold, within three standard deviations of 240 means."""
-        rng = np.random.default_rng([5, round(1000 * memory)])
-        hits, alarms = [], []
-        for _ in range(20):
-            summaries = records(rng, memory, 12)
-            correlated = correlated_noise(summaries)
-            variance, dof, _ = noise_of_means(summaries, correlated)
-            half = coverage_factor(dof) * np.sqrt(variance)
-            hits.append(np.mean(np.abs([one.mean for one in summaries]) <= half))
-            alarms.append(correlated is not None and correlated.certain and "at least" in correlated.note)
-        assert np.mean(hits) >= 0.93 - 3 * np.std(hits) / sqrt(20)
-        assert np.mean(alarms) > 0.8
-
-    def test_white_noise_raises_no_alarm(self) -> None:
-        rng = np.random.default_rng(6)
-        found = [correlated_noise(records(rng, 0.0, 12, 100)) for _ in range(50)]
-        assert not any(one.certain for one in found if one is not None)
-        assert sum(one is not None for one in found) <= 10
-
-
-class TestCoarseConverter:
-    @pytest.mark.parametrize(("noise", "positions"), [(0.1, 6), (0.15, 6), (0.2, 6), (0.2, 3), (0.3, 8)])
-    def test_noise_below_half_a_step(self, noise: float, positions: int) -> None:
-        """Half the difference of two readings of whole counts: 95 % hold, or more where few positions show the noise.
-        With the noise that fits best, 88 to 92 % hold. With the rounding of each by itself they are stated 1.2 to 1.8
-        times as uncertain as they are off.
-        """
-        rng = np.random.default_rng([7, round(100 * noise)])
-        hits, errors, stated = [], [], []
-        for _ in range(100):
-            truth = rng.uniform(0.0, 100.0, positions)
-            readings = np.rint(truth[:, None] + noise * rng.standard_normal((positions, 50)))
-            summaries = [summarise(one, 1.0) for one in readings.tolist()]
-            variance, dof, rounding = noise_of_means(summaries)
-            error = np.array([one.mean for one in summaries]) - truth
-            half = 1.96 * np.sqrt(variance + rounding**2)
-            first, second = np.triu_indices(positions, 1)
-            hits.append(np.mean(np.abs(error[first] - error[second]) <= np.hypot(half[first], half[second])))
-            errors.append(error)
-            stated.append(half / 1.96)
-        assert np.mean(hits) >= 0.94 - np.std(hits) / 10.0
-        assert np.mean(stated) < 1.4 * np.sqrt(np.mean(np.square(errors)))
-        assert np.isfinite(dof).all()
 
 
 def test_a_loop_counts_where_noise_and_jig_do_not_explain_it() -> None:

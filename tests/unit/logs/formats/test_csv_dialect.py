@@ -55,21 +55,6 @@ def test_a_first_line_of_numbers_is_a_row(line: str, columns: tuple[str, ...] | 
     assert columns is None or dialect.names == columns
 
 
-@pytest.mark.parametrize("block", [1, 2, 5, 1 << 20])
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"1.5 2\n 3  4 \n5\t6\n",
-        b"  1.5   2\r\n3 4\r\n5 6\r\n",
-        b"1.5 2\n3 4\n5 6",
-        b"1.5,2\n3,4\n5,6\n",
-        b"\xef\xbb\xbf1.5 2\n3 4\n5 6\n",
-    ],
-)
-def test_the_first_row_is_no_header(content: bytes, block: int) -> None:
-    assert table(content, block) == [(1.5, 2.0), (3.0, 4.0), (5.0, 6.0)]
-
-
 @given(
     rows=st.lists(st.lists(st.integers(-99, 99), min_size=3, max_size=3), min_size=1, max_size=20),
     gaps=st.lists(st.sampled_from([" ", "\t", "   ", " \t "]), min_size=1, max_size=5),
@@ -79,27 +64,6 @@ def test_blanks_are_commas(rows: list[list[int]], gaps: list[str]) -> None:
         gaps[0] + gaps[number % len(gaps)].join(map(str, row)) + gaps[-1] + "\n" for number, row in enumerate(rows)
     )
     assert between_commas(text.encode()).decode() == "".join(",".join(map(str, row)) + "\n" for row in rows)
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"1.5 2\n\n3 4\n", "log.txt:2: the line is empty"),
-        (b"1.5 2\n3 4 5\n", "log.txt:2: the row has 3 fields"),
-        (b"1.5 2\n3 x\n", "log.txt:2: column '2': 'x' is no number"),
-        (b"1.5 2\n3 4.", "log.txt:2: the last row is cut short"),
-    ],
-)
-def test_bad_rows_are_named(content: bytes, said: str) -> None:
-    with pytest.raises(InputError) as caught:
-        table(content)
-    assert str(caught.value).startswith(said)
-
-
-def test_bad_rows_can_be_kept() -> None:
-    rows = table(b"1.5 2\nx 3\n4 5\n", skip_bad_rows=True)
-    assert [row for row in rows if row[0] == row[0]] == [(1.5, 2.0), (4.0, 5.0)]
-    assert len(rows) == 3
 
 
 @pytest.mark.parametrize("block", [1, 3, 1 << 20])
@@ -169,12 +133,6 @@ class TestDecimalComma:
         with pytest.raises(InputError, match=f"log.txt:3: column 'x': '{cell}' is no number"):
             table(f"time;x\n0,5;1,5\n1,5;{cell}\n".encode())
 
-    def test_columns_have_types(self) -> None:
-        log = CsvReader(LogSource(BytesIO(self.CONTENT.encode()), "log.csv", "log.csv"))
-        (block,) = log.rows([1], frames=True)
-        assert block.framed()["time"].to_list() == [0.5, 1.5, None]
-        assert block.framed()["note"].to_list() == ["a.b", "01.02.2026", None]
-
 
 @pytest.mark.parametrize(
     ("name", "unit"),
@@ -185,15 +143,6 @@ def test_a_unit_may_stand_in_the_header(name: str, unit: str | None) -> None:
     assert log.unit(1) == unit
     bare = name if unit is None else name.partition(" ")[0] if name.startswith("x") else "Acceleration x"
     assert locate_columns(log, ("x",), {"x": bare}) == locate_columns(log, ("x",), {"x": name}) == {"x": 1}
-
-
-def test_a_name_that_is_there_twice_is_refused_however_names_are_parted() -> None:
-    with pytest.raises(InputError, match="names column 'x' twice"):
-        CsvReader(LogSource(BytesIO(b"x x\n1 2\n"), "log.txt", "log.txt"))
-
-
-def test_columns_are_told_by_number() -> None:
-    assert locate_columns(NUMBERED, ("x", "y"), {"x": "3", "y": "1"}) == {"x": 2, "y": 0}
 
 
 @pytest.mark.parametrize(

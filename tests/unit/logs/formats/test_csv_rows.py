@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import struct
-from math import inf, isnan, nan
+from math import inf, nan
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.formats.csv import CsvReader
-from tiltcal.logs.formats.csv_rows import Dialect, RowGrammar
 from tiltcal.logs.log import LogSource
 
 NAMES = ("time", "x", "y")
@@ -119,36 +118,9 @@ class TestRowsThatAreNone:
         assert complaint(content) == "night.csv:3: the last row is cut short"
         assert complaint(content, block=4) == "night.csv:3: the last row is cut short"
 
-    @pytest.mark.parametrize("tail", [b"2,2.5,", b"2,2.5,-", b"2,2.5,1."])
-    def test_a_torn_last_row_of_a_short_log(self, tail: bytes) -> None:
-        """In a column that is not needed; a short log is parsed without the engine."""
-        content = b"time,x,note\n1,2,3\n" + tail
-        source = LogSource(io.BytesIO(content), "night.csv", "night.csv", size=len(content))
-        with pytest.raises(InputError, match=r"night\.csv:3: the last row is cut short"):
-            list(CsvReader(source).rows([1]))
-
     @pytest.mark.parametrize("tail", [b"2,2.5,2", b"2,2.5,2.25", b"2,2.5,done", b"2,2.5,2\r"])
     def test_a_last_row_that_only_lacks_its_line_end(self, tail: bytes) -> None:
         assert column(b"time,x,y\n1,2,3\n" + tail) == [2.0, 2.5]
-
-    @pytest.mark.parametrize("tail", [b"\n\n\n", b"\r\n\r\n\r\n"])
-    @pytest.mark.parametrize("block", [3, 1 << 20])
-    def test_empty_lines_at_the_very_end_are_rows_as_elsewhere(self, tail: bytes, block: int) -> None:
-        assert complaint(b"time,x,y\n1,2,3" + tail) == "night.csv:3: the line is empty"
-        kept = column(b"time,x,y\n1,2,3" + tail, block=block, skip=True)
-        assert (kept[0], [value != value for value in kept]) == (2.0, [False, True, True])
-
-    @pytest.mark.parametrize("quoted", [b"", b'4,5,"6"\n'])
-    def test_a_byte_order_mark_is_one_at_the_beginning_of_the_log_alone(self, quoted: bytes) -> None:
-        """Each block of rows that began with one lost it."""
-        mark = b"\xef\xbb\xbf"
-        assert r"column 'x': '\ufeff1' is no number" in complaint(b"x,y,time\n" + mark + b"1,2,3\n" + quoted)
-        text = mark + b"note,x,y\n" + mark + b"a,2,3\n" + quoted
-        assert lines(text)[0] == "\ufeffa,2,3"
-        assert column(text)[0] == 2.0
-
-    def test_the_earliest_wrong_row_is_named(self) -> None:
-        assert "night.csv:3: column 'x'" in complaint(b"time,x,y\n1,2,3\n1,oops,3\n1,2\n")
 
 
 class TestSkippedRows:
@@ -173,24 +145,6 @@ class TestSkippedRows:
         assert texts == ["1,2,3", text, "4,5,6"]
         assert same(numbers, [2.0, nan, 5.0])
         assert len(next(csv.reader([text]))) == 3
-
-    def test_an_empty_line_of_a_log_with_one_column(self) -> None:
-        door = log(b"x\n1\n\n2\n", skip=True)
-        (rows,) = door.rows([0])
-        assert rows.lines.to_list() == ["1", '""', "2"]
-        assert same(rows.values[0], [1.0, nan, 2.0])
-        assert rows.faults == {1: "the line is empty"}
-
-    def test_a_torn_last_row_is_kept_too(self) -> None:
-        assert lines(b"time,x,y\n1,2,3\n2,2.5", skip=True) == ["1,2,3", '"2,2.5",,']
-        assert same(column(b"time,x,y\n1,2,3\n2,2.5,2.", skip=True), [2.0, nan])
-
-    def test_a_torn_last_row_is_no_wrong_time(self) -> None:
-        """The log has no time in its whole rows; what is left of the last one is not blamed for it."""
-        blocks = log(b"x,time\n1,\n2,17.", skip=True).rows([0, 1], 1, needs_time=True)
-        assert same([value for rows in blocks for value in rows.values[1].tolist()], [nan, nan])
-        with pytest.raises(InputError, match=r"night\.csv:3: column 'time' holds '17\.', neither seconds"):
-            list(log(b"x,time\n1,\n2,17.\n", skip=True).rows([0, 1], 1, needs_time=True))
 
     @pytest.mark.parametrize(
         ("content", "line"),
@@ -241,18 +195,6 @@ class TestText:
         assert door.names == NAMES
         assert door.header == b"\xef\xbb\xbftime,x,y"
 
-    def test_thousands_of_columns(self) -> None:
-        header = ",".join(f"c{i}" for i in range(5000))
-        row = ",".join(map(str, range(5000)))
-        assert column(f"{header}\n{row}\n{row}\n".encode(), "c4321") == [4321.0, 4321.0]
-
-    def test_rows_that_hold_every_control_character_are_split_as_they_stand(self) -> None:
-        """The engine splits them by one that is not in the text; NUL, LF and CR have no place in a cell."""
-        note = bytes({*range(1, 32)} - {10, 13})
-        content = b"time,x,note\n1,2," + note + b"\n4,5,done\n"
-        assert lines(content) == ["1,2," + note.decode(), "4,5,done"]
-        assert column(content) == [2.0, 5.0]
-
 
 class TestHeader:
     @pytest.mark.parametrize(
@@ -273,9 +215,6 @@ class TestHeader:
         with pytest.raises(InputError) as raised:
             list(log(content).rows([]))
         assert str(raised.value) == said
-
-    def test_columns_without_a_name_may_be_many(self) -> None:
-        assert column(b"x,,,\n1,2,3,4\n") == [1.0]
 
 
 plain_cells = st.text(st.characters(codec="utf-8", exclude_characters='\0\r\n,"'), max_size=6)
@@ -313,29 +252,8 @@ def test_any_bytes_are_rows_or_an_error_of_ours_and_skipping_keeps_every_row(con
     assert len(found) == body.count(b"\n") + (not body.endswith(b"\n"))
 
 
-def test_no_number_of_a_bad_row_is_used() -> None:
-    parsed = RowGrammar(Dialect(NAMES), [1, 2]).parse(b"1,2,3\n1,oops,3\n")
-    assert isnan(parsed.values[2][1])
-
-
-def test_a_time_that_no_calendar_reaches_is_missing() -> None:
-    content = b"time,x\n2026-05-01T12:00:00Z,1\n1e300,2\n" + b"9" * 400 + b",3\n"
-    (block,) = log(content).rows([0, 1], time=0, frames=True)
-    assert block.frame is not None
-    assert block.frame["time"].is_null().to_list() == [False, True, True]
-
-
 def test_a_bad_row_is_the_text_of_its_first_column() -> None:
     (block,) = log(b"name,x,y\na\rb,1,2,3\nc,4,5\n", skip=True).rows([1], frames=True)
     assert block.frame is not None
     assert block.frame["name"].to_list() == ["a\rb,1,2,3", "c"]
-    assert block.frame["y"].to_list() == [None, 5.0]
-
-
-def test_a_bad_row_longer_than_a_field_may_be_is_kept() -> None:
-    """Python's csv reads fields of up to 131,072 characters."""
-    damaged = b'"' + b"q" * 200_000 + b'"x,1'
-    (block,) = log(b"name,x,y\n" + damaged + b"\nc,4,5\n", skip=True).rows([1], frames=True)
-    assert block.frame is not None
-    assert block.frame["name"].to_list() == [damaged.decode(), "c"]
     assert block.frame["y"].to_list() == [None, 5.0]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import io
 import os
-import threading
 from collections.abc import Iterator
 
 import pytest
 
-from tiltcal.bench.keys import ENTER, LONGEST, LineKeys, LineReader
+from tiltcal.bench.operators import LineReader
+from tiltcal.bench.terminal import ENTER, LineKeys
 from tiltcal.errors import Stopped
 
 
@@ -31,9 +31,8 @@ def test_whole_lines_wait_and_half_ones_do_not(pipe) -> None:
     os.write(sink, "o\nthr\u00e9".encode())
     assert lines.waiting() == ["one\n", "two\n"]
     assert lines.next() == "one\n"
-    lines.drop(1)
     os.write(sink, b"e\n")
-    assert lines.next() == "thr\u00e9e\n"
+    assert [lines.next(), lines.next()] == ["two\n", "thr\u00e9e\n"]
 
 
 def test_at_the_end_nothing_waits_and_the_rest_is_a_line() -> None:
@@ -75,21 +74,3 @@ def test_the_end_of_the_input_is_told_when_a_question_is_asked() -> None:
         assert keys.pressed("sq") is None
         with pytest.raises(Stopped, match="the input has ended"):
             keys.choice(None)
-
-
-def test_an_endless_line_is_cut_and_costs_no_time(pipe) -> None:
-    """A hundred megabytes without an end, in pieces as a pipe gives them; what follows is the next line."""
-    sink, stream = pipe
-    lines = LineReader(stream)
-    piece = b"x" * (1 << 16)
-
-    def pour() -> None:
-        for _ in range(1600):
-            os.write(sink, piece)
-        os.write(sink, b"end\nnext\n")
-
-    thread = threading.Thread(target=pour)
-    thread.start()
-    assert lines.next() == "x" * LONGEST + "\n"
-    thread.join()
-    assert lines.next() == "next\n"

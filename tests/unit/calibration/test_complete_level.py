@@ -13,7 +13,7 @@ from support import FIXTURES
 
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.comparison import compare_records
-from tiltcal.calibration.level import NO_LEVEL, NO_NOISE, level
+from tiltcal.calibration.complete import NO_LEVEL, NO_NOISE, level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.wording import level_summary
 from tiltcal.core.model import Array, Mounting

@@ -19,6 +19,7 @@ from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, bases_of, read_calibration
 from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.printable import in_html
 from tiltcal.stated_arguments import require_boolean, require_from_zero, require_whole
 
 _NOT_PREDICTED = (
@@ -56,6 +57,7 @@ class PlannedRotation:
         return "\n".join([*pairs, *self.left_out, _NOT_PREDICTED])
 
     __repr__ = __str__
+    _repr_html_ = in_html
 
 
 def plan(

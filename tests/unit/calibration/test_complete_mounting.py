@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from tiltcal.calibration.complete import mount
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.calibration.mounting import mount
 from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.core.samples import SampleSummary

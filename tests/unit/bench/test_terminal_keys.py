@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tiltcal.bench.keys import ENTER, TerminalKeys
+from tiltcal.bench.terminal import ENTER, TerminalKeys
 from tiltcal.errors import Stopped
 
 

@@ -1,0 +1,75 @@
+"""Logs as phones and loggers write them: the columns and the unit are in the header, and ``apply`` finds them again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.command import tiltcal
+
+import tiltcal as library
+
+OFFSET, SCALE = np.array([0.15, -0.2, 0.3]), 9.80665 * np.array([1.02, 0.99, 1.01])
+"""Of the phone: m/s², and m/s² per g."""
+
+HEADERS = {
+    "phyphox": ("Time (s)", "Acceleration x (m/s^2)", "Acceleration y (m/s^2)", "Acceleration z (m/s^2)"),
+    "toolbox": ("time", "ax (m/s^2)", "ay (m/s^2)", "az (m/s^2)"),
+    "linear beside": ("Time (s)", "Accelerometer X (m/s²)", "Accelerometer Y (m/s²)", "Accelerometer Z (m/s²)"),
+}
+
+
+def held() -> np.ndarray:
+    """Readings every 20 ms of a phone that lies in 14 attitudes and is turned between them, with times, s."""
+    rng = np.random.default_rng(3)
+    up = np.vstack([np.eye(3), -np.eye(3), rng.normal(size=(8, 3))])
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    still = np.repeat(up * SCALE + OFFSET, 150, axis=0).reshape(-1, 150, 3) + rng.normal(0.0, 0.02, (14, 150, 3))
+    turned = still[:, -60:] + rng.normal(0.0, 3.0, (14, 60, 3))
+    rows = np.concatenate([still, turned], axis=1).reshape(-1, 3)
+    return np.column_stack([0.02 * np.arange(len(rows)), rows])
+
+
+def written(path: Path, header: tuple[str, ...], separator: str = ",", point: str = ".") -> Path:
+    lines = [separator.join(f'"{name}"' for name in header)]
+    lines += [separator.join(f"{cell:.6e}".replace(".", point) for cell in row) for row in held()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8-sig" if point == "," else "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("app", HEADERS)
+def test_a_phone_is_calibrated_by_one_command_without_options(app: str, tmp_path: Path) -> None:
+    log = written(tmp_path / "log.csv", HEADERS[app])
+    done = tiltcal("fit", "free", log, "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    cal = library.read(tmp_path / "phone.yaml")
+    assert cal.sensor.unit == "m/s2"
+    assert dict(cal.sensor.columns) == dict(zip("xyz", HEADERS[app][1:], strict=True))
+    for axis, offset, scale in zip("xyz", OFFSET, SCALE, strict=True):
+        assert cal.offset[axis] == pytest.approx(offset, abs=0.005)
+        assert cal.sensitivity[axis, axis] == pytest.approx(scale, abs=0.005)
+    applied = tiltcal("apply", "phone.yaml", log, "-o", "out.csv", cwd=tmp_path)
+    assert applied.returncode == 0, applied.stderr
+    german = written(tmp_path / "german.csv", HEADERS[app], ";", ",")
+    applied = tiltcal("apply", "phone.yaml", german, "-o", "out2.csv", cwd=tmp_path)
+    assert applied.returncode == 0, applied.stderr
+
+
+def test_what_is_not_clear_is_asked_for(tmp_path: Path) -> None:
+    def said(header: tuple[str, ...]) -> str:
+        log = written(tmp_path / "log.csv", header)
+        done = tiltcal("fit", "free", log, "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path)
+        assert done.returncode == 2
+        return done.stderr
+
+    assert "state the --unit" in said(("time", "x", "y", "z"))
+    linear = (
+        "Time (s)",
+        "Linear Acceleration x (m/s^2)",
+        "Linear Acceleration y (m/s^2)",
+        "Linear Acceleration z (m/s^2)",
+    )
+    assert "state the --unit" in said(linear)
+    mixed = said(("time", "ax (m/s^2)", "ay (g)", "az (m/s^2)"))
+    assert "state the --unit" in mixed
