@@ -76,17 +76,12 @@ class Average:
 
 @dataclass(frozen=True)
 class AllanFit:
-    """The kinds of noise that show in an Allan deviation, from the octave ``first`` on.
+    """The kinds of noise that show in an Allan deviation."""
 
-    ``value`` has the coefficients: N in unit √s, B in unit, K in unit/√s, R in unit/s. Before ``first`` neighbouring
-    samples are alike, or opposite, by a filter or an interference. ``dof``, shape (k,), are those of every octave by
-    the kind that dominates there; ``follows`` is whether the deviation follows the terms to within its uncertainty.
-    """
-
-    value: Mapping[str, float]
-    first: int
-    dof: Array
-    follows: bool
+    value: Mapping[str, float]  # coefficients: N in unit √s, B in unit, K in unit/√s, R in unit/s
+    first: int  # octave; before it samples are alike, or opposite, by a filter or an interference
+    dof: Array  # (octaves,): degrees of freedom, by the kind that dominates there
+    follows: bool  # whether the deviation follows the terms to within its uncertainty
 
     def parts(self, tau: Array) -> dict[str, Array]:
         """Return the deviation that each term would make alone, shape of ``tau`` (seconds)."""
@@ -99,20 +94,15 @@ class AllanFit:
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """The noise of one channel, in its unit.
-
-    ``count`` samples are there, in steps of ``step``, 0 where the reading is continuous; ``averages`` go by rising
-    size, from single samples on. ``tau`` are averaging times in seconds, and ``deviation`` the Allan deviation with its
-    limits (95 %), all of shape (k,).
-    """
+    """The noise of one channel, in its unit."""
 
     mean: float
-    count: int
-    step: float
-    averages: Sequence[Average]
-    tau: Array
-    deviation: Array
-    low: Array
+    count: int  # samples that are there
+    step: float  # 0 where the reading is continuous
+    averages: Sequence[Average]  # by rising size, from single samples on
+    tau: Array  # (octaves,): averaging time, s
+    deviation: Array  # (octaves,): Allan deviation
+    low: Array  # its limits, 95 %
     high: Array
     terms: AllanFit
 
@@ -166,19 +156,14 @@ class NoiseScale:
 
 @dataclass(frozen=True)
 class SampleSize:
-    """A recommended number of samples, the uncertainty of their mean in the channel's unit, and why it is that one.
-
-    ``limit`` is what sets the number; ``met`` is whether the mean is as good as the target, None where there is none.
-    From ``useful`` samples on twice as many gain less than a tenth; None where the record is too short to show it.
-    ``predicted`` samples would meet the target if the noise stayed white for longer than the record could show.
-    """
+    """A recommended number of samples, and why it is that one."""
 
     samples: int
-    uncertainty: float
-    limit: Limit
-    met: bool | None
-    useful: int | None
-    predicted: int | None = None
+    uncertainty: float  # of their mean, unit
+    limit: Limit  # what sets the number
+    met: bool | None  # whether the mean is as good as the target; None without one
+    useful: int | None  # from which on twice as many gain less than a tenth; None where the record is too short for it
+    predicted: int | None = None  # that would meet the target if the noise stayed white beyond the record
 
 
 def characterise(samples: Array, interval: float, sizes: Sequence[int] = ()) -> ChannelNoise:

@@ -28,12 +28,7 @@ class ThermalLag:
 
     Between two rows the temperature changes linearly, so irregular times and gaps need nothing of their own: after a
     gap much longer than the lag, only the mean pace in the gap counts. At the first row, and where time goes back, the
-    element has the temperature of the thermometer.
-
-    Parameters
-    ----------
-    lag : float
-        s; positive where the element is later than the thermometer.
+    element has the temperature of the thermometer. The lag, s, is positive where the element is later.
     """
 
     def __init__(self, lag: float) -> None:
@@ -42,14 +37,9 @@ class ThermalLag:
         self._time = self._temperature = self._filtered = np.nan
 
     def __call__(self, time: Array, temperature: Array) -> Array:
-        """Return the temperatures of the element in some more rows, °C, shape (n,); NaN where they are not known.
+        """Return the temperatures of the element in some more rows, °C, shape (n,), from time, s, and thermometer, °C.
 
-        Parameters
-        ----------
-        time : ndarray, shape (n,)
-            s; NaN where it is missing.
-        temperature : ndarray, shape (n,)
-            Of the thermometer, °C; NaN where it is missing.
+        All are NaN where a value is missing.
         """
         if self._lag == 0.0:
             return np.array(temperature, dtype=float)

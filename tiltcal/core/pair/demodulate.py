@@ -61,23 +61,19 @@ def bounds_of(number: NDArray[np.float64]) -> list[int]:
 
 @dataclass(frozen=True)
 class Demodulation:
-    """The regression of all channels on the stage angle.
+    """The regression of all channels on the stage angle; a mix is a weight for each channel.
 
-    The first two ``coefficients`` are the sin θ and cos θ components, the last two the offset in the middle of the
-    record and the drift over all of it, in the unit of the readings. ``inverse`` times a variance is their covariance
-    in white noise; ``residual`` is the covariance of what is left, and ``rounding`` the variance of each component
-    from the rounding of the readings, which all turns share, unit². ``scores`` are products of sin θ and cos θ with
-    what is left, and ``weights`` with each other, per block of turns. A mix is a weight for each channel.
+    ``inverse`` times a variance is the covariance of the coefficients in white noise.
     """
 
     channels: tuple[str, ...]
     rows: int
-    coefficients: Array  # (columns, channels)
-    residual: Array  # (channels, channels)
+    coefficients: Array  # (columns, channels): sin θ, cos θ, ..., offset in the middle, drift over the record, unit
+    residual: Array  # (channels, channels): covariance of what is left, unit²
     inverse: Array  # (columns, columns)
-    scores: Array  # (blocks, 2, channels)
-    weights: Array  # (blocks, 2, 2)
-    rounding: Array  # (channels,)
+    scores: Array  # (blocks, 2, channels): products of sin θ and cos θ with what is left, per block of turns
+    weights: Array  # (blocks, 2, 2): and with each other
+    rounding: Array  # (channels,): variance of a component by rounding, which all turns share, unit²
 
     def mix(self, weights: Mapping[str, float]) -> Array:
         """Return the mix with the weights of some channels, shape (channels,)."""

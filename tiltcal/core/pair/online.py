@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import ceil, hypot, inf, sqrt
+from math import ceil, hypot, inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,61 +165,38 @@ class TurnStream:
         self.why = why
 
 
-class TrimmingLoop:
-    """An integral controller that averages once it has settled (Robbins and Monro, 1951): ``value`` is trimmed."""
+class TrimmingLoops:
+    """The two loops of the source, on the channels of a stream: integral controllers that trim p first, then q as well.
 
-    def __init__(self) -> None:
-        self.value, self._squares = 0.0, 1.0
-        self._latest: deque[float] = deque([inf], maxlen=4)
-        self.restart()
+    Their gain is full until the error has gone, then falls so that they average (Robbins and Monro, 1951).
+    """
 
-    def restart(self) -> None:
-        """Run with full gain again."""
-        self._turns = 0
-        self._estimates: deque[float] = deque(maxlen=_LATE)
+    def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
+        self._pair, self._p, self._q = pair, 0.0, 0.0
+        self._where = [READINGS + channels.index(channel) for channel in pair.channels]
+        self._trims_q = False
+        self._settled = self._turns = 0
+        self._squares = 1.0  # of the weights of single turns
+        self._latest = deque([(inf, inf)], maxlen=4)  # corrections of p and q
+        self._estimates: deque[tuple[float, float]] = deque(maxlen=_LATE)  # of single turns
 
-    def trim(self, residual: float, correction: float) -> None:
-        """Go on by one turn, whose own estimate differs by ``correction``; ``residual`` is its relative error."""
-        if abs(residual) > _LOST:
-            self.restart()
-        self._turns += 1
-        self._latest.append(correction)
-        if self._turns > _CALM // 2:
-            self._estimates.append(self.value + correction)
-        gain = max(1.0 / (1.0 / _FULL + max(self._turns - _CALM, 0)), _LEAST)
-        self.value += gain * correction
-        self._squares = (1.0 - gain) ** 2 * self._squares + gain**2
+    def coefficients(self) -> PairCoefficients:
+        """p and q as they are trimmed now, with the scatter of single turns, or of longer stretches, as it is averaged.
 
-    def uncertainty(self) -> float:
-        """Return the standard uncertainty: the scatter of single turns, or of longer stretches, as they are averaged.
-
-        Before it has settled, the latest corrections; infinite before the first.
+        Before they have settled the latest corrections are the uncertainties; infinite before the first.
         """
         count = len(self._estimates)
         if count < 6:
-            return max(abs(correction) for correction in self._latest)
+            return PairCoefficients(self._p, self._q, *np.max(np.abs(self._latest), axis=0).tolist())
         estimates = np.array(self._estimates)
-        variance, dof = float(estimates.var(ddof=1)), count - 1
+        variance = estimates.var(axis=0, ddof=1) * (count - 1) / (count - 3)
         if count >= 4 * _GROUPS:
             size = count // _GROUPS
-            slow = size * float(estimates[-size * _GROUPS :].reshape(_GROUPS, size).mean(axis=1).var(ddof=1))
-            # Chance makes that of ten groups twice as large once in thirty records.
-            variance, dof = (slow, _GROUPS - 1) if slow > 2.0 * variance else (variance, dof)
-        return sqrt(self._squares * variance * dof / (dof - 2.0))
-
-
-class TrimmingLoops:
-    """The two loops of the source, on the channels of a stream: p first, then q."""
-
-    def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
-        self._pair, self._p, self._q = pair, TrimmingLoop(), TrimmingLoop()
-        self._where = [READINGS + channels.index(channel) for channel in pair.channels]
-        self._turns = self._settled = 0
-        self._trims_q = False
-
-    def coefficients(self) -> PairCoefficients:
-        """p and q as they are trimmed now; the uncertainties are infinite before the first turn that trims them."""
-        return PairCoefficients(self._p.value, self._q.value, self._p.uncertainty(), self._q.uncertainty())
+            means = estimates[-size * _GROUPS :].reshape(_GROUPS, size, 2).mean(axis=1)
+            slow = size * means.var(axis=0, ddof=1)
+            # Chance makes that of ten groups twice as large once in thirty records; widened as Student's distribution.
+            variance = np.where(slow > 2.0 * variance, slow * (_GROUPS - 1) / (_GROUPS - 3), variance)
+        return PairCoefficients(self._p, self._q, *np.sqrt(self._squares * variance).tolist())
 
     def update(self, turn: Turn) -> None:
         """Go on by one turn; an EstimateError, and p and q as they are, where nothing can be trimmed."""
@@ -229,22 +206,30 @@ class TrimmingLoops:
         first, _, orthogonal = phasors
         if abs(first) < 1e-300:
             raise EstimateError(f"{self._pair.first} has no signal at the spin frequency")
-        residual = phasors @ sum_weights(self._p.value, self._q.value) / first
-        quadrature = (orthogonal / first).imag
+        residual = complex(phasors @ sum_weights(self._p, self._q) / first)
+        quadrature = float((orthogonal / first).imag)
         if abs(quadrature) < _LEAST_QUADRATURE:
             raise EstimateError(f"{self._pair.orthogonal} has no signal in quadrature to {self._pair.first}")
-        rest = 1.0 - self._p.value
-        p = self._p.value + rest * residual.real
-        if not -_FARTHEST / (1.0 - _FARTHEST) < p < _FARTHEST:
-            raise EstimateError(f"p runs to {p:.2f}: {self._pair.second} cannot be matched to {self._pair.first}")
-        self._p.trim(float(residual.real), float(rest * residual.real))
+        by_p, by_q = (1.0 - self._p) * residual.real, -(1.0 - self._p) / quadrature * residual.imag
+        if not -_FARTHEST / (1.0 - _FARTHEST) < self._p + by_p < _FARTHEST:
+            raise EstimateError(
+                f"p runs to {self._p + by_p:.2f}: {self._pair.second} cannot be matched to {self._pair.first}"
+            )
         self._turns += 1
         self._settled = self._settled + 1 if abs(residual.real) < _SETTLED else 0
-        if not self._trims_q and (self._settled > 1 or self._turns > _TURNS_TO_SETTLE):
-            self._trims_q = True
-            self._p.restart()  # what q was off has been part of its residual
-        if self._trims_q:
-            self._q.trim(float(residual.imag), float(-rest / quadrature * residual.imag))
+        begins = not self._trims_q and (self._settled > 1 or self._turns > _TURNS_TO_SETTLE)
+        self._trims_q |= begins
+        error = abs(residual) if self._trims_q else abs(residual.real)
+        if begins or error > _LOST:  # run with full gain again; what q was off has been part of the residual of p
+            self._turns = 1
+            self._estimates.clear()
+        gain = max(1.0 / (1.0 / _FULL + max(self._turns - _CALM, 0)), _LEAST)
+        self._latest.append((by_p, by_q if self._trims_q else inf))
+        if self._turns > _CALM // 2 and self._trims_q:
+            self._estimates.append((self._p + by_p, self._q + by_q))
+        self._squares = (1.0 - gain) ** 2 * self._squares + gain**2
+        self._p += gain * by_p
+        self._q += gain * by_q if self._trims_q else 0.0
 
 
 class Recursive:

@@ -29,56 +29,35 @@ from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
 from tiltcal.errors import EstimateError
 
 RESOLVED = 2.0  # standard uncertainties that a lag is away from 0 where it is used
-LAG_RESOLUTION, LEG_LAGS = 0.1, 4.0
-"""A lag is known better than the time in which the temperature crosses this part of its range, and a leg lasts so many
-lags: else the element does not follow."""
-
-WORSE = 0.02  # part by which the mean square error of a channel may grow on a leg and not count as worse
-CHANCE, TURNING = 0.01, 1e-4
-"""Probability with which noise alone makes a loop, and residuals that turn with the temperature."""
-
-TURNS, BEHIND_TURN = 3.0, 0.1
-"""Hysteresis gets from one side to the other in this part of a leg's range where the residuals there have so many times
-the mean square of the others."""
-
-ONE_SIDED, TWO_SIDED = 1.645, 1.96
-"""Standard deviations within which a normal variable is in 95 % of cases, to one side and to both."""
-
 PLACES = 8  # temperatures at which the ways are compared
+
+_LAG_RESOLUTION = 0.1  # of the range: a lag must be known better than the time in which the temperature crosses it
+_LEG_LAGS = 4.0  # lags that a leg lasts at least: else the element does not follow
+_WORSE = 0.02  # by which the mean square error of a channel may grow on a leg and not count as worse
+_LOOP, _TURNING = 0.01, 1e-4  # probability with which noise alone makes a loop, and residuals that turn
+_TURNS = 3.0  # mean square of the residuals behind the turns over that of the others where hysteresis crosses there
+_BEHIND_TURN = 0.1  # of a leg's range, in which hysteresis gets from one side to the other
 _LOOP_TERMS = 3  # of the polynomial of a loop: a play of a cubic, and Rayleigh's loop, have three
+_ONE_SIDED, _TWO_SIDED = 1.645, 1.96  # deviations that hold 95 % of a normal variable, to one side and to both
 
 
 @dataclass(frozen=True)
 class RampFit:
-    """The drift that a record shows.
+    """The drift that a record shows, and the means that it is fitted to."""
 
-    ``coefficients``, shape (channels, order + 1), are the reading at the reference temperature, unit, and its
-    polynomial, unit/°C, ..., of the temperature that is later by ``lag``, s, 0 where none is used. ``covariance`` is of
-    them, channel by channel; ``loop_covariance`` is what the loop adds to it.
-
-    ``found_lag`` is the lag that describes the record best, s, used or not, with its standard uncertainty ``u_lag``,
-    and ``explained`` the part of the loop's square that it explains, shape (channels,). ``loops``, unit, shape (places,
-    channels), are the way up less the way down that is left at some temperatures, ``places``, °C from the reference.
-
-    ``u_element``, °C, is the standard uncertainty of the element's temperature in a log because its filter smooths the
-    turns of a thermometer that is later. ``polynomial`` and ``lagged``, unit, shape (legs, channels), are the root mean
-    square errors of each leg, predicted from the others by the polynomial alone and with a lag; ``error_by_order`` is
-    the mean square error of that over the variance of the residuals.
-    """
-
-    coefficients: Array
-    lag: float
-    covariance: Array
-    found_lag: float
-    u_lag: float
-    explained: Array
-    places: Array
-    loops: Array
-    loop_covariance: Array
-    u_element: float
-    polynomial: Array
-    lagged: Array
-    error_by_order: Mapping[int, float]
+    coefficients: Array  # (channels, order + 1): reading at the reference temperature, unit, unit/°C, ...
+    lag: float  # s, of the temperature that they are polynomials of; 0 where none is used
+    covariance: Array  # of the coefficients, channel by channel
+    loop_covariance: Array  # what the loop adds to it
+    found_lag: float  # s; describes the record best, used or not
+    u_lag: float  # its standard uncertainty, s
+    explained: Array  # (channels,): part of the loop's square that it explains
+    places: Array  # (places,): temperatures from the reference, °C
+    loops: Array  # (places, channels): the way up less the way down that is left there, unit
+    u_element: float  # °C, of the element in a log, whose filter smooths the turns of a thermometer that is later
+    polynomial: Array  # (legs, channels): root mean square error of a leg, predicted from the others, unit
+    lagged: Array  # the same with a lag
+    error_by_order: Mapping[int, float]  # mean square of these errors over the variance of the residuals
     means: RampMeans
 
     @property
@@ -110,7 +89,7 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
     gained = np.mean(plain[order_alone] - lagged[order], axis=1) > 0.0
     used = bool(
         gained.all()
-        and np.all(lagged[order] <= (1.0 + WORSE) * plain[order_alone])
+        and np.all(lagged[order] <= (1.0 + _WORSE) * plain[order_alone])
         and abs(found_lag) > RESOLVED * u_lag
         and means.cost(means.powers(means.lag(order), order)) < _cost_of_hysteresis(means, order)
     )
@@ -184,7 +163,7 @@ def _beside_loop(means: RampMeans, lag: float, order: int) -> tuple[Array, Array
         solve = np.linalg.pinv(design)
         solution, of_solution = solve @ values, solve @ means.noise_covariance(design, values) @ solve.T
         half, of_half = solution[of_ways], of_solution[of_ways, of_ways]
-        if half @ np.linalg.solve(of_half, half) > chdtri(len(half), CHANCE):
+        if half @ np.linalg.solve(of_half, half) > chdtri(len(half), _LOOP):
             loop = slice(block.start, block.start + len(half))
             noise_on_ways = _mean_square(x, of_solution[:p, :p]) + _mean_square(x[:, : len(half)], of_half)
             loop_square = _mean_square(x[:, : len(half)], np.outer(half, half))
@@ -205,7 +184,7 @@ def loop_weight(ratio: float) -> float:
 
     Of a half loop of so many standard uncertainties they must reach its end and 1.645 of these beyond.
     """
-    return min((((ratio + ONE_SIDED) / TWO_SIDED) ** 2 - 1.0) / ratio**2, 1.0)
+    return min((((ratio + _ONE_SIDED) / _TWO_SIDED) ** 2 - 1.0) / ratio**2, 1.0)
 
 
 def _blocks(polynomials: Array) -> list[slice]:
@@ -221,10 +200,10 @@ def _with_turns(means: RampMeans, design: Array, values: Array) -> Array:
     """
     temperature = means.temperature(0.0)
     turns = temperature[np.searchsorted(means.leg, means.leg)]
-    near = np.array([BEHIND_TURN * (leg.high - leg.low) for leg in means.legs])
+    near = np.array([_BEHIND_TURN * (leg.high - leg.low) for leg in means.legs])
     behind = np.abs(temperature - turns) < near[means.leg]
     square = (values - design @ least_squares(design, values)) ** 2
-    if not behind.any() or np.mean(square[behind]) < TURNS * np.mean(square[~behind]):
+    if not behind.any() or np.mean(square[behind]) < _TURNS * np.mean(square[~behind]):
         return design
     return np.column_stack([design, np.eye(len(design))[:, behind]])
 
@@ -271,13 +250,13 @@ def _require_lag_resolved(legs: Sequence[Leg], lag: float, u: float) -> None:
     shortest = min(leg.seconds for leg in legs)
     widest = max(leg.high - leg.low for leg in legs)
     pace = float(np.mean([leg.pace for leg in legs]))
-    if abs(lag) * LEG_LAGS > shortest > u * LEG_LAGS and abs(lag) > RESOLVED * u:
-        slower = widest / (2.0 * LEG_LAGS * abs(lag)) * 60.0
+    if abs(lag) * _LEG_LAGS > shortest > u * _LEG_LAGS and abs(lag) > RESOLVED * u:
+        slower = widest / (2.0 * _LEG_LAGS * abs(lag)) * 60.0
         raise EstimateError(
             f"at {pace:.2g} °C/min a leg lasts {shortest:.0f} s, and the lag is about {abs(lag):.0f} s: so short a leg "
             f"does not separate it from drift; change the temperature at {slower:.2g} °C/min or slower"
         )
-    if not 2.0 * u * pace / 60.0 < LAG_RESOLUTION * widest:
+    if not 2.0 * u * pace / 60.0 < _LAG_RESOLUTION * widest:
         raise EstimateError(
             f"at {pace:.2g} °C/min the lag is known to ±{2.0 * u:.2g} s, which does not separate it from drift: the "
             f"zero wanders, or the noise is too large; take more legs, at {4.0 * pace:.2g} °C/min"
@@ -307,7 +286,7 @@ def _require_one_lag(means: RampMeans, lag: float, order: int, step: float) -> N
     noises = list(map(means.noise_covariance, designs, y.T))
     solution, covariance = _generalised_least_squares(designs, 1 + len(turns), y, noises)
     sizes, of_sizes = solution[-len(turns) :], covariance[-len(turns) :, -len(turns) :]
-    times = sqrt(float(sizes @ np.linalg.solve(of_sizes, sizes)) / chdtri(len(sizes), TURNING))
+    times = sqrt(float(sizes @ np.linalg.solve(of_sizes, sizes)) / chdtri(len(sizes), _TURNING))
     off = float(np.max(np.abs(shared @ sizes)))
     if times < 1.0 or off < step / 2.0:
         return

@@ -30,20 +30,15 @@ _SQUARE_OF_90_PERCENT = 2.706  # what the square of a normal variable of varianc
 
 @dataclass(frozen=True)
 class RampRecord:
-    """Means of consecutive rows of a record: times in s, temperatures in °C, readings of shape (n, channels).
+    """Means of consecutive rows of a record."""
 
-    ``noise`` is the standard deviation of a single reading about its neighbours, unit, shape (channels,), ``rows`` the
-    number of rows that count, ``jumps`` which temperatures were left out, in words, and ``step`` that of the
-    thermometer, °C, 0 where it is continuous.
-    """
-
-    time: Array
-    temperature: Array
-    readings: Array
-    noise: Array
-    rows: int
-    jumps: str = ""
-    step: float = 0.0
+    time: Array  # s
+    temperature: Array  # °C
+    readings: Array  # (n, channels)
+    noise: Array  # (channels,): standard deviation of a single reading about its neighbours, unit
+    rows: int  # that count
+    jumps: str = ""  # which temperatures were left out
+    step: float = 0.0  # of the thermometer, °C; 0 where it is continuous
 
 
 def ramp_record(time: Array, temperature: Array, readings: Sequence[Array], first: int = 0) -> RampRecord:
@@ -112,18 +107,15 @@ def row_noise(values: Array) -> float:
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of a record, from mean ``start`` to before ``end``, in which the temperature goes one way.
-
-    It goes between ``low`` and ``high``, °C, in so many ``seconds``, at a ``pace`` in the middle of its way, °C/min.
-    """
+    """A part of a record, from mean ``start`` to before ``end``, in which the temperature goes one way."""
 
     start: int
     end: int
-    low: float
+    low: float  # °C
     high: float
     rising: bool
     seconds: float
-    pace: float
+    pace: float  # in the middle of its way, °C/min
 
     @property
     def way(self) -> str:
