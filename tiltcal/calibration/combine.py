@@ -187,11 +187,7 @@ class CombinedSession:
 def combine_records(
     calibrations: Iterable[CalibrationRecord | str | Path], mounting: Mapping[str, float] | str = ""
 ) -> CalibrationRecord:
-    """Combine calibrations of one sensor, or their files, in their own mounting or in a stated one, degrees.
-
-    UsageError: they are not of one sensor, or contradict each other.
-    EstimateError: a calibration states no uncertainty, or together they determine no sensor.
-    """
+    """Combine calibrations of one sensor, or their files, in their own mounting or in a stated one, degrees."""
     sessions = _sessions(calibrations)
     stated = stated_mounting(mounting) if mounting else None
     if not sessions or (len(sessions) < 2 and stated is None):
