@@ -208,7 +208,7 @@ class Setup(Record, kw_only=True, dict=True):
         if steps.rotation is not None:
             self.stage_channels()
         else:
-            from tiltcal.calibration.checks import require_suitable
+            from tiltcal.calibration.measurement import require_suitable
 
             for device in self.sensors:
                 require_suitable(steps, device.wired, device.orientation, based=device.serial in self.bases)

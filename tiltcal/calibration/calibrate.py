@@ -11,9 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from tiltcal.calibration.checks import require_no_jig, require_own_readings
 from tiltcal.calibration.joint_fit import fit_jointly
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.calibration.measurement import (
+    BenchUncertainty,
+    MeasuredSensor,
+    Measurement,
+    require_no_jig,
+    require_own_readings,
+)
 from tiltcal.calibration.temperature import calibrate_sweep, with_typical_temperature
 from tiltcal.core.rounding import round_to
 from tiltcal.drivers.model import ACCELERATION

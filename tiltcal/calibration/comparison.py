@@ -23,8 +23,7 @@ from tiltcal.printable import in_html
 ROUNDED = 1e-3
 """The share of an uncertainty that remains of a difference although both errors are one: files round their numbers."""
 
-UNDETERMINED = 1e-3
-"""The positions do not determine a coefficient whose uncertainty is its prior's within this share."""
+UNDETERMINED = 1e-3  # the positions do not determine a coefficient whose uncertainty is its prior's within this share
 
 _ALIKE = 0.02
 """Coefficients of two files mean the same if the shares of other terms that they hold differ by less than this."""

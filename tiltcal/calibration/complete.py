@@ -55,11 +55,8 @@ from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import NOISE_ALONE, CompletingRun, LevelFit, MountingFit
 from tiltcal.files.uncertainty import uncertain_coefficients
 
-BASE = "base"
-"""The share of an offset's variance that comes from the calibration that it completes."""
-
-NEARLY_LEVEL = 5.0
-"""The most that a position may be off level as it was set, degrees."""
+BASE = "base"  # the share of an offset's variance that comes from the calibration that it completes
+NEARLY_LEVEL = 5.0  # the most that a position may be off level as it was set, degrees
 
 NO_LEVEL = (
     "how level the sensor lay is not stated (--jig, --table-lean), and the uncertainty of its offset leaves it out"
@@ -70,8 +67,7 @@ NO_NOISE = (
     "offset leaves it out"
 )
 
-STEP = 1e-4
-"""A lean, radians, and a change of temperature, °C, by which derivatives are taken."""
+STEP = 1e-4  # a lean, radians, and a change of temperature, °C, by which derivatives are taken
 
 TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
 

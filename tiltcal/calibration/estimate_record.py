@@ -31,16 +31,12 @@ from tiltcal.files.results import (
 )
 from tiltcal.files.uncertainty import Covariance, Uncertainty
 
-DIGITS = 4
-"""Of an uncertainty."""
-
-MATRIX_DIGITS = 1e4
-"""The covariance is rounded to this part of what four digits of its two uncertainties would be."""
+DIGITS = 4  # of an uncertainty
+MATRIX_DIGITS = 1e4  # the covariance is rounded to this part of what four digits of its two uncertainties would be
 
 SHARE_DIGITS = 3
 
-PRIOR_DIGITS = 9
-"""Of an uncertainty that is taken out of a difference again."""
+PRIOR_DIGITS = 9  # of an uncertainty that is taken out of a difference again
 
 
 def rounded(found: Estimate) -> Coefficients:

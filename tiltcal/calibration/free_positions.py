@@ -9,9 +9,8 @@ from math import acos, cos, degrees, radians, sqrt
 
 import numpy as np
 
-from tiltcal.calibration.checks import judge_channels
 from tiltcal.calibration.joint_fit import design_of, record_of
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, judge_channels
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
 from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
 from tiltcal.core.model import AXES, Array, Coefficients
@@ -32,8 +31,7 @@ WORTHLESS_ANGLE = 500.0
 SKEW, UNEQUAL = 15.0, 1.5
 """Axes further from square, degrees, or sensitivities further apart, as a ratio, are those of no sensor."""
 
-REACH = 45.0
-"""A direction is missing where no attitude comes as near, degrees."""
+REACH = 45.0  # a direction is missing where no attitude comes as near, degrees
 
 BELOW_NOISE = "the residuals are smaller than the noise of the readings, by chance: the noise counts"
 GAUGE = (

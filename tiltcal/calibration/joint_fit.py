@@ -9,9 +9,8 @@ from math import asin, degrees, fsum, inf, radians, sqrt
 
 import numpy as np
 
-from tiltcal.calibration.checks import judge_channels
 from tiltcal.calibration.estimate_record import DIGITS, derived_record, fit_record, rounded, stated_section
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, judge_channels, rails_of
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.model import AXES, Limits
@@ -24,18 +23,15 @@ from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import PositionSet, ProcedureRecord
 
-OF_BASE = "of the base calibration"
-"""The origin of a sensitivity that the sensor's own calibration lends."""
+OF_BASE = "of the base calibration"  # the origin of a sensitivity that the sensor's own calibration lends
 
 NO_THERMOMETER = "the thermometer's uncertainty is not stated (--thermometer)"
 NO_NOISE = "the table states no uncertainties of its means (ux, uy, uz)"
-FEW = 3.0
-"""Degrees of freedom below which a variance is hardly known."""
+FEW = 3.0  # degrees of freedom below which a variance is hardly known
 
 LARGEST_AGREEMENT, LARGEST_AGREEMENT_REOPENED = 0.5, 0.3
 """Estimated jigs above which it is asked what happened, degrees; the second where a sensor was opened again."""
-STEEP = 0.99
-"""Gravity along a channel, g, from which on a set angle says little of its reading."""
+STEEP = 0.99  # gravity along a channel, g, from which on a set angle says little of its reading
 DRIFT_NOT_SHOWN = "along gravity only the noise counts; --closing or --jig shows a drift"
 
 

@@ -1,16 +1,29 @@
-"""The measured positions of the sensors of a fixture, and the stated uncertainties of the bench."""
+"""The measured positions of the sensors of a fixture, what the user states of the bench, and checks of both.
+
+A calibration of swapped or turned channels corrects them, so that it is remarked and not refused: it goes with the
+wiring as it is. Two copies of one channel determine nothing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
+from math import acos, degrees
 from typing import TYPE_CHECKING, Any
 
-from tiltcal.core.attitude import STRAIGHT
+import numpy as np
+
+from tiltcal.core.attitude import STRAIGHT, Orientation
+from tiltcal.core.estimation.estimate import Estimate
+from tiltcal.core.model import AXES, Coefficients
+from tiltcal.core.plausibility import UNKNOWN_OFFSET
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.samples import SampleSummary
-from tiltcal.drivers.model import Model
+from tiltcal.drivers.model import OF_G, Model
+from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import PositionRecord
 from tiltcal.stated_arguments import require_from_zero
 
@@ -101,3 +114,131 @@ def at_rail(channel: str, reading: str, rails: tuple[float, float]) -> str:
         f"{channel} reads {reading}, at its rail or beyond ({rails[0]:g} to {rails[1]:g}): is this the sensor, are "
         "these its readings in its unit, and is the angle within its range?"
     )
+
+
+LEAST_ANGLE = 15.0  # channels whose directions are closer together are one channel twice, degrees
+
+REACTION = 3.0
+"""Expanded uncertainties that a sensitivity must be apart from zero: noise alone is beyond one of them in 5 of 100."""
+
+ROUNDING = 1e-9  # the share of a reading below which a sensitivity is a rounding error
+CLEARLY = 2.0  # a channel whose sensitivity to another axis is so many times that to its own is that axis's channel
+
+COPIES = "two copies of one channel? Look at the wiring, and at --columns"
+
+
+def require_tilt(procedure: Procedure, model: Model) -> None:
+    """Refuse a device whose readings are no components of gravity, with a UsageError."""
+    if not model.senses_tilt:
+        others = [channel for channel in model.channels if channel not in AXES]
+        raise UsageError(
+            f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
+            "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
+        )
+    if procedure.determines.free and tuple(model.channels) != AXES:
+        raise UsageError(
+            f"free positions need a sensor of three channels x, y and z, and {model.name} has "
+            f"{', '.join(model.channels)}: unit gravity does not determine fewer; name a procedure that sets positions"
+        )
+
+
+def require_no_jig(procedure: Procedure, jig: float | None) -> None:
+    """Refuse a stated jig where no position is set by one, with a UsageError."""
+    if procedure.determines.free and jig is not None:
+        raise UsageError("free positions use no jig: leave --jig out, or name a procedure whose positions are set")
+
+
+def unchecked(model: Model) -> str:
+    """Return which check of the positions is off, because the address states no nominal value; else nothing."""
+    if not model.scaled:
+        return "no sensitivity= is stated, so that neither a wrong position nor a small movement is detected"
+    if model.offset_spread > UNKNOWN_OFFSET:
+        return "no offset= is stated, so that positions are compared with each other alone, and the first with none"
+    return ""
+
+
+def require_suitable(
+    procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT, *, based: bool = False
+) -> None:
+    """Refuse a device that reads no tilt, positions beyond its rails, and an unknown sensitivity, with a UsageError.
+
+    based: a base calibration states the sensitivity.
+    """
+    require_tilt(procedure, model)
+    if not (model.scaled or based or procedure.determines.axes or procedure.determines.completes):
+        raise UsageError(
+            f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
+            "address (sensitivity=..., unit per g), or name the sensor's calibration (--base)"
+        )
+    for position in procedure.positions:
+        gravity = orientation.seen(position.gravity)
+        for channel in model.channels:
+            expected = model.offset + model.sensitivity * gravity[AXES.index(channel)]
+            if not model.rails[0] < expected < model.rails[1]:
+                hint = "; a smaller --tilt brings it in range" if procedure.angle is not None else ""
+                raise UsageError(
+                    f"position {position.name} is outside the range of {model.name}: {channel} would read about "
+                    f"{expected:.5g} {model.unit}, and reads from {model.rails[0]:g} to {model.rails[1]:g}{hint}"
+                )
+
+
+def require_own_readings(sensor: MeasuredSensor) -> None:
+    """Refuse readings at a rail, and two channels that read alike, noise and all, with an EstimateError."""
+    rails = rails_of(sensor.sensor.channels, sensor.nominal, sensor.base) if sensor.ramp is None else {}
+    for channel, (low, high) in rails.items():
+        for measurement in sensor.measurements:
+            mean = measurement.summaries[channel].mean
+            if not low < mean < high:
+                reads = f"{mean:.6g} {sensor.sensor.unit} in {measurement.position}"
+                raise EstimateError(at_rail(channel, reads, (low, high)))
+    for first, second in combinations(sensor.sensor.channels, 2):
+        pairs = [(measurement.summaries[first], measurement.summaries[second]) for measurement in sensor.measurements]
+        if any(a.std for a, _ in pairs) and all(a.mean == b.mean and a.std == b.std for a, b in pairs):
+            raise EstimateError(f"{first} and {second} read the same in every position: {COPIES}")
+
+
+def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
+    """Return remarks on the wiring that the sensitivities show.
+
+    EstimateError: a channel does not react to gravity, or two react to it alike. No reading is exact: a sensitivity
+    below a billionth of the readings is a rounding error.
+    """
+    u, factors, coefficients = found.uncertainty(), found.coverage_factors(), found.coefficients
+    rows = dict(zip(coefficients.channels, coefficients.sensitivity, strict=True))
+    for channel, row in rows.items():
+        sensitivity, axis = max((abs(float(value)), axis) for axis, value in zip(coefficients.axes, row, strict=True))
+        name = f"sensitivity.{channel}.{axis}"
+        largest = max(abs(measurement.summaries[channel].mean) for measurement in sensor.measurements)
+        expanded = factors.get(name, 2.0) * u[name]
+        if sensitivity <= max(REACTION * expanded, ROUNDING * largest):
+            raise EstimateError(
+                f"{channel} of {sensor.sensor.serial} does not react to gravity: its sensitivity is "
+                f"{significant(sensitivity, 3):g} ± {significant(expanded, 2):g} "
+                f"{sensor.sensor.unit}/g; see that the channel is wired, and that its sensor converts"
+            )
+    for (first, a), (second, b) in combinations(rows.items(), 2):
+        angle = degrees(acos(min(abs(float(a @ b)) / float(np.linalg.norm(a) * np.linalg.norm(b)), 1.0)))
+        if angle < LEAST_ANGLE:
+            raise EstimateError(f"{first} and {second} answer to gravity alike, {angle:.1f}° apart: {COPIES}")
+    return tuple(remarks_on_wiring(coefficients, sensor.sensor.unit))
+
+
+def remarks_on_wiring(coefficients: Coefficients, unit: str) -> Iterator[str]:
+    """Yield remarks on channels that are exchanged or turned, and on readings of another unit."""
+    axes, takes = coefficients.axes, {}
+    for channel, row in zip(coefficients.channels, np.abs(coefficients.sensitivity), strict=True):
+        if channel in axes:  # it measures its own axis, unless its sensitivity to another is clearly larger
+            strongest = int(np.argmax(row))
+            takes[channel] = axes[strongest] if row[strongest] > CLEARLY * row[axes.index(channel)] else channel
+    for first, second in combinations(takes, 2):
+        if takes[first] == second and takes[second] == first:
+            yield f"{first} and {second} are swapped: each answers to the other's axis; look at the wiring or --columns"
+    for channel, axis in takes.items():
+        if axis != channel and takes.get(axis) != channel:
+            yield f"channel {channel} answers to axis {axis} more than to its own: look at the wiring or --columns"
+        if axis == channel and coefficients.own_sensitivity(channel) < 0.0:
+            yield f"the sign of {channel} is turned: it reads less where +{channel} points up; look at how it sits"
+    for channel, row in zip(coefficients.channels, coefficients.sensitivity, strict=True):
+        size, usual = float(np.linalg.norm(row)), OF_G.get(unit, 0.0)
+        if usual and not usual / CLEARLY < size < usual * CLEARLY:
+            yield f"{channel} reads {size:.3g} {unit} for 1 g, which is {usual:.3g} {unit}: are the readings in {unit}?"

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.checks import require_tilt
 from tiltcal.calibration.joint_fit import design_of
-from tiltcal.calibration.measurement import BenchUncertainty
+from tiltcal.calibration.measurement import BenchUncertainty, require_tilt
 from tiltcal.calibration.wording import unit_of
 from tiltcal.core.attitude import STRAIGHT, Orientation, angle_uncertainty, solve_mounting
 from tiltcal.core.estimation.design import PlannedPosition, Prediction, predict_uncertainty
@@ -23,16 +22,14 @@ from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
 from tiltcal.printable import in_html
 
-PARTS = 8
-"""Positions that stand for a leg of a ramp."""
+PARTS = 8  # positions that stand for a leg of a ramp
 
 LEAN = (
     "If the table is not level, its tilt is in the offsets: turn the fixture by 180° and repeat one position, or state "
     "--table-lean."
 )
 
-SHOWN = 3
-"""Correlations and positions that are named."""
+SHOWN = 3  # correlations and positions that are named
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,7 @@ from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import CrossValidation, Hysteresis
 from tiltcal.files.uncertainty import uncertain_coefficients
 
-ROOM = 25.0
-"""Reference temperature where none was measured, °C."""
+ROOM = 25.0  # reference temperature where none was measured, °C
 
 
 def calibrate_sweep(

@@ -24,8 +24,7 @@ from tiltcal.files.uncertainty import length_tolerance
 
 PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
 
-STEEP = cos(radians(89.0))
-"""The slope of an arcsine is followed up to this far from level."""
+STEEP = cos(radians(89.0))  # the slope of an arcsine is followed up to this far from level
 
 ANGLE, DIRECTION = 1.959964, 2.447747
 """Coverage factors for 95 % of an error in one angle, and of one in two (the root of chi-square's quantile)."""

@@ -1,33 +1,30 @@
-"""A calibration in words: labels of its coefficients, their standard uncertainties, and how well the data fit."""
+"""Calibrations in words: labels of coefficients, their uncertainties, how well the data fit; the matching of pairs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import asin, degrees, radians, sin, sqrt
 
 import numpy as np
 
-from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty_lines
+from tiltcal.calibration.record import tilt_uncertainty_lines
 from tiltcal.core.model import AXES
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.rounding import plus_minus
+from tiltcal.core.pair.matching import STAGES, SUM, Matching
+from tiltcal.core.rounding import bracketed, plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.results import FitRecord, MountingFit
 
-INCREDIBLE = 1e-3
-"""Probability of a chi-square below which it is not credible."""
+INCREDIBLE = 1e-3  # probability of a chi-square below which it is not credible
 
 NOT_FOLLOWED = (
     "was not seen to follow when the sensor was tipped: a dead converter reads so; look at it with tiltcal probe"
 )
 """What a note says of a channel that showed at most two neighbouring values in a whole session."""
 
-REMARKABLE = 0.05
-"""Probability below which, or above one less it, a chi-square is remarked."""
-
-LARGEST_ESTIMATED_JIG = 5.0
-"""Estimated jig above which a calibration is judged failing, degrees."""
+REMARKABLE = 0.05  # probability below which, or above one less it, a chi-square is remarked
+LARGEST_ESTIMATED_JIG = 5.0  # estimated jig above which a calibration is judged failing, degrees
 
 LOOKS_LIKE, LARGEST_BEND = 0.8, 0.1
 """Residuals look like non-linearity where a square and a cube of less than the second explain this share of them."""
@@ -264,3 +261,34 @@ def _label(name: str, unit: str = "") -> tuple[str, str, str, str]:
         case ["mounting", "turn", axis]:
             return f"Turn of the mounting about {axis}", "r", axis, "°"
     return name, name, "", "s" if name == "temperature.lag" else ""
+
+
+HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}
+
+
+def pair_summary(matching: Matching) -> str:
+    """Return the source's Table 1, p and q with their uncertainties, and how far they suppress what is common."""
+    pair = matching.pair
+    names = {pair.first: pair.first, pair.second: pair.second, SUM: f"{pair.first} + {pair.second}"}
+    wide = max(map(len, names.values()))
+    lines = [
+        f"{pair.first} and {pair.second}, orthogonal {pair.orthogonal}",
+        " " * wide + "".join(f"   {HEADINGS[stage]:<28}" for stage in STAGES),
+        " " * wide + "".join(f"   {'sin':<13} {'cos':<14}" for _ in STAGES),
+    ]
+    for name, text in names.items():
+        row = [matching.components[stage][name] for stage in STAGES]
+        cells = (f"   {bracketed(one.sin, one.u_sin):<13} {bracketed(one.cos, one.u_cos):<14}" for one in row)
+        lines.append(f"{text:<{wide}}" + "".join(cells))
+    lines.append(f"p = {bracketed(matching.p, matching.u_p)}   q = {bracketed(matching.q, matching.u_q)}")
+    return "\n".join(line.rstrip() for line in [*lines, suppressed(matching)])
+
+
+def suppressed(matching: Matching, write: Callable[[float], str] = "{:.3g}".format) -> str:
+    """Return the suppression of the common acceleration in words; ``write`` formats the two factors."""
+    suppression, left = matching.suppression, matching.components["after_pq"][SUM]
+    floor = " (the noise floor)" if left.amplitude <= left.u_amplitude else ""
+    return (
+        f"common acceleration suppressed {write(suppression['p'])} times after p, {write(suppression['pq'])} times "
+        f"after p and q{floor}"
+    )

@@ -103,7 +103,7 @@ def _of_journal(path: Path) -> list[str]:
 
 
 def _of_calibration(path: Path, document: Document) -> tuple[str, list[str], list[str]]:
-    from tiltcal.calibration.checks import remarks_on_wiring
+    from tiltcal.calibration.measurement import remarks_on_wiring
     from tiltcal.calibration.record import record_in
     from tiltcal.calibration.wording import objections, remarks_on_chance
     from tiltcal.files.calibration import CalibrationRecord

@@ -11,7 +11,7 @@ from tiltcal.cli import options
 from tiltcal.errors import UsageError
 
 if TYPE_CHECKING:
-    from tiltcal.calibration.fleet import FleetHistory
+    from tiltcal.calibration.season import FleetHistory
 
 LONGEST = 36525
 """Interval of 100 years, days."""
@@ -46,8 +46,7 @@ def read_history(folder: Path, interval: str = "365d") -> FleetHistory:
     """
     from datetime import UTC, datetime, timedelta
 
-    from tiltcal.calibration.fleet import fleet_history
-    from tiltcal.calibration.season import CalibrationFolder
+    from tiltcal.calibration.season import CalibrationFolder, fleet_history
 
     try:
         days = float(interval.removesuffix("d"))

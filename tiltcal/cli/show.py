@@ -23,9 +23,8 @@ def command(calibration: Path, matrix: bool) -> None:
     With --matrix it also prints A (g/unit) and b (unit) at the reference temperature: gravity is A (u - b), in the
     frame of the application, of the readings u. `tiltcal export` has it for programs.
     """
-    from tiltcal.calibration.pair_summary import pair_summary
     from tiltcal.calibration.record import record_in
-    from tiltcal.calibration.wording import summary
+    from tiltcal.calibration.wording import pair_summary, summary
     from tiltcal.errors import UsageError
     from tiltcal.files.calibration import CalibrationRecord
     from tiltcal.files.document import read_document

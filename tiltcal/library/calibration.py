@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, TypeVar, Unpack, overload
 
 from tiltcal.calibration.comparison import Comparison, compare_records
-from tiltcal.calibration.pair_summary import pair_summary
 from tiltcal.calibration.record import compensation_of, limits_of, record_in, stated_mounting, with_mounting
-from tiltcal.calibration.wording import summary
+from tiltcal.calibration.wording import pair_summary, summary
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Coefficients, Limits
 from tiltcal.core.pair.compensation import PairCompensation
@@ -226,7 +225,7 @@ class Calibration(SavedCalibration):
         UsageError
             The extra ``report`` is not installed, or the file states no uncertainty.
         """
-        from tiltcal.calibration.tilt_uncertainty import tilt_uncertainty
+        from tiltcal.calibration.record import tilt_uncertainty
         from tiltcal.report.calibration_figures import tilt_figure
         from tiltcal.report.figure import require_extra
 

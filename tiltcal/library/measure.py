@@ -13,8 +13,8 @@ from tiltcal.bench.journal import SessionResult
 from tiltcal.bench.measure import led_by, run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
-from tiltcal.calibration.checks import require_no_jig, unchecked
 from tiltcal.calibration.complete import NO_LEVEL
+from tiltcal.calibration.measurement import require_no_jig, unchecked
 from tiltcal.calibration.prediction import predict
 from tiltcal.calibration.wording import NOT_FOLLOWED, level_summary, summary, verdict
 from tiltcal.core.rounding import plus_minus

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from tiltcal.bench.setup import stage_channels
-from tiltcal.calibration.checks import require_no_jig, require_suitable
 from tiltcal.calibration.joint_fit import along_gravity
+from tiltcal.calibration.measurement import require_no_jig, require_suitable
 from tiltcal.calibration.prediction import PredictedMounting, PredictedUncertainty, predict, predict_mounting
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model

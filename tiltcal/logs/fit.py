@@ -11,9 +11,15 @@ from typing import Any, TypeVar
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.checks import require_no_jig, require_tilt
 from tiltcal.calibration.joint_fit import no_sensitivity
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, rails_of
+from tiltcal.calibration.measurement import (
+    BenchUncertainty,
+    MeasuredSensor,
+    Measurement,
+    rails_of,
+    require_no_jig,
+    require_tilt,
+)
 from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import significant

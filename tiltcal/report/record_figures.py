@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.calibration.fleet import CoefficientDistribution, ModelFleet
+from tiltcal.calibration.season import CoefficientDistribution, ModelFleet
 from tiltcal.calibration.wording import unit_of, words
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.model import Array

@@ -11,9 +11,8 @@ from math import degrees, nan, sqrt
 from typing import NamedTuple
 
 from tiltcal.calibration.comparison import compare_records
-from tiltcal.calibration.fleet import CoefficientDistribution, FleetHistory, ModelFleet
-from tiltcal.calibration.pair_summary import HEADINGS
-from tiltcal.calibration.wording import symbol, unit_of, words
+from tiltcal.calibration.season import CoefficientDistribution, FleetHistory, ModelFleet
+from tiltcal.calibration.wording import HEADINGS, symbol, unit_of, words
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.flags import FLAGS, REASONS
 from tiltcal.core.named_coefficients import values

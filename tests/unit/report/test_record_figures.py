@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.calibration.pair_summary import pair_summary
+from tiltcal.calibration.wording import pair_summary
 from tiltcal.core.pair.demodulate import Demodulation, demodulate
 from tiltcal.core.pair.matching import match
 from tiltcal.core.pair.model import Pair

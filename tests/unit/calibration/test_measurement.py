@@ -10,8 +10,7 @@ import pytest
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.checks import require_suitable
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, require_suitable
 from tiltcal.core.model import Array
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
