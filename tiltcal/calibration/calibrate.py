@@ -38,15 +38,7 @@ def calibrate(
     gravity: float | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> list[CalibrationRecord]:
-    """Calibrate the sensors of one fixture by the positions of a procedure, which they share; a record for each.
-
-    ``typical_temperature``: the mean temperature curves of the sensors' models stand in for runs of the units' own.
-    ``table``: the measurements are rows of a table, and what it does not state is not recorded. ``gravity`` is where
-    the positions were measured, m/s²: adds the sensitivity per m/s². ``settings`` say how the procedure was run.
-
-    UsageError: what is stated of the bench does not go with the procedure.
-    EstimateError: the positions cannot determine the coefficients.
-    """
+    """Calibrate the sensors of one fixture by the positions of a procedure, which they share; a record for each."""
     require_no_jig(procedure, bench.jig)
     for sensor in sensors:
         require_own_readings(sensor)
@@ -82,11 +74,8 @@ def calibrate(
 
 def _as_run(record: ProcedureRecord, procedure: Procedure, settings: Mapping[str, Any]) -> ProcedureRecord:
     """Return the record of a procedure with how it was run; one that completes a calibration has its own part of it."""
-    if procedure.determines.mounting and record.mounting is not None:
-        return record.replaced(mounting=record.mounting.replaced(**settings))
-    if procedure.determines.level and record.level is not None:
-        return record.replaced(level=record.level.replaced(**settings))
-    return record.replaced(**settings)
+    part = "mounting" if procedure.determines.mounting else "level" if procedure.determines.level else ""
+    return record.replaced(**({part: getattr(record, part).replaced(**settings)} if part else settings))
 
 
 def _base(sensor: MeasuredSensor) -> CalibrationRecord:

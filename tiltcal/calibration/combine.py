@@ -5,11 +5,10 @@ Positions of one journal count once. A file without positions that were set ente
 
 from __future__ import annotations
 
-from collections import Counter
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from hashlib import sha256
 from itertools import combinations, pairwise
 from math import hypot, inf, sqrt
 from pathlib import Path
@@ -18,16 +17,16 @@ import numpy as np
 
 import tiltcal
 from tiltcal.calibration.comparison import compare_records, temperature_of
-from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, rounded_covariance, stated_section
+from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, stated_section
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
-from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap
+from tiltcal.core.model import AXES, Array, Coefficients, Limits
 from tiltcal.core.named_coefficients import referred, values, vector_of
 from tiltcal.core.rounding import plus_minus
 from tiltcal.core.samples import BLOCKS, pooled
 from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, selection
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import (
     UNKNOWN_MODEL,
     CalibrationRecord,
@@ -52,30 +51,14 @@ UNKNOWN_JIG = 5.0
 
 @dataclass(frozen=True)
 class CombinedSession:
-    """One calibration of a combination: what messages call it, and the SHA-256 of its file.
+    """One calibration of a combination."""
 
-    ``counted`` where another calibration holds the same positions; ``by_values`` where its positions cannot be fitted
-    with those of the others. ``names`` are those that its positions have in the combination.
-    """
-
-    label: str
-    sha256: str
+    label: str  # what messages call it
+    sha256: str  # of its file
     record: CalibrationRecord
-    counted: bool = False
-    by_values: bool = False
-    names: Mapping[str, str] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, given: CalibrationRecord | str | Path) -> CombinedSession:
-        """Return the session of a calibration or of its file."""
-        if isinstance(given, CalibrationRecord):
-            text = dump_calibration(given)
-            return cls(given.procedure.name or "a calibration", sha256(text.encode()).hexdigest(), given)
-        if not isinstance(given, str | Path):
-            raise UsageError(f"combine takes tilt calibrations or their files, not {given!r:.40}")
-        text = read_text(given)
-        record = tilt_record(parse_document(text, str(given)))
-        return cls(Path(given).name, sha256(text.encode()).hexdigest(), record)
+    names: Mapping[str, str]  # of its positions in the combination
+    counted: bool = False  # another calibration holds the same positions
+    by_values: bool = False  # its positions cannot be fitted with those of the others
 
     @property
     def coefficients(self) -> Coefficients:
@@ -204,12 +187,8 @@ class CombinedSession:
 def combine_records(
     calibrations: Iterable[CalibrationRecord | str | Path], mounting: Mapping[str, float] | str = ""
 ) -> CalibrationRecord:
-    """Combine calibrations of one sensor, or their files, in their own mounting or in a stated one, degrees.
-
-    UsageError: they are not of one sensor, or contradict each other.
-    EstimateError: a calibration states no uncertainty, or together they determine no sensor.
-    """
-    sessions = _named([CombinedSession.of(calibration) for calibration in calibrations])
+    """Combine calibrations of one sensor, or their files, in their own mounting or in a stated one, degrees."""
+    sessions = _sessions(calibrations)
     stated = stated_mounting(mounting) if mounting else None
     if not sessions or (len(sessions) < 2 and stated is None):
         raise UsageError("name two calibrations or more, or a --mounting")
@@ -242,25 +221,28 @@ def combine_records(
     return _record(sessions, found, design, remarks)
 
 
-def _named(sessions: Sequence[CombinedSession]) -> list[CombinedSession]:
-    """Return the sessions with labels and positions that differ; one whose journal came before is counted."""
-    labels, journals = Counter(session.label for session in sessions), set()
-    named = []
-    for number, session in enumerate(sessions, start=1):
-        label = session.label if labels[session.label] == 1 else f"{session.label} ({number})"
-        journal = session.record.provenance.journal
-        counted = journal is not None and journal.sha256 in journals
-        journals |= {journal.sha256} if journal is not None else set()
-        named.append(replace(session, label=label, counted=counted))
-    own = [
-        dict.fromkeys([*(one.position for one in session.record.positions), *session.record.procedure.set])
-        for session in named
-    ]
-    times = Counter(name for names, session in zip(own, named, strict=True) if not session.counted for name in names)
-    return [
-        replace(session, names={n: n if times[n] == 1 else f"{session.label.replace('.yaml', '')}/{n}" for n in names})
-        for names, session in zip(own, named, strict=True)
-    ]
+def _sessions(calibrations: Iterable[CalibrationRecord | str | Path]) -> list[CombinedSession]:
+    """Return calibrations or their files with labels and positions that differ; those of one journal count once."""
+    sessions: list[CombinedSession] = []
+    journals: set[str | None] = set()
+    for given in calibrations:
+        if isinstance(given, CalibrationRecord):
+            label, record, text = given.procedure.name or "a calibration", given, dump_calibration(given)
+        elif isinstance(given, str | Path):
+            label, text = Path(given).name, read_text(given)
+            record = tilt_record(parse_document(text, str(given)))
+        else:
+            raise UsageError(f"combine takes tilt calibrations or their files, not {given!r:.40}")
+        if label in {session.label for session in sessions}:
+            label = f"{label} ({len(sessions) + 1})"
+        taken = {name for session in sessions if not session.counted for name in session.names.values()}
+        names = [*(one.position for one in record.positions), *record.procedure.set]
+        renamed = {name: f"{label.replace('.yaml', '')}/{name}" if name in taken else name for name in names}
+        journal = record.provenance.journal.sha256 if record.provenance.journal is not None else None
+        sha256 = hashlib.sha256(text.encode()).hexdigest()
+        sessions.append(CombinedSession(label, sha256, record, renamed, journal is not None and journal in journals))
+        journals.add(journal)
+    return sessions
 
 
 def _require_consistent(sessions: Sequence[CombinedSession]) -> None:
@@ -447,11 +429,8 @@ def _fit(sessions: Sequence[CombinedSession], found: Estimate, design: Design, r
     """Return how well the positions of all sessions agree."""
     fits = [session.record.fit for session in sessions]
     noise = max(u for session in sessions for one in session.record.positions for u in (one.u or {}).values())
-    told = []
-    for session in sessions:
-        name, ended = session.record.procedure.name, session.record.provenance.ended
-        more = ", ".join(filter(None, (name, ended and ended[:10])))
-        told.append(f"{session.label} ({more})" if more else session.label)
+    each = [(s.label, s.record.procedure.name, (s.record.provenance.ended or "")[:10]) for s in sessions]
+    told = [f"{label} ({', '.join(filter(None, more))})" if any(more) else label for label, *more in each]
     notes = [note for fit in fits for note in fit.notes if note != NO_FREEDOM]
     return fit_record(found, design, noise).replaced(
         notes=tuple(dict.fromkeys([f"combined of {' and '.join(told)}", *remarks, *found.notes, *notes])),
@@ -464,44 +443,41 @@ def _fit(sessions: Sequence[CombinedSession], found: Estimate, design: Design, r
 
 def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncertainty:
     """Return the uncertainty of all coefficients, and that of a mounting with its covariance."""
-    stated = [session.record.uncertainty for session in sessions]
+    stated, joint = [session.record.uncertainty for session in sessions], found.uncertain
+    mounted = next((session.record for session in sessions if session.coefficients.mounting), sessions[0].record)
+    angles, factors = (
+        {name: value for name, value in its.items() if name.startswith("mounting.")}
+        for its in (mounted.uncertainty, mounted.uncertainty.coverage_factor)
+    )
     names = dict.fromkeys(name for one in stated for name in one.single_reading)
     single = {name: max(one.single_reading.get(name, 0.0) for one in stated) for name in names}
-    alignment = max(one.alignment for one in stated)
-    both = replace(stated_section(found.uncertain), single_reading=single, alignment=alignment)
-    mounted = next((session.record for session in sessions if session.coefficients.mounting), sessions[0].record)
+    kept = Uncertainty(angles, single, coverage_factor=factors, alignment=max(one.alignment for one in stated))
     before = uncertain_coefficients(mounted.uncertainty, mounted.coefficients)
     turns = [name for name in before.names if name.startswith(TURN)]
-    if not turns:
-        return both
-    # What follows the coefficients of its own session follows those of the combination by as much.
-    every = found.uncertain
-    shared = [name for name, u in before.by_name(before.u).items() if name in every.names and u > 0.0]
-    follows = selection(turns, before.names) @ before.following(shared)
-    across = every.covariance @ selection(shared, every.names).T @ follows.T
-    turned = before.named(turns)
-    covariance, wide = (
-        np.block([[of_coefficients, across], [across.T, of_turn]])
-        for of_coefficients, of_turn in ((every.covariance, turned.covariance), (every.wide, turned.wide))
-    )
-    angles, factors = (
-        {name: value for name, value in own.items() if name.startswith("mounting.")}
-        for own in (mounted.uncertainty, mounted.uncertainty.coverage_factor)
-    )
-    joint = replace(every.beside(turned), covariance=covariance, wide=wide)
-    return replace(
-        both,
-        standard={**both.standard, **angles},
-        coverage_factor={**both.coverage_factor, **factors},
-        covariance=rounded_covariance(joint),
-    )
+    if turns:
+        # What follows the coefficients of its own session follows those of the combination by as much.
+        shared = [name for name, u in before.by_name(before.u).items() if name in joint.names and u > 0.0]
+        follows = selection(turns, before.names) @ before.following(shared) @ selection(shared, joint.names)
+        size, across = len(joint.names), follows @ joint.covariance
+        joint = joint.beside(before.named(turns))
+        common = np.zeros_like(joint.covariance)
+        common[size:, :size], common[:size, size:] = across, across.T
+        joint = replace(joint, covariance=joint.covariance + common, wide=joint.wide + common)
+    return stated_section(joint, kept)
 
 
 def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRecord]) -> Limits:
     """Return the tilts that the sensitivity was measured in, the temperatures of the drift, the rails of all."""
     reading: dict[str, tuple[float, float]] = {}
     for record in records:
-        reading |= {c: overlap(reading.get(c), rails) or rails for c, rails in record.limits.reading.items()}
+        for channel, (low, high) in record.limits.reading.items():
+            before = reading.get(channel, (low, high))
+            reading[channel] = max(low, before[0]), min(high, before[1])
+            if not reading[channel][0] < reading[channel][1]:
+                raise InputError(
+                    f"limits.reading.{channel}: [{low:g}, {high:g}] and [{before[0]:g}, {before[1]:g}] do not overlap: "
+                    "the sessions are not of one sensor in one range; correct the limits, or leave a session out"
+                )
     met = [record.limits.temperature for record in records if record.limits.temperature and record.coefficients.thermal]
     tilts = {axis: [r.limits.tilt[axis] for r in scaled if axis in r.limits.tilt] for axis in AXES}
     return Limits(

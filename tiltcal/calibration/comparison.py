@@ -36,10 +36,7 @@ _INCOMPLETE = (
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """The change of one coefficient, by its dotted name, with its standard uncertainty and its degrees of freedom.
-
-    ``u`` is None where one of the files states none.
-    """
+    """The change of one coefficient by its dotted name; its standard uncertainty is None where a file states none."""
 
     name: str
     before: float
@@ -54,7 +51,7 @@ class CoefficientChange:
 
     @property
     def ratio(self) -> float | None:
-        """The difference over its standard uncertainty; None where that is not known, or zero."""
+        """The difference over its standard uncertainty; None where that is not known."""
         return abs(self.difference) / self.u if self.u else None
 
     def threshold(self, confidence: float) -> float:
@@ -107,10 +104,7 @@ class Verdict:
 
 
 def judge(found: Sequence[CoefficientChange], incomplete: str = "") -> Verdict:
-    """Judge whether one of several changes is too large for chance, given their number (Šidák).
-
-    ``incomplete`` is why the uncertainties are too small; empty where they are whole.
-    """
+    """Judge whether one of several changes is too large for chance, given their number (Šidák)."""
     judged = [change for change in found if change.ratio is not None]
     thresholds = {change.name: change.threshold(COVERAGE ** (1.0 / max(len(judged), 1))) for change in judged}
     changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
@@ -296,10 +290,7 @@ def temperature_of(record: CalibrationRecord) -> float | None:
 
 
 def _held_shares(record: CalibrationRecord) -> dict[str, Array]:
-    """Return the shares of the columns x, y and z that a file leaves out in its ``offset`` and each column, shape (3,).
-
-    They are those of least squares at the positions; NaN where the attitudes are not stated.
-    """
+    """Return the shares of the columns x, y, z that a file leaves out in its offset and columns; NaN: not stated."""
     axes, bench = record.coefficients.axes, record.provenance.bench
     own, _, levelled = record.runs
     attitudes = [record.procedure.set.get(position.position, PositionSet()).up for position in own]

@@ -75,11 +75,7 @@ TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
 def level(
     base: CalibrationRecord, measurements: Sequence[Measurement], procedure: Procedure, bench: BenchUncertainty
 ) -> CalibrationRecord:
-    """Return a calibration with the offset that level positions at one heading or several show; the rest is the base's.
-
-    The ``alignment`` of the procedure is the most that the sensor may sit askew since the base was measured.
-    EstimateError: a position is not level, or its temperature is missing and counts.
-    """
+    """Return a calibration with the offset that level positions at some headings show; the rest is the base's."""
     why = next(filter(None, (objection_to_level(base, measurement) for measurement in measurements)), "")
     if why:
         raise EstimateError(why)
@@ -181,10 +177,7 @@ def _renewed(
 def _errors_of_bench(
     seen: Sequence[Observation], bench: BenchUncertainty, names: Sequence[str], slopes: Array
 ) -> Iterator[Uncertain]:
-    """Yield what noise, jig, table and thermometer add to the mean reading of each channel.
-
-    ``slopes`` are its derivatives by the leans of jig and table and by the temperature, shape (channels, 5).
-    """
+    """Yield what the bench adds to the mean readings; ``slopes``: by leans of jig and table, and °C, (channels, 5)."""
     count = len(seen)
     adc = np.array([np.broadcast_to(observation.adc, len(slopes)) for observation in seen])
     noise = np.array([observation.u for observation in seen]) ** 2 - adc**2
@@ -220,12 +213,7 @@ def _level_fit(change: Uncertain, offset: Array, temperature: float | None, benc
 def mount(
     base: CalibrationRecord, measurements: Sequence[Measurement], *, jig: float | None = None
 ) -> CalibrationRecord:
-    """Return a calibration with the mounting that the positions show; all else is the base's, in its own frame.
-
-    The gravity of the measurements is in the application's frame; ``jig`` is the standard uncertainty of a set angle,
-    degrees. EstimateError: one direction of gravity alone, a sensor without x and y, or a temperature is missing and
-    counts.
-    """
+    """Return a calibration with the mounting that the positions show; their gravity is in the application's frame."""
     why = next(filter(None, (missing_temperature(base, measurement) for measurement in measurements)), "")
     if why:
         raise EstimateError(why)
@@ -310,10 +298,7 @@ def _with_angles(base: CalibrationRecord, found: MountingEstimate, joint: Uncert
 def _solved(
     coefficients: Coefficients, seen: Sequence[Observation], up: Array, jig: float | None
 ) -> tuple[MountingEstimate, float, Array | None]:
-    """Return the mounting, the side of z, and the uncertainty of each direction that it was found with, radians.
-
-    A sensor of two axes may hang upside down (side -1): the side whose residuals are smaller is taken.
-    """
+    """Return the mounting, the side of z (-1: two axes hang upside down), and u of each direction, radians."""
     candidates = []
     for side in (1.0,) if len(coefficients.channels) == 3 else (1.0, -1.0):
         start = _directions(coefficients, seen, side)

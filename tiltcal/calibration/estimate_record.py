@@ -82,10 +82,7 @@ def rounded_covariance(uncertain: Uncertain) -> Covariance:
 
 
 def derived_record(found: Estimate, assumed: str, *, mounted: bool) -> DerivedRecord:
-    """Return the cross-axis sensitivities, the misalignments, and what does not change with the mounting.
-
-    Where the sensitivity was ``assumed`` (from what, in words), the record holds nothing but that.
-    """
+    """Return cross-axis sensitivities, misalignments and what no mounting changes; nothing where S was ``assumed``."""
     if assumed:
         return DerivedRecord(assumed=(f"sensitivity: {assumed}",))
     coefficients, uncertain = found.coefficients, found.uncertain
@@ -105,10 +102,7 @@ def derived_record(found: Estimate, assumed: str, *, mounted: bool) -> DerivedRe
 
 
 def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
-    """Return how well the positions agree, and where the uncertainty comes from.
-
-    ``noise`` is the largest standard uncertainty of a reading, unit.
-    """
+    """Return how well the positions agree, and where the uncertainty comes from; ``noise`` is the largest u, unit."""
 
     def shown(estimated: float | None) -> float | None:
         return None if estimated is None else significant(estimated, SHARE_DIGITS)
@@ -204,10 +198,7 @@ def _printed(found: Uncertain) -> tuple[dict[str, float], dict[str, float], dict
 
 
 def budget_record(uncertain: Uncertain) -> dict[str, dict[str, float]]:
-    """Return which share of the variance of each quantity comes from what.
-
-    Shares that round to nothing are left out, and so is what is certain.
-    """
+    """Return which share of the variance of each quantity comes from what, but what rounds to nothing."""
     return {
         name: {
             source: share

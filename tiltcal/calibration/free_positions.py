@@ -45,11 +45,7 @@ UNDETERMINED = (
 
 
 def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
-    """Calibrate a sensor of three channels from unit gravity alone.
-
-    An EstimateError where too many attitudes do not agree, or the coefficients are too uncertain to be of use, or are
-    those of no sensor; the message names the attitudes, or the directions that are missing.
-    """
+    """Calibrate a sensor of three channels from unit gravity alone; refused where the attitudes do not show it."""
     design = design_of(sensor.sensor, procedure, bench)
     summaries = [[measurement.summaries[axis] for axis in AXES] for measurement in sensor.measurements]
     mean = np.array([[summary.mean for summary in row] for row in summaries])
@@ -103,10 +99,7 @@ def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
 
 
 def _sway(summaries: Sequence[Sequence[SampleSummary]]) -> Array:
-    """Return the standard deviation of the readings that is motion, shape (positions, 3), unit.
-
-    Of noise alone, without a memory, the mean of n samples has the variance std² / n: what is more is motion.
-    """
+    """Return the standard deviation of the readings that is motion, more than noise explains, (positions, 3), unit."""
     std = np.array([[summary.std for summary in row] for row in summaries])
     slow = float(np.sum([[summary.n * summary.noise**2 for summary in row] for row in summaries]))
     return std * sqrt(max(1.0 - float(np.sum(std**2)) / slow, 0.0)) if slow else 0.0 * std

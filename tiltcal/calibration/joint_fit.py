@@ -38,10 +38,7 @@ DRIFT_NOT_SHOWN = "along gravity only the noise counts; --closing or --jig shows
 def fit_jointly(
     sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
 ) -> list[CalibrationRecord]:
-    """Calibrate all sensors of a fixture together, by the positions of a procedure with its order of the drift.
-
-    EstimateError: the positions cannot determine the coefficients.
-    """
+    """Calibrate all sensors of a fixture together, by the positions of a procedure with its order of the drift."""
     observed = [observed_sensor(sensor, procedure, bench) for sensor in sensors]
     calibrations = []
     for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
@@ -53,10 +50,7 @@ def fit_jointly(
 
 
 def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure: Procedure) -> CalibrationRecord:
-    """Return the calibration file of an estimate, without its provenance, its numbers rounded to their uncertainty.
-
-    The measurements of the sensor are those of the estimate.
-    """
+    """Return the calibration of an estimate from a sensor's measurements, rounded to its uncertainty."""
     measurements, assumed = sensor.measurements, ""
     if design.assumes_sensitivity:
         assumed = "nominal of the model" if sensor.base is None else OF_BASE
@@ -150,10 +144,7 @@ def design_of(
     nominal: Model | None = None,
     base: CalibrationRecord | None = None,
 ) -> Design:
-    """Return what a procedure determines of a sensor, and how well the bench sets what it sets.
-
-    EstimateError: the sensor has none of the procedure's axes, or a sensitivity that is not known has to stand in.
-    """
+    """Return what a procedure determines of a sensor, and how well the bench sets what it sets."""
     determines = procedure.determines
     channels = tuple(c for c in sensor.channels if not determines.axes or c in determines.axes)
     if not channels:
@@ -198,11 +189,7 @@ def _with_data_sheet(design: Design, model: Model) -> Design:
 
 
 def _with_base(design: Design, base: CalibrationRecord, *, whole: bool) -> Design:
-    """Return the design with sensitivity and nonlinearity of the sensor's own calibration, and their uncertainty.
-
-    Their correlations are left out: a procedure that determines no sensitivity moves them little. The ``whole`` of the
-    calibration but its offset has its temperature terms too.
-    """
+    """Return the design with the sensitivity of the sensor's own calibration, ``whole`` with temperature terms."""
     coefficients, u = base.coefficients, base.uncertainty
     order = 0 if coefficients.nonlinearity is None else coefficients.nonlinearity.shape[1]
     kept = ("sensitivity.", "nonlinearity.", *(["temperature."] if whole else []))

@@ -160,10 +160,7 @@ def unchecked(model: Model) -> str:
 def require_suitable(
     procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT, *, based: bool = False
 ) -> None:
-    """Refuse a device that reads no tilt, positions beyond its rails, and an unknown sensitivity, with a UsageError.
-
-    based: a base calibration states the sensitivity.
-    """
+    """Refuse a device that reads no tilt, positions beyond its rails, and an unknown sensitivity (unless ``based``)."""
     require_tilt(procedure, model)
     if not (model.scaled or based or procedure.determines.axes or procedure.determines.completes):
         raise UsageError(
@@ -198,11 +195,7 @@ def require_own_readings(sensor: MeasuredSensor) -> None:
 
 
 def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
-    """Return remarks on the wiring that the sensitivities show.
-
-    EstimateError: a channel does not react to gravity, or two react to it alike. No reading is exact: a sensitivity
-    below a billionth of the readings is a rounding error.
-    """
+    """Return remarks on the wiring that the sensitivities show; refused where one is zero or two are alike."""
     u, factors, coefficients = found.uncertainty(), found.coverage_factors(), found.coefficients
     rows = dict(zip(coefficients.channels, coefficients.sensitivity, strict=True))
     for channel, row in rows.items():

@@ -163,13 +163,7 @@ def predict(
     sensors: int = 1,
     base: CalibrationRecord | None = None,
 ) -> PredictedUncertainty:
-    """Predict the standard uncertainty of every coefficient that some equal sensors reach, from the design alone.
-
-    A jig (degrees) or lean of the table (degrees) that is not stated counts as none, a thermometer (°C) as the step of
-    the sensor's own, the noise of a sample (unit) as that of the model's virtual part; ``samples`` are per position.
-    EstimateError: the positions cannot determine what the procedure asks for; the message states what to add.
-    UsageError: the device is no tilt sensor.
-    """
+    """Predict the standard uncertainty of every coefficient equal sensors reach; no stated jig is a perfect one."""
     require_tilt(procedure, model)
     if procedure.ramp is not None:
         procedure = _along_ramp(procedure)

@@ -36,11 +36,7 @@ FAR = 0.5  # g; an offset that differs by more from that of the base calibration
 
 
 def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
-    """Calibrate the drift of a sensor from its ramp; its first measurement states the attitude.
-
-    A stated thermometer is an error that all temperatures share; a step of its reading averages. An EstimateError where
-    the record does not separate a thermal lag from drift, a channel is stuck, or no sensitivity is there to stand in.
-    """
+    """Calibrate the drift of a sensor from its ramp; its first measurement states the attitude."""
     if sensor.ramp is None:
         raise EstimateError(f"{procedure.name} takes a continuous record, and there is none of {sensor.sensor.serial}")
     record, attitude = sensor.ramp, sensor.measurements[0]

@@ -56,10 +56,7 @@ def limits_of(calibration: CalibrationRecord) -> Limits:
 
 
 def compensation_of(calibration: CalibrationRecord, *, first_order: bool = False) -> Compensation:
-    """Return the compensation of readings, with the coefficients and limits of a calibration.
-
-    EstimateError: the sensitivity matrix cannot be inverted.
-    """
+    """Return the compensation of readings, with the coefficients and limits of a calibration."""
     require_boolean("--first-order", first_order)
     limits = limits_of(calibration)
     if limits.length is None:
@@ -69,10 +66,7 @@ def compensation_of(calibration: CalibrationRecord, *, first_order: bool = False
 
 
 def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
-    """Return the mounting of angles in degrees, or of the text of ``--mounting``; what is not named is 0.
-
-    UsageError: an angle that there is not, is no number, or is out of range.
-    """
+    """Return the mounting of angles in degrees, or of the text of ``--mounting``; what is not named is 0."""
     if not isinstance(angles, str | Mapping):
         raise UsageError(f"--mounting takes angles by name, such as {{'roll': 180}}, not {angles!r}")
     named = _pairs(angles) if isinstance(angles, str) else dict(angles)

@@ -374,10 +374,7 @@ class CoefficientDistribution:
 
 @dataclass(frozen=True)
 class ModelFleet:
-    """The sensors of one model and unit, with the distribution of each coefficient that three of them have.
-
-    ``reference`` is the reference temperature of all coefficients, °C: that of most calibrations.
-    """
+    """The sensors of one model and unit, with the distribution of each coefficient; ``reference`` in °C."""
 
     model: str
     unit: str
@@ -403,10 +400,7 @@ class ModelFleet:
 
 @dataclass(frozen=True)
 class FleetHistory:
-    """The history of a folder at a moment (UTC): its sensors, its fleets, and files that cannot be used.
-
-    Each sensor is calibrated again in an interval.
-    """
+    """The history of a folder at a moment (UTC), of sensors that are calibrated again in an interval."""
 
     folder: str
     interval: timedelta

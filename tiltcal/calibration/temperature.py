@@ -38,11 +38,7 @@ ROOM = 25.0  # reference temperature where none was measured, °C
 def calibrate_sweep(
     sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
 ) -> list[CalibrationRecord]:
-    """Calibrate sensors by positions at many temperatures, with the order of the drift that the readings warrant.
-
-    All have one order, at most that of the procedure. The file states the error of each order, and hysteresis.
-    EstimateError: the positions are too few to leave one out.
-    """
+    """Calibrate sensors by positions at many temperatures, with one order of the drift that the readings warrant."""
     errors = order_errors(sensors, procedure, bench)
     order, highest = min(errors, key=lambda order: errors[order][1]), max(errors)
     calibrations = fit_jointly(sensors, with_order(procedure, order), bench)
@@ -95,10 +91,7 @@ def with_order(procedure: Procedure, order: int) -> Procedure:
 
 
 def _with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) -> CalibrationRecord:
-    """Return a calibration whose drift has terms of 0 up to a higher order, and the uncertainty of that order.
-
-    ``highest`` is from the same measurements, with the higher order.
-    """
+    """Return a calibration with drift terms of 0 up to the order of ``highest``, and the uncertainty of that order."""
     thermal, wider = calibration.coefficients.thermal, highest.coefficients.thermal
     if thermal is None or wider is None or thermal.drift.shape == wider.drift.shape:
         return calibration
@@ -164,11 +157,7 @@ def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measureme
 
 
 def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSensor) -> CalibrationRecord:
-    """Add the mean temperature curves of a sensor's model to its calibration, and record that they are assumed.
-
-    The mean temperature of its measurements is the reference. EstimateError: the calibration has temperature terms of
-    its own, which are better, or the model's curves are not known.
-    """
+    """Add the mean temperature curves of a sensor's model to its calibration, and record that they are assumed."""
     population = None if sensor.nominal is None else sensor.nominal.population
     if population is None:
         raise EstimateError(f"no source states how a {calibration.sensor.model} behaves over temperature: measure it")

@@ -76,8 +76,7 @@ class Verification:
     @property
     def verdict(self) -> str:
         """``failed`` where any position is; ``passed`` where all are."""
-        verdicts = {position.verdict(self.limit) for position in self.positions}
-        return next(verdict for verdict in (FAILED, UNDECIDED, PASSED) if verdict in verdicts)
+        return min((one.verdict(self.limit) for one in self.positions), key=(FAILED, UNDECIDED, PASSED).index)
 
     @property
     def worst(self) -> VerifiedPosition:
@@ -110,16 +109,10 @@ class Verification:
 
     def __str__(self) -> str:
         lines = [f"{self.sensor.model} {self.sensor.serial}, limit {self.limit:g}°"]
-        for position in self.positions:
-            angles = "  ".join(
-                f"{axis} {angle:+8.3f}° read {position.measured[axis]:+8.3f}°"
-                for axis, angle in position.expected.items()
-            )
-            lines.append(
-                f"  {position.position:<12} {angles}   "
-                f"off by {plus_minus(position.error, position.expanded)}°   "
-                f"{_loud(position.verdict(self.limit))}"
-            )
+        for one in self.positions:
+            angles = (f"{axis} {set_:+8.3f}° read {one.measured[axis]:+8.3f}°" for axis, set_ in one.expected.items())
+            off = f"off by {plus_minus(one.error, one.expanded)}°   {_loud(one.verdict(self.limit))}"
+            lines.append(f"  {one.position:<12} {'  '.join(angles)}   {off}")
         worst = f"worst {plus_minus(self.worst.error, self.worst.expanded)}° at {self.worst.position}"
         return "\n".join([*lines, f"{_loud(self.verdict)}: {worst}"])
 

@@ -20,7 +20,7 @@ from tiltcal.core.named_coefficients import values
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Determines, Procedure, find_procedure
 from tiltcal.files.results import FileRecord, Provenance
@@ -180,20 +180,6 @@ def test_intervals_of_sessions_with_other_axes_hold_95_percent() -> None:
     assert 0.92 < np.mean(hits) < 0.985
 
 
-@pytest.mark.parametrize(
-    ("change", "why"),
-    [
-        ({"serial": "S-2"}, "its serial is S-1 in zero-45 and S-2 in two-temperature"),
-        ({"unit": "V"}, "its unit is count"),
-        ({"model": "sca100t-d01"}, "its model is sca100t-d02"),
-    ],
-)
-def test_another_sensor_is_refused(change: dict[str, str], why: str) -> None:
-    drift = calibrated(TWO, measured(TWO, 2)).record
-    with pytest.raises(UsageError, match=why):
-        combine([SCALE, Calibration(replace(drift, sensor=drift.sensor.replaced(**change)))])
-
-
 def test_positions_of_one_journal_count_once() -> None:
     journal = Provenance(journal=FileRecord(name="s.jsonl", sha256="a" * 64))
     once = Calibration(replace(SCALE.record, provenance=journal))
@@ -285,6 +271,13 @@ def test_the_turn_of_a_mounting_is_correlated_with_the_coefficients_of_its_own_s
     assert np.abs(alone[:4]).max() > 1e-4
     np.testing.assert_allclose(both[:4], alone[:4] / 2.0, rtol=0.02, atol=1e-6)
     np.testing.assert_allclose(both[4:], alone[4:], rtol=1e-3)
+
+
+def test_reading_limits_that_do_not_overlap_are_refused() -> None:
+    drift = calibrated(TWO, measured(TWO, 2)).record
+    far = replace(drift.limits, reading={"x": (3000.0, 4000.0)})
+    with pytest.raises(InputError, match=r"limits\.reading\.x: \[3000, 4000\] and \[101, 2047\] do not overlap"):
+        combine([SCALE, Calibration(replace(drift, limits=far))])
 
 
 @pytest.mark.parametrize("what", ["drift", "gain"])

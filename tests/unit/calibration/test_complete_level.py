@@ -133,22 +133,6 @@ def test_a_lean_of_the_table_turns_with_the_headings_of_the_sensor() -> None:
     np.testing.assert_allclose(covariance_of(found, "offset.x", "offset.y"), by @ by.T, rtol=1e-2, atol=1e-3)
 
 
-def test_an_alignment_that_is_an_error_of_no_level_and_grows_with_the_tilt() -> None:
-    """±2° about every axis: 2°/sqrt(3) each; with the other axis at 30° that of the vertical gives half of it."""
-    found = Calibration(levelled(COMPLETE, np.array([1030.0, 1010.0]), jig=0.0))
-    fixed = Calibration(levelled(COMPLETE, np.array([1030.0, 1010.0]), jig=0.0, alignment=0.0))
-    assert found.uncertainty.alignment == pytest.approx(2.0 / sqrt(3.0), rel=1e-3)
-    up = np.array([[0.0, 0.0, 1.0], [0.0, 0.5, sqrt(0.75)]])
-    x, y = found.coefficients.predict(up).T
-    u, alone = (
-        one.apply({"x": x, "y": y, "temperature": [24.0, 24.0]}, uncertainty=True, reading_noise=0.0)["u_tilt_x"]
-        for one in (found, fixed)
-    )
-    assert u[0] == pytest.approx(alone[0], rel=1e-3)
-    by_hand = 2.0 / sqrt(3.0) * sqrt(0.5**2 + (1.0 - sqrt(0.75)) ** 2)
-    assert sqrt(u[1] ** 2 - alone[1] ** 2) == pytest.approx(by_hand, rel=2e-3)
-
-
 def test_the_change_is_told_and_judged() -> None:
     """25 counts of 819 per g are 1.7°; a change within the level's own 0.05° is none."""
     offset = COMPLETE.coefficients.offset + COMPLETE.coefficients.sensitivity[:, 2]

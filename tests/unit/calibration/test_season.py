@@ -18,8 +18,8 @@ from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_ca
 from tiltcal.files.procedure import find_procedure
 from tiltcal.files.uncertainty import Uncertainty
 
-FOUR_DIGITS = 5e-4
-"""The digits that a calibration states of an uncertainty."""
+FOUR_DIGITS = 0.5e-3
+"""Half of the last of the four digits that a file states of an uncertainty, relative to a number that begins with 1."""
 
 BASE = read_calibration(FIXTURES / "plane.yaml")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, radians, sin
 
 import numpy as np
 import pytest
@@ -112,18 +111,3 @@ def test_exact_readings_whose_uncertainty_is_unknown_give_their_line(jig: float 
     thermal = calibrated(measured, jig).coefficients.thermal
     assert thermal is not None
     assert thermal.drift[0, 0] == pytest.approx(0.2, abs=1e-9 if not loop else 0.1)
-
-
-@pytest.mark.parametrize("lean", [0.0, 0.5, 2.0])
-def test_reversal_cancels_the_lean_of_the_table(lean: float) -> None:
-    """The table leans about an axis of its own; turned by its heading the sensor reads it from all sides."""
-    rng, reversal = np.random.default_rng(4), find_procedure("reversal")
-    tilt, toward = sin(radians(lean)), radians(35.0)
-    measured = []
-    for position in reversal.positions:
-        heading = radians(position.heading or 0.0)
-        g_x, g_y = tilt * cos(toward - heading), tilt * sin(toward - heading)
-        x, y = 1026.0 + 819.0 * g_x + rng.normal(0, NOISE), 1019.0 + 819.0 * g_y + rng.normal(0, NOISE)
-        measured.append(measurement(position.name, None, x, y, position.heading))
-    found = calibrate([MeasuredSensor(SENSOR, measured, NOMINAL)], reversal, BenchUncertainty(0.001))[0]
-    assert found.coefficients.offset == pytest.approx([1026.0, 1019.0], abs=0.15)

@@ -42,12 +42,6 @@ def test_a_perfect_part_does_not_fail_for_its_jig() -> None:
     assert stated.count("failed") == 0
 
 
-def test_a_bad_part_fails_and_a_good_one_passes() -> None:
-    rng = np.random.default_rng(2)
-    assert {verified(rng, 0.05, bias=0.6, stated=0.05).verdict for _ in range(15)} == {"failed"}
-    assert {verified(rng, 0.02, stated=0.02).verdict for _ in range(15)} == {"passed"}
-
-
 def test_the_limit_is_guarded_on_both_sides() -> None:
     """U = 1.96 times 0.1° = 0.196°: within 0.3 - 0.196 = 0.104 passed, beyond 0.3 + 0.196 = 0.496 failed."""
     for error, verdict in {0.10: "passed", 0.11: "not decided", 0.49: "not decided", 0.50: "failed"}.items():
