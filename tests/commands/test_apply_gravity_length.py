@@ -11,8 +11,8 @@ import pytest
 
 from tests.support.command import tiltcal
 from tiltcal import read
+from tiltcal.calibration.stated import stated_uncertainty, uncertain_coefficients
 from tiltcal.core.angle_uncertainty import length_half_width
-from tiltcal.files.uncertainty import stated_uncertainty, uncertain_coefficients
 
 NOTE = "|g| is"
 FREE = Path(__file__).parents[2] / "fixtures" / "free.yaml"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.command import measure
 
+from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.uncertainty import stated_uncertainty
 
 
 def offcorr(t: float) -> float:

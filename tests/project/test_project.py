@@ -94,6 +94,36 @@ def test_a_command_loads_what_it_needs(command: str, needed: set[str], tmp_path:
     assert loaded & HEAVY == needed
 
 
+WITHOUT = """
+import os, sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("fcntl", "termios", "grp", "pwd", "resource", "tty", "pty", "spidev", "gpiod"):
+            raise ImportError(name)
+sys.meta_path.insert(0, Missing())
+for name in ("fcntl", "termios", "grp", "pwd", "resource", "tty"):
+    sys.modules.pop(name, None)
+for name in ("fdatasync", "O_CLOEXEC", "O_NOFOLLOW", "O_TMPFILE", "fchmod", "geteuid", "fork"):
+    if hasattr(os, name):
+        delattr(os, name)
+"""
+"""What Windows does not have, taken away."""
+
+
+def test_a_session_runs_without_what_windows_lacks(tmp_path: Path) -> None:
+    """SPI, I2C and GPIO are Linux's; all else imports, and a session ends with its file."""
+    session = (
+        "measure plane --sensor sca100t-d02 --address sim:seed=1 --serial S-1 --operator sim -o S-1.yaml --samples 20"
+    )
+    loaded_by(
+        f"{WITHOUT}\nimport pkgutil, importlib, tiltcal\n"
+        "for one in pkgutil.walk_packages(tiltcal.__path__, 'tiltcal.'):\n"
+        "    one.name.endswith('__main__') or importlib.import_module(one.name)\n"
+        f"os.chdir({str(tmp_path)!r})\nfrom tiltcal.cli.main import run\nassert run({session.split()}) == 0\n"
+        "assert run(['check', 'S-1.yaml', 'S-1.journal.jsonl']) == 0"
+    )
+
+
 def test_drivers_load_nothing_heavy() -> None:
     loaded = loaded_by("from tiltcal.drivers import models\nlist(models())\nimport tiltcal.drivers.bus.spi")
     assert not loaded & HEAVY

@@ -15,6 +15,7 @@ from support.simulated_bench import XYZ, design, fixture, measured, part, plan_o
 from tiltcal.calibration.complete import mount
 from tiltcal.calibration.estimate_record import rounded, stated_section
 from tiltcal.calibration.measurement import Measurement
+from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.attitude import mounting_matrix, solve_mounting
 from tiltcal.core.compensation import Compensation
@@ -22,7 +23,6 @@ from tiltcal.core.estimation.estimate import estimate_jointly
 from tiltcal.core.model import Coefficients, Mounting
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
-from tiltcal.files.uncertainty import stated_uncertainty
 
 POSITIONS = np.array([[0, 0, 1], [0.5, 0, 0.866], [-0.5, 0, 0.866], [0, 0.5, 0.866], [0, -0.5, 0.866]])
 KNOWN = POSITIONS / np.linalg.norm(POSITIONS, axis=1, keepdims=True)

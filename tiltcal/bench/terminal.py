@@ -47,7 +47,7 @@ def open_terminal(stack: ExitStack, *, plain: bool) -> Terminal:
             self.quiet = True  # in place of SystemExit: the session goes on without its talk
 
     console = Talk(stderr=True, highlight=False, no_color=plain or None)
-    live = sys.stdin.isatty() and sys.stderr.isatty() and not (plain or console.is_dumb_terminal)
+    live = sys.stdin.isatty() and sys.stderr.isatty() and not (plain or console.is_dumb_terminal) and os.name == "posix"
     keys: Keys = stack.enter_context(TerminalKeys()) if live else LineKeys(sys.stdin)
     terminal = Terminal(console, keys, live=live)
     stack.callback(terminal.clear)

@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 
 import tiltcal
-from tiltcal.calibration.comparison import compare_records, temperature_of
+from tiltcal.calibration.comparison import compare_records, require_same_sensor, temperature_of
 from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, stated_section
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
+from tiltcal.calibration.stated import stated_uncertainty, uncertain_coefficients
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
 from tiltcal.core.model import AXES, Array, Coefficients, Limits
@@ -31,12 +32,11 @@ from tiltcal.files.calibration import (
     UNKNOWN_MODEL,
     CalibrationRecord,
     dump_calibration,
-    require_same_sensor,
     tilt_record,
 )
 from tiltcal.files.document import parse_document
 from tiltcal.files.results import NOISE_ALONE, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import Uncertainty, stated_uncertainty, uncertain_coefficients
+from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.files.yaml_text import read_text
 
 REFUSED, NOTED = 0.001, 0.05

@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from tiltcal.calibration.stated import uncertain_coefficients
 from tiltcal.calibration.wording import unit_of
 from tiltcal.core.attitude import LEVEL, mounting_matrix, orientation, rotation_vector
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.named_coefficients import referred, uncertain_at, values
 from tiltcal.core.rounding import plus_minus
 from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, weighted_sum
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, require_same_sensor
+from tiltcal.errors import UsageError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.results import NOISE_ALONE, PositionSet
-from tiltcal.files.uncertainty import uncertain_coefficients
 from tiltcal.printable import in_html
 
 ROUNDED = 1e-3
@@ -32,6 +33,18 @@ _INCOMPLETE = (
     "the uncertainty of the {which} file rests on noise alone and leaves out how well the positions were set: measure "
     "with --jig, or in more positions"
 )
+
+
+def require_same_sensor(
+    old: CalibrationRecord, new: CalibrationRecord, names: tuple[str, str] = ("one", "the other")
+) -> None:
+    """Refuse two calibrations that are not of one sensor, with a UsageError that names what differs."""
+    for what in ("serial", "model", "unit", "channels"):
+        a, b = getattr(old.sensor, what), getattr(new.sensor, what)
+        if a != b:
+            raise UsageError(
+                f"not two calibrations of one sensor: its {what} is {a} in {names[0]} and {b} in {names[1]}"
+            )
 
 
 @dataclass(frozen=True)

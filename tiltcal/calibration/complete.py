@@ -29,6 +29,7 @@ from tiltcal.calibration.estimate_record import (
 )
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
+from tiltcal.calibration.stated import uncertain_coefficients
 from tiltcal.core.attitude import (
     UNKNOWN_ANGLE,
     UNKNOWN_FACTOR,
@@ -53,7 +54,6 @@ from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import NOISE_ALONE, CompletingRun, LevelFit, MountingFit
-from tiltcal.files.uncertainty import uncertain_coefficients
 
 BASE = "base"  # the share of an offset's variance that comes from the calibration that it completes
 NEARLY_LEVEL = 5.0  # the most that a position may be off level as it was set, degrees

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import radians
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tiltcal.calibration.stated import length_tolerance, stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
 from tiltcal.core.uncertain import TURN
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, tilt_record
+from tiltcal.files.calibration import UNKNOWN_MODEL, BaseFile, CalibrationRecord, read_calibration, tilt_record
 from tiltcal.files.coefficients import ANGLES, LARGEST_ANGLES, in_degrees
 from tiltcal.files.document import Document
 from tiltcal.files.pair import PairRecord, pair_record
-from tiltcal.files.uncertainty import length_tolerance, stated_uncertainty
-from tiltcal.stated_arguments import is_number, require_boolean, shown
+from tiltcal.files.procedure import Procedure
+from tiltcal.files.yaml_text import read_text
+from tiltcal.stated_arguments import is_number, require_boolean, require_path, shown
 
 if TYPE_CHECKING:
     from tiltcal.drivers.model import Model
@@ -161,3 +164,35 @@ def tilt_uncertainty_lines(calibration: CalibrationRecord) -> Iterator[str]:
         largest = float(np.nanmax(half))
         between = f", at most {largest:.2g}° between" if largest > 1.05 * max(level, low, high) else ""
         yield f"  tilt {axis} within  ± {level:.2g}° near level, {ends}{between}  (95 %)"
+
+
+def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str]) -> dict[str, BaseFile]:
+    """Read the calibrations that a session builds on (``--base``), by serial number; empty where none is named.
+
+    ``path`` is a file, or a folder with a file ``SERIAL.yaml`` for every sensor. A UsageError where it is missing, the
+    procedure takes none, or it is of another sensor.
+    """
+    if path is not None:
+        require_path("--base", path)
+    determines = procedure.determines
+    if path is None:
+        if determines.completes:
+            raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor")
+        return {}
+    if procedure.rotation is not None or determines.axes:
+        raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
+    path = Path(path)
+    if path.is_dir():
+        files = {serial: path / f"{serial}.yaml" for serial in serials}
+    elif len(serials) == 1:
+        files = {serials[0]: path}
+    else:
+        raise UsageError(f"{path} is one file for {len(serials)} sensors: name the folder that has SERIAL.yaml of each")
+    bases = {serial: BaseFile(read_text(file), file.name) for serial, file in files.items()}
+    for serial, file in files.items():
+        base = read_calibration(file)  # an error names the file as it was given
+        if base.sensor.serial != serial:
+            raise UsageError(f"{file} is of {base.sensor.serial}, and the sensor to measure is {serial}")
+        if base.coefficients.mounting is not None and not determines.completes:
+            raise UsageError(f"{file} has a mounting, which {procedure.name} would drop: name the file from before it")
+    return bases

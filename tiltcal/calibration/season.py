@@ -24,13 +24,13 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.comparison import Comparison, compare_records, shared_errors, uncertain_of
+from tiltcal.calibration.comparison import Comparison, compare_records, require_same_sensor, shared_errors, uncertain_of
 from tiltcal.calibration.estimate_record import stated_section
 from tiltcal.core.model import Array, Coefficients, Limits, overlap
 from tiltcal.core.named_coefficients import referred, values
 from tiltcal.core.uncertain import Uncertain, weighted_sum
 from tiltcal.errors import InputError, UsageError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration, require_same_sensor
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
 from tiltcal.files.moments import moment, to_the_second
 from tiltcal.files.results import FitRecord, ProcedureRecord, Provenance

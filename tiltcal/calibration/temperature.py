@@ -20,6 +20,7 @@ from numpy.polynomial import Polynomial
 from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.joint_fit import fit_jointly, observed_sensor
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.calibration.stated import uncertain_coefficients
 from tiltcal.core.estimation.estimate import ALIKE, Estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Observation
 from tiltcal.core.model import Array, Thermal
@@ -30,7 +31,6 @@ from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import CrossValidation, Hysteresis
-from tiltcal.files.uncertainty import uncertain_coefficients
 
 ROOM = 25.0  # reference temperature where none was measured, °C
 

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
+from tiltcal.calibration.stated import length_tolerance
 from tiltcal.core.attitude import tilt_from_gravity
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.uncertainty import length_tolerance
 
 PASSED, FAILED, UNDECIDED = "passed", "failed", "not decided"
 

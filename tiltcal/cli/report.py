@@ -82,7 +82,8 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
 
 
 def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows: bool) -> str:
-    from tiltcal.files.calibration import require_same_sensor, tilt_record
+    from tiltcal.calibration.comparison import require_same_sensor
+    from tiltcal.files.calibration import tilt_record
     from tiltcal.files.document import read_document
     from tiltcal.files.pair import pair_record
 

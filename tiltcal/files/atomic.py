@@ -128,6 +128,16 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
     _sync_folder(target.parent)
 
 
+def portable(flag: str) -> int:
+    """Return a flag of :func:`os.open`, 0 where the system has none of this name, as Windows."""
+    return int(getattr(os, flag, 0))
+
+
+def sync_data(descriptor: int) -> None:
+    """Wait until the data of a file are on the disk."""
+    getattr(os, "fdatasync", os.fsync)(descriptor)
+
+
 def part_of(target: Path) -> Path:
     """Return a name that nobody can predict, for what becomes this file when it is whole."""
     return target.with_name(f".tiltcal-{os.urandom(6).hex()}.part")
@@ -162,7 +172,7 @@ def _give_name(nameless: int, path: Path) -> None:
 def _keep_permissions(target: Path, stream: BinaryIO) -> None:
     """Copy the permissions of the file that is replaced; some file systems have none."""
     with suppress(OSError):
-        os.fchmod(stream.fileno(), stat.S_IMODE(target.stat().st_mode))
+        os.chmod(stream.fileno() if os.chmod in os.supports_fd else stream.name, stat.S_IMODE(target.stat().st_mode))
 
 
 def _sync_folder(folder: Path) -> None:

@@ -6,7 +6,6 @@ positions, provenance) are records for people and later questions. Every key and
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,10 +17,8 @@ from msgspec import Meta
 
 from tiltcal.core.model import Coefficients, Limits
 from tiltcal.core.named_coefficients import values
-from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import CoefficientsSection, coefficients_of, coefficients_section, in_degrees
 from tiltcal.files.document import Document, parse_document, read_document
-from tiltcal.files.procedure import Procedure
 from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data
 from tiltcal.files.results import DerivedRecord, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import (
@@ -30,8 +27,7 @@ from tiltcal.files.uncertainty import (
     uncertainty_of,
     uncertainty_section,
 )
-from tiltcal.files.yaml_text import read_text, yaml_text
-from tiltcal.stated_arguments import require_path
+from tiltcal.files.yaml_text import yaml_text
 
 UNKNOWN_MODEL = "recorded"
 """The model in a file of `fit`, where the user named none."""
@@ -192,18 +188,6 @@ def dump_calibration(calibration: CalibrationRecord) -> str:
     return yaml_text(file_data("tilt", file), _comments(calibration.sensor.unit))
 
 
-def require_same_sensor(
-    old: CalibrationRecord, new: CalibrationRecord, names: tuple[str, str] = ("one", "the other")
-) -> None:
-    """Refuse two calibrations that are not of one sensor, with a UsageError that names what differs."""
-    for what in ("serial", "model", "unit", "channels"):
-        a, b = getattr(old.sensor, what), getattr(new.sensor, what)
-        if a != b:
-            raise UsageError(
-                f"not two calibrations of one sensor: its {what} is {a} in {names[0]} and {b} in {names[1]}"
-            )
-
-
 class BaseFile(Record):
     """A calibration file that a session builds on, whole: the session's journal keeps it."""
 
@@ -224,38 +208,6 @@ class BaseFile(Record):
 @lru_cache(maxsize=64)
 def _record_of(text: str, name: str) -> CalibrationRecord:
     return tilt_record(parse_document(text, name))
-
-
-def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str]) -> dict[str, BaseFile]:
-    """Read the calibrations that a session builds on (``--base``), by serial number; empty where none is named.
-
-    ``path`` is a file, or a folder with a file ``SERIAL.yaml`` for every sensor. A UsageError where it is missing, the
-    procedure takes none, or it is of another sensor.
-    """
-    if path is not None:
-        require_path("--base", path)
-    determines = procedure.determines
-    if path is None:
-        if determines.completes:
-            raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor")
-        return {}
-    if procedure.rotation is not None or determines.axes:
-        raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
-    path = Path(path)
-    if os.path.isdir(path):
-        files = {serial: path / f"{serial}.yaml" for serial in serials}
-    elif len(serials) == 1:
-        files = {serials[0]: path}
-    else:
-        raise UsageError(f"{path} is one file for {len(serials)} sensors: name the folder that has SERIAL.yaml of each")
-    bases = {serial: BaseFile(read_text(file), file.name) for serial, file in files.items()}
-    for serial, file in files.items():
-        base = _record_of(bases[serial].text, str(file))  # an error names the file as it was given
-        if base.sensor.serial != serial:
-            raise UsageError(f"{file} is of {base.sensor.serial}, and the sensor to measure is {serial}")
-        if base.coefficients.mounting is not None and not determines.completes:
-            raise UsageError(f"{file} has a mounting, which {procedure.name} would drop: name the file from before it")
-    return bases
 
 
 def _comments(unit: str) -> dict[str, str]:

@@ -18,7 +18,6 @@ changed, lost or reordered line is named. A line without its newline was torn of
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
@@ -26,6 +25,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
 from zlib import crc32
@@ -34,7 +34,7 @@ import msgspec
 from msgspec import Struct
 
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.files.atomic import append_whole, part_of, write_all
+from tiltcal.files.atomic import append_whole, part_of, portable, sync_data, write_all
 from tiltcal.files.record import Count, Record
 
 VERSION, VERSIONS = 2, (1, 2)
@@ -201,7 +201,7 @@ class JournalWriter:
         line = body[:-1] + f',"check":"{crc:08x}"}}\n'.encode()
         part = part_of(path)
         try:
-            descriptor = os.open(part, _APPEND | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
+            descriptor = os.open(part, _APPEND | os.O_CREAT | os.O_EXCL | portable("O_NOFOLLOW"), 0o644)
             try:
                 write_all(descriptor, line)
                 os.fsync(descriptor)
@@ -263,7 +263,7 @@ class JournalWriter:
     def secure(self) -> None:
         """Wait until all that was written is on the disk; a JournalError where the disk is full or fails."""
         try:
-            os.fdatasync(self._descriptor)
+            sync_data(self._descriptor)
         except OSError as error:
             raise self._failed(error) from error
 
@@ -284,11 +284,19 @@ class JournalWriter:
         return JournalError(f"cannot be written: {error.strerror}; make room on the disk, then resume", file=self.path)
 
 
+try:
+    fcntl: Any = import_module("fcntl")
+except ImportError:  # Windows
+    fcntl = None
+
 _dumps = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode
-_APPEND = os.O_RDWR | os.O_APPEND | os.O_CLOEXEC
+_APPEND = os.O_RDWR | os.O_APPEND | portable("O_CLOEXEC") | portable("O_BINARY")
 
 
 def _lock(descriptor: int, path: Path) -> None:
+    """Keep other sessions from writing this journal, where the system has such locks."""
+    if fcntl is None:
+        return
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -302,7 +310,7 @@ def _give_name(part: Path, path: Path) -> None:
     except FileExistsError:
         raise
     except OSError:  # a file system without links: a file of our own takes the name, and only that one is replaced
-        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW))
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | portable("O_NOFOLLOW")))
         os.rename(part, path)
 
 

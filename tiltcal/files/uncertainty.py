@@ -10,18 +10,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
-from math import isclose, radians, sqrt
+from math import isclose, sqrt
 from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
 
-from tiltcal.core.attitude import mounting_matrix
-from tiltcal.core.compensation import LENGTH_TOLERANCE
-from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
+from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, Uncertain, widened
-from tiltcal.errors import EstimateError
+from tiltcal.core.uncertain import TURN, widened
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.document import Document
 from tiltcal.files.record import AboveZero, ByAxis, Finite, Record, Size, Text, about, one_of, plain
@@ -31,8 +28,8 @@ SHAPED = ("offset", "sensitivity", "nonlinearity", "temperature", "mounting")
 
 TEMPERATURE = "temperature"
 
-_MOUNTING = "mounting."
-_TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
+MOUNTING = "mounting."
+TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
 _SYMMETRY = 1e-9
 _POLYNOMIALS = ByAxis[Annotated[tuple[Size, ...], Meta(max_length=ORDER_LIMIT)]]
 _ROUNDED = 0.01  # an eigenvalue of the correlations below zero, or a difference, that is larger is no matter of digits
@@ -102,7 +99,7 @@ class Uncertainty(Mapping[str, float]):
     def without_mounting(self) -> Uncertainty:
         """Return the uncertainty of all but the mounting."""
         standard, factors = (
-            {name: value for name, value in named.items() if not name.startswith(_MOUNTING)}
+            {name: value for name, value in named.items() if not name.startswith(MOUNTING)}
             for named in (self.standard, self.coverage_factor)
         )
         covariance = None if self.covariance is None else self.covariance.without_turn()
@@ -168,7 +165,7 @@ class UncertaintySection(Record, kw_only=True):
 
 def uncertainty_of(section: UncertaintySection, place: Document, coefficients: Coefficients) -> Uncertainty:
     """Return a section with its standard uncertainties by dotted name; an InputError where it contradicts the rest."""
-    channels, known = coefficients.channels, [*values(coefficients), *_TURNS]
+    channels, known = coefficients.channels, [*values(coefficients), *TURNS]
     thermal = section.temperature or ThermalUncertainty()
     for key, curves in {"offset": thermal.offset, "sensitivity": thermal.sensitivity}.items():
         place.require_keys(curves, channels, TEMPERATURE, key)
@@ -216,74 +213,6 @@ def uncertainty_section(uncertainty: Uncertainty) -> UncertaintySection:
     )
 
 
-def stated_uncertainty(
-    uncertainty: Uncertainty, coefficients: Coefficients, *, reading_noise: float | None = None
-) -> tuple[Uncertain, tuple[str, ...]]:
-    """Return what an angle is uncertain by, and remarks on what is assumed.
-
-    These are the errors of the coefficients, of the mounting's turn, of a reading and its temperature, and of how the
-    sensor sits. ``reading_noise`` (unit) replaces that of a reading of the file. Without a covariance the coefficients
-    count as uncorrelated; what is not stated counts as exact. An EstimateError refuses a file without any uncertainty.
-    """
-    known = uncertain_coefficients(uncertainty, coefficients)
-    if not known.names:
-        raise EstimateError(
-            "the file states no uncertainty of any coefficient: calibrate with `tiltcal measure` or `tiltcal fit`, "
-            "which write it, or write standard uncertainties (k = 1) under `uncertainty`, in the shape of `calibration`"
-        )
-    remarks = []
-    if uncertainty.covariance is None:
-        remarks.append("the file has no covariance: the coefficients count as uncorrelated")
-    silent = [name for name in values(coefficients) if name not in uncertainty and name not in known.names]
-    if silent:
-        remarks.append(f"no uncertainty is stated of {', '.join(silent)}: they count as exact")
-    if coefficients.mounting is not None and not known.named(_TURNS).names:
-        remarks.append("no uncertainty is stated of the mounting: it counts as exact")
-    reading = dict(uncertainty.single_reading)
-    if reading_noise is not None:
-        reading |= dict.fromkeys(coefficients.channels, reading_noise)
-    elif not any(channel in reading for channel in coefficients.channels):
-        remarks.append(
-            "the file has no uncertainty of a reading: only that of the calibration counts (state --reading-noise)"
-        )
-    u = [*reading.values(), radians(uncertainty.alignment)]
-    other = Uncertain.errors((*(READING + name for name in reading), ALIGNMENT), np.diag(np.array(u) ** 2))
-    return known.beside(other), tuple(remarks)
-
-
-def uncertain_coefficients(uncertainty: Uncertainty, coefficients: Coefficients) -> Uncertain:
-    """Return the errors of the coefficients and of the mounting's turn; empty where no uncertainty is stated."""
-    stated = uncertainty.covariance
-    if stated is None:
-        own = {
-            name: u
-            for name, u in uncertainty.items()
-            if u > 0.0 and not name.startswith(_MOUNTING) and name not in ("temperature.reference", "temperature.lag")
-        }
-        names, covariance = tuple(own), np.diag(np.array(list(own.values())) ** 2)
-    else:
-        names, covariance = stated.parameters, stated.as_array()
-    factors = np.array([uncertainty.coverage_factor.get(name, NORMAL_FACTOR) for name in names])
-    wide = widened(covariance, factors) if stated is None else stated.wide_array(factors)
-    scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
-    scales = np.outer(scale, scale)
-    found = Uncertain(names, np.zeros(len(names)), covariance * scales, wide * scales)
-    angles = {angle: radians(u) for angle in ANGLES if (u := uncertainty.get(f"mounting.{angle}")) is not None}
-    if not names or coefficients.mounting is None or not angles or any(name.startswith(TURN) for name in names):
-        return found
-    return found.beside(_turn(coefficients.mounting, angles))
-
-
-def length_tolerance(uncertainty: Uncertainty, coefficients: Coefficients, limits: Limits) -> float:
-    """Return by how much the length of gravity of three axes may differ from 1 g before a row is suspect."""
-    if len(coefficients.channels) < 3 or not uncertain_coefficients(uncertainty, coefficients).names:
-        return LENGTH_TOLERANCE
-    from tiltcal.core.angle_uncertainty import length_half_width
-
-    stated, _ = stated_uncertainty(uncertainty, coefficients)
-    return max(LENGTH_TOLERANCE, length_half_width(coefficients, limits, stated))
-
-
 def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:
     """Yield standard uncertainties by dotted name; a list counts from the power of its first number."""
     for key, value in section.items():
@@ -295,16 +224,3 @@ def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, fl
             yield from ((f"{name}.{power}", u) for power, u in enumerate(value, start=first))
         else:
             yield name, value
-
-
-def _turn(mounting: Mounting, u: Mapping[str, float]) -> Uncertain:
-    """Return the mounting's turn about the application's axes, from uncorrelated angles, radians."""
-    axes = np.column_stack(
-        [
-            mounting_matrix(Mounting(0.0, mounting.pitch, mounting.yaw))[:, 0],
-            mounting_matrix(Mounting(0.0, 0.0, mounting.yaw))[:, 1],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    angles = np.diag([u.get(angle, 0.0) ** 2 for angle in ANGLES])
-    return Uncertain.errors(ANGLES, angles).through(axes, _TURNS)

@@ -16,13 +16,14 @@ from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, 
 from tiltcal.calibration.complete import NO_LEVEL
 from tiltcal.calibration.measurement import require_no_jig, unchecked
 from tiltcal.calibration.prediction import predict
+from tiltcal.calibration.record import bases_of
 from tiltcal.calibration.wording import NOT_FOLLOWED, level_summary, summary, verdict
 from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.model import link_in_words
 from tiltcal.errors import HardwareError, JournalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.bench import BenchFile
-from tiltcal.files.calibration import CalibrationRecord, bases_of, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Procedure, find_procedure

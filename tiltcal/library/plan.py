@@ -12,12 +12,13 @@ from tiltcal.bench.setup import stage_channels
 from tiltcal.calibration.joint_fit import along_gravity
 from tiltcal.calibration.measurement import require_no_jig, require_suitable
 from tiltcal.calibration.prediction import PredictedMounting, PredictedUncertainty, predict, predict_mounting
+from tiltcal.calibration.record import bases_of
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
-from tiltcal.files.calibration import CalibrationRecord, bases_of, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.printable import in_html
 from tiltcal.stated_arguments import require_boolean, require_from_zero, require_whole

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tiltcal.calibration.record import limits_of, stated_mounting, with_mounting
 from tiltcal.calibration.season import CalibrationFolder, SensorHistory
+from tiltcal.calibration.stated import length_tolerance
 from tiltcal.calibration.wording import objections
 from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.earth_frame import HEADING, full_circle
@@ -24,7 +25,6 @@ from tiltcal.core.model import Array
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
-from tiltcal.files.uncertainty import length_tolerance
 from tiltcal.logs.columns import TIME, named_columns
 from tiltcal.logs.kernel import (
     Kernel,

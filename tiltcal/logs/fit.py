@@ -20,6 +20,7 @@ from tiltcal.calibration.measurement import (
     require_no_jig,
     require_tilt,
 )
+from tiltcal.calibration.record import bases_of
 from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord
 from tiltcal.core.rounding import significant
@@ -27,7 +28,7 @@ from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, bases_of, read_calibration
+from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.record import Record, keys_of

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import tiltcal
 from tiltcal.calibration.record import compensation_of, mounting_in_words, stated_mounting, with_mounting
+from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.calibration.wording import objections
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, uncertainty_columns, with_shares
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
@@ -24,7 +25,6 @@ from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord
-from tiltcal.files.uncertainty import stated_uncertainty
 from tiltcal.logs.apply_summary import ColumnWidths
 from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME
