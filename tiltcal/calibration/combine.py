@@ -150,17 +150,15 @@ class CombinedSession:
             raise EstimateError(f"{self.label}: {failure}") from failure
         at, thermal, axes = self.temperature, self.coefficients.thermal, self.coefficients.axes
         for what in ("drift", "gain") if thermal is not None else ():
-            own, order = getattr(thermal, what).shape[1], getattr(design, what)
-            if own and own != order:
+            if (own := getattr(thermal, what).shape[1]) not in (0, getattr(design, what)):
                 raise UsageError(
-                    f"the {what} of {self.label} has order {own} and that of another calibration {order}: a polynomial "
-                    "of one order is not weighed against one of another; combine one of them"
+                    f"the {what} of {self.label} has order {own} and that of another calibration "
+                    f"{getattr(design, what)}; combine one of them"
                 )
         if not self.assumes("sensitivity") and set(axes) != set(design.axes):
             raise UsageError(
                 f"{self.label} determines the sensitivity to {', '.join(axes)} and another calibration to "
-                f"{', '.join(design.axes)}: an offset of the one is not that of the other; combine sessions of the "
-                "same axes"
+                f"{', '.join(design.axes)}; combine sessions of the same axes"
             )
         lost = "offset." if design.thermal and at is None else "-"
         names = [n for n in stated.names if n in design.names and n in self.measured and not n.startswith(lost)]

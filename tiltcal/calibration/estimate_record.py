@@ -196,12 +196,9 @@ def _printed(found: Uncertain) -> tuple[dict[str, float], dict[str, float], dict
 
 def budget_record(uncertain: Uncertain) -> dict[str, dict[str, float]]:
     """Return which share of the variance of each quantity comes from what, but what rounds to nothing."""
+    table = {source: np.round(column, SHARE_DIGITS).tolist() for source, column in uncertain.shares.items()}
     return {
-        name: {
-            source: share
-            for source, column in uncertain.shares.items()
-            if (share := round(float(column[k]), SHARE_DIGITS) + 0.0)
-        }
+        name: {source: column[k] for source, column in table.items() if column[k]}
         for k, name in enumerate(uncertain.names)
         if uncertain.u[k] > 0.0
     }

@@ -89,13 +89,10 @@ class PredictedUncertainty:
 
 @dataclass(frozen=True)
 class PredictedMounting:
-    """The standard uncertainty that a mounting leaves in roll, pitch and yaw of a sensor that sits straight, degrees.
+    """The uncertainty that a mounting leaves beside that of the calibration, of a sensor that sits straight."""
 
-    That of the sensor's own calibration comes on top; a ``jig`` that is not stated counts as perfect.
-    """
-
-    angles: dict[str, float]
-    jig: float | None
+    angles: dict[str, float]  # standard uncertainty of roll, pitch and yaw, degrees
+    jig: float | None  # degrees; not stated, it counts as perfect
 
     @property
     def uncertainty(self) -> dict[str, float]:
@@ -108,13 +105,9 @@ class PredictedMounting:
 
     def __str__(self) -> str:
         with_what = f"with its noise and {_jig_in_words(self.jig)}"
-        return "\n".join(
-            [
-                f"predicted standard uncertainty of a sensor that is mounted straight, {with_what}:",
-                *(f"  {angle:<6} {u:.2g}°" for angle, u in self.angles.items()),
-                "  that of its calibration comes on top",
-            ]
-        )
+        lines = [f"predicted standard uncertainty of a sensor that is mounted straight, {with_what}:"]
+        lines += [f"  {angle:<6} {u:.2g}°" for angle, u in self.angles.items()]
+        return "\n".join([*lines, "  that of its calibration comes on top"])
 
     __repr__ = __str__
     _repr_html_ = in_html
@@ -170,13 +163,13 @@ def predict(
     settings = [None, *((position.gravity, position.heading) for position in positions)]
     planned = [
         PlannedPosition(
-            position.name,
-            orientation.seen(position.gravity),
-            position.temperature if position.temperature is not None else design.reference,
-            position.heading,
+            one.name,
+            orientation.seen(one.gravity),
+            design.reference if one.temperature is None else one.temperature,
+            one.heading,
             held=setting == before,
         )
-        for position, (before, setting) in zip(positions, pairwise(settings), strict=True)
+        for one, (before, setting) in zip(positions, pairwise(settings), strict=True)
     ]
     prediction = predict_uncertainty(
         design,

@@ -91,11 +91,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
 
 
 def _u_temperature(fit: RampFit, record: RampRecord, stated: float | None, own: float | None) -> float:
-    """Return the standard uncertainty of the element's temperature in a log, °C.
-
-    The inverse filter of a thermometer that is later amplifies what is random in it, its step and its noise, and leaves
-    an error that all temperatures share as it is.
-    """
+    """Return u of the element's temperature in a log, °C: the inverse filter amplifies what is random in it."""
     random = (not stated and own) or record.step / sqrt(12.0)
     if fit.lag < 0.0:
         noise = row_noise(record.temperature) * sqrt(record.rows / len(record.time))

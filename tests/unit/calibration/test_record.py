@@ -4,28 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from support import FIXTURES
 
 import tiltcal
 
 MOUNTED = FIXTURES / "mounting.yaml"
-
-
-def readings(calibration: tiltcal.Calibration, gravity: list[float]) -> dict[str, list[float]]:
-    """What the sensor reads in a direction of gravity in its own frame."""
-    values = calibration.coefficients.predict(np.array([gravity]))[0]
-    return dict(zip(calibration.coefficients.channels, ([float(one)] for one in values), strict=True))
-
-
-def test_the_angles_turn_the_sensors_frame_as_the_document_has_it() -> None:
-    """Rz(-yaw) Ry(-pitch) Rx(-roll), by scipy's rotations."""
-    own = tiltcal.read(FIXTURES / "six-face.yaml")
-    angles = {"roll": 25.0, "pitch": -10.0, "yaw": 130.0}
-    turn = Rotation.from_euler("xyz", [-25.0, 10.0, -130.0], degrees=True)
-    gravity = [0.48, -0.36, 0.8]
-    found = own.apply(readings(own, gravity), mounting=angles)
-    np.testing.assert_allclose([found[f"g_{axis}"][0] for axis in "xy"], turn.apply(gravity)[:2], atol=1e-9)
 
 
 def test_a_mounting_of_the_file_is_replaced_and_no_longer_uncertain() -> None:
