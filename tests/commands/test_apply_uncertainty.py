@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
 import tiltcal
-from tiltcal.calibration.estimate_record import rounded, stated_section
+from tiltcal.calibration.stated import rounded, stated_section
 from tiltcal.cli.apply import command
 from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly

@@ -13,9 +13,8 @@ from support.command import tiltcal
 from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
 
 from tiltcal.calibration.complete import mount
-from tiltcal.calibration.estimate_record import rounded, stated_section
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.calibration.stated import stated_uncertainty
+from tiltcal.calibration.stated import rounded, stated_section, stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.attitude import mounting_matrix, solve_mounting
 from tiltcal.core.compensation import Compensation

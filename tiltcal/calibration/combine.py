@@ -17,9 +17,15 @@ import numpy as np
 
 import tiltcal
 from tiltcal.calibration.comparison import compare_records, require_same_sensor, temperature_of
-from tiltcal.calibration.estimate_record import derived_record, fit_record, rounded, stated_section
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
-from tiltcal.calibration.stated import stated_uncertainty, uncertain_coefficients
+from tiltcal.calibration.stated import (
+    derived_record,
+    fit_record,
+    rounded,
+    stated_section,
+    stated_uncertainty,
+    uncertain_coefficients,
+)
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
 from tiltcal.core.model import AXES, Array, Coefficients, Limits

@@ -20,16 +20,16 @@ from math import cos, degrees, hypot, inf, radians, sqrt
 import numpy as np
 
 from tiltcal.calibration.comparison import changes, judge
-from tiltcal.calibration.estimate_record import (
+from tiltcal.calibration.joint_fit import observations_of
+from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
+from tiltcal.calibration.stated import (
     DIGITS,
     budget_record,
     intrinsic_record,
     rounded_covariance,
     stated_section,
+    uncertain_coefficients,
 )
-from tiltcal.calibration.joint_fit import observations_of
-from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
-from tiltcal.calibration.stated import uncertain_coefficients
 from tiltcal.core.attitude import (
     UNKNOWN_ANGLE,
     UNKNOWN_FACTOR,

@@ -9,8 +9,8 @@ from math import asin, degrees, fsum, inf, radians, sqrt
 
 import numpy as np
 
-from tiltcal.calibration.estimate_record import DIGITS, derived_record, fit_record, rounded, stated_section
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, judge_channels, rails_of
+from tiltcal.calibration.stated import DIGITS, derived_record, fit_record, rounded, stated_section
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.model import AXES, Limits

@@ -1,32 +1,50 @@
-"""The errors that a calibration file states, as the uncertain quantities that angles and comparisons follow from."""
+"""What a calibration file states of an estimate, rounded to its uncertainty, and the errors that follow from it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import radians
+from dataclasses import replace
+from math import degrees, radians
 
 import numpy as np
 
 from tiltcal.core.angle_uncertainty import length_half_width
-from tiltcal.core.attitude import mounting_matrix
+from tiltcal.core.attitude import UNKNOWN_FACTOR, mounting_matrix
 from tiltcal.core.compensation import LENGTH_TOLERANCE
-from tiltcal.core.model import Coefficients, Limits, Mounting
-from tiltcal.core.named_coefficients import values
-from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, Uncertain, widened
+from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation
+from tiltcal.core.estimation.estimate import Estimate
+from tiltcal.core.estimation.positions import Design
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
+from tiltcal.core.named_coefficients import values, with_vector
+from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.uncertain import ALIGNMENT, NEGLIGIBLE, NORMAL_FACTOR, READING, TURN, Uncertain, widened
 from tiltcal.errors import EstimateError
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.uncertainty import MOUNTING, TURNS, Uncertainty
+from tiltcal.files.results import (
+    NOISE_ALONE,
+    DerivedCoverage,
+    DerivedRecord,
+    DerivedUncertainty,
+    FitRecord,
+    IntrinsicCoverage,
+    IntrinsicRecord,
+    IntrinsicUncertainty,
+    SuspectPosition,
+    WorstResidual,
+)
+from tiltcal.files.uncertainty import MOUNTING, TURNS, Covariance, Uncertainty
+
+
+DIGITS = 4  # of an uncertainty
+MATRIX_DIGITS = 1e4  # the covariance is rounded to this part of what four digits of its two uncertainties would be
+SHARE_DIGITS = 3  # of a share of a variance
+PRIOR_DIGITS = 9  # of an uncertainty that is taken out of a difference again
 
 
 def stated_uncertainty(
     uncertainty: Uncertainty, coefficients: Coefficients, *, reading_noise: float | None = None
 ) -> tuple[Uncertain, tuple[str, ...]]:
-    """Return what an angle is uncertain by, and remarks on what is assumed.
-
-    These are the errors of the coefficients, of the mounting's turn, of a reading and its temperature, and of how the
-    sensor sits. ``reading_noise`` (unit) replaces that of a reading of the file. Without a covariance the coefficients
-    count as uncorrelated; what is not stated counts as exact. An EstimateError refuses a file without any uncertainty.
-    """
+    """Return all errors that make an angle uncertain, and remarks; ``reading_noise``, unit, in place of the file's."""
     known = uncertain_coefficients(uncertainty, coefficients)
     if not known.names:
         raise EstimateError(
@@ -86,12 +104,172 @@ def length_tolerance(uncertainty: Uncertainty, coefficients: Coefficients, limit
 
 def _turn(mounting: Mounting, u: Mapping[str, float]) -> Uncertain:
     """Return the mounting's turn about the application's axes, from uncorrelated angles, radians."""
-    axes = np.column_stack(
-        [
-            mounting_matrix(Mounting(0.0, mounting.pitch, mounting.yaw))[:, 0],
-            mounting_matrix(Mounting(0.0, 0.0, mounting.yaw))[:, 1],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    roll = mounting_matrix(Mounting(0.0, mounting.pitch, mounting.yaw))[:, 0]
+    axes = np.column_stack([roll, mounting_matrix(Mounting(0.0, 0.0, mounting.yaw))[:, 1], [0.0, 0.0, 1.0]])
     angles = np.diag([u.get(angle, 0.0) ** 2 for angle in ANGLES])
     return Uncertain.errors(ANGLES, angles).through(axes, TURNS)
+
+
+def rounded(found: Estimate) -> Coefficients:
+    """Return the coefficients with the digits that their uncertainties warrant."""
+    coefficients, u = found.coefficients, found.uncertainty()
+    digits = {name: round_to(value, u.get(name, 0.0)) for name, value in values(coefficients).items()}
+    coefficients = with_vector(coefficients, list(digits), np.array(list(digits.values())))
+    thermal = coefficients.thermal
+    if thermal is None or thermal.range is None:
+        return coefficients
+    low, high = thermal.range
+    return replace(coefficients, thermal=replace(thermal, range=(round(low, 3), round(high, 3))))
+
+
+def stated_section(uncertain: Uncertain, before: Uncertainty | None = None) -> Uncertainty:
+    """Return uncertain coefficients as a file states them, in place of what it stated ``before`` of the same."""
+    before, u = before or Uncertainty(), uncertain.by_name(uncertain.u)
+    shown = {name: significant(value, DIGITS) for name, value in u.items() if not name.startswith(TURN)}
+    factors = {name: round(k, 3) for name, k in uncertain.by_name(uncertain.factors).items() if u[name] > 0.0}
+    return replace(
+        before,
+        standard={**shown, **{name: value for name, value in before.items() if name not in shown}},
+        coverage_factor={**factors, **{n: k for n, k in before.coverage_factor.items() if n not in factors}},
+        covariance=rounded_covariance(uncertain),
+    )
+
+
+def rounded_covariance(uncertain: Uncertain) -> Covariance:
+    """Return the covariance of what is uncertain, without the rounding errors that stand for zero."""
+    known = uncertain.chosen(np.flatnonzero(uncertain.u > 0.0))
+    scale = np.array([degrees(1.0) if name.startswith(TURN) else 1.0 for name in known.names])  # as files have turns
+
+    def printed(covariance: Array) -> tuple[tuple[float, ...], ...]:
+        table = covariance * np.outer(scale, scale)
+        u = np.sqrt(np.diag(table))
+        steps = (np.outer(u, u) / MATRIX_DIGITS).tolist()
+        return tuple(tuple(map(round_to, row, step)) for row, step in zip(table.tolist(), steps, strict=True))
+
+    # Few degrees of freedom widen the intervals of some quantities, and not of all alike.
+    wider = bool(len(known.names) and np.ptp(known.factors) > NEGLIGIBLE * NORMAL_FACTOR)
+    wide = printed(known.wide) if wider else ()
+    return Covariance(parameters=known.names, matrix=printed(known.covariance), wide=wide)
+
+
+def derived_record(found: Estimate, assumed: str, *, mounted: bool) -> DerivedRecord:
+    """Return cross-axis sensitivities, misalignments and what no mounting changes; nothing where S was ``assumed``."""
+    if assumed:
+        return DerivedRecord(assumed=(f"sensitivity: {assumed}",))
+    coefficients, uncertain = found.coefficients, found.uncertain
+    crossed, u_crossed, k_crossed = _printed(cross_axis(coefficients, uncertain))
+    turned, u_turned, k_turned = _printed(misalignment(coefficients, uncertain))
+    whole = len(coefficients.channels) == 3 and set(coefficients.axes) == set(AXES)
+    return DerivedRecord(
+        cross_axis_percent=crossed,
+        misalignment_degrees=turned,
+        uncertainty=DerivedUncertainty(
+            cross_axis_percent=u_crossed,
+            misalignment_degrees=u_turned,
+            coverage_factor=DerivedCoverage(cross_axis_percent=k_crossed, misalignment_degrees=k_turned),
+        ),
+        intrinsic=intrinsic_record(coefficients, uncertain, mounted=mounted) if whole else None,
+    )
+
+
+def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
+    """Return how well the positions agree, and where the uncertainty comes from; ``noise`` is the largest u, unit."""
+
+    def shown(estimated: float | None) -> float | None:
+        return None if estimated is None else significant(estimated, SHARE_DIGITS)
+
+    scale = max(noise, float(np.max(np.abs(found.residuals))))
+    residuals = {
+        position: {c: round_to(float(r), scale) for c, r in zip(design.channels, row, strict=True)}
+        for position, row in zip(found.positions, found.residuals, strict=True)
+    }
+    # The rounded ones are compared, so that a tie falls alike on every processor.
+    places = [(position, channel) for position, row in residuals.items() for channel in row]
+    position, channel = max(places, key=lambda place: abs(residuals[place[0]][place[1]]))
+    worst = WorstResidual(position=position, channel=channel, residual=residuals[position][channel])
+    source = "stated noise and jig" if found.estimated_noise is None else "stated jig, residuals for the noise"
+    if not found.stated:
+        source = "residuals"
+    elif design.free:
+        source = "noise alone: no position is left over"
+    elif design.jig is None:
+        source = NOISE_ALONE
+    judged = found.chi_square is not None and found.p is not None and found.stated
+    return FitRecord(
+        residuals=residuals,
+        worst=worst if found.dof else None,
+        degrees_of_freedom=found.dof,
+        uncertainty_from=source,
+        jig_degrees=None if design.free else design.jig,
+        table_degrees=design.table,
+        heading_degrees=design.heading or None,
+        jig_estimated_degrees=shown(found.estimated_jig),
+        thermometer_celsius=design.thermometer or None,
+        thermometer_estimated_celsius=shown(found.estimated_thermometer),
+        noise_estimated=shown(found.estimated_noise),
+        budget=budget_record(found.uncertain),
+        notes=tuple(found.notes),
+        priors={}
+        if design.assumes_sensitivity
+        else {name: significant(prior.u, PRIOR_DIGITS) for name, prior in design.priors.items()},
+        not_covered=found.not_covered,
+        chi_square=significant(found.chi_square or 0.0, 4) if judged else None,
+        p_value=shown(found.p) if judged else None,
+        suspect_positions={
+            attitude.position: SuspectPosition(
+                off_degrees=significant(float(np.linalg.norm(attitude.turn)), SHARE_DIGITS),
+                chi_square=significant(attitude.chi_square, SHARE_DIGITS),
+            )
+            for attitude in (found.suspects() if judged else ())
+        },
+    )
+
+
+def intrinsic_record(coefficients: Coefficients, uncertain: Uncertain, *, mounted: bool) -> IntrinsicRecord:
+    """Return the nine intrinsic parameters and, where positions were set (``mounted``), the rotation that is left."""
+    tables, gimbal_lock, left_handed = list(_printed(intrinsic(coefficients, uncertain))), False, None
+    if mounted:
+        try:
+            turned, gimbal_lock = rotation(coefficients, uncertain)
+        except EstimateError as failure:
+            left_handed = str(failure)
+        else:
+            tables = [{**table, **more} for table, more in zip(tables, _printed(turned), strict=True)]
+    if gimbal_lock:
+        tables[2] |= {f"rotation_degrees.{angle}": round(UNKNOWN_FACTOR, 3) for angle in ("roll", "yaw")}
+    shown, u, factors = (_by_kind(table) for table in tables)
+    return IntrinsicRecord(
+        **shown,
+        uncertainty=IntrinsicUncertainty(**u, coverage_factor=IntrinsicCoverage(**factors)),
+        gimbal_lock=gimbal_lock,
+        left_handed=left_handed,
+    )
+
+
+def _by_kind(named: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Return numbers by the first part of their dotted names, and then by the rest."""
+    tables: dict[str, dict[str, float]] = {}
+    for name, number in named.items():
+        kind, _, rest = name.partition(".")
+        tables.setdefault(kind, {})[rest] = number
+    return tables
+
+
+def _printed(found: Uncertain) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Return values, standard uncertainties and coverage factors, rounded; what is exact has no factor."""
+    value, u = found.by_name(found.value), found.by_name(found.u)
+    return (
+        {name: round_to(number, u[name]) for name, number in value.items()},
+        {name: significant(number, DIGITS) for name, number in u.items()},
+        {name: round(factor, 3) for name, factor in found.by_name(found.factors).items() if u[name] > 0.0},
+    )
+
+
+def budget_record(uncertain: Uncertain) -> dict[str, dict[str, float]]:
+    """Return which share of the variance of each quantity comes from what, but what rounds to nothing."""
+    table = {source: np.round(column, SHARE_DIGITS).tolist() for source, column in uncertain.shares.items()}
+    return {
+        name: {source: column[k] for source, column in table.items() if column[k]}
+        for k, name in enumerate(uncertain.names)
+        if uncertain.u[k] > 0.0
+    }

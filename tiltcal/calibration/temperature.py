@@ -17,10 +17,9 @@ from itertools import combinations
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from tiltcal.calibration.estimate_record import rounded_covariance
 from tiltcal.calibration.joint_fit import fit_jointly, observed_sensor
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.calibration.stated import uncertain_coefficients
+from tiltcal.calibration.stated import rounded_covariance, uncertain_coefficients
 from tiltcal.core.estimation.estimate import ALIKE, Estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Observation
 from tiltcal.core.model import Array, Thermal
