@@ -93,9 +93,7 @@ def _with_thermometer(bench: BenchUncertainty, sensors: Sequence[MeasuredSensor]
 
 def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:
     """Keep in the record of positions what the table states, and nothing else."""
-    stated = any(
-        summary.u > summary.quantisation for measurement in measurements for summary in measurement.summaries.values()
-    )
+    stated = any(one.u > one.quantisation for measurement in measurements for one in measurement.summaries.values())
     if not stated and not calibration.fit.degrees_of_freedom:
         raise EstimateError(
             "the table states no uncertainties (ux, uy, uz) and has no position more than there are unknowns: nothing "
@@ -108,11 +106,7 @@ def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement
 def _of_local_gravity(calibration: CalibrationRecord, gravity: float) -> CalibrationRecord:
     """Add the main sensitivities per m/s² and, for readings in m/s², by how much they are off."""
     coefficients = calibration.coefficients
-    own = {
-        channel: coefficients.own_sensitivity(channel) / gravity
-        for channel in coefficients.channels
-        if channel in coefficients.axes
-    }
+    own = {c: coefficients.own_sensitivity(c) / gravity for c in coefficients.channels if c in coefficients.axes}
     u = {channel: calibration.uncertainty[f"sensitivity.{channel}.{channel}"] / gravity for channel in own}
     off = {c: round_to(100.0 * (value - 1.0), 100.0 * u[c]) for c, value in own.items()}
     derived = calibration.derived.replaced(

@@ -204,18 +204,15 @@ def combine_records(
     lags = {label: f"{thermal.lag:g} s" for label, thermal in warm.items() if thermal.lag}
     _require_one("lags", lags, "combine one of them")
     if warm:
-        cold = [any(one.temperature is None for one in session.positions) for session in sessions]
-        sessions = [replace(session, by_values=lacks) for session, lacks in zip(sessions, cold, strict=True)]
+        sessions = [replace(s, by_values=any(one.temperature is None for one in s.positions)) for s in sessions]
     design = _design(sessions)
     seen = _observations(sessions, design)
     remarks = [*_notes(sessions, design), *_disagreement(sessions, design, seen)]
     together = [one for group in seen for one in group]
     found = with_hysteresis(estimate(together, design), SensorObservations(design, together))
-    thermal = found.coefficients.thermal
+    thermal, met = found.coefficients.thermal, [one.range for one in warm.values() if one.range is not None]
     if thermal is not None:
-        met = [one.range for one in warm.values() if one.range is not None]
-        lag = max(one.lag for one in warm.values())
-        thermal = replace(thermal, lag=lag, range=_union(met) if met else None)
+        thermal = replace(thermal, lag=max(one.lag for one in warm.values()), range=_union(met))
     turned = next(iter(mounted.values()), None)
     found = replace(found, coefficients=replace(found.coefficients, thermal=thermal, mounting=turned))
     return _record(sessions, found, design, remarks)
@@ -479,14 +476,12 @@ def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRe
                     "the sessions are not of one sensor in one range; correct the limits, or leave a session out"
                 )
     met = [record.limits.temperature for record in records if record.limits.temperature and record.coefficients.thermal]
-    tilts = {axis: [r.limits.tilt[axis] for r in scaled if axis in r.limits.tilt] for axis in AXES}
-    return Limits(
-        {axis: _union(ranges) for axis, ranges in tilts.items() if ranges}, _union(met) if met else None, reading
-    )
+    tilts = {axis: _union([r.limits.tilt[axis] for r in scaled if axis in r.limits.tilt]) for axis in AXES}
+    return Limits({axis: tilt for axis, tilt in tilts.items() if tilt is not None}, _union(met), reading)
 
 
-def _union(ranges: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    return min(low for low, _ in ranges), max(high for _, high in ranges)
+def _union(ranges: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
+    return (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
 
 
 def _provenance(sessions: Sequence[CombinedSession]) -> Provenance:

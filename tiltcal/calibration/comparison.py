@@ -81,22 +81,12 @@ class CoefficientChange:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict on the changes of a sensor.
+    """The verdict on the changes of a sensor."""
 
-    ``thresholds`` are the numbers of standard uncertainties that each change stays within if the sensor is unchanged;
-    ``changed`` are the coefficients beyond theirs, ``unjudged`` those that differ and have no uncertainty.
-    ``incomplete`` is why the uncertainties are too small to call anything changed; empty where they are whole.
-    """
-
-    thresholds: Mapping[str, float]
-    changed: tuple[str, ...]
-    unjudged: tuple[str, ...] = ()
-    incomplete: str = ""
-
-    @property
-    def threshold(self) -> float | None:
-        """The lowest of the thresholds; those of coefficients that rest on few residuals are higher."""
-        return min(self.thresholds.values(), default=None)
+    thresholds: Mapping[str, float]  # standard uncertainties that each change of an unchanged sensor stays within
+    changed: tuple[str, ...]  # the coefficients beyond theirs
+    unjudged: tuple[str, ...] = ()  # those that differ and have no uncertainty
+    incomplete: str = ""  # why the uncertainties are too small to call anything changed; empty where they are whole
 
     @property
     def word(self) -> str:
@@ -126,12 +116,11 @@ def judge(found: Sequence[CoefficientChange], incomplete: str = "") -> Verdict:
     return Verdict(thresholds, changed, tuple(change.name for change in differing if not change.u), incomplete)
 
 
-def changes(difference: Uncertain, before: Sequence[float] | Array) -> list[CoefficientChange]:
+def changes(difference: Uncertain, before: Array) -> list[CoefficientChange]:
     """Return an uncertain difference as the change of each coefficient; of one without an error u is None."""
-    rows = zip(difference.names, before, difference.value, difference.u, difference.dof, strict=True)
+    rows = np.column_stack([before, before + difference.value, difference.u, difference.dof]).tolist()
     return [
-        CoefficientChange(name, float(start), float(start + step), float(u) or None, float(dof))
-        for name, start, step, u, dof in rows
+        CoefficientChange(n, a, b, u or None, dof) for n, (a, b, u, dof) in zip(difference.names, rows, strict=True)
     ]
 
 
@@ -218,11 +207,11 @@ class Comparison:
         rest = f"; not comparable: {', '.join(self.not_comparable)}" if self.not_comparable else ""
         if self.verdict.word != "changed":
             return self.verdict.word + rest
-        changed = [change for change in self.changes if change.name in self.verdict.changed]
         moved = (
-            f"{change.name} by {plus_minus(change.difference, change.u or 0.0, signed=True)} "
-            f"{unit_of(change.name, self.sensor.unit)}".rstrip()
-            for change in changed
+            f"{one.name} by {plus_minus(one.difference, one.u or 0.0, signed=True)} "
+            f"{unit_of(one.name, self.sensor.unit)}".rstrip()
+            for one in self.changes
+            if one.name in self.verdict.changed
         )
         return f"changed: {', '.join(moved)}{rest}"
 
@@ -232,7 +221,7 @@ class Comparison:
         return {
             "sensor": self.sensor.serial,
             "verdict": verdict.word,
-            "threshold": verdict.threshold,
+            "threshold": min(verdict.thresholds.values(), default=None),
             "changed": list(verdict.changed) if verdict.word == "changed" else [],
             "coefficients": [
                 {

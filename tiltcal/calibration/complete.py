@@ -127,13 +127,10 @@ def objection_to_level(base: CalibrationRecord, measurement: Measurement) -> str
 
 def _with_noise(measurement: Measurement, single: Mapping[str, float]) -> Measurement:
     """Return a measurement whose noise, where it is not stated, is that of so many readings of the base."""
-    summaries = {
-        channel: replace(summary, u=hypot(summary.u, single[channel] / sqrt(summary.n)))
-        if summary.noise_unknown and single.get(channel)
-        else summary
-        for channel, summary in measurement.summaries.items()
-    }
-    return replace(measurement, summaries=summaries)
+    summaries = measurement.summaries.items()
+    silent = {c: summary for c, summary in summaries if summary.noise_unknown and single.get(c)}
+    noisy = {c: replace(one, u=hypot(one.u, single[c] / sqrt(one.n))) for c, one in silent.items()}
+    return replace(measurement, summaries={**measurement.summaries, **noisy})
 
 
 def _renewed(

@@ -123,7 +123,8 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         source = "noise alone: no position is left over"
     elif design.jig is None:
         source = NOISE_ALONE
-    record = FitRecord(
+    judged = found.chi_square is not None and found.p is not None and found.stated
+    return FitRecord(
         residuals=residuals,
         worst=worst if found.dof else None,
         degrees_of_freedom=found.dof,
@@ -141,18 +142,14 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         if design.assumes_sensitivity
         else {name: significant(prior.u, PRIOR_DIGITS) for name, prior in design.priors.items()},
         not_covered=found.not_covered,
-    )
-    if found.chi_square is None or found.p is None or not found.stated:
-        return record
-    return record.replaced(
-        chi_square=significant(found.chi_square, 4),
-        p_value=significant(found.p, SHARE_DIGITS),
+        chi_square=significant(found.chi_square or 0.0, 4) if judged else None,
+        p_value=shown(found.p) if judged else None,
         suspect_positions={
             attitude.position: SuspectPosition(
                 off_degrees=significant(float(np.linalg.norm(attitude.turn)), SHARE_DIGITS),
                 chi_square=significant(attitude.chi_square, SHARE_DIGITS),
             )
-            for attitude in found.suspects()
+            for attitude in (found.suspects() if judged else ())
         },
     )
 

@@ -140,10 +140,8 @@ def _warning(calibration: CalibrationRecord, seen: FreeFit) -> str | None:
     if why:
         raise EstimateError(f"the attitudes do not determine the sensor: {why}; {advice}")
     warnings = [f"{uncertain}: {advice}"] if expanded[worst] > UNCERTAIN else []
-    if seen.distinct <= UNKNOWNS:
-        warnings.insert(
-            0,
-            f"{seen.distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to show "
-            "whether the result is right; add attitudes, 12 to 18 or more",
-        )
-    return "; ".join(warnings) or None
+    few = (
+        f"{seen.distinct} different attitudes for {UNKNOWNS} unknowns: zero degrees of freedom are left to show "
+        "whether the result is right; add attitudes, 12 to 18 or more"
+    )
+    return "; ".join([few] * (seen.distinct <= UNKNOWNS) + warnings) or None

@@ -78,10 +78,8 @@ def _remarks(found: Estimate, sensor: MeasuredSensor, design: Design) -> Iterato
     """Yield what the uncertainty of an estimate includes and what it leaves out."""
     measurements = sensor.measurements
     if not (design.free or design.assumes_sensitivity):
-        missing = [
-            f"the sensitivity to {axis}" for axis in AXES if len(design.channels) == 2 and axis not in design.axes
-        ]
-        missing += [] if design.nonlinearity else ["non-linearity"]
+        unseen = [axis for axis in AXES if len(design.channels) == 2 and axis not in design.axes]
+        missing = [f"the sensitivity to {axis}" for axis in unseen] + ["non-linearity"] * (not design.nonlinearity)
         if missing:
             sheet = "no data sheet is named (--sensor)"
             sheet = sheet if sensor.nominal is None else f"no data sheet of {sensor.nominal.name} states it"
@@ -148,9 +146,8 @@ def design_of(
     determines = procedure.determines
     channels = tuple(c for c in sensor.channels if not determines.axes or c in determines.axes)
     if not channels:
-        raise EstimateError(
-            f"{procedure.name} determines the axes {', '.join(determines.axes)}; {sensor.model} has none of them"
-        )
+        axes = ", ".join(determines.axes)
+        raise EstimateError(f"{procedure.name} determines the axes {axes}; {sensor.model} has none of them")
     design = Design(
         channels,
         determines.axes or channels,
@@ -214,10 +211,7 @@ def no_sensitivity(procedure: Procedure) -> str:
 def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]) -> list[Observation]:
     """Return the positions for the estimator, each one's noise made better known by that of the others."""
     correlated = correlated_noise(_summaries(measurements, channels))
-    noise = [
-        noise_of_means([measurement.summaries[channel] for measurement in measurements], correlated)
-        for channel in channels
-    ]
+    noise = [noise_of_means(_summaries(measurements, (channel,)), correlated) for channel in channels]
     settings = [None, *((measurement.gravity, measurement.heading) for measurement in measurements)]
     observations = []
     for number, (measurement, (before, setting)) in enumerate(zip(measurements, pairwise(settings), strict=True)):
@@ -248,7 +242,7 @@ def _reading(measurements: Sequence[Measurement], design: Design, shown: float |
     """Return the uncertainty of a single reading: the scatter within the positions, and that of rounding."""
     known: dict[str, float] = {}
     for channel in design.channels:
-        summaries = [measurement.summaries[channel] for measurement in measurements]
+        summaries = _summaries(measurements, (channel,))
         dof = sum(summary.n - 1 for summary in summaries)
         if dof:
             scatter = fsum((summary.n - 1) * summary.std**2 for summary in summaries) / dof
@@ -268,14 +262,9 @@ def _limits(design: Design, sensor: MeasuredSensor, thermal: bool) -> Limits:
         if reach > 0.0:
             furthest = radians(round(degrees(asin(min(reach, 1.0))), 6))
             tilt[axis] = (-furthest, furthest)
-    met = [
-        round(measurement.temperature, 3) for measurement in sensor.measurements if measurement.temperature is not None
-    ]
-    return Limits(
-        tilt=tilt,
-        temperature=(min(met), max(met)) if thermal else None,
-        reading=dict(rails_of(design.channels, sensor.nominal, sensor.base)),
-    )
+    met = [round(one.temperature, 3) for one in sensor.measurements if one.temperature is not None]
+    rails = rails_of(design.channels, sensor.nominal, sensor.base)
+    return Limits(tilt, (min(met), max(met)) if thermal else None, dict(rails))
 
 
 def _set(measurement: Measurement) -> PositionSet:

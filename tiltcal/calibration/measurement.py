@@ -62,13 +62,13 @@ class Measurement:
 
     def record(self, channels: Sequence[str]) -> PositionRecord:
         """Return what was measured, for the calibration file, with the digits that its uncertainty warrants."""
-        summaries = {channel: self.summaries[channel] for channel in channels}
+        summaries = [(channel, self.summaries[channel]) for channel in channels]
         return PositionRecord(
             position=self.position,
-            mean={c: round_to(summary.mean, summary.u) for c, summary in summaries.items()},
-            std={c: significant(summary.std, 4) for c, summary in summaries.items()},
-            u={c: significant(summary.u, 4) for c, summary in summaries.items()},
-            n=next(iter(summaries.values())).n,
+            mean={c: round_to(summary.mean, summary.u) for c, summary in summaries},
+            std={c: significant(summary.std, 4) for c, summary in summaries},
+            u={c: significant(summary.u, 4) for c, summary in summaries},
+            n=summaries[0][1].n,
             temperature=None if self.temperature is None else round(self.temperature, 3),
             **self.when,
         )

@@ -34,20 +34,15 @@ SHOWN = 3  # correlations and positions that are named
 
 @dataclass(frozen=True)
 class PredictedUncertainty:
-    """The uncertainty that a procedure of positions leaves.
-
-    It counts with a standard deviation of one sample (``noise``, unit) and the offset's drift of a usual part
-    (``drift``, unit/°C). ``closing`` is what a closing visit to the first position takes and brings, ``not_covered``
-    what no position shows; both are empty where there is nothing to say.
-    """
+    """The uncertainty that a procedure of positions leaves."""
 
     design: Design
     prediction: Prediction
-    noise: float
-    drift: float
+    noise: float  # the standard deviation of one sample, unit
+    drift: float  # of the offset of a usual part, unit/°C
     unit: str
-    closing: str = ""
-    not_covered: str = ""
+    closing: str = ""  # what a closing visit to the first position takes and brings
+    not_covered: str = ""  # what no position shows
 
     @property
     def uncertainty(self) -> dict[str, float]:

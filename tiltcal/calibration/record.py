@@ -72,7 +72,15 @@ def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
     """Return the mounting of angles in degrees, or of the text of ``--mounting``; what is not named is 0."""
     if not isinstance(angles, str | Mapping):
         raise UsageError(f"--mounting takes angles by name, such as {{'roll': 180}}, not {angles!r}")
-    named = _pairs(angles) if isinstance(angles, str) else dict(angles)
+    named: dict[str, float] = {} if isinstance(angles, str) else dict(angles)
+    for pair in filter(None, (part.strip() for part in angles.split(",")) if isinstance(angles, str) else ()):
+        name, _, number = (part.strip() for part in pair.partition("="))
+        if name in named:
+            raise UsageError(f"--mounting: {name} is named twice")
+        try:
+            named[name] = float(number)
+        except ValueError:
+            raise UsageError(f"--mounting: {pair!r} is no angle in degrees; write name=degrees: roll=180") from None
     for name, angle in named.items():
         if name not in ANGLES:
             raise UsageError(f"--mounting: there is no angle {name!r}; the angles are {', '.join(ANGLES)}, in degrees")
@@ -80,20 +88,6 @@ def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
         if not is_number(angle) or abs(angle) > largest:
             raise UsageError(f"--mounting: {name} is between -{largest:g} and {largest:g} degrees, not {shown(angle)}")
     return Mounting(**{name: radians(angle) for name, angle in named.items()})
-
-
-def _pairs(text: str) -> dict[str, float]:
-    """Return the numbers of ``roll=180,pitch=0``."""
-    named: dict[str, float] = {}
-    for pair in filter(None, (part.strip() for part in text.split(","))):
-        name, _, angle = (part.strip() for part in pair.partition("="))
-        if name in named:
-            raise UsageError(f"--mounting: {name} is named twice")
-        try:
-            named[name] = float(angle)
-        except ValueError:
-            raise UsageError(f"--mounting: {pair!r} is no angle in degrees; write name=degrees: roll=180") from None
-    return named
 
 
 def mounting_in_words(mounting: Mounting) -> str:

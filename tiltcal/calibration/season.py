@@ -105,13 +105,11 @@ class SensorHistory:
         records = [calibration.record for calibration in self.calibrations]
         last = records[-1].coefficients.thermal
         reference = None if last is None else last.reference
-        found = []
-        for record in records:
-            errors = uncertain_of(record, reference)
-            if name in errors.names:
-                u = errors.u[errors.names.index(name)]
-                found.append((values(referred(record.coefficients, reference))[name], u))
-        return tuple(np.array(found).T) if len(found) == len(records) else None
+        errors = [uncertain_of(record, reference) for record in records]
+        if any(name not in one.names for one in errors):
+            return None
+        value = [values(referred(record.coefficients, reference))[name] for record in records]
+        return np.array(value), np.array([one.u[one.names.index(name)] for one in errors])
 
     def at(self, time: float, stability: float | None = None) -> CalibrationRecord:
         """Return the calibration at a time, seconds since 1970: between two of them, or the nearest one.
@@ -149,10 +147,8 @@ class SensorHistory:
                     f"{named}: one has {what} and the other has not: give both the same coefficients, such as with "
                     "`tiltcal combine`"
                 )
-        change = np.linalg.norm(other.sensitivity - one.sensitivity, axis=1)
-        far = change > LARGEST_CHANGE * np.linalg.norm(one.sensitivity, axis=1)
-        for channel, is_far in zip(other.channels, far.tolist(), strict=True):
-            if is_far:
+        for channel, new, old in zip(other.channels, other.sensitivity, one.sensitivity, strict=True):
+            if np.linalg.norm(new - old) > LARGEST_CHANGE * np.linalg.norm(old):
                 raise UsageError(
                     f"{named}: the sensitivity of {channel} differs by more than {LARGEST_CHANGE:.0%}, which is no "
                     "change with time: move the file that is wrong out of the folder"
@@ -285,8 +281,7 @@ def _on_line(before: Coefficients, after: Coefficients, share: float) -> Coeffic
             gain=line(before.thermal.gain, thermal.gain),
             lag=(1.0 - share) * before.thermal.lag + share * thermal.lag,
         )
-    bends = [straight if one.nonlinearity is None else one.nonlinearity for one in (before, after)]
-    bend = line(*bends)
+    bend = line(*(straight if one.nonlinearity is None else one.nonlinearity for one in (before, after)))
     return replace(
         after,
         offset=line(before.offset, after.offset),
@@ -351,11 +346,9 @@ class CoefficientDistribution:
         far = {serial: abs(value - middle) for serial, value in self.values.items()}
         return tuple(sorted((serial for serial in far if far[serial] > reach > 0.0), key=lambda serial: -far[serial]))
 
-    @property
-    def line(self) -> str:
-        """The distribution as a line of a table."""
-        numbers = list(self.values.values())
-        line = f"  {self.name:<26} {self.median:>12.6g} {self.spread:>12.4g} {numbers[0]:>12.6g} {numbers[-1]:>12.6g}"
+    def __str__(self) -> str:
+        low, *_, high = self.values.values()
+        line = f"  {self.name:<26} {self.median:>12.6g} {self.spread:>12.4g} {low:>12.6g} {high:>12.6g}"
         return f"{line}   {', '.join(self.outliers)}".rstrip()
 
     def as_data(self) -> dict[str, Any]:
@@ -434,12 +427,8 @@ class FleetHistory:
     def _sensor(self, history: SensorHistory) -> dict[str, Any]:
         dated = history.calibrations
         return {
-            "serial": history.sensor.serial,
-            "model": history.sensor.model,
-            "unit": history.sensor.unit,
-            "calibrations": [
-                {"file": calibration.path, "date": to_the_second(calibration.date)} for calibration in dated
-            ],
+            **{key: getattr(history.sensor, key) for key in ("serial", "model", "unit")},
+            "calibrations": [{"file": one.path, "date": to_the_second(one.date)} for one in dated],
             "changes": [
                 {"before": a.name, "after": b.name, "days": (b.date - a.date) / timedelta(days=1)} | found.as_data()
                 for a, b, found in zip(dated, dated[1:], history.comparisons, strict=False)
@@ -466,7 +455,7 @@ class FleetHistory:
             at = "" if fleet.reference is None else f" at {fleet.reference:g} °C"
             lines += ["", f"{len(fleet.histories)} {fleet.model}, {fleet.unit}{at}"]
             lines.append(f"  {'':<26} {'median':>12} {'spread':>12} {'least':>12} {'most':>12}   outliers")
-            lines += [found.line for found in fleet.distributions]
+            lines += map(str, fleet.distributions)
         lines += ["", *(f"problem: {problem}" for problem in self.problems)] if self.problems else []
         return "\n".join(lines)
 

@@ -111,10 +111,7 @@ def _left_out(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: Be
     variances: list[Array] = []
     observed = [observed_sensor(sensor, procedure, bench).observations for sensor in sensors]
     for number in range(len(sensors[0].measurements)):
-        rest = [
-            replace(sensor, measurements=[m for k, m in enumerate(sensor.measurements) if k != number])
-            for sensor in sensors
-        ]
+        rest = [replace(s, measurements=[*s.measurements[:number], *s.measurements[number + 1 :]]) for s in sensors]
         estimates = estimate_jointly([observed_sensor(sensor, procedure, bench) for sensor in rest])
         for observations, fitted in zip(observed, estimates, strict=True):
             seen = observations[number]
@@ -179,12 +176,10 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
         drift=np.tile([round_to(k, population.drift_spread / 1000) for k in drift], (len(channels), 1)),
         gain=np.tile([significant(k, 8) for k in gain], (len(channels), 1)),
     )
+    curves = (("offset", population.drift_spread, drift), ("sensitivity", population.gain_spread, gain))
     typical = {
         f"temperature.{name}.{channel}.{power}": significant(spread, 4) if power == 1 else 0.0
-        for name, spread, curve in (
-            ("offset", population.drift_spread, drift),
-            ("sensitivity", population.gain_spread, gain),
-        )
+        for name, spread, curve in curves
         for channel in channels
         for power in range(1, len(curve) + 1)
     }

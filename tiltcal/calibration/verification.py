@@ -32,19 +32,14 @@ ANGLE, DIRECTION = 1.959964, 2.447747
 
 @dataclass(frozen=True)
 class VerifiedPosition:
-    """One position as set, and as the calibration reads it.
-
-    ``expected`` and ``measured`` are the tilt of each axis, degrees, NaN where the arcsine has no angle; ``direction``
-    is the angle between both directions, degrees, of a sensor of three axes; ``flag`` is that of ``apply``;
-    ``expanded`` is the uncertainty (95 %) of the error from the jig and the noise, degrees.
-    """
+    """One position as set, and as the calibration reads it."""
 
     position: str
-    expected: dict[str, float]
-    measured: dict[str, float]
-    direction: float | None
-    flag: int
-    expanded: float = 0.0
+    expected: dict[str, float]  # the tilt of each axis, degrees
+    measured: dict[str, float]  # degrees; NaN where the arcsine has no angle
+    direction: float | None  # between both, of a sensor of three axes, degrees
+    flag: int  # that of ``apply``
+    expanded: float = 0.0  # the uncertainty (95 %) of the error from the jig and the noise, degrees
 
     @property
     def error(self) -> float:
@@ -63,15 +58,12 @@ class VerifiedPosition:
 
 @dataclass(frozen=True)
 class Verification:
-    """How a calibration reads positions that it was not fitted to, judged by the largest error that passes, degrees.
-
-    Without a stated ``jig`` (standard uncertainty of a set angle, degrees) the positions count as exact.
-    """
+    """How a calibration reads positions that it was not fitted to, judged by the largest error that passes."""
 
     sensor: SensorIdentity
     positions: tuple[VerifiedPosition, ...]
-    limit: float
-    jig: float | None
+    limit: float  # degrees
+    jig: float | None  # standard uncertainty of a set angle, degrees; not stated, the positions count as exact
 
     @property
     def verdict(self) -> str:
