@@ -133,6 +133,8 @@ def test_record_gives_the_procedure_again_through_json(own: Path) -> None:
     for angle in (None, 7.0):
         procedure = read_procedure(own, angle)
         assert procedure_from_record(json.loads(json.dumps(procedure.record)), angle) == procedure
+        # A default that changes later changes no journal: 100 samples by the reference.
+        assert (procedure.record["samples"], procedure.record["soak"]["seconds"]) == (100, 20.0)
 
 
 def test_damaged_record_names_the_journal_line() -> None:
