@@ -30,7 +30,7 @@ os.environ.setdefault("POLARS_MAX_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from support.fuzz_inputs import TARGETS
-from support.fuzzing import ENDED, FAILED, OURS, RESULT, Campaign, attempt
+from support.fuzzing import ENDED, FAILED, OURS, RESULT, attempt, attempts
 
 
 def main() -> int:
@@ -57,23 +57,23 @@ def main() -> int:
     with options.pieces.open("a") as stream, ThreadPoolExecutor(options.jobs) as pool:
 
         def work(_: int) -> None:
-            campaign = Campaign(options.seed)
             while time.monotonic() < until and (number := next(waiting, None)) is not None:
-                kept.append(one_round(campaign, options.seed, number))
+                kept.append(one_round(options.seed, number))
                 print(json.dumps(kept[-1]), file=stream, flush=True)
-            campaign.close()
 
         list(pool.map(work, range(options.jobs)))
     return table(kept)
 
 
-def one_round(campaign: Campaign, seed: int, number: int) -> dict[str, object]:
+def one_round(seed: int, number: int) -> dict[str, object]:
     """Try the share of every target, and return how the inputs ended."""
-    ends, failures = {}, []
+    ends: dict[str, Counter[str]] = {name: Counter() for name in TARGETS}
+    failures = []
     for name, target in TARGETS.items():
-        figures = campaign.run(name, range(number * target.share, (number + 1) * target.share))
-        ends[name] = figures.ends
-        failures += [(name, *failure) for failure in figures.failures]
+        for k, end, detail in attempts(name, seed, range(number * target.share, (number + 1) * target.share)):
+            ends[name][end] += 1
+            if end == FAILED:
+                failures.append((name, k, detail))
     return {"seed": seed, "round": number, "ends": ends, "failures": failures}
 
 

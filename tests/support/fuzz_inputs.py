@@ -73,10 +73,6 @@ LOG = "time,x,y,z,temperature,theta\n" + "".join(
 SEGMENTS = "position,start,end\n" + "".join(
     f"{name},{30 * k},{30 * k + 30}\n" for k, name in enumerate(("x-up", "x-down", "y-up", "y-down", "z-up", "z-down"))
 )
-TABLE = (
-    "position,x,y,ux,uy\nx-tilt1,3.5,2.5,1e-3,1e-3\nx-tilt2,1.5,2.5,1e-3,1e-3\n"
-    "y-tilt1,2.5,3.5,1e-3,1e-3\ny-tilt2,2.5,1.5,1e-3,1e-3\n"
-)
 VCD_HEADER = """\
 $timescale 1 us $end
 $scope module m $end

@@ -176,7 +176,7 @@ class Procedure:
     """A procedure: the positions to measure in order, or the rotation of a stage; the keys are those of its file.
 
     ``angle`` is the one of the file, or that which the user gives in its place; ``record`` is the file as plain data,
-    before the user's angle and turns were put in. A procedure with a rotation has no positions.
+    with its defaults, before the user's angle and turns were put in. A procedure with a rotation has no positions.
     """
 
     name: str
@@ -251,21 +251,23 @@ class Procedure:
         return replace(self, positions=(*self.positions, last), record={**self.record, "positions": entries})
 
 
-class RotationFile(Record, kw_only=True):
-    """The procedure file of a stage that turns."""
+class NamedProcedure(Record, kw_only=True):
+    """What a procedure file says of itself."""
 
     name: Annotated[Identifier, about("a letter, then letters, digits, `-`, `_`, `.`")]
     title: Annotated[Text, about("what it is for, in one line")]
     source: Annotated[Text, about("the document it comes from")] = ""
+
+
+class RotationFile(NamedProcedure, kw_only=True):
+    """The procedure file of a stage that turns."""
+
     rotation: Annotated[Rotation, about("which pairs are matched while the stage turns")]
 
 
-class ProcedureFile(Record, kw_only=True):
+class ProcedureFile(NamedProcedure, kw_only=True):
     """The procedure file of positions."""
 
-    name: Annotated[Identifier, about("a letter, then letters, digits, `-`, `_`, `.`")]
-    title: Annotated[Text, about("what it is for, in one line")]
-    source: Annotated[Text, about("the document it comes from")] = ""
     determines: Annotated[Determines, about("what the positions determine besides the offset")]
     reference: Annotated[Temperature | None, about("reference temperature, °C; needed with drift or gain")] = None
     angle: Annotated[
@@ -405,12 +407,12 @@ def procedure_in(document: Document, angle: float | None = None) -> Procedure:
     if "rotation" not in body.data:
         file = body.read(ProcedureFile)
         procedure = _procedure_of(file, body, angle)
-        return replace(procedure, record=file_data("procedure", file))
+        return replace(procedure, record=file_data("procedure", file, whole=True))
     turning = body.read(RotationFile)
     _check_rotation(turning.rotation, body.at("rotation"))
     stated = {name: getattr(turning, name) for name in turning.__struct_fields__}
     angle = _chosen_angle(turning.name, None, angle)
-    record = file_data("procedure", turning)
+    record = file_data("procedure", turning, whole=True)
     return Procedure(determines=Determines(()), positions=(), angle=angle, record=record, **stated)
 
 

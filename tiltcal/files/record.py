@@ -84,24 +84,26 @@ def keys_of(record: type[Record]) -> dict[str, bool]:
     return {name: default is NODEFAULT for name, default in _defaults(record).items()}
 
 
-def file_data(kind: str, record: Record) -> dict[str, Any]:
-    """Return a whole file of a kind as plain data."""
-    return {"tiltcal": FORMAT_VERSION, "kind": kind, **plain(record)}
+def file_data(kind: str, record: Record, *, whole: bool = False) -> dict[str, Any]:
+    """Return a file of a kind as plain data; ``whole`` is as in :func:`plain`."""
+    return {"tiltcal": FORMAT_VERSION, "kind": kind, **plain(record, whole)}
 
 
-def plain(value: Any) -> Any:
-    """Return a record as plain data, without the keys that have their default."""
+def plain(value: Any, whole: bool = False) -> Any:
+    """Return a record as plain data, without the keys that have their default, or ``whole``, without empty ones."""
     if isinstance(value, Record):
         usual = _defaults(type(value))
         names = zip(value.__struct_fields__, value.__struct_encode_fields__, strict=True)
         return {
-            written: plain(content)
+            written: plain(content, whole)
             for name, written in names
-            if (content := getattr(value, name)) != usual[name] or name in value.always_written
+            if (content := getattr(value, name)) != usual[name]
+            or name in value.always_written
+            or (whole and content not in (None, ""))
         }
     if isinstance(value, Mapping):
-        return {name: plain(member) for name, member in value.items()}
-    return [plain(item) for item in value] if isinstance(value, tuple) else value
+        return {name: plain(member, whole) for name, member in value.items()}
+    return [plain(item, whole) for item in value] if isinstance(value, tuple) else value
 
 
 def _defaults(record: type[Record]) -> dict[str, Any]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from hashlib import sha256
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
 
-from tiltcal.core.attitude import Vector, gravity_from_tilt, normalised
 from tiltcal.files.record import AboveZero, ByAxis, Count, Finite, FromOne, Range, Record, Size, Text, about
+
+if TYPE_CHECKING:
+    from tiltcal.core.attitude import Vector
 
 NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
 """Where an uncertainty comes from that leaves out how well the positions were set."""
@@ -33,6 +35,8 @@ class PositionSet(Record, kw_only=True):
     @property
     def up(self) -> Vector | None:
         """Up in the frame of the position, a unit vector; None where the file states no attitude."""
+        from tiltcal.core.attitude import gravity_from_tilt, normalised  # the records load no numpy
+
         if self.tilt is not None:
             return gravity_from_tilt(self.tilt)
         return None if self.gravity is None else normalised(self.gravity)

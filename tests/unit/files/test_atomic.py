@@ -94,12 +94,6 @@ def test_link_stays_and_its_target_is_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "real").read_text() == "new"
 
 
-@pytest.mark.skipif(not Path("/dev/null").exists(), reason="this system has no /dev/null")
-def test_device_is_written_and_never_replaced() -> None:
-    write_whole("/dev/null", "x")
-    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
-
-
 def test_bad_places_are_named_with_the_reason(tmp_path: Path) -> None:
     check_writable(tmp_path / "new.yaml")
     assert os.listdir(tmp_path) == []

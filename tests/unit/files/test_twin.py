@@ -70,10 +70,6 @@ def test_the_least_that_a_truth_needs(tmp_path: Path) -> None:
     assert read(tmp_path, text) == (None, Truth(("x",), {"x": 2.5}, {"x": {"x": 2.0}}))
 
 
-def test_seed_of_the_address_comes_before_that_of_the_file(tmp_path: Path) -> None:
-    assert read(tmp_path, FILE, seed=0)[1].seed == 0
-
-
 DISK = """\
 tiltcal: 1
 kind: twin
