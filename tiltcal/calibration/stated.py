@@ -34,7 +34,6 @@ from tiltcal.files.results import (
 )
 from tiltcal.files.uncertainty import MOUNTING, TURNS, Covariance, Uncertainty
 
-
 DIGITS = 4  # of an uncertainty
 MATRIX_DIGITS = 1e4  # the covariance is rounded to this part of what four digits of its two uncertainties would be
 SHARE_DIGITS = 3  # of a share of a variance
