@@ -16,6 +16,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -88,6 +89,17 @@ def undrawn() -> Iterator[None]:
     """Leave the figures of a page empty where a test reads its words: to draw them takes most of a page's time."""
     with html_page.undrawn():
         yield
+
+
+@pytest.fixture
+def own_modules(tmp_path: Path) -> Iterator[None]:
+    """Forget the modules that a test imports from its folder: the next test has another of the same name."""
+    search = list(sys.path)
+    yield
+    sys.path[:] = search
+    for name, module in list(sys.modules.items()):
+        if Path(getattr(module, "__file__", None) or "/").is_relative_to(tmp_path):
+            del sys.modules[name]
 
 
 def _new_threads(before: set[threading.Thread]) -> set[threading.Thread]:

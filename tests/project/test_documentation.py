@@ -114,7 +114,7 @@ def run(line: str, folder: Path, shims: Path) -> Completed:
     )
 
 
-@pytest.mark.usefixtures("undrawn")  # tests of reports and of figures draw them
+@pytest.mark.usefixtures("own_modules", "undrawn")  # tests of reports and of figures draw them
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=name_of)
 def test_commands_run_and_print_what_the_page_says(page: Path, shims: Path, tmp_path: Path) -> None:
     for language, file, content in BLOCK.findall(page.read_text(encoding="utf-8")):

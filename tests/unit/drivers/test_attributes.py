@@ -34,12 +34,10 @@ def reader():
 
 
 @pytest.fixture
-def imu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def imu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_modules: None) -> Path:
     (tmp_path / "imu.py").write_text(MODULE)
     (tmp_path / "attitude.json").write_text("[1.5, -2.25, 9.375]")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.delitem(sys.modules, "imu", raising=False)
     return tmp_path
 
 
