@@ -112,6 +112,7 @@ def _section_in(kind: Any) -> tuple[type[Struct] | None, str]:
     if hasattr(kind, "__metadata__"):
         return _section_in(kind.__origin__)
     members = [member for member in get_args(kind) if member is not NoneType]
+    members = [one for one in members if isinstance(one, type) and issubclass(one, Struct)] or members
     suffix = {tuple: "[]", Mapping: ".*"}.get(get_origin(kind), "")
     if not members or (suffix == "" and len(members) > 1):
         return None, ""

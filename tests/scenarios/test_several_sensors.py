@@ -176,3 +176,28 @@ def test_a_wrong_bench_file(text: str, line: int, told: str, tmp_path: Path) -> 
     assert f"bench.yaml:{line}: " in result.stderr
     assert told in result.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["bench.yaml"]
+
+
+def test_references_stand_in_file_and_report_and_one_that_is_overdue_is_said(tmp_path: Path) -> None:
+    """A virtual session is of 2000-01-01: the table was due before it, the thermometer on that day."""
+    references = (
+        "references:\n"
+        "  table: {id: RT-3, certificate: K-117, uncertainty: 0.01, due: 1999-12-31}\n"
+        "  thermometer: {id: P-2, uncertainty: 0.1, due: 2000-01-01}\n"
+    )
+    bench(tmp_path, f'serial: S, model: sca100t-d02, address: "{twin(tmp_path, 3)}"', more=references)
+    overdue = "the table RT-3 was due for calibration on 1999-12-31, before this session on 2000-01-01"
+    said = str(measured(tmp_path)["said"])
+    assert said.index(overdue) < said.index("1/4"), "before anything is measured"
+    assert "P-2" not in said
+    calibration = read_calibration(tmp_path / "S.yaml")
+    assert calibration.fit.notes == (overdue,)
+    assert calibration.provenance.references["table"].certificate == "K-117"
+    assert tiltcal("report", "S.yaml", "-o", "S.html", cwd=tmp_path).returncode == 0
+    page = (tmp_path / "S.html").read_text()
+    assert "RT-3, certificate K-117, ±0.01° (95 %), due 1999-12-31" in page
+    assert "P-2, ±0.1 °C (95 %), due 2000-01-01" in page
+    assert overdue in page
+    (tmp_path / "bench.yaml").write_text((tmp_path / "bench.yaml").read_text().replace("1999-12-31", "soon"))
+    refused = tiltcal("check", "bench.yaml", cwd=tmp_path)
+    assert "bench.yaml:6: references.table.due: 'soon' is no date" in refused.stdout + refused.stderr

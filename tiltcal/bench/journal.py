@@ -518,6 +518,7 @@ def calibrations_of(journal: Journal) -> SessionResult:
         "started": stamp(setup.began),
         "ended": stamp(moment_after(setup.began, session.playback.now_ns)),
         "journal": FileRecord(name=setup.journal, sha256=journal.sha256),
+        "references": setup.references,
     }
     calibrations: dict[str, CalibrationRecord | PairRecord] = {}
     if setup.steps.rotation is not None:
@@ -560,7 +561,7 @@ def _tilt_calibrations(
     calibrations = {}
     quiet = session.spans.quiet_channels(setup.steps.positions) if session.tipped else {}
     for sensor, record in zip(session.at_work, records, strict=True):
-        notes = [f"{channel} {NOT_FOLLOWED}" for channel in quiet.get(sensor.serial, ())]
+        notes = [*setup.overdue(), *(f"{channel} {NOT_FOLLOWED}" for channel in quiet.get(sensor.serial, ()))]
         bench = BenchRecord(
             address=sensor.address,
             axes=() if sensor.orientation.straight else tuple(sensor.orientation.names),

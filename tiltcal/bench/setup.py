@@ -27,9 +27,10 @@ from tiltcal.files.bench import BenchFile, BenchSensor, bench_of
 from tiltcal.files.calibration import BaseFile, tilt_record
 from tiltcal.files.document import Document, document_of, read_document
 from tiltcal.files.journal import Journal
-from tiltcal.files.moments import stamp
+from tiltcal.files.moments import moment, stamp
 from tiltcal.files.procedure import Procedure, Rotation, procedure_from_record
 from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, plain
+from tiltcal.files.results import Reference, Standard
 from tiltcal.stated_arguments import require_printable
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ class Setup(Record, kw_only=True, dict=True):
     person: Annotated[Text | None, about("the name in the bench file")] = None
     sensors: Annotated[Annotated[tuple[BenchDevice, ...], Meta(min_length=1)], about("the sensors, in order")]
     thermometer: Annotated[BenchDevice | None, about("of a bench that has one")] = None
+    references: Annotated[Mapping[Standard, Reference], about("as in the bench file")] = {}
     settings: Annotated[Settings, about("how the session measures")]
     procedure: Annotated[Mapping[str, Any], about("the procedure file in full")]
     base: Annotated[
@@ -115,6 +117,7 @@ class Setup(Record, kw_only=True, dict=True):
             person=bench.operator,
             sensors=sensors,
             thermometer=thermometer,
+            references=bench.references,
             settings=Settings(
                 samples=samples or procedure.samples,
                 settle=settle or procedure.settle,
@@ -140,6 +143,8 @@ class Setup(Record, kw_only=True, dict=True):
             document = document_of(journal.header, str(journal.path), 1)
             setup = document.read(cls)
             document.require_moments(setup, "started")
+            for name, reference in setup.references.items():
+                document.require_moments(reference, "due", place=("references", name))
         except InputError as error:
             raise JournalError(
                 f"the header cannot be used: {error.message}", file=journal.path, line=1, key=error.key
@@ -187,6 +192,15 @@ class Setup(Record, kw_only=True, dict=True):
     def verifies(self) -> bool:
         """Whether the session is a verification, which makes no calibration file."""
         return not any(sensor.output for sensor in self.sensors)
+
+    def overdue(self) -> list[str]:
+        """Return which references were to be calibrated again before the day on which the session began."""
+        began = self.began.date()
+        return [
+            f"the {name} {one.id} was due for calibration on {one.due}, before this session on {began}"
+            for name, one in self.references.items()
+            if one.due is not None and moment(one.due).date() < began
+        ]
 
     def stage_channels(self) -> StageChannels:
         """Return which readings of the sensors are the channels of a turning stage, as :func:`stage_channels`."""

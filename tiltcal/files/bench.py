@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated
 
 from msgspec import Meta
@@ -9,6 +10,7 @@ from msgspec import Meta
 from tiltcal.core.attitude import STRAIGHT, Orientation, orientation
 from tiltcal.files.document import Document
 from tiltcal.files.record import FromZero, Record, Text, about
+from tiltcal.files.results import Reference, Standard
 
 Serial = Annotated[
     str,
@@ -55,6 +57,7 @@ class BenchFile(Record):
     jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees; or `--jig`")] = None
     table: Annotated[FromZero | None, about("of the table's lean in all positions, degrees; or `--table-lean`")] = None
     heading: Annotated[FromZero | None, about("of a heading, degrees; or `--heading-uncertainty`")] = None
+    references: Annotated[Mapping[Standard, Reference], about("the standards, by what they are")] = {}
 
 
 def bench_of(document: Document) -> BenchFile:
@@ -67,4 +70,6 @@ def bench_of(document: Document) -> BenchFile:
             orientation(sensor.axes)
         if serials[number] in serials[:number]:
             raise body.error(f"the serial number {serials[number]!r} is there twice", "sensors", number)
+    for name, reference in bench.references.items():
+        body.require_moments(reference, "due", place=("references", name))
     return bench

@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
 
-from tiltcal.files.record import AboveZero, ByAxis, Count, Finite, FromOne, Range, Record, Size, Text, about
+from tiltcal.files.record import (
+    AboveZero,
+    ByAxis,
+    Count,
+    Finite,
+    FromOne,
+    Range,
+    Record,
+    Size,
+    Text,
+    about,
+    one_of,
+)
 
 if TYPE_CHECKING:
     from tiltcal.core.attitude import Vector
@@ -329,12 +341,26 @@ class BenchRecord(Record, kw_only=True):
     sensors: Annotated[tuple[BenchSensorRecord, ...], about("of a pair: the sensors on the stage")] = ()
 
 
+class Reference(Record, kw_only=True):
+    """A standard that a bench measures by, with its certificate."""
+
+    id: Annotated[Text, about("of the instrument")]
+    certificate: Annotated[Text | None, about("its number")] = None
+    uncertainty: Annotated[Size | None, about("expanded (95 %), degrees; of a thermometer °C")] = None
+    due: Annotated[Text | None, about("the day on which it is to be calibrated again")] = None
+
+
+Standard = Annotated[str, one_of("table", "level", "thermometer")]
+"""What a bench measures by."""
+
+
 class Provenance(Record, kw_only=True):
     """The provenance of a tilt calibration."""
 
     made_by: Annotated[Text | None, about("`measurement`, `the virtual bench …`, `fit of …`, `match of …`")] = None
     operator: Annotated[Text | None, about("who led the session")] = None
     bench: Annotated[BenchRecord | None, about("`address`, `axes` and `thermometer`; of a pair `sensors`")] = None
+    references: Annotated[Mapping[Standard, Reference], about("the standards of the bench, by what they are")] = {}
     base: Annotated[FileRecord | None, about("the calibration that it builds on (`--base`)")] = None
     sources: Annotated[tuple[FileRecord, ...], about("the calibrations that `combine` put together")] = ()
     log: Annotated[LogRecord | None, about("the log")] = None

@@ -252,6 +252,8 @@ def _begun(
         typical=bool(stated["--typical-temperature"]),
     )
     _predict(setup, remark)
+    for why in setup.overdue():
+        remark(why)
     try:
         beside.parent.mkdir(exist_ok=True)
     except OSError as error:

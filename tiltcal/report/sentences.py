@@ -15,7 +15,7 @@ from tiltcal.core.rounding import plus_minus
 from tiltcal.files import record
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord
-from tiltcal.files.results import FileRecord, PairProvenance, PositionSet, Provenance
+from tiltcal.files.results import FileRecord, PairProvenance, PositionSet, Provenance, Reference
 from tiltcal.report.numbers import at_place, half_width, plain, signed
 
 _WORDS = {
@@ -115,12 +115,21 @@ def fleet_remarks(history: FleetHistory) -> Iterator[str]:
 def provenance_facts(provenance: Provenance | PairProvenance, source: FileRecord) -> list[Fact]:
     """Return the content of a provenance, times first, and the calibration file that states it."""
     facts = [Fact("Calibrated", period(provenance))]
-    for name, value in _leaves(record.plain(provenance)):
+    for name, value in _leaves(record.plain(provenance.replaced(references={}))):
         if name not in ("started", "ended") and not (name == "made_by" and notice(provenance)):
             label = _WORDS.get(name, name[:1].upper() + name[1:].replace("_", " ").replace(".", ": "))
             facts.append(Fact(label, value, code=name.endswith(("sha256", "address"))))
+    facts += [Fact(f"Reference: {name}", _reference(name, one)) for name, one in provenance.references.items()]
     facts += [Fact("Calibration file", source.name), Fact("SHA-256 of the file", source.sha256 or "", code=True)]
     return [fact for fact in facts if fact.value]
+
+
+def _reference(name: str, reference: Reference) -> str:
+    unit = " °C" if name == "thermometer" else "°"
+    parts = [reference.id]
+    parts += [f"certificate {reference.certificate}"] if reference.certificate else []
+    parts += [f"±{reference.uncertainty:g}{unit} (95 %)"] if reference.uncertainty is not None else []
+    return ", ".join([*parts, *([f"due {reference.due}"] if reference.due else [])])
 
 
 def period(provenance: Provenance | PairProvenance) -> str:
