@@ -211,7 +211,7 @@ def _estimates(
                 estimated_jig=degrees(bench[JIG]) if design.jig is None and dof else None,
                 estimated_thermometer=bench[THERMOMETER] or None if THERMOMETER in estimated else None,
                 estimated_noise=noise if NOISE in estimated else None,
-                noise_dof=estimated[NOISE].dof if NOISE in estimated else None,
+                noise_dof=estimated[NOISE].own_dof if NOISE in estimated else None,
                 by_reading=np.swapaxes(by_reading.reshape(-1, *shape), 1, 2),
                 notes=tuple(_notes(solution, estimated, dof)),
                 not_covered=() if covered else (LEAN,),

@@ -102,6 +102,11 @@ class EstimatedVariance:
     rest: float = 0.0  # sum of squares of the residuals that no such error explains
     count: int = 0  # and in how many directions
 
+    @property
+    def own_dof(self) -> float:
+        """Degrees of freedom of the value alone: few where what is stated beside it hides it."""
+        return self.dof * (self.value / self.whole) ** 2 if self.whole else 0.0
+
 
 def start_as_set(equations: Equations) -> Array:
     """Return the coefficients with the attitudes as set and nothing stated of the bench, shape (unknowns,)."""
@@ -277,8 +282,10 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
     rounding = np.concatenate([channel.adc for channel in equations.channels]) / equations.u
     rounding = measured * np.minimum(rounding**2 / bench[NOISE], 1.0)
     dof = np.concatenate([channel.dof for channel in equations.channels])
-    drawn = measured if NOISE in estimated else measured - rounding
-    drawn = drawn * _excess(np.full(readings, estimated[NOISE].dof) if NOISE in estimated else dof)
+    drawn = (measured - rounding) * _excess(dof)
+    if NOISE in estimated:
+        shown = estimated[NOISE]
+        drawn = measured * (shown.whole / bench[NOISE] * float(_excess(np.array([shown.dof]))[0]))
     stated = {source: equations.rows(source) for source in equations.errors if bench[source]}
     if len(equations.stated_target):
         stated = {PRIOR: equations.rows(PRIOR), **stated}
