@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
+from math import hypot
 from typing import NamedTuple
 
 _CLOCK = re.compile(rb"^\s*\d{1,2}:\d\d:\d\d(\.\d+)? -> ")
@@ -59,6 +60,15 @@ def guess(lines: Sequence[bytes]) -> Guess:
         columns = _UNNAMED.get(usual, columns)
     unit = next((_UNITS[one] for one in _UNIT.findall(example) if one in _UNITS), "")
     return Guess(usual, columns, unit, example.decode("latin-1").strip())
+
+
+def unit_of_gravity(guessed: Guess) -> str:
+    """Return the unit in which the reading of three axes is about as long as gravity; empty where none is."""
+    numbers = [float(number) for number in _NUMBER.findall(bare(guessed.example.encode("latin-1")))]
+    columns = guessed.columns.split(",")
+    along = [number for number, column in zip(numbers, columns, strict=False) if column in ("x", "y", "z")]
+    near = (unit for unit, gravity in (("m/s2", 9.81), ("g", 1.0)) if 0.75 < hypot(*along) / gravity < 1.25)
+    return next(near, "") if len(along) == 3 else ""
 
 
 def _meaning(name: str) -> str:

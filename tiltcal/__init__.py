@@ -65,6 +65,11 @@ def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value: object = getattr(import_module(f"tiltcal.{_HOME.get(name, 'errors')}"), name)
+    if callable(value) and not isinstance(value, type):
+        from tiltcal.options import names_arguments
+
+        value = names_arguments(value)
+        value.__module__ = __name__  # where pickle looks for it
     globals()[name] = value
     return value
 

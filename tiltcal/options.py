@@ -7,14 +7,21 @@ A declaration is a ``TypedDict`` whose fields are annotated with an :class:`Opti
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import wraps
 from textwrap import fill
 from types import UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
+from tiltcal.errors import TiltcalError
+
 T = TypeVar("T")
-F = TypeVar("F", bound=Callable[..., object])
+F = TypeVar("F", bound=Callable[..., Any])
+
+_OPTION = re.compile(r"(?<![\w-])--([a-z]+(?:-[a-z]+)*)")
+_SEE_HELP = re.compile(r"; see `?tiltcal \w+ --help`?$")
 
 
 @dataclass(frozen=True)
@@ -88,6 +95,27 @@ def takes(declaration: type) -> Callable[[F], F]:
         return function
 
     return documented
+
+
+def with_arguments(message: str) -> str:
+    """Return the message of an error with arguments in place of options; a command that it advises stays one."""
+    said, advised, command = _SEE_HELP.sub("", message).partition("tiltcal ")
+    said = _OPTION.sub(lambda option: option[1].replace("-", "_"), said)
+    return re.sub(r"(?<![\w-])-o\b", "output", said) + advised + command
+
+
+def names_arguments(function: F) -> F:
+    """Let the errors of a function of the library name its arguments, where the command line names options."""
+
+    @wraps(function)
+    def named(*args: Any, **how: Any) -> Any:
+        try:
+            return function(*args, **how)
+        except TiltcalError as error:
+            error.args = (with_arguments(str(error)),)
+            raise
+
+    return named  # type: ignore[return-value]
 
 
 def _written(kind: Any) -> str:

@@ -131,7 +131,7 @@ def test_a_frame_of_positions_is_a_table(folder: Path) -> None:
 
 def test_another_unit_is_refused(columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:
     data = xr.Dataset({name: ("row", values, {"units": "V"}) for name, values in columns.items()})
-    with pytest.raises(tiltcal.InputError, match="is in V, and the --unit in m/s2"):
+    with pytest.raises(tiltcal.InputError, match="is in V, and the unit in m/s2"):
         tiltcal.fit("six-face", data, segments=segments, columns=NAMED, **SENSOR)
 
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import inspect
+import io
 import os
+import pickle
+import re
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import get_type_hints
 
 import pytest
 from support import FIXTURES
@@ -17,52 +21,29 @@ from support.command import tiltcal as command
 
 import tiltcal
 
+# fmt: off
 NAMES = [
-    "BusError",
-    "Calibration",
-    "CalibrationLibrary",
-    "DeviceFault",
-    "EstimateError",
-    "HardwareError",
-    "InputError",
-    "JournalError",
-    "PairCalibration",
-    "SensorError",
-    "Stopped",
-    "TiltcalError",
-    "UsageError",
-    "__version__",
-    "apply_log",
-    "combine",
-    "compare",
-    "fit",
-    "match",
-    "measure",
-    "noise",
-    "open_calibrations",
-    "open_sensor",
-    "plan",
+    "BusError", "Calibration", "CalibrationLibrary", "DeviceFault", "EstimateError", "HardwareError", "InputError",
+    "JournalError", "PairCalibration", "SensorError", "Stopped", "TiltcalError", "UsageError", "__version__",
+    "apply_log", "combine", "compare", "fit", "match", "measure", "noise", "open_calibrations", "open_sensor", "plan",
     "read",
 ]
+# fmt: on
 
 
 def test_names_are_these() -> None:
     assert dir(tiltcal) == sorted(tiltcal.__all__) == NAMES
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_every_name_is_there_and_documented(name: str) -> None:
-    found = getattr(tiltcal, name)
-    assert name == "__version__" or found.__doc__
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "__version__"])
-def test_type_hints_of_every_name_can_be_resolved(name: str) -> None:
-    found = getattr(tiltcal, name)
-    parts = vars(found).values() if inspect.isclass(found) else [found]
-    functions = [part.fget if isinstance(part, property) else getattr(part, "func", part) for part in parts]
-    for function in filter(inspect.isfunction, functions):
-        get_type_hints(function)
+def test_every_name_is_documented_and_its_type_hints_can_be_resolved() -> None:
+    for name in set(NAMES) - {"__version__"}:
+        named = getattr(tiltcal, name)
+        assert named.__doc__, name
+        parts = vars(named).values() if inspect.isclass(named) else [named]
+        functions = [part.fget if isinstance(part, property) else getattr(part, "func", part) for part in parts]
+        for function in filter(inspect.isfunction, functions):
+            get_type_hints(function)
+        assert pickle.loads(pickle.dumps(named)) is named
 
 
 def test_another_name_is_no_attribute() -> None:
@@ -87,19 +68,15 @@ def test_a_command_starts_no_threads_of_openblas() -> None:
     assert done.stdout.splitlines()[-1] == "0 1"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "options"),
-    [
-        (("zero-45",), {"jig": 0.1}),
-        (("mounting",), {"jig": 0.1, "noise": 0.5}),
-        (("plane",), {"samples": 30, "tilt": 20.0}),
-    ],
-    ids=["positions", "mounting", "free angle"],
-)
-def test_plan_prints_what_the_command_prints(arguments: tuple[str, ...], options: dict[str, float]) -> None:
-    told = str(tiltcal.plan(*arguments, sensor="sca100t-d02", **options))
-    given = [text for name, value in options.items() for text in (f"--{name}", str(value))]
-    assert told + "\n" == command("plan", *arguments, "--sensor", "sca100t-d02", *given).stdout
+def test_plan_prints_what_the_command_prints() -> None:
+    for procedure, options in (
+        ("zero-45", {"jig": 0.1}),
+        ("mounting", {"jig": 0.1, "noise": 0.5}),
+        ("plane", {"samples": 30, "tilt": 20.0}),
+    ):
+        planned = str(tiltcal.plan(procedure, sensor="sca100t-d02", **options))
+        given = [text for name, value in options.items() for text in (f"--{name}", str(value))]
+        assert planned + "\n" == command("plan", procedure, "--sensor", "sca100t-d02", *given).stdout, procedure
 
 
 CAL = str(FIXTURES / "mavs.yaml")
@@ -109,65 +86,59 @@ MEASURE = ("measure", "plane", "--sensor", "sca100t-d02", "--address", "sim:", "
 PLAN = ("plan", "plane", "--sensor", "sca100t-d02")
 
 
-def _apply(**options: Any) -> Callable[[], object]:
-    return lambda: tiltcal.read(CAL).apply(ROW, **options)
-
-
-def _fit(**options: Any) -> Callable[[], object]:
-    return lambda: tiltcal.fit("free", "log.csv", serial="S", unit="V", **options)
-
-
-def _measure(**options: Any) -> Callable[[], object]:
+def test_library_refuses_in_the_words_of_the_command_with_its_own_names() -> None:
+    """Where the command says ``--reading-noise``, the library says ``reading_noise``."""
+    apply = partial(tiltcal.read(CAL).apply, ROW)
+    fit = partial(tiltcal.fit, "free", "log.csv", serial="S", unit="V")
     sensor = {"sensor": "sca100t-d02", "address": "sim:", "serial": "S", "output": "S.yaml"}
-    return lambda: tiltcal.measure("plane", **sensor, **options)
-
-
-def _plan(**options: Any) -> Callable[[], object]:
-    return lambda: tiltcal.plan("plane", sensor="sca100t-d02", **options)
-
-
-OPTIONS: list[tuple[Callable[[], object], tuple[str, ...]]] = [
-    (_apply(reading_noise=1.0), ("apply", CAL, "log.csv", "--reading-noise", "1")),
-    (_apply(reading_noise=-1, uncertainty=True), ("apply", CAL, "log.csv", "--uncertainty", "--reading-noise", "-1")),
-    (_apply(average=0), ("apply", CAL, "log.csv", "--average", "0")),
-    (_apply(average=2.5), ("apply", CAL, "log.csv", "--average", "2.5")),
-    (_apply(average="two"), ("apply", CAL, "log.csv", "--average", "two")),
-    (_apply(every=-5), ("apply", CAL, "log.csv", "--every", "-5")),
-    (_apply(mounting={"roll": 200}), ("apply", CAL, "log.csv", "--mounting", "roll=200")),
-    (_fit(window=3), (*FIT, "--window", "3")),
-    (_fit(gravity=5), (*FIT, "--gravity", "5")),
-    (_fit(table_lean=-0.1), (*FIT, "--table-lean", "-0.1")),
-    (_fit(thermometer=float("nan")), (*FIT, "--thermometer", "nan")),
-    (_plan(jig="a"), (*PLAN, "--jig", "a")),
-    (_plan(noise=float("inf")), (*PLAN, "--noise", "inf")),
-    (_plan(samples=1), (*PLAN, "--samples", "1")),
-    (_measure(samples=1), (*MEASURE, "--samples", "1")),
-    (_measure(settle=0), (*MEASURE, "--settle", "0")),
-    (lambda: tiltcal.noise(ROW, rate=0, unit="V"), ("noise", "log.csv", "--unit", "V", "--rate", "0")),
-    (
-        lambda: tiltcal.noise(ROW, rate=1, averages=[0], unit="V"),
-        ("noise", "log.csv", "--unit", "V", "--averages", "0"),
-    ),
-]
-
-
-@pytest.mark.parametrize(
-    ("call", "arguments"),
-    [
+    measure, plan = partial(tiltcal.measure, "plane", **sensor), partial(tiltcal.plan, "plane", sensor="sca100t-d02")
+    noise, applied = partial(tiltcal.noise, ROW, unit="V"), ("apply", CAL, "log.csv")
+    noisy = ("noise", "log.csv", "--unit", "V")
+    calls: list[tuple[Callable[[], object], tuple[str, ...]]] = [
         (lambda: tiltcal.plan("six-fase", sensor="sca100t-d02"), ("plan", "six-fase", "--sensor", "sca100t-d02")),
         (lambda: tiltcal.plan("plane", sensor="sca100"), ("plan", "plane", "--sensor", "sca100")),
         (lambda: tiltcal.read("no.yaml"), ("diff", "no.yaml", "no.yaml")),
-        (
-            lambda: tiltcal.fit("plane", "log.csv", serial="S", unit="V"),
-            ("fit", "plane", "log.csv", "--serial", "S", "--unit", "V", "-o", "S.yaml"),
-        ),
-        *OPTIONS,
-    ],
-    ids=["procedure", "model", "file", "fit without segments", *(f"{a[0]} {a[-2]} {a[-1]}" for _, a in OPTIONS)],
-)
-def test_library_refuses_in_the_words_of_the_command(call: object, arguments: tuple[str, ...]) -> None:
-    with pytest.raises(tiltcal.TiltcalError) as refusal:
-        call()  # type: ignore[operator]
-    result = command(*arguments)
-    assert result.returncode == refusal.value.exit_code == 2
-    assert result.stderr == f"tiltcal: {refusal.value}\n"
+        (lambda: tiltcal.fit("plane", "log.csv", serial="S", unit="V"), ("fit", "plane", *FIT[2:])),
+        (lambda: apply(reading_noise=1.0), (*applied, "--reading-noise", "1")),
+        (lambda: apply(reading_noise=-1, uncertainty=True), (*applied, "--uncertainty", "--reading-noise", "-1")),
+        (lambda: apply(average=0), (*applied, "--average", "0")),
+        (lambda: apply(average=2.5), (*applied, "--average", "2.5")),
+        (lambda: apply(average="two"), (*applied, "--average", "two")),
+        (lambda: apply(every=-5), (*applied, "--every", "-5")),
+        (lambda: apply(mounting={"roll": 200}), (*applied, "--mounting", "roll=200")),
+        (lambda: fit(window=3), (*FIT, "--window", "3")),
+        (lambda: fit(gravity=5), (*FIT, "--gravity", "5")),
+        (lambda: fit(table_lean=-0.1), (*FIT, "--table-lean", "-0.1")),
+        (lambda: fit(thermometer=float("nan")), (*FIT, "--thermometer", "nan")),
+        (lambda: plan(jig="a"), (*PLAN, "--jig", "a")),
+        (lambda: plan(noise=float("inf")), (*PLAN, "--noise", "inf")),
+        (lambda: plan(samples=1), (*PLAN, "--samples", "1")),
+        (lambda: measure(samples=1), (*MEASURE, "--samples", "1")),
+        (lambda: measure(settle=0), (*MEASURE, "--settle", "0")),
+        (lambda: noise(rate=0), (*noisy, "--rate", "0")),
+        (lambda: noise(rate=1, averages=[0]), (*noisy, "--averages", "0")),
+    ]
+    for call, arguments in calls:
+        with pytest.raises(tiltcal.TiltcalError) as refusal:
+            call()
+        done = command(*arguments)
+        assert done.returncode == refusal.value.exit_code == 2, arguments
+        said, advised, rest = done.stderr.removeprefix("tiltcal: ").partition("`tiltcal")
+        named = re.sub("--([a-z-]+)", lambda option: option[1].replace("-", "_"), said)
+        assert f"{named}{advised}{rest}" == f"{refusal.value}\n"
+
+
+def test_what_is_missing_is_named_as_an_argument() -> None:
+    with pytest.raises(tiltcal.UsageError) as refusal:
+        tiltcal.measure("plane", sensor="sca100t-d02")
+    assert str(refusal.value) == "measure needs address, serial, output (or resume JOURNAL)"
+
+
+def test_measure_asks_in_a_notebook_by_input(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A kernel replaces ``input``, and its standard input is no stream to read."""
+    asked = iter(["", "", "q"])
+    monkeypatch.setattr("builtins.input", lambda: next(asked))
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    with pytest.raises(tiltcal.Stopped):
+        tiltcal.measure("plane", sensor="sca100t-d02", address="sim:", serial="S", output=tmp_path / "S.yaml", jig=0.1)
+    assert next(asked, None) is None

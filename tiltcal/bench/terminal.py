@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
 import select
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from math import asin, copysign, degrees, isfinite
+from types import BuiltinFunctionType
 from typing import Any, Protocol, TextIO, TypeVar
 
 from rich.console import Console
@@ -48,7 +50,9 @@ def open_terminal(stack: ExitStack, *, plain: bool) -> Terminal:
 
     console = Talk(stderr=True, highlight=False, no_color=plain or None)
     live = sys.stdin.isatty() and sys.stderr.isatty() and not (plain or console.is_dumb_terminal) and os.name == "posix"
-    keys: Keys = stack.enter_context(TerminalKeys()) if live else LineKeys(sys.stdin)
+    notebook = not isinstance(input, BuiltinFunctionType)  # it has an input() of its own
+    lines: Any = NotebookInput() if notebook else sys.stdin
+    keys: Keys = stack.enter_context(TerminalKeys()) if live else LineKeys(lines)
     terminal = Terminal(console, keys, live=live)
     stack.callback(terminal.clear)
     return terminal
@@ -376,6 +380,16 @@ class LineKeys:
         if not typed:
             raise Stopped("the input has ended")
         return typed.strip()
+
+
+class NotebookInput(io.TextIOBase):
+    """The lines that a person types below the cell of a notebook."""
+
+    def readline(self, size: int = -1) -> str:  # type: ignore[override]
+        try:
+            return f"{input()}\n"
+        except EOFError:
+            return ""
 
 
 class TerminalKeys:

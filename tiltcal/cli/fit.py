@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -65,6 +66,8 @@ def command(
     if determines.free:
         _print_misfit(record)
     remark(f"wrote {output}")
+    file = quote(str(output))
+    remark(f"next: tiltcal apply {file} LOG.csv -o TILT.csv, or tiltcal export {file} --to c -o tilt.h")
 
 
 def _print_misfit(calibration: CalibrationRecord) -> None:

@@ -15,7 +15,7 @@ from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.columns import listened, shown
 from tiltcal.drivers.model import SelfTesting
-from tiltcal.drivers.sketch import guess
+from tiltcal.drivers.sketch import guess, unit_of_gravity
 from tiltcal.errors import NEGATIVE_VERDICT, BusError, UsageError
 
 
@@ -73,7 +73,8 @@ def _listen(address: Address, as_json: bool) -> int:
             f"{address} sends text without numbers, such as {shown(lines[-1])}: is the baud rate right (baudrate=), "
             "and does the sketch print its readings?"
         )
-    options_of = {**address.options, "columns": found.columns, **({"unit": found.unit} if found.unit else {})}
+    unit = found.unit or unit_of_gravity(found)
+    options_of = {**address.options, "columns": found.columns, **({"unit": unit} if unit else {})}
     place = address.written.partition("?")[0]
     advised = f"{place}?{'&'.join(f'{name}={value}' for name, value in options_of.items())}"
     if as_json:
@@ -83,7 +84,10 @@ def _listen(address: Address, as_json: bool) -> int:
     plural = "" if found.numbers == 1 else "s"
     options.print_judged(f"{place} prints {found.numbers} number{plural} a line, {rate:.0f} lines a second:")
     options.print_judged(f"  {found.example}")
-    unit = "" if found.unit else ", and unit= is not known"
-    options.print_judged(f"as columns={found.columns}{unit}. If that is right:")
-    options.print_judged(f'  tiltcal probe --sensor serial-columns --address "{advised}"')
+    procedure = "six-face" if "z" in found.columns.split(",") else "PROCEDURE"
+    known = f", unit={unit}" if unit else ", and unit= is not known: state it, such as &unit=count&sensitivity=16384"
+    how = "" if found.unit or not unit else " (at rest they are as long as gravity)"
+    options.print_judged(f"as columns={found.columns}{known}{how}. If that is right:")
+    measure = f'tiltcal measure {procedure} --sensor serial-columns --address "{advised}" --serial IMU1 -o IMU1.yaml'
+    options.print_judged(f"  {measure}")
     return 0

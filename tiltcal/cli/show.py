@@ -46,7 +46,7 @@ def _map_lines(record: CalibrationRecord) -> Iterator[str]:
 
     affine, sensor = affine_at(record.coefficients), record.sensor
     axes = sensor.channels if len(affine.matrix) == 1 else AXES[: len(affine.matrix)]
-    yield f"  g = A (u - b), A in g/{sensor.unit}, columns {', '.join(sensor.channels)}; b in {sensor.unit}"
+    yield f"  g = A (u - b), A in g per {sensor.unit}, columns {', '.join(sensor.channels)}; b in {sensor.unit}"
     for axis, row in zip(axes, affine.matrix, strict=True):
         yield f"  A {axis}" + "".join(f"{value:>16.9g}" for value in row)
     yield "  b  " + "".join(f"{value:>16.9g}" for value in affine.offset)

@@ -30,7 +30,7 @@ from tiltcal.files.results import (
 )
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.logs.options import ApplyOptions
-from tiltcal.options import complete, takes
+from tiltcal.options import complete, names_arguments, takes
 from tiltcal.printable import in_html
 
 Frame = TypeVar("Frame")
@@ -190,6 +190,7 @@ class Calibration(SavedCalibration):
     @overload
     def apply(self, frame: Frame, **options: Unpack[ApplyOptions]) -> Frame: ...
 
+    @names_arguments
     @takes(ApplyOptions)
     def apply(self, frame: Any, **options: Any) -> Any:
         """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
@@ -301,6 +302,7 @@ class PairCalibration(SavedCalibration):
     @overload
     def apply(self, frame: Frame, *, columns: Mapping[str, str] | str = "") -> Frame: ...
 
+    @names_arguments
     def apply(self, frame: Any, *, columns: Mapping[str, str] | str = "", **options: Any) -> Any:
         """Add the matched sum of each pair to a frame and, with both pairs, the gradient signal.
 

@@ -11,7 +11,7 @@ from tiltcal.calibration.season import CalibrationFolder, SensorHistory
 from tiltcal.files.calibration_folder import FolderIndex
 from tiltcal.library.calibration import Calibration, Frame
 from tiltcal.logs.options import ApplyOptions
-from tiltcal.options import complete, takes
+from tiltcal.options import complete, names_arguments, takes
 
 
 class CalibrationLibrary:
@@ -88,6 +88,7 @@ class CalibrationLibrary:
     @overload
     def apply(self, frame: Frame, **options: Unpack[ApplyOptions]) -> Frame: ...
 
+    @names_arguments
     @takes(ApplyOptions)
     def apply(self, frame: Any, **options: Any) -> Any:
         """Turn the raw readings of a frame into tilt, as ``tiltcal apply --calibrations`` does with a log.

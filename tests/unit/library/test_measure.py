@@ -250,7 +250,7 @@ def test_a_journal_of_somebody_else_writes_nowhere_but_beside_it(name: str, tmp_
     written = Path(name.format(here=tmp_path))
     whole = written.read_bytes()
     written.unlink()
-    with pytest.raises(UsageError, match="outside its own folder: say with -o where the calibration goes"):
+    with pytest.raises(UsageError, match="outside its own folder: say with output where the calibration goes"):
         measure(resume="inside/J.jsonl")
     assert not written.exists()
     measure(resume="inside/J.jsonl", output="here.yaml")
