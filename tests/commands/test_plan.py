@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
-from math import hypot, radians, sin, sqrt
+from collections.abc import Sequence
+from itertools import pairwise, permutations
+from math import acos, cos, degrees, hypot, radians, sin, sqrt
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support import FIXTURES
 from support.command import measure, tiltcal
@@ -23,6 +26,46 @@ def test_noise_alone_is_the_closed_form() -> None:
     s = 0.02 / sqrt(100)
     assert found["offset.x"] == pytest.approx(s / 2, rel=1e-3)
     assert found["sensitivity.x.x"] == pytest.approx(s / sqrt(2) / 0.5, rel=1e-3)
+
+
+def test_the_tilt_is_told_in_degrees() -> None:
+    """The same four means: u(offset) near level, at the ends u(S) sin 30° as well, where the slope is cos 30°."""
+    found = plan("plane", "--noise", "0.02", "--samples", "100", sensor="adxl202")["tilt"]["x"]
+    signal = 0.02 / sqrt(100) / 0.125
+    level, end = signal / 2, hypot(signal / 2, signal / sqrt(2)) / cos(radians(30.0))
+    expected = [[-30, 1.96 * degrees(end)], [0, 1.96 * degrees(level)], [30, 1.96 * degrees(end)]]
+    assert found == [pytest.approx(pair, rel=2e-3) for pair in expected]
+
+
+def test_the_order_that_moves_a_table_least() -> None:
+    """Of six faces there is none shorter, by trial of all; a sweep keeps its temperatures."""
+    found = plan("six-face", sensor="scl3300")
+    names = {"up": 1.0, "down": -1.0}
+    faces = {f"{axis}-{way}": names[way] * np.eye(3)["xyz".index(axis)] for axis in "xyz" for way in names}
+
+    def turned(order: Sequence[str]) -> float:
+        return sum(degrees(acos(faces[a] @ faces[b])) for a, b in pairwise(order))
+
+    first, *others = found["order"]
+    assert first == "x-up"
+    assert set(found["order"]) == set(faces)
+    assert turned(found["order"]) == min(turned([first, *order]) for order in permutations(others))
+    assert found["degrees_turned"] == pytest.approx([720.0, turned(found["order"])])
+    assert plan("temperature-sweep", sensor="adxl202")["order"] == []
+
+
+def test_the_time_that_is_spent_in_positions() -> None:
+    """Nine new temperatures with the six minutes of a late thermometer, and 100 samples, 10 ms apart, in each."""
+    assert plan("temperature-sweep", "--samples", "100")["seconds"] == pytest.approx(9 * (360 + 100 * 0.01))
+    said = tiltcal("plan", "temperature-sweep", "--samples", "100", "--sensor", "sca100t-d02").stdout
+    assert "held still and sampled for 54 min;" in said
+
+
+def test_advice_is_a_sentence() -> None:
+    said = tiltcal("plan", "six-face", "--sensor", "adxl355", "--jig", "0.1").stdout
+    (position, coefficient, share), *_ = plan("six-face", "--jig", "0.1", sensor="adxl355")["worth_adding"]
+    assert (position, coefficient) == ("x at +45°", "sensitivity.x.z")
+    assert f"One more position, x at +45°, would cut the uncertainty of S_xz by {100 - 100 * share:.0f} %" in said
 
 
 def test_a_jig_adds_what_its_angle_is_worth() -> None:
@@ -77,9 +120,9 @@ def test_a_level_is_proposed_no_other_direction(lean: tuple[str, ...]) -> None:
     """`fit level` refuses a position that is not level, so plan must not propose one."""
     found = tiltcal("plan", "level", "--base", str(FIXTURES / "cross-axis.yaml"), "--jig", "0.1", *lean)
     assert found.returncode == 0
-    proposed = [line for line in found.stdout.splitlines() if "would bring" in line]
+    proposed = [line for line in found.stdout.splitlines() if "One more" in line]
     assert len(proposed) == len(lean) // 2
-    assert all("adding level with the fixture turned by 180°" in line for line in proposed)
+    assert all("One more position, level with the fixture turned by 180°" in line for line in proposed)
 
 
 PROCEDURE = """\
@@ -97,7 +140,7 @@ positions:
 @pytest.mark.parametrize(
     ("determines", "positions", "advice"),
     [
-        ("{axes: [x]}", ["tilt: {x: 0}"], "add the position +45° of x"),
+        ("{axes: [x]}", ["tilt: {x: 0}"], "add the position x at +45°"),
         (
             "{axes: [x, y, z]}",
             ["gravity: [1, 0, 0]", "gravity: [0, 1, 0]", "gravity: [0, 0, 1]"],

@@ -255,16 +255,18 @@ def _reading(measurements: Sequence[Measurement], design: Design, shown: float |
 
 
 def _limits(design: Design, sensor: MeasuredSensor, thermal: bool) -> Limits:
-    """Return the ranges that were covered: tilt to either side as far as any position, temperatures, and the rails."""
-    tilt = {}
-    for axis in design.channels:
-        reach = max(abs(measurement.gravity[AXES.index(axis)]) for measurement in sensor.measurements)
-        if reach > 0.0:
-            furthest = radians(round(degrees(asin(min(reach, 1.0))), 6))
-            tilt[axis] = (-furthest, furthest)
+    """Return the ranges that were covered: tilts, temperatures, and the rails."""
+    tilt = covered_tilts(design.channels, [measurement.gravity for measurement in sensor.measurements])
     met = [round(one.temperature, 3) for one in sensor.measurements if one.temperature is not None]
     rails = rails_of(design.channels, sensor.nominal, sensor.base)
     return Limits(tilt, (min(met), max(met)) if thermal else None, dict(rails))
+
+
+def covered_tilts(channels: Sequence[str], directions: Sequence[Sequence[float]]) -> dict[str, tuple[float, float]]:
+    """Return the tilts that positions cover, to either side as far as any of them, radians; none of a level axis."""
+    reach = {axis: max(abs(up[AXES.index(axis)]) for up in directions) for axis in channels}
+    furthest = {axis: radians(round(degrees(asin(min(g, 1.0))), 6)) for axis, g in reach.items() if g > 0.0}
+    return {axis: (-angle, angle) for axis, angle in furthest.items()}
 
 
 def _set(measurement: Measurement) -> PositionSet:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import degrees, hypot, radians, sqrt
@@ -9,12 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.joint_fit import design_of
+from tiltcal.calibration.joint_fit import covered_tilts, design_of
 from tiltcal.calibration.measurement import BenchUncertainty, require_tilt
-from tiltcal.calibration.wording import unit_of
+from tiltcal.calibration.record import half_widths, tilt_lines
+from tiltcal.calibration.schedule import better_order, least_seconds, way
+from tiltcal.calibration.wording import symbol, unit_of, words
 from tiltcal.core.attitude import STRAIGHT, Orientation, angle_uncertainty, solve_mounting
 from tiltcal.core.estimation.design import PlannedPosition, Prediction, predict_uncertainty
 from tiltcal.core.estimation.positions import Design
+from tiltcal.core.model import Array, Limits
 from tiltcal.core.samples import rounding_of_means
 from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
@@ -41,6 +45,10 @@ class PredictedUncertainty:
     noise: float  # the standard deviation of one sample, unit
     drift: float  # of the offset of a usual part, unit/°C
     unit: str
+    tilt: Mapping[str, tuple[Array, Array]]  # by axis tilts, and half the 95 % interval of each, degrees
+    seconds: float  # that readings hold still and are sampled
+    order: tuple[str, ...] = ()  # the positions as a table moves much less; empty where they stand so
+    ways: tuple[float, float] = (0.0, 0.0)  # by how much a table turns in the procedure's order and in this, degrees
     closing: str = ""  # what a closing visit to the first position takes and brings
     not_covered: str = ""  # what no position shows
 
@@ -56,6 +64,13 @@ class PredictedUncertainty:
             "jig": None if self.design.free else self.design.jig,
             "uncertainty": self.uncertainty,
             "degrees_of_freedom": self.prediction.dof,
+            "tilt": {
+                axis: [[round(float(tilt[k]), 6), float(half[k])] for k in (0, int(np.argmin(np.abs(tilt))), -1)]
+                for axis, (tilt, half) in self.tilt.items()
+            },
+            "seconds": self.seconds,
+            "order": list(self.order),
+            "degrees_turned": list(self.ways),
             "correlations": [list(pair) for pair in self.prediction.correlations],
             "worth_adding": [list(position) for position in self.prediction.worth_adding],
             "closing": self.closing or None,
@@ -75,16 +90,38 @@ class PredictedUncertainty:
             # What unit gravity leaves open is the choice of a frame, in which these are 0.
             if u > 0.0 or not design.free:
                 lines.append(f"  {name:<28} {u:.2g} {unit_of(name, self.unit)}")
+        lines += tilt_lines(self.tilt)
         unchecked = "" if prediction.dof else ": no residuals are left to check the result"
         lines.append(f"  degrees of freedom {prediction.dof}{unchecked}")
         for first, second, correlation in prediction.correlations[:SHOWN]:
             lines.append(f"  {first} and {second} are hardly separated (correlation {correlation:+.2f})")
         for name, coefficient, share in prediction.worth_adding[:SHOWN]:
-            lines.append(f"  adding {name} would bring {coefficient} to {100 * share:.0f} % of its uncertainty")
+            cut = f"would cut the uncertainty of {_in_words(coefficient)} by {100 * (1 - share):.0f} %"
+            lines.append(f"  One more position, {name}, {cut}")
+        held = duration(self.seconds)
+        lines.append(f"  readings are held still and sampled for {held}; setting and changing temperatures on top")
+        if self.order:
+            ways = "{1:.0f}° in place of {0:.0f}°".format(*self.ways)
+            lines.append(f"  a table turns by {ways} in the order {', '.join(self.order)}")
         return "\n".join([*lines, *(f"  {sentence}" for sentence in (self.closing, self.not_covered) if sentence)])
 
     __repr__ = __str__
     _repr_html_ = in_html
+
+
+def _in_words(coefficient: str) -> str:
+    """Return the symbol of a sensitivity, and another coefficient by its name."""
+    letter, index = symbol(coefficient)
+    name = words(coefficient)
+    return f"S_{index}" if letter == "S" else f"the {name[:1].lower()}{name[1:]}"
+
+
+def duration(seconds: float) -> str:
+    """Return a time in words, such as ``12 min`` or ``3 h 20 min``."""
+    minutes = round(seconds / 60.0)
+    if minutes < 2:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
 @dataclass(frozen=True)
@@ -147,12 +184,18 @@ def predict(
     table_lean: float | None = None,
     noise: float | None = None,
     samples: int | None = None,
+    settle: float | None = None,
     orientation: Orientation = STRAIGHT,
     sensors: int = 1,
     base: CalibrationRecord | None = None,
 ) -> PredictedUncertainty:
     """Predict the standard uncertainty of every coefficient equal sensors reach; no stated jig is a perfect one."""
     require_tilt(procedure, model)
+    windows = [
+        one * (settle or procedure.settle) / procedure.settle for one in (procedure.settle, procedure.soak.seconds)
+    ]
+    seconds = least_seconds(procedure, model, samples or procedure.samples, *windows)
+    order = None if procedure.determines.free else better_order(procedure.positions)
     if procedure.ramp is not None:
         procedure = _along_ramp(procedure)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
@@ -181,9 +224,21 @@ def predict(
         sensors=sensors,
         level=procedure.determines.level,
     )
+    limits = Limits(covered_tilts(design.channels, [position.gravity for position in planned]))
     one_heading = len({(position.heading or 0.0) % 360.0 for position in positions}) == 1
     uncovered = LEAN if one_heading and table_lean is None and not design.free else ""
-    return PredictedUncertainty(design, prediction, scatter, drift, model.unit, not_covered=uncovered)
+    return PredictedUncertainty(
+        design,
+        prediction,
+        scatter,
+        drift,
+        model.unit,
+        half_widths(prediction.coefficients, prediction.uncertain, limits),
+        seconds,
+        () if order is None else tuple(position.name for position in order),
+        (way(positions), way(order or positions)),
+        not_covered=uncovered,
+    )
 
 
 def _jig_in_words(jig: float | None) -> str:

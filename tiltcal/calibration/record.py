@@ -14,7 +14,7 @@ from tiltcal.calibration.stated import length_tolerance, stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
-from tiltcal.core.uncertain import TURN
+from tiltcal.core.uncertain import TURN, Uncertain
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, BaseFile, CalibrationRecord, read_calibration, tilt_record
 from tiltcal.files.coefficients import ANGLES, LARGEST_ANGLES, in_degrees
@@ -131,9 +131,8 @@ def tilt_uncertainty(calibration: CalibrationRecord) -> dict[str, TiltUncertaint
     """Return the uncertainty by axis, in the sensor's frame; empty where the file states none of its coefficients."""
     coefficients, uncertainty = replace(calibration.coefficients, mounting=None), calibration.uncertainty
     try:
-        compensation = Compensation(coefficients)
         stated = (stated_uncertainty(uncertainty, coefficients, reading_noise=noise) for noise in (0.0, None))
-        kernels = [CompensationWithUncertainty(compensation, coefficients, u.without(TURN)) for u, _ in stated]
+        alone, reading = (half_widths(coefficients, u.without(TURN), calibration.limits) for u, _ in stated)
     except EstimateError:
         return {}
     channels, model, nominal = coefficients.channels, model_of(calibration), None
@@ -141,24 +140,37 @@ def tilt_uncertainty(calibration: CalibrationRecord) -> dict[str, TiltUncertaint
         sheet = np.full(len(channels), model.offset), model.sensitivity * np.eye(len(channels))
         nominal = Compensation(Coefficients(channels, channels, *sheet), Limits())
     by_axis = {}
-    for place, axis in enumerate(compensation.axes):
-        low, high = np.degrees(calibration.limits.tilt.get(axis, (radians(-USUAL), radians(USUAL)))).tolist()
-        tilt = np.linspace(max(low, -STEEPEST), min(high, STEEPEST), POINTS)
-        gravity = np.zeros((POINTS, 3))
-        gravity[:, AXES.index(axis)] = np.sin(np.radians(tilt))
-        gravity[:, AXES.index("z" if axis != "z" else "x")] = np.cos(np.radians(tilt))
-        readings = coefficients.predict(gravity)
-        temperature = None if coefficients.thermal is None else np.full(POINTS, coefficients.thermal.reference)
-        alone, reading = (kernel(readings, temperature).expanded[:, place] for kernel in kernels)
+    for axis, (tilt, half) in alone.items():
+        readings = coefficients.predict(_tilted(axis, tilt))
         before = None if nominal is None else nominal(readings).tilt[:, nominal.axes.index(axis)] - tilt
-        by_axis[axis] = TiltUncertainty(tilt, before, alone, reading)
+        by_axis[axis] = TiltUncertainty(tilt, before, half, reading[axis][1])
     return by_axis
 
 
-def tilt_uncertainty_lines(calibration: CalibrationRecord) -> Iterator[str]:
-    """Yield by axis half the 95 % interval of a tilt near level and at the ends of its range, from the coefficients."""
-    for axis, uncertain in tilt_uncertainty(calibration).items():
-        tilt, half = uncertain.tilt, uncertain.alone
+def half_widths(coefficients: Coefficients, uncertain: Uncertain, limits: Limits) -> dict[str, tuple[Array, Array]]:
+    """Return by axis tilts over its range and half the 95 % interval of each, shape (n,), degrees."""
+    compensation = Compensation(coefficients)
+    kernel = CompensationWithUncertainty(compensation, coefficients, uncertain)
+    temperature = None if coefficients.thermal is None else np.full(POINTS, coefficients.thermal.reference)
+    found = {}
+    for place, axis in enumerate(compensation.axes):
+        low, high = np.degrees(limits.tilt.get(axis, (radians(-USUAL), radians(USUAL)))).tolist()
+        tilt = np.linspace(max(low, -STEEPEST), min(high, STEEPEST), POINTS)
+        found[axis] = tilt, kernel(coefficients.predict(_tilted(axis, tilt)), temperature).expanded[:, place]
+    return found
+
+
+def _tilted(axis: str, tilt: Array) -> Array:
+    """Return up where one axis is tilted, degrees, and the others are level, shape (n, 3)."""
+    gravity = np.zeros((len(tilt), 3))
+    gravity[:, AXES.index(axis)] = np.sin(np.radians(tilt))
+    gravity[:, AXES.index("z" if axis != "z" else "x")] = np.cos(np.radians(tilt))
+    return gravity
+
+
+def tilt_lines(by_axis: Mapping[str, tuple[Array, Array]]) -> Iterator[str]:
+    """Yield by axis half the 95 % interval of a tilt near level and at the ends of its range, degrees."""
+    for axis, (tilt, half) in by_axis.items():
         level, low, high = half[np.argmin(np.abs(tilt))], half[0], half[-1]
         ends = f"{low:.2g}° at {tilt[0]:.0f}°, {high:.2g}° at {tilt[-1]:.0f}°"
         largest = float(np.nanmax(half))

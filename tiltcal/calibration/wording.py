@@ -7,7 +7,7 @@ from math import asin, degrees, radians, sin, sqrt
 
 import numpy as np
 
-from tiltcal.calibration.record import tilt_uncertainty_lines
+from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
 from tiltcal.core.model import AXES
 from tiltcal.core.named_coefficients import values
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
@@ -32,7 +32,8 @@ LOOKS_LIKE, LARGEST_BEND = 0.8, 0.1
 
 def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:
     """Return all coefficients and tilts with their uncertainties, how well the positions fit, and the notes."""
-    lines = [*_coefficient_lines(calibration), *tilt_uncertainty_lines(calibration), *mounting_lines(calibration)]
+    tilts = {axis: (one.tilt, one.alone) for axis, one in tilt_uncertainty(calibration).items()}
+    lines = [*_coefficient_lines(calibration), *tilt_lines(tilts), *mounting_lines(calibration)]
     return "\n".join(lines + [f"  {note}" for note in calibration.fit.notes if notes])
 
 

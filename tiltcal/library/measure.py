@@ -284,6 +284,7 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
             thermometer=setup.settings.thermometer,
             table_lean=setup.settings.table,
             samples=setup.settings.samples,
+            settle=setup.settings.settle,
             orientation=device.orientation,
             sensors=len(setup.sensors),
             base=None if base is None else base.calibration,

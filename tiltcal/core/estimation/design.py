@@ -17,7 +17,7 @@ from tiltcal.core.estimation.equations import ChannelReadings, Equations
 from tiltcal.core.estimation.free import UNKNOWNS, planned_uncertain
 from tiltcal.core.estimation.positions import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.solve import UNDETERMINED, budgets, solved_at, undetermined
-from tiltcal.core.model import AXES, Array
+from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
@@ -41,7 +41,7 @@ CANDIDATES: dict[str, Vector] = {
     "+x straight down": (-1.0, 0.0, 0.0),
     "+y straight up": (0.0, 1.0, 0.0),
     "+y straight down": (0.0, -1.0, 0.0),
-    **{f"{angle:+}° of {axis}": gravity_from_tilt({axis: float(angle)}) for axis in ("x", "y") for angle in (45, -45)},
+    **{f"{axis} at {angle:+}°": gravity_from_tilt({axis: float(angle)}) for axis in ("x", "y") for angle in (45, -45)},
 }
 """Positions that may be proposed."""
 
@@ -151,10 +151,12 @@ class PlannedPosition:
 class Prediction:
     """Uncertainty that a planned session will reach in named coefficients, and degrees of freedom to check them.
 
-    ``correlations`` are pairs that the plan hardly separates, the strongest first; ``worth_adding`` has a position, the
-    coefficient that it helps most, and the share of its uncertainty that is left, best first.
+    ``coefficients`` are the nominal ones. ``correlations`` are pairs that the plan hardly separates, the strongest
+    first; ``worth_adding`` has a position, the coefficient that it helps most, and the share of its uncertainty that is
+    left, best first.
     """
 
+    coefficients: Coefficients
     uncertain: Uncertain
     dof: int
     correlations: tuple[tuple[str, str, float], ...]
@@ -206,7 +208,10 @@ def predict_uncertainty(
         return budgets(solution, {})[0], solution.dof
 
     uncertain, dof = reached(positions)
+    known = {name: prior.value for name, prior in design.priors.items()}
+    theta = np.array([known.get(name, nominal.get(name, 0.0)) for name in design.names])
     return Prediction(
+        coefficients=_sensor(design, positions, u, adc).coefficients(theta),
         uncertain=uncertain,
         dof=dof,
         correlations=_strong_correlations(design.names, uncertain.covariance),

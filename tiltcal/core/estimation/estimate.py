@@ -31,7 +31,7 @@ from tiltcal.core.estimation.solve import (
     start_as_set,
     with_estimated,
 )
-from tiltcal.core.model import AXES, Array, Coefficients, Thermal
+from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
@@ -199,7 +199,7 @@ def _estimates(
         noise = sqrt(max(bench[NOISE] - 1.0, 0.0)) * float(equations.u[rows.start])
         estimates.append(
             Estimate(
-                coefficients=_coefficients(sensor, solution.z[own]),
+                coefficients=sensor.coefficients(solution.z[own]),
                 uncertain=uncertain,
                 positions=tuple(observation.position for observation in sensor.observations),
                 residuals=residuals[rows].reshape(shape).T,
@@ -256,17 +256,6 @@ def _attitudes(solution: Solution) -> tuple[AttitudeError, ...]:
         AttitudeError(name, np.degrees(turn), float(squares[setting]), float(p[setting]))
         for name, turn, setting in zip(equations.places, turns, equations.settings, strict=True)
     )
-
-
-def _coefficients(sensor: SensorObservations, theta: Array) -> Coefficients:
-    design, table = sensor.design, theta.reshape(len(sensor.design.channels), -1)
-    sensitivity, drift, gain, bend = design.models[0].split(table)
-    thermal = None
-    if design.thermal:
-        met = [one.temperature for one in sensor.observations if one.temperature is not None]
-        thermal = Thermal(design.reference, (float(min(met)), float(max(met))), drift, gain)
-    bent = bend if design.nonlinearity else None
-    return Coefficients(design.channels, design.axes, table[:, 0], sensitivity, thermal, nonlinearity=bent)
 
 
 # Grossly wrong positions
@@ -342,7 +331,7 @@ def _agree(sensors: Sequence[SensorObservations], without: str, limit: float) ->
 def _sizes(equations: Equations, z: Array) -> list[Array]:
     """Return the singular values of the sensitivities of each sensor, unit/g."""
     return [
-        np.asarray(np.linalg.svd(_coefficients(sensor, z[own]).sensitivity, compute_uv=False))
+        np.asarray(np.linalg.svd(sensor.coefficients(z[own]).sensitivity, compute_uv=False))
         for sensor, own in zip(equations.sensors, equations.sensor_coefficients(), strict=True)
     ]
 

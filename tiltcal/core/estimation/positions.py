@@ -8,7 +8,7 @@ from functools import cached_property
 from math import inf
 
 from tiltcal.core.attitude import STRAIGHT
-from tiltcal.core.model import Array, ChannelModel
+from tiltcal.core.model import Array, ChannelModel, Coefficients, Thermal
 from tiltcal.errors import EstimateError
 
 
@@ -105,6 +105,17 @@ class SensorObservations:
     design: Design
     observations: Sequence[Observation]
     orientation: Sequence[Sequence[float]] = STRAIGHT.matrix
+
+    def coefficients(self, theta: Array) -> Coefficients:
+        """Return the coefficients that a vector of all channels holds, with the range of the temperatures met."""
+        design, table = self.design, theta.reshape(len(self.design.channels), -1)
+        sensitivity, drift, gain, bend = design.models[0].split(table)
+        thermal = None
+        if design.thermal:
+            met = [one.temperature for one in self.observations if one.temperature is not None]
+            thermal = Thermal(design.reference, (float(min(met)), float(max(met))), drift, gain)
+        bent = bend if design.nonlinearity else None
+        return Coefficients(design.channels, design.axes, table[:, 0], sensitivity, thermal, nonlinearity=bent)
 
 
 def require_sound(sensors: Sequence[SensorObservations]) -> None:
