@@ -91,9 +91,9 @@ def _run(args: list[str], ctrl_c: _CtrlC) -> int:
         if ctrl_c.came or isinstance(failure, KeyboardInterrupt):
             return _interrupted()
         from tiltcal.cli.main import flushed
-        from tiltcal.cli.unforeseen import report
+        from tiltcal.cli.talk import end_unforeseen
 
-        code = report(failure, args)
+        code = end_unforeseen(failure, args)
     return flushed(code)
 
 

@@ -9,16 +9,16 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from support import FIXTURES
 from support.command import TILTCAL, tiltcal, tiltcal_process
 
-from tiltcal.cli import apply
-from tiltcal.cli.unforeseen import TRACEBACK
+from tiltcal.cli.talk import TRACEBACK
 from tiltcal.library.recorded import apply_log
 from tiltcal.logs.apply_summary import ApplySummary
 
@@ -85,10 +85,15 @@ def test_what_cannot_be_done_is_said_before_anything_is(arguments: tuple[str, ..
     assert not list((bench / "tilt").iterdir())
 
 
-def test_a_lost_scheduler_is_named() -> None:
-    future: Future[Any] = Future()
-    future.cancel()
-    assert "the scheduler was lost" in str(apply._answer(future)[1])
+def test_a_lost_scheduler_is_named(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It cancels what has not begun; a stand-in for ``distributed``, whose client is a context."""
+    cancelled: Future[Any] = Future()
+    cancelled.cancel()
+    client = SimpleNamespace(submit=lambda *args, **how: cancelled)
+    stand_in = SimpleNamespace(Client=lambda *args, **how: nullcontext(client), as_completed=iter)
+    monkeypatch.setitem(sys.modules, "distributed", stand_in)
+    done = tiltcal("apply", CAL, "log1.csv", "-o", "tilt", "--scheduler", "tcp://127.0.0.1:1", cwd=bench)
+    assert (done.returncode, "log1.csv failed and is left out: the scheduler was lost" in done.stderr) == (2, True)
 
 
 def test_remarks_on_a_log_name_it_and_those_on_the_calibration_come_once(bench: Path) -> None:

@@ -10,16 +10,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tiltcal.cli import options
-from tiltcal.cli.talk import progress_bar, remark, talk
-from tiltcal.cli.unforeseen import unforeseen
+from tiltcal.cli.talk import progress_bar, remark, talk, unforeseen
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete
 
 if TYPE_CHECKING:
-    from distributed import Future
-
     from tiltcal.logs.apply_summary import ApplySummary
 
     Outcome = tuple[Sequence[str], ApplySummary | TiltcalError]  # the remarks on a log, and its summary or its error
@@ -40,8 +37,8 @@ Examples:
 @click.option("-o", "--output", default="-", metavar="OUT", help="The file to write [standard output], or the folder.")
 @click.option(
     "--calibrations",
-    type=click.Path(path_type=Path, file_okay=False, exists=True),
     metavar="DIR",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
     cls=options.Grouped,
     group="Calibrations over time",
     help="A folder in place of CALIBRATION: each row takes those of its time.",
@@ -55,21 +52,11 @@ Examples:
     group="Further options",
     help="Process each log on a worker of this dask scheduler.",
 )
-@click.option(
-    "--json",
-    "as_json",
-    is_flag=True,
-    help="Print the summary as JSON (beside rows, on stderr).",
-)
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON (beside rows, on stderr).")
 def command(
-    files: tuple[str, ...],
-    calibrations: Path | None,
-    output: str,
-    scheduler: str | None,
-    as_json: bool,
-    topic: str | None,
-    **how: Any,
-) -> int:
+    files: tuple[str, ...], calibrations: Path | None, output: str, scheduler: str | None, as_json: bool,
+    topic: str | None, **how: Any,
+) -> int:  # fmt: skip
     """Convert the raw readings of LOG to tilt with quality flags.
 
     LOG is CSV, Parquet, NetCDF-4, a bag of ROS, or - for CSV on standard input; OUT's name is its format. OUT has the
@@ -157,6 +144,7 @@ def _applied_on(
     The task of a worker that is lost runs again on another; its output appears whole or not at all.
     """
     import logging
+    from concurrent.futures import CancelledError
 
     try:
         from distributed import Client, as_completed
@@ -174,7 +162,13 @@ def _applied_on(
             for paths in outputs.items()
         }
         for future in as_completed(list(running)):
-            yield running[future], _answer(future)
+            try:
+                yield running[future], future.result()
+            except CancelledError:
+                why = "the scheduler was lost before its turn: start one, and repeat the command for what is left"
+                yield running[future], ((), UsageError(why))
+            except Exception as failure:  # a worker without tiltcal is an error of its log alone
+                yield running[future], ((), UsageError(f"its worker failed: {failure!r}"))
 
 
 def _outcome(calibration: Path, log: str, output: str, how: Mapping[str, Any], *, shown: bool = False) -> Outcome:
@@ -191,16 +185,3 @@ def _outcome(calibration: Path, log: str, output: str, how: Mapping[str, Any], *
         return remarks, refusal
     except BaseException as failure:
         return remarks, unforeseen(failure, log)
-
-
-def _answer(future: Future[Outcome]) -> Outcome:
-    """Return the answer of a worker; a worker without tiltcal, or a lost one, is an error of its log alone."""
-    from concurrent.futures import CancelledError
-
-    try:
-        return future.result()
-    except CancelledError:
-        why = "the scheduler was lost before its turn: start one, and repeat the command for what is left"
-    except Exception as failure:
-        why = f"its worker failed: {failure!r}"
-    return (), UsageError(why)

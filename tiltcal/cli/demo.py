@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import asin, degrees, pi, sin
 from pathlib import Path
 from textwrap import indent
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
@@ -23,9 +22,6 @@ from tiltcal.files.calibration import read_calibration
 from tiltcal.library.measure import measure
 from tiltcal.report.figure import require_extra
 
-if TYPE_CHECKING:
-    from tiltcal.core.model import Array
-
 MODEL, PROCEDURE, SERIAL = "sca100t-d02", "complete", "SIM-1"
 ROWS, REACH, TEMPERATURES = 1500, {"x": 40.0, "y": 35.0}, (22.0, 8.0)
 
@@ -39,6 +35,7 @@ def command(folder: Path, seed: int) -> None:
     It measures a virtual SCA100T-D02 in seven positions at two temperatures, and applies the calibration to a log of
     the same part with known true tilt. All files are written into FOLDER.
     """
+    import numpy as np
     import polars as pl
 
     model, address = find_model(MODEL), parse_address(f"sim:?seed={seed}")
@@ -52,16 +49,9 @@ def command(folder: Path, seed: int) -> None:
 
     click.echo("1. measure, on the virtual bench (no real sensor)")
     journal.unlink(missing_ok=True)
-    measure(
-        PROCEDURE,
-        operator="sim",
-        sensor=MODEL,
-        address=str(address),
-        serial=SERIAL,
-        output=calibration,
-        journal=journal,
-        remark=lambda text: click.echo(indent(text, "   ")),
-    )
+    sensor: dict[str, Any] = {"sensor": MODEL, "address": str(address), "serial": SERIAL}
+    sensor |= {"remark": lambda text: click.echo(indent(text, "   "))}
+    measure(PROCEDURE, operator="sim", output=calibration, journal=journal, **sensor)
     click.echo("\n2. the calibration file")
     click.echo(summary(read_calibration(calibration), notes=False))
     click.echo(
@@ -74,10 +64,16 @@ def command(folder: Path, seed: int) -> None:
     click.echo(f"   wrote {compensated}")
     click.echo("\n4. tilt error against the log's true tilt")
     rows = {column.name: column.to_numpy() for column in pl.read_csv(compensated)}
-    true = {axis: rows[f"true_tilt_{axis}"] for axis in ("x", "y")}
-    before = {axis: _nominal_tilt(model, rows[axis]) - true[axis] for axis in true}
-    after = {axis: rows[f"tilt_{axis}"] - true[axis] for axis in true}
-    _print_errors(before, after)
+    before, after = {}, {}
+    click.echo("            before                     after")
+    click.echo("            rms       largest          rms       largest")
+    for axis in REACH:
+        ratio = (rows[axis] - model.offset) / model.sensitivity  # by the data sheet
+        before[axis] = np.degrees(np.arcsin(np.clip(ratio, -1.0, 1.0))) - rows[f"true_tilt_{axis}"]
+        after[axis] = rows[f"tilt_{axis}"] - rows[f"true_tilt_{axis}"]
+        errors = (before[axis], after[axis])
+        figures = (f"{np.sqrt(np.mean(error**2)):.3f}°    {np.abs(error).max():.3f}°" for error in errors)
+        click.echo(f"   tilt {axis}   " + "           ".join(figures))
     click.echo("\n5. report")
     try:
         require_extra()
@@ -113,22 +109,3 @@ def _record(path: Path, address: Address, model: Model) -> None:
         true_x, true_y = degrees(asin(g_x)), degrees(asin(g_y))
         lines.append(f"{clock.now_ns() / 1e9:.4f},{x:.0f},{y:.0f},{reading.temperature:.2f},{true_x:.5f},{true_y:.5f}")
     write_whole(path, "\n".join(lines) + "\n")
-
-
-def _nominal_tilt(model: Model, readings: Array) -> Array:
-    """Return the tilt from the data sheet's offset and sensitivity, degrees."""
-    import numpy as np
-
-    return np.degrees(np.arcsin(np.clip((readings - model.offset) / model.sensitivity, -1.0, 1.0)))
-
-
-def _print_errors(before: Mapping[str, Array], after: Mapping[str, Array]) -> None:
-    import numpy as np
-
-    click.echo("            before                     after")
-    click.echo("            rms       largest          rms       largest")
-    for axis in before:
-        click.echo(
-            f"   tilt {axis}   {np.sqrt(np.mean(before[axis] ** 2)):.3f}°    {np.max(np.abs(before[axis])):.3f}°"
-            f"           {np.sqrt(np.mean(after[axis] ** 2)):.3f}°    {np.max(np.abs(after[axis])):.3f}°"
-        )

@@ -57,17 +57,9 @@ Examples:
 @options.file_option("--figure", metavar="SVG", help="Draw the Allan deviation.")
 @options.as_json
 def command(
-    log: str | None,
-    topic: str | None,
-    calibration: Path | None,
-    unit: str | None,
-    averages: str,
-    target: float | None,
-    target_range: float | None,
-    figure: Path | None,
-    as_json: bool,
-    **recorded: Any,
-) -> int:
+    log: str | None, topic: str | None, calibration: Path | None, unit: str | None, averages: str,
+    target: float | None, target_range: float | None, figure: Path | None, as_json: bool, **recorded: Any,
+) -> int:  # fmt: skip
     """Characterise the noise of a sensor at rest, and recommend the number of samples per position.
 
     Give a LOG (CSV, Parquet, NetCDF-4, or - for CSV on standard input) of a sensor at rest, or --sensor and --address
@@ -108,17 +100,8 @@ def command(
             interrupted = tally.interrupted
             log, rate, name = str(path), None, str(output or "the record")
         progress = stack.enter_context(progress_bar("noise"))
-        found = characterise_readings(
-            log,
-            facts,
-            wanted,
-            rate=rate,
-            columns=recorded["columns"],
-            averages=sizes,
-            skip_bad_rows=recorded["skip_bad_rows"],
-            name=name,
-            progress=progress,
-        )
+        how = {"columns": recorded["columns"], "skip_bad_rows": recorded["skip_bad_rows"], "averages": sizes}
+        found = characterise_readings(log, facts, wanted, rate=rate, name=name, progress=progress, **how)
     if figure is not None:
         draw_noise(figure, found.channels, found.scale)
     for note in found.remarks:

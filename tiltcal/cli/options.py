@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from math import isfinite
@@ -13,7 +13,7 @@ from typing import Any, TypeVar, get_args
 
 import click
 
-from tiltcal.options import Option, flag_of, options_of
+from tiltcal.options import flag_of, options_of
 from tiltcal.stated_arguments import require_above_zero, require_from_zero, require_whole
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -50,7 +50,7 @@ class Command(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         options = {max(one.opts, key=len): one for one in self.get_params(ctx) if isinstance(one, click.Option)}
         headings = {name: heading for heading, names in HEADINGS.items() for name in names.split()}
-        if len(options) <= SHORT or any(isinstance(one, Declared) for one in options.values()):
+        if len(options) <= SHORT or any(isinstance(one, Grouped) for one in options.values()):
             headings = {name: getattr(one, "group", "") or "Options" for name, one in options.items()}
         sections: dict[str, list[tuple[str, str]]] = {}
         for name in dict.fromkeys((*headings, *options)):
@@ -78,55 +78,32 @@ command = partial(click.command, cls=Command)
 class Number(click.ParamType[Any]):
     """A number; the library refuses what is none with the same check, in the same words."""
 
-    def __init__(self, check: Callable[[str, object], None], name: str = "float") -> None:
-        self.name, self._check = name, check
+    def __init__(self, check: Callable[[str, Any], None] | None, name: str = "float") -> None:
+        self._check, self.name = check, name
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        number = _as_number(value)
-        self._check("" if param is None else param.opts[0], number)
-        return number
+        for kind in (int, float):
+            with suppress(ValueError):
+                value = kind(str(value))
+                break
+        if self._check is not None:
+            self._check("" if param is None else param.opts[0], value)
+        elif not isinstance(value, int | float):
+            self.fail(f"{value!r} is no number", param, ctx)
+        return value
 
 
 def count(least: int, what: str) -> Number:
     """Return the type of a whole number of something."""
-    return Number(lambda option, value: require_whole(option, value, least, what), "integer")
-
-
-def _as_number(value: Any) -> Any:
-    """Return the number that a text is, or the text."""
-    for kind in (int, float):
-        with suppress(ValueError):
-            return kind(str(value))
-    return value
+    return Number(partial(require_whole, least=least, what=what), "integer")
 
 
 class Grouped(click.Option):
-    """An option of a command below the heading of a group of declared ones."""
+    """An option below the heading of its group."""
 
     def __init__(self, *names: Any, group: str, **how: Any) -> None:
         super().__init__(*names, **how)
         self.group = group
-
-
-class Declared(click.Option):
-    """An option of a declaration, below the heading of its group."""
-
-    def __init__(self, names: Sequence[str], *, option: Option, kinds: tuple[Any, ...]) -> None:
-        self.group = option.group
-        if bool in kinds:
-            super().__init__(names, is_flag=True, default=False, help=option.help)
-            return
-        is_number = str not in kinds and bool({int, float} & set(kinds))
-
-        def checked(text: Any) -> Any:
-            value = _as_number(text) if is_number else text
-            if option.check is not None:
-                option.check(names[0], value)
-            elif is_number:
-                float(value)
-            return value
-
-        super().__init__(names, type=checked, default=option.default, metavar=option.metavar, help=option.help)
 
 
 def declared(declaration: type) -> Callable[[F], F]:
@@ -134,9 +111,16 @@ def declared(declaration: type) -> Callable[[F], F]:
 
     def with_options(command: F) -> F:
         for name, (option, kind) in reversed(options_of(declaration).items()):
-            if option.metavar is not None:
-                kinds = get_args(kind) or (kind,)
-                click.option(flag_of(name, option), name, cls=Declared, option=option, kinds=kinds)(command)
+            if option.metavar is None:
+                continue
+            kinds = get_args(kind) or (kind,)
+            how: dict[str, Any] = {"metavar": option.metavar, "default": option.default, "type": click.UNPROCESSED}
+            if bool in kinds:
+                how = {"is_flag": True, "default": False}
+            elif str not in kinds and {int, float} & set(kinds):
+                how["type"] = Number(option.check)
+            how |= {"cls": Grouped, "group": option.group, "help": option.help}
+            click.option(flag_of(name, option), name, **how)(command)
         return command
 
     return with_options

@@ -33,14 +33,9 @@ SHOWN_EVERY = 0.25
 @options.above_zero("--for", "seconds", metavar="SECONDS", help="Stop after this time.")
 @options.file_option("-o", "--output", required=True, help="The log to write: .csv or .parquet.")
 def command(
-    bench: Path | None,
-    sensor: str | None,
-    address: str | None,
-    rate: float | None,
-    rows: int | None,
-    seconds: float | None,
-    output: Path,
-) -> int:
+    bench: Path | None, sensor: str | None, address: str | None, rate: float | None, rows: int | None,
+    seconds: float | None, output: Path,
+) -> int:  # fmt: skip
     """Record the readings of a sensor or a bench until Ctrl-C.
 
     Each row has the time (UTC), the readings and the temperature. No row that was written is lost. A reading that fails

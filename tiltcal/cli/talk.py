@@ -1,16 +1,24 @@
-"""Messages and progress on standard error: where its reader has ended or its disk is full, a command goes on."""
+"""Messages, progress and unforeseen errors on standard error: where its reader has ended, a command goes on."""
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from tiltcal.errors import InputError
 from tiltcal.printable import printable
 
 if TYPE_CHECKING:
     from tiltcal.logs.log import Progress
+
+TRACEBACK = "TILTCAL_TRACEBACK"
+"""Environment variable: where it is set, such an error leaves the command as Python prints it."""
+
+_LONGEST = 300  # characters of such an error that are printed
 
 
 def talk(text: str) -> None:
@@ -52,3 +60,28 @@ def progress_bar(what: str) -> Iterator[Progress | None]:
     with Bar(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None, visible=False)
         yield lambda done, size: bar.update(task, completed=done, total=size, visible=size is not None)
+
+
+def unforeseen(failure: BaseException, *inputs: str) -> InputError:
+    """Return the error that names the inputs of which something raised an exception that is none of tiltcal's.
+
+    An exception that ends programs, such as that of Ctrl-C, is raised again, and every one where :data:`TRACEBACK` is
+    set.
+    """
+    if isinstance(failure, KeyboardInterrupt | SystemExit | GeneratorExit) or os.environ.get(TRACEBACK):
+        raise failure
+    why = " ".join(f"{type(failure).__name__}: {failure}".split())[:_LONGEST]
+    where = ", ".join(inputs) or "the options, or a variable of the environment"
+    return InputError(
+        f"{where} cannot be processed: {why}; correct a number or date that is out of range, or a damaged file. "
+        f"If none is, report it with what {TRACEBACK}=1 prints"
+    )
+
+
+def end_unforeseen(failure: BaseException, args: list[str]) -> int:
+    """Print an error that nothing foresees, with the files that the command line names; return the exit code."""
+    given = ((before, arg.rpartition("=")[2]) for before, arg in pairwise(["", *args]))
+    named = [name for before, name in given if before not in ("-o", "--output") and os.path.exists(name)]
+    refusal = unforeseen(failure, *named)
+    talk(f"tiltcal: {printable(str(refusal))}")
+    return refusal.exit_code
