@@ -89,8 +89,9 @@ def test_a_lost_scheduler_is_named(bench: Path, monkeypatch: pytest.MonkeyPatch)
     """It cancels what has not begun; a stand-in for ``distributed``, whose client is a context."""
     cancelled: Future[Any] = Future()
     cancelled.cancel()
-    client = SimpleNamespace(submit=lambda *args, **how: cancelled)
-    stand_in = SimpleNamespace(Client=lambda *args, **how: nullcontext(client), as_completed=iter)
+    client = nullcontext()
+    vars(client)["submit"] = lambda *args, **how: cancelled
+    stand_in = SimpleNamespace(Client=lambda *args, **how: client, as_completed=iter)
     monkeypatch.setitem(sys.modules, "distributed", stand_in)
     done = tiltcal("apply", CAL, "log1.csv", "-o", "tilt", "--scheduler", "tcp://127.0.0.1:1", cwd=bench)
     assert (done.returncode, "log1.csv failed and is left out: the scheduler was lost" in done.stderr) == (2, True)
