@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from math import nan
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiltcal.calibration.record import record_in
 from tiltcal.calibration.season import CalibrationFolder
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.earth_frame import VELOCITY, FieldLength
-from tiltcal.core.flags import MISSING, NO_TEMPERATURE, NOT_A_NUMBER, SUSPECT, mark_columns
+from tiltcal.core.flags import MISSING, NOT_A_NUMBER
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.files.calibration import CalibrationRecord
@@ -35,7 +34,7 @@ from tiltcal.logs.columns import (
     require_unit,
 )
 from tiltcal.logs.formats import create_log, open_log, require_way
-from tiltcal.logs.kernel import LagCorrection, PreparedCalibration, RoleValues, prepare
+from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import Means
 from tiltcal.logs.options import ApplyOptions, require_consistent
@@ -79,11 +78,7 @@ def apply_to_log(
 def apply_frame(
     calibration: CalibrationRecord | PairRecord | CalibrationFolder, frame: Any, options: ApplyOptions
 ) -> Any:
-    """Apply a calibration to a frame, and return the same kind with the columns that are added to a log.
-
-    UsageError: the frame is of no known kind, or has a column of a name that the result needs.
-    InputError: a column is not there or holds no numbers, or the readings are in another unit than the calibration's.
-    """
+    """Apply a calibration to a frame, and return the same kind with the columns that are added to a log."""
     from tiltcal.logs.frames import FrameReader
 
     if options["skip_bad_rows"]:
@@ -95,19 +90,15 @@ def apply_frame(
 
 
 def prepare_any(calibration: Applied, options: ApplyOptions) -> Callable[[LogReader], PreparedCalibration]:
-    """Make a calibration, its file or a folder ready for a log.
-
-    UsageError: the options are not for this calibration.
-    InputError: the calibration is wrong.
-    """
+    """Make a calibration, its file or a folder ready for a log; options that are not for it are a UsageError."""
     require_consistent(options)
-    if not isinstance(calibration, str | Path) or os.path.isdir(calibration):
-        folder = CalibrationFolder(calibration) if isinstance(calibration, str | Path) else calibration
-        if isinstance(folder, CalibrationFolder):
-            from tiltcal.logs.apply_library import prepare_library
+    if isinstance(calibration, str | Path) and os.path.isdir(calibration):
+        calibration = CalibrationFolder(calibration)
+    if isinstance(calibration, CalibrationFolder):
+        from tiltcal.logs.apply_library import prepare_library
 
-            return lambda log: prepare_library(folder, log, options)
-        calibration = folder
+        folder = calibration
+        return lambda log: prepare_library(folder, log, options)
     for name in ("serial", "stability", "start"):
         if options[name] is not None:
             raise UsageError(f"--{name} is for a folder of calibrations (--calibrations)")
@@ -132,7 +123,7 @@ class CompensatedLog:
         thermometers = [name for one in prepared.sensors if one.lead and (name := one.lead + TEMPERATURE) in log.names]
         named = named_columns(options["columns"], [*prepared.channels, *thermometers], prepared.roles)
         for sensor in prepared.sensors:
-            named = {sensor.lead + axis: name for axis, name in sensor.columns.items() if name in log.names} | named
+            named = {sensor.lead + axis: name for axis, name in sensor.named.items() if name in log.names} | named
         takes_time = TIME not in prepared.roles and (self._lagged or prepared.averaging is not None)
         roles = (*prepared.roles, *((TIME,) if takes_time and (TIME in named or TIME in log.names) else ()))
         where = locate_columns(log, [*prepared.channels, *thermometers], named, roles)
@@ -151,29 +142,25 @@ class CompensatedLog:
             )
             for sensor in prepared.sensors
         ]
-        self._require_units(where, options["unit"])
+        self._require_units(where, thermometers, options["unit"])
         self.channels = tuple(chain(*(sensor.readings for sensor in self._sensors)))
         self._roles = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
         if self._lagged and TIME not in self._roles:
             self._say(NO_TIME)
         self._needs_time = TIME in prepared.roles or self._lagged
         self._field_length = FieldLength() if "magnetometer" in self._vectors else None
-        self._lags = [LagCorrection(sensor.lag) for sensor in prepared.sensors]
         self.summary = ApplySummary(widths={name: ColumnWidths() for name in prepared.led(lambda one: one.watched)})
 
-    def _require_units(self, where: dict[str, int], stated: str | None) -> None:
+    def _require_units(self, where: Mapping[str, int], thermometers: Sequence[str], stated: str | None) -> None:
         log = self.log
-        for sensor, columns in zip(self.prepared.sensors, self._sensors, strict=True):
+        for sensor in self.prepared.sensors:
             for channel, unit in sensor.units.items():
                 column = where[sensor.lead + channel]
                 require_unit(log, [column], unit)
                 if stated is not None and unit != DEGREE and not same_unit(stated, unit):
                     why = f"column {log.names[column]!r} is in {stated}, and the calibration in {unit}"
                     raise InputError(f"{why}: convert the readings", file=log.name)
-            if columns.thermometer is not None:
-                require_unit(log, [columns.thermometer], "°C", "temperatures")
-        if TEMPERATURE in where:
-            require_unit(log, [where[TEMPERATURE]], "°C", "temperatures")
+        require_unit(log, [where[name] for name in (*thermometers, TEMPERATURE) if name in where], "°C", "temperatures")
         if HEADING in where:
             require_unit(log, [where[HEADING]], DEGREE, "headings")
         for vector in self._vectors.values():
@@ -227,13 +214,8 @@ class CompensatedLog:
         for number, (sensor, columns) in enumerate(zip(self.prepared.sensors, self._sensors, strict=True)):
             own = {} if columns.thermometer is None else {TEMPERATURE: block.values[columns.thermometer]}
             count = None if block.counts is None else block.counts[:, number]
-            values = RoleValues(block.readings(columns.readings), **{**shared, **own}, count=count)
-            if judged and sensor.judge is not None:
-                part: Table = sensor.judge(values)
-            else:
-                values, late = self._lags[number](values)
-                part = sensor.kernel(values)
-                part = part if late is None else mark_columns(part, late, SUSPECT, NO_TEMPERATURE)
+            kernel = sensor.judge if judged and sensor.judge is not None else sensor.kernel
+            part = kernel(RoleValues(block.readings(columns.readings), **{**shared, **own}, count=count))
             table |= {f"{sensor.lead}{name}": column for name, column in part.items()}
         return table
 
@@ -247,7 +229,8 @@ def look_over(
 
     InputError: a row cannot be parsed, or the log is damaged.
     """
-    wanted = (*prepared.angles, *_ABSENT)
+    angles = prepared.led(lambda sensor: sensor.angles)
+    wanted = (*angles, *_ABSENT)
     compensated = set(wanted) <= set(log.names)
     tables: Iterable[tuple[LogBlock, Table]]
     if compensated:
@@ -256,18 +239,16 @@ def look_over(
         tables = ((block, {name: block.values[index] for name, index in where.items()}) for block in blocks)
     else:
         tables = CompensatedLog(log, prepared, options).blocks(time)
-    overview = ColumnStatistics(prepared.angles)
+    overview = ColumnStatistics(angles)
     for block, table in read_ahead(iter(tables)):
-        shown = np.stack([np.asarray(table[angle], float) for angle in prepared.angles]).T
-        flag, reason = (_small(np.asarray(table[name]), absent) for name, absent in _ABSENT.items())
+        shown = np.stack([np.asarray(table[angle], float) for angle in angles]).T
+        flag, reason = (
+            np.where((table[name] >= 0) & (table[name] <= 65535), table[name], absent).astype(np.uint16)
+            for name, absent in _ABSENT.items()
+        )
         times = overview.rows + np.arange(float(len(flag))) if time is None else block.values[time]
         overview.add(times, shown, flag, reason)
     return overview, compensated
-
-
-def _small(column: NDArray[Any], absent: int) -> NDArray[Any]:
-    """Return flags or reasons as whole numbers."""
-    return np.where((column >= 0) & (column <= 65535), column, absent).astype(np.uint16)
 
 
 def _in_order(blocks: Iterable[LogBlock], time: int, name: str) -> Iterator[LogBlock]:

@@ -34,6 +34,7 @@ from tiltcal.logs.kernel import (
     RowRemarks,
     prepare,
     tilt_kernel,
+    with_lag,
 )
 from tiltcal.logs.log import LogReader, Table
 from tiltcal.logs.options import ApplyOptions, silent
@@ -87,7 +88,8 @@ def prepare_library(library: CalibrationFolder, log: LogReader, options: ApplyOp
         }
         prepared.append(prepare(history.calibrations[-1].record, options, origin=origin))
         (last,) = prepared[-1].sensors
-        sensors.append(replace(last, kernel=LibraryKernel(history, options, last, start, log.name), lead=lead))
+        kernel = with_lag(LibraryKernel(history, options, last, start, log.name), last.lag)
+        sensors.append(replace(last, kernel=kernel, lead=lead))
     whole = replace(prepared[0], sensors=tuple(sensors))
     named = named_columns(options["columns"], whole.channels, whole.roles)
     needs_time = start is None or named.get(TIME, TIME) in log.names
@@ -150,7 +152,7 @@ class LibraryKernel:
     def __init__(
         self, history: SensorHistory, options: ApplyOptions, last: PreparedSensor, start: float | None, log: str
     ) -> None:
-        self.columns = last.kernel.columns
+        self.columns = last.added
         self._remarks = last.remarks if last.judge is None else RowRemarks()
         self._options: ApplyOptions = {**options, "say": silent}
         self._plain: ApplyOptions = {**self._options, **_WITHOUT_UNCERTAINTY}

@@ -54,7 +54,7 @@ from tiltcal.logs.positions import (
 )
 from tiltcal.logs.ramp import read_ramp
 from tiltcal.logs.still import WINDOWS, choice_table, find_still
-from tiltcal.logs.streams import imported_meanwhile, sha256_of
+from tiltcal.logs.streams import sha256_of
 from tiltcal.stated_arguments import require_name
 
 R = TypeVar("R", LogRecord, FileRecord, SegmentsRecord)
@@ -309,8 +309,7 @@ class FitSource:
     def _record(self, sensor: SensorIdentity) -> RecordedReadings:
         """Read the log."""
         named = named_columns(self.columns, sensor.channels)
-        with imported_meanwhile("scipy.special"):
-            return read_readings(self.data, sensor.channels, named, sensor.unit, self.progress)
+        return read_readings(self.data, sensor.channels, named, sensor.unit, self.progress)
 
     def _provenance(
         self,

@@ -43,7 +43,6 @@ class FrameReader(LogReader):
             self._frame = ArrayFrame(frame) if isinstance(frame, Mapping) else TableFrame(_eager(frame, name))
         self.names = tuple(self._frame.named)
         self.notes = {str(key): str(note) for key, note in dict(getattr(frame, "attrs", None) or {}).items()}
-        self._timed = False
 
     def has_times(self, name: str, beside: int) -> bool:
         dimensions = self._frame.dimensions
@@ -65,24 +64,18 @@ class FrameReader(LogReader):
         yield self._block(self._frame, columns, time, frames)
 
     def _block(
-        self,
-        frame: TableFrame | ArrayFrame | DatasetFrame,
-        columns: Sequence[int],
-        time: int | None,
-        frames: bool,
-        first: int = 0,
+        self, frame: TableFrame | ArrayFrame | DatasetFrame, columns: Sequence[int], time: int | None, frames: bool
     ) -> LogBlock:
-        """Return the rows of a frame, which are those of the log from ``first`` on."""
+        """Return the rows of a frame."""
         import polars as pl
 
-        dimension, values, wrong = self.dimension(columns), {}, None
+        dimension, values, times = self.dimension(columns), {}, None
         for index in columns:
             column = frame.column(self.names[index])
             absent = column.null_count() == len(column)  # a column without a value may have any type
             values[index] = np.full(len(column), np.nan) if absent else self._values(column, index, time)
             if index == time:
-                self._timed = self._timed or bool(np.isfinite(values[index]).any())
-                wrong = None if self._timed else self._wrong_time(column, index, first)
+                times = column
                 values[index] = seconds_since_1970(values[index], self.unit(index), self.name)
         rows = {len(column) for column in values.values()}
         if len(rows) > 1:
@@ -90,10 +83,10 @@ class FrameReader(LogReader):
         if 0 in rows:
             raise InputError("the log has columns and no rows", file=self.name)
         if not frames:
-            return LogBlock(values, wrong_time=wrong)
+            return LogBlock(values, times=times)
         alike = {name: frame.column(name) for name in self.names if frame.dimensions(name) == (dimension,)}
         typed = pl.DataFrame({name: column for name, column in alike.items() if len(column) in rows})
-        return LogBlock(values, frame=typed, wrong_time=wrong)
+        return LogBlock(values, frame=typed, times=times)
 
     def with_columns(self, blocks: Sequence[tuple[LogBlock, Table]], channels: Sequence[int], units: Units) -> Any:
         """Return the frame, or means of its rows, of its own kind, with columns made of its ``channels`` behind."""

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from tiltcal.calibration.wording import objections
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, uncertainty_columns, with_shares
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.earth_frame import EarthFrameCompensation
-from tiltcal.core.flags import NO_DIRECTION, Mask
+from tiltcal.core.flags import NO_DIRECTION, NO_TEMPERATURE, SUSPECT, mark_columns
 from tiltcal.core.model import Array
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.thermal_lag import ThermalLag
@@ -55,19 +54,11 @@ class RoleValues:
     count: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(self.readings)
 
 
-class Kernel(Protocol):
-    """Columns from the rows of one log, block after block in order; a kernel may remember the rows before."""
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns that a call gives, in order; ``flag`` and ``reason`` are among them."""
-        ...
-
-    def __call__(self, values: RoleValues) -> Table: ...
+Kernel = Callable[[RoleValues], Table]
+"""Columns from the rows of one log, block after block in order; a kernel may remember the rows before."""
 
 
 class RowRemarks:
@@ -94,29 +85,32 @@ class RowRemarks:
             yield f"in {rows} the sensor is more than 45° from level, mounted on edge: nothing shows the sign of its z"
 
 
-class LagCorrection:
-    """The temperature of the sensing element in place of the thermometer's; it remembers the rows before."""
+def with_lag(kernel: Kernel, lag: float) -> Kernel:
+    """Return a kernel that takes the temperature of the sensing element, s later than its thermometer, for one log."""
+    if not lag:
+        return kernel
+    follow = ThermalLag(lag)
 
-    def __init__(self, lag: float) -> None:
-        self._lag = ThermalLag(lag) if lag else None
-
-    def __call__(self, values: RoleValues) -> tuple[RoleValues, Mask | None]:
-        """Return the rows with the element's temperature, and which have the thermometer's; None where none is late."""
+    def lagged(values: RoleValues) -> Table:
         temperature = values.temperature
-        if self._lag is None or temperature is None:
-            return values, None
-        if values.time is None:
-            return values, np.isfinite(temperature)
-        element = self._lag(values.time, temperature)
-        lost = np.isfinite(temperature) & ~np.isfinite(element)
-        return replace(values, temperature=np.where(lost, temperature, element)), lost
+        if temperature is None:
+            return kernel(values)
+        late = np.isfinite(temperature)
+        if values.time is not None:
+            element = follow(values.time, temperature)
+            late &= ~np.isfinite(element)
+            values = replace(values, temperature=np.where(late, temperature, element))
+        return mark_columns(kernel(values), late, SUSPECT, NO_TEMPERATURE)
+
+    return lagged
 
 
 class TiltKernel:
     """The compensation of a tilt sensor, then the uncertainty of its angles, then heading and earth velocities.
 
     Where ``averaged`` rows are means of :attr:`RoleValues.count` rows, and uncertainties have a random and a common
-    share. ``remarks`` counts the rows.
+    share. ``remarks`` counts the rows. Of the ``columns`` that a call gives ``expanded`` are half widths of 95 %
+    intervals.
     """
 
     def __init__(
@@ -129,15 +123,11 @@ class TiltKernel:
     ) -> None:
         self._compensation, self._uncertain_angles, self._earth = compensation, uncertain_angles, earth
         self.angles, self._averaged, self._remarks = compensation.angles, averaged, remarks or RowRemarks()
-        uncertain = () if uncertain_angles is None else uncertainty_columns(compensation.angles, averaged=averaged)
+        uncertain = () if uncertain_angles is None else uncertainty_columns(self.angles, averaged=averaged)
         self._uncertain = len(uncertain)
         self.columns = (*compensation.columns, *uncertain, *(() if earth is None else earth.columns))
-
-    @property
-    def expanded(self) -> tuple[str, ...]:
-        """Names of the columns that hold half widths of 95 % intervals."""
-        own = () if self._uncertain_angles is None else tuple(f"U95_{angle}" for angle in self._compensation.angles)
-        return (*own, *(() if self._earth is None else self._earth.expanded))
+        own = () if uncertain_angles is None else tuple(f"U95_{angle}" for angle in self.angles)
+        self.expanded = (*own, *(() if earth is None else earth.expanded))
 
     def __call__(self, values: RoleValues) -> Table:
         out = Compensated.empty(len(values), len(self._compensation.axes))
@@ -153,9 +143,7 @@ class TiltKernel:
                     self._add_uncertainties(self._uncertain_angles, chunk, added[: self._uncertain, rows])
                 if self._earth is not None:
                     given = (values.magnetometer, values.heading, values.velocity)
-                    added[self._uncertain :, rows] = self._earth(
-                        chunk, *(None if values is None else values[rows] for values in given)
-                    )
+                    added[self._uncertain :, rows] = self._earth(chunk, *(g if g is None else g[rows] for g in given))
         return table | dict(zip(self.columns[len(table) :], added, strict=True))
 
     def _add_uncertainties(self, uncertain_angles: CompensationWithUncertainty, chunk: KernelChunk, out: Array) -> None:
@@ -167,30 +155,17 @@ class TiltKernel:
 
 
 @dataclass(frozen=True)
-class PairKernel:
-    """The matched sums of pairs of accelerometers."""
-
-    compensation: PairCompensation
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        return self.compensation.columns
-
-    def __call__(self, values: RoleValues) -> Table:
-        return self.compensation(values.readings)
-
-
-@dataclass(frozen=True)
 class PreparedSensor:
     """A sensor, or pairs, ready for the rows of one log.
 
-    ``units`` are those of the readings, of pairs that of the stage angle alone; ``origin`` is what a file made with it
-    should state: software, calibration, sha256, serial; ``watched`` are columns to be summed up; ``lag`` is by how much
-    the element is later than the thermometer, s; ``judge`` judges the readings of which means are made; ``columns`` are
-    those of the log of the fit; the names of its columns begin with ``lead``.
+    ``added`` are the columns of its kernel; ``units`` are those of the readings, of pairs that of the stage angle
+    alone; ``origin`` is what a file made with it should state: software, calibration, sha256, serial; ``watched`` are
+    columns to be summed up; ``lag`` is by how much the element is later than the thermometer, s; ``judge`` judges the
+    readings of which means are made; ``named`` are columns of the log of the fit; its own names begin with ``lead``.
     """
 
     kernel: Kernel
+    added: tuple[str, ...]
     channels: tuple[str, ...]
     units: Mapping[str, str]
     origin: Mapping[str, str]
@@ -199,7 +174,7 @@ class PreparedSensor:
     lag: float = 0.0
     judge: Kernel | None = None
     remarks: RowRemarks = field(default_factory=RowRemarks)
-    columns: Mapping[str, str] = field(default_factory=dict)
+    named: Mapping[str, str] = field(default_factory=dict)
     lead: str = ""
 
 
@@ -226,14 +201,9 @@ class PreparedCalibration:
         return self.led(lambda sensor: sensor.channels)
 
     @property
-    def angles(self) -> tuple[str, ...]:
-        """The added columns that are angles."""
-        return self.led(lambda sensor: sensor.angles)
-
-    @property
     def columns(self) -> tuple[str, ...]:
         """Names of all columns that are added to the log."""
-        return (*(() if self.averaging is None else (COUNT,)), *self.led(lambda sensor: sensor.kernel.columns))
+        return (*(() if self.averaging is None else (COUNT,)), *self.led(lambda sensor: sensor.added))
 
     @property
     def origin(self) -> dict[str, str]:
@@ -278,28 +248,23 @@ def prepare(
         raise InputError(str(failure), file=file) from failure
     if judge is not None and options["uncertainty"]:
         say("note: the noise of readings counts as white: a mean of n rows has 1/√n of it")
-    return PreparedCalibration(
-        (
-            PreparedSensor(
-                kernel,
-                coefficients.channels,
-                dict.fromkeys(coefficients.channels, sensor.unit),
-                {**stated, "serial": sensor.serial},
-                kernel.angles,
-                kernel.expanded,
-                0.0 if coefficients.thermal is None else coefficients.thermal.lag,
-                judge,
-                remarks,
-                sensor.columns,
-            ),
-        ),
-        (
-            *((HEADING,) if named and "magnetometer" not in named else ()),
-            *((TIME,) if size is not None and size.seconds else ()),
-        ),
-        named,
-        size,
+    lag = 0.0 if coefficients.thermal is None else coefficients.thermal.lag
+    prepared = PreparedSensor(
+        with_lag(kernel, lag),
+        kernel.columns,
+        coefficients.channels,
+        dict.fromkeys(coefficients.channels, sensor.unit),
+        {**stated, "serial": sensor.serial},
+        kernel.angles,
+        kernel.expanded,
+        lag,
+        judge,
+        remarks,
+        sensor.columns,
     )
+    roles = [HEADING] if named and "magnetometer" not in named else []
+    roles += [TIME] if size is not None and size.seconds else []
+    return PreparedCalibration((prepared,), tuple(roles), named, size)
 
 
 def tilt_kernel(calibration: CalibrationRecord, options: ApplyOptions, remarks: RowRemarks) -> TiltKernel:
@@ -308,14 +273,13 @@ def tilt_kernel(calibration: CalibrationRecord, options: ApplyOptions, remarks: 
     if averaged:  # the lengths of readings are judged, not that of their mean
         calibration = replace(calibration, limits=replace(calibration.limits, length=inf))
     compensation = compensation_of(calibration, first_order=options["first_order"])
-    uncertain_angles = None
+    uncertain_angles = earth = None
     if options["uncertainty"]:
         noise = options["reading_noise"]
         stated, assumed = stated_uncertainty(calibration.uncertainty, calibration.coefficients, reading_noise=noise)
         for remark in assumed:
             options["say"](f"note: {remark}")
         uncertain_angles = CompensationWithUncertainty(compensation, calibration.coefficients, stated)
-    earth = None
     if options["magnetometer"] or options["velocity"]:
         earth = _earth(compensation, uncertain_angles, options, averaged)
     return TiltKernel(compensation, uncertain_angles, earth, averaged, remarks)
@@ -330,7 +294,7 @@ def _of_pairs(calibration: PairRecord, options: ApplyOptions, origin: Mapping[st
     phase = calibration.spin.phase
     matched = PairCompensation(calibration.matchings, phase)
     units = {channel: DEGREE for channel in matched.channels if channel == phase}
-    return PreparedSensor(PairKernel(matched), matched.channels, units, origin)
+    return PreparedSensor(lambda values: matched(values.readings), matched.columns, matched.channels, units, origin)
 
 
 def _earth(

@@ -14,6 +14,7 @@ from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.cf_attributes import split_unit
 from tiltcal.logs.streams import keep_freed_memory, read_ahead, sha256_of
+from tiltcal.logs.text_to_numbers import column_numbers, column_seconds, unread_time
 
 if TYPE_CHECKING:
     import polars as pl
@@ -31,20 +32,19 @@ class LogBlock:
 
     ``values`` are the number columns that were asked for, by index, shape (n,), NaN where a value is missing and in
     rows that could not be parsed, which ``faults`` names; ``frame`` has all columns with their types, where these were
-    asked for. Of means ``counts``, shape (n, sensors), says of how many rows the readings of each sensor are the mean,
-    and ``bad_rows`` how many of these could not be parsed. ``wrong_time`` is what is wrong with a time that is no time,
-    where no row up to here has one.
+    asked for. ``times`` are the cells of the time as they stand, unless the engine has read them as numbers. Of means
+    ``counts``, shape (n, sensors), says of how many rows the readings of each sensor are the mean, and ``bad_rows`` how
+    many of these could not be parsed.
     """
 
     values: Mapping[int, Array]
     faults: Collection[int] = ()
     frame: pl.DataFrame | None = None
+    times: pl.Series | None = None
     counts: NDArray[np.int64] | None = None
     bad_rows: int = 0
-    wrong_time: InputError | None = None
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(next(iter(self.values.values())))
 
     def framed(self) -> pl.DataFrame:
@@ -115,9 +115,12 @@ class LogReader(ABC):
         """
         keep_freed_memory()
         blocks = self._blocks(tuple(columns), time, frames)
+        rows, timed = 0, not needs_time or time is None
         for block in read_ahead(blocks) if self._reads_ahead else blocks:
-            if needs_time and block.wrong_time is not None:
-                raise block.wrong_time
+            timed = timed or bool(np.isfinite(block.values[time or 0]).any())
+            if not timed and block.times is not None:
+                self._refuse_times(block.times, self.names[time or 0], rows)
+            rows += len(block)
             yield block
             if self.source.progress is not None:
                 self.source.progress(self.bytes_read, self.source.size)
@@ -132,20 +135,20 @@ class LogReader(ABC):
 
     def _values(self, column: pl.Series, index: int, time: int | None) -> Array:
         """Return a column that has a type as numbers, or as seconds where it is that of the time."""
-        from tiltcal.logs.text_to_numbers import column_numbers, column_seconds
-
         values = column_seconds(column) if index == time else column_numbers(column)
         if values is None:
             why = f"column {self.names[index]!r} holds {column.dtype}, not numbers: name another, or make numbers of it"
             raise InputError(why, file=self.name)
         return values
 
-    def _wrong_time(self, cells: pl.Series, column: int, first: int) -> InputError | None:
-        """Return what is wrong with a column of times none of which can be read; ``first`` is the row of its first."""
-        from tiltcal.logs.text_to_numbers import unread_time
+    def _refuse_times(self, cells: pl.Series, column: str, first: int) -> None:
+        """Refuse times none of which can be read, unless all are missing; ``first`` is the row of the first."""
+        if (wrong := unread_time(cells, column)) is not None:
+            raise self._row_error(wrong[1], first + wrong[0])
 
-        wrong = unread_time(cells, self.names[column])
-        return None if wrong is None else InputError(f"row {first + wrong[0]}: {wrong[1]}", file=self.name)
+    def _row_error(self, why: str, row: int) -> InputError:
+        """Return what is wrong with a row, counted from 0."""
+        return InputError(f"row {row}: {why}", file=self.name)
 
     def has_times(self, name: str, beside: int) -> bool:
         """Return whether there is a column of this name that may be read as times of the rows of another column."""

@@ -28,7 +28,6 @@ from tiltcal.logs.columns import TIME, locate_columns, require_degrees
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.numbers import read_columns
-from tiltcal.logs.streams import imported_meanwhile
 from tiltcal.stated_arguments import require_boolean, require_text_or_none
 
 _LARGEST = 1e140  # reading whose squares can be summed up in double precision
@@ -136,7 +135,6 @@ def match_log(
     with (
         open_log(data, skip_bad_rows=skip_bad_rows, digest=is_file, live=online, progress=progress) as log,
         _explained(log, phase),
-        imported_meanwhile("scipy.special"),
     ):
         read = read_pair_log(log, channels, phase, say=say, online=online)
         whole, course = read.demodulation, []

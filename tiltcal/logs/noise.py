@@ -25,7 +25,6 @@ from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.noise_summary import NoiseTarget, Pace, SensorNoise
 from tiltcal.logs.numbers import read_columns
-from tiltcal.logs.streams import imported_meanwhile
 from tiltcal.stated_arguments import require_above_zero, require_whole
 
 _LATE = 1.5  # rows are missing where the next one is late by so many intervals
@@ -135,8 +134,7 @@ def characterise_readings(
         where = locate_columns(log, channels, named)
         indices = [where[channel] for channel in channels]
         time = None if rate is not None else _time_column(log, named)
-        with imported_meanwhile("scipy.optimize"):
-            numbers = read_columns(log, indices if time is None else [*indices, time], time)
+        numbers = read_columns(log, indices if time is None else [*indices, time], time)
         samples, pace = numbers.columns[: len(indices)], Pace(1.0 / (rate or 1.0), len(numbers))
         if time is not None:
             samples, pace = evenly_spaced(samples, numbers.columns[-1], log.name)

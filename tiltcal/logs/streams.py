@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from hashlib import file_digest
-from importlib import import_module
 from pathlib import Path
 from select import select
 from types import FrameType
@@ -37,32 +36,25 @@ def log_source(log: str, *, live: bool = False) -> Iterator[tuple[BinaryIO, int 
 
     Where ``live``, Ctrl-C ends a stream that has no end of its own. A UsageError if the file cannot be opened.
     """
-    with _opened(log) as (stream, size):
+    if log == STANDARD and sys.stdin is None:
+        raise UsageError("standard input is closed: name a file instead of -")
+    try:
+        stream = sys.stdin.buffer if log == STANDARD else open(log, "rb")  # noqa: SIM115
+    except OSError as failure:
+        raise UsageError(f"cannot read {log}: {failure.strerror}") from failure
+    with nullcontext() if log == STANDARD else stream:
         try:
-            has_end = stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
+            state = os.fstat(stream.fileno())
         except OSError:  # memory
-            has_end = True
-        if has_end:
+            yield stream, None
+            return
+        size = None if log == STANDARD else state.st_size or None
+        if stat.S_ISREG(state.st_mode):
             yield stream, size
             return
         pipe = PipeReader(stream)
         with pipe.ended_by_ctrl_c() if live else nullcontext():
             yield cast("BinaryIO", pipe), size
-
-
-@contextmanager
-def _opened(log: str) -> Iterator[tuple[BinaryIO, int | None]]:
-    if log == STANDARD:
-        if sys.stdin is None:
-            raise UsageError("standard input is closed: name a file instead of -")
-        yield sys.stdin.buffer, None
-        return
-    try:
-        stream = open(log, "rb")  # noqa: SIM115 (only what opening raises is about opening)
-    except OSError as failure:
-        raise UsageError(f"cannot read {log}: {failure.strerror}") from failure
-    with stream:
-        yield stream, os.fstat(stream.fileno()).st_size or None
 
 
 @contextmanager
@@ -126,16 +118,6 @@ def read_ahead(items: Iterator[T], count: int = 2) -> Iterator[T]:
         finally:
             for future in expected:
                 future.cancel()
-
-
-@contextmanager
-def imported_meanwhile(module: str) -> Iterator[None]:
-    """Import a module in a thread of its own while a log is read, at whose end it is needed: a third of a second."""
-    thread = threading.Thread(target=import_module, args=(module,), daemon=True)
-    thread.start()
-    yield
-    # An error does not wait for it: an import that Ctrl-C ended may hold a lock for ever, which that thread waits for.
-    thread.join()
 
 
 def sha256_of(path: str | Path) -> str:

@@ -19,7 +19,7 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, Dialect, RowGrammar, between_commas, dialect_of
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import refused_by_system
-from tiltcal.logs.text_to_numbers import numbers, unread_time
+from tiltcal.logs.text_to_numbers import numbers
 
 if TYPE_CHECKING:
     import polars as pl
@@ -118,25 +118,16 @@ class CsvReader(LogReader):
 
     def _parsed(self, grammar: RowGrammar) -> Iterator[CsvBlock]:
         """Yield the rows, block after block."""
-        time, timed = grammar.time, grammar.time is None
-        empty = True
+        rows = 0
         for data, unended in self._lines():
-            if self.dialect.has_blanks:
-                data = between_commas(data)
-            block = grammar.parse(data, unended=unended)
+            block = grammar.parse(between_commas(data) if self.dialect.has_blanks else data, unended=unended)
             if block.faults and not self.source.skip_bad_rows:
                 row = min(block.faults)
-                raise self._error(block.faults[row], row)
-            if time is not None and not timed:
-                timed = bool(np.isfinite(block.values[time]).any())
-                if not timed:
-                    cells = replace(grammar, texts=[time]).parse(data, unended=unended).texts[time]
-                    wrong = unread_time(cells.scatter([*block.faults], None), self.names[time])
-                    block = replace(block, wrong_time=None if wrong is None else self._error(wrong[1], wrong[0]))
-            self._line += data.count(b"\n")
-            empty = False
+                raise self._row_error(block.faults[row], rows + row)
+            rows += len(block)
+            self._line += len(block)
             yield block
-        if empty:
+        if not rows:
             raise self._error("the log has a header and no rows")
 
     def _lines(self) -> Iterator[tuple[bytes, bool]]:
@@ -158,8 +149,11 @@ class CsvReader(LogReader):
         if len(pending) > _LONGEST_ROW:
             raise self._error(f"the row does not end within {_LONGEST_ROW >> 20} MB: is this a CSV log?")
 
-    def _error(self, message: str, row: int = 0) -> InputError:
-        return InputError(message, file=self.name, line=self._line + row)
+    def _error(self, message: str) -> InputError:
+        return InputError(message, file=self.name, line=self._line)
+
+    def _row_error(self, why: str, row: int) -> InputError:
+        return InputError(why, file=self.name, line=1 + self.dialect.has_header + row)
 
 
 class ColumnTypes:

@@ -17,8 +17,9 @@ the grammar is our own, and the same for every row of every file:
 - A last line that has no end is torn where it is short, or stops inside a number.
 - :mod:`tiltcal.logs.text_to_numbers` defines what is a number, and what is a time.
 
-There are two ways. Blocks that are seen to break no rule are parsed by the engine at once; all others line by line,
-which says what is wrong with which row. A row that breaks a rule is kept as one quoted field, and empty ones behind.
+There are two ways. Blocks that are seen to break no rule, and have no quotes, are parsed by the engine at once; all
+others line by line, which says what is wrong with which row. A row that breaks a rule is kept as one quoted field, and
+empty ones behind.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from tiltcal.printable import counted
 if TYPE_CHECKING:
     import polars as pl
 
-_LF, _QUOTE, _POINT, _ZERO, _NINE = b'\n".09'
+_LF, _POINT, _ZERO, _NINE = b"\n.09"
 _PIECE = 1 << 16  # bytes: as many as stay in the cache with what is made of them
 _OF_NUMBERS = b"0123456789+-."
 _UNUSED = "\x1f\x1e\x1d\x1c\x01\x02\x03\x04\x05\x06\x0e\x0f\x10\x11\x12\x13\x14\x15\x16\x17"
@@ -173,19 +174,15 @@ class RowGrammar:
         Where no last field is null and the separators are as many as the rows need, no row is short or long.
         """
         fields, separator = len(self.dialect.names), ord(self.dialect.separator)
-        if b"\r" in data or b"\0" in data:
+        if b'"' in data or b"\r" in data or b"\0" in data:
             return None
-        quoted = b'"' in data
-        bare = _without_quoted(data, separator) if quoted else data
-        if bare is None:
+        rows = _count(data, _LF)
+        if _count(data, separator) != rows * (fields - 1):
             return None
-        rows = _count(bare, _LF)
-        if _count(bare, separator) != rows * (fields - 1) or (quoted and _count(data, _LF) != rows):
-            return None
-        frame = self._columns_by_engine(data, '"' if quoted else None)
+        frame = self._columns_by_engine(data)
         if frame is None or len(frame) != rows:
             return None
-        if frame.to_series(-1).null_count() and (fields == 1 or not _is_rectangular(bare, fields, separator)):
+        if frame.to_series(-1).null_count() and (fields == 1 or not _is_rectangular(data, fields, separator)):
             return None
         values = {}
         for index in self.columns:
@@ -193,9 +190,10 @@ class RowGrammar:
             if wrong is not None:
                 return None
         texts = {index: frame[str(index)].replace("", None) for index in self.texts}
-        return CsvBlock(values=values, faults={}, text=data, encoding=encoding, texts=texts)
+        times = None if self.time is None else frame[str(self.time)]
+        return CsvBlock(values=values, faults={}, text=data, encoding=encoding, texts=texts, times=times)
 
-    def _columns_by_engine(self, data: bytes, quote_char: str | None) -> pl.DataFrame | None:
+    def _columns_by_engine(self, data: bytes) -> pl.DataFrame | None:
         """Read needed columns as numbers, or as text where that fails, and the last column; None if both fail."""
         import polars as pl
 
@@ -208,7 +206,7 @@ class RowGrammar:
         for numeric in tried:
             schema = {str(index): pl.Float64 if index in numeric else pl.String for index in range(fields)}
             with suppress(pl.exceptions.PolarsError):
-                return _engine(data, quote_char, separator=self.dialect.separator, schema=schema, columns=wanted)
+                return _engine(data, separator=self.dialect.separator, schema=schema, columns=wanted)
         return None
 
     def _numbers(self, cells: pl.Series, index: int) -> tuple[Array, NDArray[np.bool_] | None]:
@@ -250,9 +248,10 @@ class RowGrammar:
                 cells = cells.scatter([*odd], [row[index] if index < len(row) else None for row in odd.values()])
             return cells.scatter([*faults], None)
 
-        values = {}
+        values, times = {}, None
         for index in self.columns:
             cells = cells_of(index)
+            times = cells if index == self.time else times
             values[index], wrong = self._numbers(cells, index)
             for row in () if wrong is None else np.flatnonzero(wrong).tolist():
                 faults.setdefault(row, f"column {names[index]!r}: {cells[row]!r} is no number")
@@ -265,7 +264,7 @@ class RowGrammar:
                 texts[0] = texts[0].scatter([*faults], bad)
             quoted = ['"' + line.replace('"', '""') + '"' + separator * (len(names) - 1) for line in bad]
             data = "".join(f"{line}\n" for line in lines.scatter([*faults], quoted)).encode()
-        return CsvBlock(values=values, faults=faults, text=data, encoding=encoding, texts=texts)
+        return CsvBlock(values=values, faults=faults, text=data, encoding=encoding, texts=texts, times=times)
 
 
 def _odd_row(line: str, separator: str) -> tuple[list[str], str]:
@@ -308,22 +307,7 @@ def _has_open_points(data: bytes) -> bool:
     )
 
 
-def _without_quoted(data: bytes, separator: int) -> bytes | None:
-    """Return the bytes with quotes in place of all that is inside quotes; None unless these enclose whole fields."""
-    buffer = np.frombuffer(data, np.uint8)
-    quotes = buffer == _QUOTE
-    places = np.flatnonzero(quotes)
-    if len(places) % 2 or np.diff(places).max() > csv.field_size_limit():
-        return None
-    # The first byte follows a line end, as the last one is a line end. A quote beside a quote is a doubled one.
-    beside = np.concatenate([buffer[places[::2] - 1], buffer[places[1::2] + 1]])
-    if not ((beside == separator) | (beside == _LF) | (beside == _QUOTE)).all():
-        return None
-    inside = np.bitwise_xor.accumulate(quotes.view(np.uint8)).view(bool)
-    return np.where(inside, np.uint8(_QUOTE), buffer).tobytes()
-
-
-def _engine(data: bytes, quote_char: str | None = None, **options: Any) -> pl.DataFrame:
+def _engine(data: bytes, **options: Any) -> pl.DataFrame:
     """Read rows.
 
     The engine takes bytes that begin as a compressed file does (a cell ``x`` and a control character will do) for one;
@@ -335,5 +319,5 @@ def _engine(data: bytes, quote_char: str | None = None, **options: Any) -> pl.Da
     if data.startswith(UTF8_BOM):
         data = UTF8_BOM + data
     if data[0] in _OF_NUMBERS:
-        return pl.read_csv(data, has_header=False, quote_char=quote_char, **options)
-    return pl.read_csv(b"\n" + data, skip_lines=1, has_header=False, quote_char=quote_char, **options)
+        return pl.read_csv(data, has_header=False, quote_char=None, **options)
+    return pl.read_csv(b"\n" + data, skip_lines=1, has_header=False, quote_char=None, **options)

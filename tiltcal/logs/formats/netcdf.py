@@ -82,7 +82,7 @@ class NetcdfReader(FrameReader):
         for start in range(0, max(total, 1), step):
             rows = slice(start, min(start + step, total))
             with _refusing_damage(self.name):
-                block = self._block(DatasetFrame(self.data.isel({dimension: rows})), columns, time, frames, start)
+                block = self._block(DatasetFrame(self.data.isel({dimension: rows})), columns, time, frames)
             self.bytes_read = (self.source.size or 0) * rows.stop // total
             yield block
 

@@ -13,8 +13,6 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from tiltcal.errors import InputError
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import read_ahead, refused_by_system
@@ -60,18 +58,15 @@ class ParquetReader(LogReader):
         return bool(self._rows > _ROWS)
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
-        done, timed = 0, time is None
+        done = 0
         scan = self._scan if frames else self._scan.select([self.names[index] for index in columns])
         with self._refusing_damage():
             for frame in scan.collect_batches(chunk_size=_ROWS, maintain_order=True):
                 values = {index: self._values(frame[self.names[index]], index, time) for index in columns}
-                wrong = None
-                if time is not None and not timed:
-                    timed = bool(np.isfinite(values[time]).any())
-                    wrong = None if timed else self._wrong_time(frame[self.names[time]], time, done)
                 done += len(frame)
                 self.bytes_read = (self.source.size or 0) * done // self._rows
-                yield LogBlock(values, frame=frame if frames else None, wrong_time=wrong)
+                times = None if time is None else frame[self.names[time]]
+                yield LogBlock(values, frame=frame if frames else None, times=times)
         if done != self._rows:
             # The engine ends in silence where one of its threads fails on a damaged page.
             raise InputError(f"the file is damaged: it gives {done} of {self._rows} rows", file=self.name)

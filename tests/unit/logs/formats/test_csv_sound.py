@@ -57,8 +57,7 @@ def test_the_numbers_and_the_bad_rows_are_those_of_the_written_rule(seed: int) -
     "data",
     [
         b"1,a,2.5,3\n2,b.1,-.5,4e3\n",
-        b'1,"N, 1",2.5,3\r\n2,"",NaN,4\r\n',
-        b'1,"say ""no"", twice",2.5,3\n2,plain,"7.25",\n3,"",8,9\n',
+        b"1,N 1,2.5,3\r\n2,,NaN,4\r\n",
         b"1,a,2.5,\n2,b,3.5,\n",
         b"1,st. Mary,NA,\n2,b, 3.5,\n",
     ],
