@@ -31,9 +31,27 @@ def held() -> np.ndarray:
     return np.column_stack([0.02 * np.arange(len(rows)), rows])
 
 
-def written(path: Path, header: tuple[str, ...], separator: str = ",", point: str = ".") -> Path:
+def faces() -> np.ndarray:
+    """The same of a phone that is laid on its six faces, z-up twice, and leans on a book in between."""
+    rng = np.random.default_rng(4)
+    up = np.array(
+        [[0, 0, 1], [0.5, 0.5, 0.7], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]], float
+    )
+    up += rng.normal(0.0, 0.005, up.shape) * (np.abs(up) < 0.1)
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    still = np.repeat(up * SCALE + OFFSET, 200, axis=0).reshape(-1, 200, 3) + rng.normal(0.0, 0.02, (8, 200, 3))
+    turned = still[:, -60:] + rng.normal(0.0, 3.0, (8, 60, 3))
+    rows = np.concatenate([still, turned], axis=1).reshape(-1, 3)
+    return np.column_stack([0.02 * np.arange(len(rows)), rows])
+
+
+def written(
+    path: Path, header: tuple[str, ...], separator: str = ",", point: str = ".", rows: np.ndarray | None = None
+) -> Path:
     lines = [separator.join(f'"{name}"' for name in header)]
-    lines += [separator.join(f"{cell:.6e}".replace(".", point) for cell in row) for row in held()]
+    lines += [
+        separator.join(f"{cell:.6e}".replace(".", point) for cell in row) for row in (held() if rows is None else rows)
+    ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8-sig" if point == "," else "utf-8")
     return path
 
@@ -54,6 +72,31 @@ def test_a_phone_is_calibrated_by_one_command_without_options(app: str, tmp_path
     german = written(tmp_path / "german.csv", HEADERS[app], ";", ",")
     applied = tiltcal("apply", "phone.yaml", german, "-o", "out2.csv", cwd=tmp_path)
     assert applied.returncode == 0, applied.stderr
+
+
+def test_the_faces_of_a_phone_are_found_and_named(tmp_path: Path) -> None:
+    log = written(tmp_path / "faces.csv", HEADERS["phyphox"], ";", ",", faces())
+    line = ["fit", "six-face", log, "--serial", "PHONE", "-o", "phone.yaml", "--segments-out", "segments.csv"]
+    done = tiltcal(*line, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    cal = library.read(tmp_path / "phone.yaml")
+    named = [position.position for position in cal.positions]
+    assert named == ["z-up", "z-down", "x-up", "x-down", "y-up", "y-down", "z-up (2)"]
+    begins = [(tmp_path / "segments.csv").read_text().splitlines()[1:]]
+    assert len(begins[0]) == 7
+    for place, (start, end) in zip((0, 2, 3, 4, 5, 6, 7), (one.row_ranges[0] for one in cal.positions), strict=True):
+        assert 260 * place <= start < 260 * place + 110
+        assert 260 * place + 90 < end <= 260 * place + 210
+    for axis, offset, scale in zip("xyz", OFFSET, SCALE, strict=True):
+        assert cal.offset[axis] == pytest.approx(offset, abs=0.05)
+        assert cal.sensitivity[axis, axis] == pytest.approx(scale, abs=0.05)
+
+
+def test_a_face_that_is_missing_is_named(tmp_path: Path) -> None:
+    log = written(tmp_path / "faces.csv", HEADERS["phyphox"], rows=faces()[: 5 * 260])
+    done = tiltcal("fit", "six-face", log, "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "no threshold finds the sensor still in every position" in done.stderr
 
 
 def test_what_is_not_clear_is_asked_for(tmp_path: Path) -> None:

@@ -46,11 +46,11 @@ def command(
     from tiltcal.calibration.wording import level_summary, mounting_summary, summary
     from tiltcal.files.procedure import find_procedure
     from tiltcal.library.recorded import fit
-    from tiltcal.logs.fit import FOUND_ONLY
+    from tiltcal.logs.fit import FOUND_ONLY, finds_intervals
 
     log = Path(options.of_topic(str(log), topic))
-    determines = find_procedure(procedure, settings["tilt"]).determines
-    if segments_out is not None and (not determines.free or settings["table"] or settings["segments"] is not None):
+    steps = find_procedure(procedure, settings["tilt"])
+    if segments_out is not None and not finds_intervals(steps, settings["table"], settings["segments"]):
         raise UsageError(FOUND_ONLY)
     for path in filter(None, (output, segments_out)):
         check_writable(path, log, *filter(None, [settings["segments"]]))
@@ -61,6 +61,7 @@ def command(
         _write_segments(segments_out, calibration)
         remark(f"wrote {segments_out}")
     record = calibration.record
+    determines = steps.determines
     in_words = mounting_summary if determines.mounting else level_summary if determines.level else summary
     click.echo(in_words(record))
     if determines.free:

@@ -21,8 +21,9 @@ from tiltcal.calibration.measurement import (
     require_tilt,
 )
 from tiltcal.calibration.record import bases_of
+from tiltcal.core.estimation.free import fit_free
 from tiltcal.core.model import AXES
-from tiltcal.core.ramp.record import RampRecord
+from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
@@ -33,13 +34,29 @@ from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.record import Record, keys_of
 from tiltcal.files.results import FileRecord, LogRecord, Provenance, SegmentsRecord
-from tiltcal.files.tables import Segment, SegmentRow, TabledRow, read_positions, read_segments, tabled_channels
+from tiltcal.files.tables import (
+    Segment,
+    SegmentRow,
+    TabledPosition,
+    TabledRow,
+    read_positions,
+    read_segments,
+    tabled_channels,
+)
 from tiltcal.logs.cf_attributes import spelt
-from tiltcal.logs.columns import column_names, named_columns, require_celsius, require_unit
+from tiltcal.logs.columns import (
+    TEMPERATURE,
+    TIME,
+    column_names,
+    locate_readings,
+    named_columns,
+    require_celsius,
+    require_unit,
+)
 from tiltcal.logs.formats import CSV, log_format, open_log
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.log import Progress
-from tiltcal.logs.numbers import RecordedReadings, read_readings
+from tiltcal.logs.numbers import RecordedReadings, read_columns, read_readings
 from tiltcal.logs.options import FitOptions
 from tiltcal.logs.positions import (
     SOAKS,
@@ -52,14 +69,13 @@ from tiltcal.logs.positions import (
     require_positions,
     unplaced,
 )
-from tiltcal.logs.ramp import read_ramp
-from tiltcal.logs.still import WINDOWS, choice_table, find_still
+from tiltcal.logs.still import WINDOWS, Judge, choice_table, find_still, judge_of
 from tiltcal.logs.streams import sha256_of
 from tiltcal.stated_arguments import require_name
 
 R = TypeVar("R", LogRecord, FileRecord, SegmentsRecord)
 
-FOUND_ONLY = "--window and --segments-out are for `tiltcal fit free` without --segments, which finds them"
+FOUND_ONLY = "--window and --segments-out are for static intervals that are found: leave --segments and --table out"
 
 
 def fit_recorded(
@@ -92,12 +108,7 @@ def fit_recorded(
     nominal = None if model is None or model.unit != identity.unit else model
     source = replace(source, rails=rails_of(identity.channels, nominal, own))
     source.require_unit(identity.unit)
-    if steps.ramp is not None:
-        positions = source.ramp(identity, steps)
-    elif steps.determines.free:
-        positions = source.free_positions(identity, say)
-    else:
-        positions = source.set_positions(identity, steps)
+    positions = source.ramp(identity, steps) if steps.ramp is not None else source.positions(identity, steps, say)
     for measurement in positions.measurements:
         if "left_out" in measurement.when:
             far = measurement.when["left_out"]
@@ -145,26 +156,17 @@ class FitSource:
     progress: Progress | None = None
     rails: Rails = field(default_factory=dict)
 
-    @property
-    def finds(self) -> bool:
-        """Whether the static intervals are to be found."""
-        return not self.table and self.segments is None
-
     def require_sound(self, procedure: Procedure) -> None:
         """Raise UsageError for what contradicts itself."""
         if self.table and self.segments is not None:
             raise UsageError("a --table has its positions already: leave --segments out")
         if self.table and self.columns:
             raise UsageError("a --table names its columns itself (position, x, y, z, ...): leave --columns out")
-        free = procedure.determines.free
         if procedure.ramp is not None and self.table:
             raise UsageError(f"{procedure.name} takes a continuous record, not a --table of positions")
-        if not free and self.finds and len(procedure.positions) > 1 and procedure.ramp is None:
-            raise UsageError(
-                "say with --segments which rows were taken in which position (or that LOG is a --table of positions); "
-                "only `tiltcal fit free` finds them itself, because it does not need the positions"
-            )
-        if self.window is not None and not (free and self.finds):
+        if finds_intervals(procedure, self.table, self.segments):
+            _judge(procedure, procedure.determines.axes or AXES)
+        elif self.window is not None:
             raise UsageError(FOUND_ONLY)
 
     @property
@@ -213,12 +215,56 @@ class FitSource:
             say(f"there is no {' and no '.join(absent)}: the sensor has {' and '.join(found)}")
         return found
 
-    def set_positions(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
-        """Return positions in the directions of a procedure, or in those that the segments give."""
-        thermal = procedure.determines.drift or procedure.determines.gain
+    def positions(self, sensor: SensorIdentity, procedure: Procedure, say: Callable[[str], None]) -> FitPositions:
+        """Return positions in the directions of a procedure or of the segments, or free ones.
+
+        Names are checked before the log is read, which may be long, if the procedure has to say directions.
+        """
+        free, thermal = procedure.determines.free, procedure.determines.drift or procedure.determines.gain
         soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if thermal else 0.0
-        intervals, provenance = self._intervals(sensor, procedure, soak)
-        return FitPositions(placed(intervals, procedure, file=self._name), provenance)
+        named: Sequence[Segment] | Sequence[TabledPosition] = ()
+        if self.table:
+            named = table = read_positions(_path_or_rows(self.data, "the table", TabledRow), sensor.channels)
+        elif self.segments is not None:
+            named = segments = read_segments(_path_or_rows(self.segments, "the segments", SegmentRow))
+        if not free:
+            require_positions(named, procedure, file=self._name)
+        if self.table:
+            intervals, provenance = intervals_of_table(table), self._provenance()
+        else:
+            origin = _origin(self.segments, SegmentsRecord)
+            judge = _judge(procedure, sensor.channels) if self.segments is None else None
+            axes = named_columns(self.columns, sensor.channels)
+            record = read_readings(self.data, sensor.channels, axes, sensor.unit, self.progress)
+            if judge is not None:
+                intervals, origin = self._found(record, judge, soak, sensor.unit, say)
+            else:
+                if self.segments is None:  # the whole log is the one position
+                    segments = [Segment(procedure.positions[0].name, 0, TO_THE_END, None, None)]
+                file = record.name if self.segments is None else self._name
+                intervals = intervals_of(record, segments, self.rails, file=file, soak=soak)
+            times = [interval.times for interval in intervals if interval.times is not None]
+            provenance = self._provenance(record, origin, times)
+        return FitPositions(unplaced(intervals) if free else placed(intervals, procedure, file=self._name), provenance)
+
+    def _found(
+        self, record: RecordedReadings, judge: Judge, soak: float, unit: str, say: Callable[[str], None]
+    ) -> tuple[list[StaticInterval], SegmentsRecord]:
+        """Return what the sensor read in the static intervals of a log, and how these were found."""
+        chosen, tried = find_still(record.columns, WINDOWS if self.window is None else (self.window,), judge)
+        say(choice_table(chosen, tried, unit))
+        intervals = intervals_of(record, chosen.segments, self.rails, file=record.name, soak=soak)
+        for interval, (x, y, z) in zip(intervals, chosen.directions.tolist(), strict=True):
+            rows = interval.where["rows"]
+            first, last = (rows[0][0], rows[-1][1]) if isinstance(rows[0], tuple) else rows
+            n = interval.summaries[record.channels[0]].n
+            say(f"  {interval.name}: {n} of rows {first} to {last - 1}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
+        return intervals, SegmentsRecord(
+            found="standard deviation in a window below a threshold",
+            window_rows=chosen.window,
+            threshold=significant(chosen.threshold, 4),
+            times_noise=chosen.multiple,
+        )
 
     def ramp(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
         """Return the continuous record of a ramp: the whole log, or the rows of its one segment."""
@@ -231,12 +277,21 @@ class FitSource:
                     "first row and the last of the whole ramp",
                     file=self._name,
                 )
-        named = named_columns(self.columns, sensor.channels)
-        found, log = read_ramp(self.data, sensor, named, segment, self.progress)
+        named, is_file = named_columns(self.columns, sensor.channels), isinstance(self.data, str | Path)
+        with open_log(self.data, digest=is_file, progress=self.progress) as log:
+            where = locate_readings(log, sensor.channels, named, sensor.unit, (TIME, TEMPERATURE))
+            columns = [where[role] for role in (*sensor.channels, TEMPERATURE, TIME)]
+            numbers = read_columns(log, columns, where[TIME], needs_time=True)
+        start, end = (0, len(numbers)) if segment is None else (segment.start, segment.end)
+        if segment is not None and end > len(numbers):
+            why = f"segment {segment.name} ends at row {end}, and the log has {len(numbers)}"
+            raise InputError(why, file=log.name)
+        *readings, temperature, time = (column[start:end] for column in numbers.columns)
+        ramp = ramp_record(time, temperature, readings, start)
         first = procedure.positions[0]
-        known = {position.name: position.gravity for position in procedure.positions}
         gravity = first.gravity
         if segment is not None:
+            known = {position.name: position.gravity for position in procedure.positions}
             gravity = segment.gravity or known.get(segment.name, gravity)
         attitude = Measurement(
             first.name if segment is None else segment.name,
@@ -245,34 +300,13 @@ class FitSource:
             None,
             dict.fromkeys(sensor.channels, SampleSummary(0.0, 0.0, 1, 0.0)),
         )
-        segments = None if segment is None else _origin(self.segments, SegmentsRecord)
-        provenance = self._provenance(None, segments, [(found.time[0], found.time[-1])])
-        return FitPositions([attitude], provenance.replaced(log=log), found)
-
-    def free_positions(self, sensor: SensorIdentity, say: Callable[[str], None]) -> FitPositions:
-        """Return positions of a sensor of three channels whose directions the readings will show."""
-        if not self.finds:
-            intervals, provenance = self._intervals(sensor)
-            return FitPositions(unplaced(intervals), provenance)
-        windows = WINDOWS if self.window is None else (self.window,)
-        record = self._record(sensor)
-        chosen, tried = find_still(record.columns, windows)
-        say(choice_table(chosen, tried, sensor.unit))
-        found = chosen.segments
-        intervals = intervals_of(record, found, self.rails, file=record.name)
-        attitudes = [] if chosen.fit is None else chosen.fit.attitudes.tolist()
-        for interval, (x, y, z) in zip(intervals, attitudes, strict=True):
-            rows = [segment for segment in found if segment.name == interval.position]
-            n = interval.summaries[sensor.channels[0]].n
-            where = f"{rows[0].start} to {rows[-1].end - 1}"
-            say(f"  {interval.name}: {n} of rows {where}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
-        how = SegmentsRecord(
-            found="standard deviation in a window below a threshold",
-            window_rows=chosen.window,
-            threshold=significant(chosen.threshold, 4),
-            times_noise=chosen.multiple,
-        )
-        return FitPositions(unplaced(intervals), self._provenance(record, how, _times(intervals)))
+        origin = _origin(self.segments, SegmentsRecord)
+        provenance = self._provenance(None, origin, [(ramp.time[0], ramp.time[-1])])
+        if is_file:
+            missing = end - start - ramp.rows or None
+            record = LogRecord(name=Path(self.data).name, sha256=log.sha256, rows=len(numbers), missing=missing)
+            provenance = provenance.replaced(log=record)
+        return FitPositions([attitude], provenance, ramp)
 
     @property
     def _name(self) -> str:
@@ -280,36 +314,6 @@ class FitSource:
         if self.segments is not None:
             return str(self.segments) if isinstance(self.segments, str | Path) else "the segments"
         return str(self.data) if isinstance(self.data, str | Path) else "the table"
-
-    def _intervals(
-        self, sensor: SensorIdentity, procedure: Procedure | None = None, soak: float = 0.0
-    ) -> tuple[list[StaticInterval], Provenance]:
-        """Return what the sensor read in the segments or the table that were given, and where these come from.
-
-        The whole log is the one position of a procedure where none were given. Their names are checked before the log
-        is read, which may be long, if the procedure has to say directions.
-        """
-        if self.table:
-            table = read_positions(_path_or_rows(self.data, "the table", TabledRow), sensor.channels)
-            if procedure is not None:
-                require_positions(table, procedure, file=self._name)
-            return intervals_of_table(table), self._provenance()
-        whole = self.finds and procedure is not None
-        if procedure is not None and whole:
-            segments = [Segment(procedure.positions[0].name, 0, TO_THE_END, None, None)]
-        else:
-            segments = read_segments(_path_or_rows(self.segments, "the segments", SegmentRow))
-        if procedure is not None:
-            require_positions(segments, procedure, file=self._name)
-        record = self._record(sensor)
-        intervals = intervals_of(record, segments, self.rails, file=record.name if whole else self._name, soak=soak)
-        origin = None if whole else _origin(self.segments, SegmentsRecord)
-        return intervals, self._provenance(record, origin, _times(intervals))
-
-    def _record(self, sensor: SensorIdentity) -> RecordedReadings:
-        """Read the log."""
-        named = named_columns(self.columns, sensor.channels)
-        return read_readings(self.data, sensor.channels, named, sensor.unit, self.progress)
 
     def _provenance(
         self,
@@ -332,8 +336,28 @@ class FitSource:
         )
 
 
-def _times(intervals: Sequence[StaticInterval]) -> list[tuple[float, float]]:
-    return [interval.times for interval in intervals if interval.times is not None]
+def finds_intervals(procedure: Procedure, table: bool | None, segments: Any) -> bool:
+    """Return whether the static intervals of a log are to be found: of one position the whole log is taken."""
+    several = procedure.determines.free or len(procedure.positions) > 1
+    return several and procedure.ramp is None and not table and segments is None
+
+
+def _judge(procedure: Procedure, channels: Sequence[str]) -> Judge | None:
+    """Return what judges static intervals; None of one position. A UsageError where readings do not tell positions."""
+    if procedure.determines.free:
+        return fit_free
+    if len(procedure.positions) == 1:
+        return None
+    gravity = {position.name: position.gravity for position in procedure.positions}
+    judge = (
+        judge_of(gravity, channels) if procedure.determines.axes and len(gravity) == len(procedure.positions) else None
+    )
+    if judge is None:
+        raise UsageError(
+            "say with --segments which rows were taken in which position (or that LOG is a --table of positions): the "
+            f"readings alone do not tell the positions of {procedure.name} apart"
+        )
+    return judge
 
 
 def _serial(serial: str | None, base: str | Path | None) -> str:

@@ -163,8 +163,8 @@ class FitOptions(TypedDict, total=False):
     segments: Annotated[
         Any,
         Option(
-            "The rows of each position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz if the "
-            "position is not one of the procedure. Without it, procedure free finds the static intervals.",
+            "The rows of each position: CSV or JSON with position, start, end (exclusive), and gx, gy, gz if it is not "
+            "one of the procedure. Without it the static intervals are found, and named for the positions.",
             "PATH",
         ),
     ]

@@ -5,18 +5,23 @@ the stillest part of the log (the static detector of Tedaldi, Pretto and Menegat
 is for the calibration to say. Too loose lets motion in, and the fit leaves a large scatter; too strict leaves few
 attitudes, and nine of them fit nine unknowns perfectly and wrongly. So every choice is fitted and judged by the
 expanded uncertainty of the coefficients, in which noise, scatter, number and spread of the attitudes and Student's t
-for the degrees of freedom that are left all have their say, and nine attitudes have no say at all. Of those that are as
-good as the best, within what its degrees of freedom show, the one with the most attitudes is taken.
+for the degrees of freedom that are left all have their say. Of those that are as good as the best, within what its
+degrees of freedom show, the one with the most attitudes is taken.
+
+Where a procedure states the positions, the attitudes are named by them, and the fit is a linear one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from math import cos, inf, radians, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tiltcal.core.attitude import Vector
 from tiltcal.core.detection import (
     Numbers,
     Span,
@@ -27,10 +32,11 @@ from tiltcal.core.detection import (
     stuck_spans,
     window_scatter,
 )
-from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
+from tiltcal.core.estimation.free import FreeFit, fit_free
 from tiltcal.core.flags import Mask
-from tiltcal.core.model import Array
+from tiltcal.core.model import AXES, Array
 from tiltcal.core.samples import BLOCKS
+from tiltcal.core.uncertain import coverage_factor
 from tiltcal.errors import EstimateError
 from tiltcal.files.tables import Segment
 
@@ -46,8 +52,34 @@ STUCK = 25
 SAME_DIRECTION_COSINE = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
 
-_PIECE = 1 << 18
-"""Rows that are summed up at once."""
+NEAR = 0.35
+"""An attitude within this of the gravity of a position, g, is in it; positions are at least twice as far apart."""
+
+
+@dataclass(frozen=True)
+class PositionFit:
+    """The attitudes of a log in the positions of a procedure, and the linear fit of their readings.
+
+    ``names`` are the positions by attitude, empty where it is none; ``absent`` are those that no attitude is in.
+    ``attitudes`` are estimates of up, g, (n, 3); ``rms`` is the misfit and ``expanded`` the expanded uncertainty (95 %)
+    of the coefficients on average, g; infinite where positions are absent.
+    """
+
+    names: tuple[str, ...]
+    absent: tuple[str, ...]
+    attitudes: Array
+    rms: float
+    dof: int
+    expanded: float
+
+    @property
+    def distinct(self) -> int:
+        """The number of attitudes that are in a position."""
+        return sum(map(bool, self.names))
+
+
+Judge = Callable[[Array, Array], FreeFit | PositionFit]
+"""Fits the means of attitudes and their standard uncertainties, unit, both of shape (n, channels)."""
 
 
 @dataclass(frozen=True)
@@ -62,17 +94,12 @@ class StaticDetection:
     multiple: float
     noise: float
     intervals: tuple[tuple[Span, ...], ...]
-    fit: FreeFit | None
+    fit: FreeFit | PositionFit | None
 
     @property
     def threshold(self) -> float:
         """The standard deviation below which a window is still, unit."""
         return self.multiple * self.noise
-
-    @property
-    def distinct(self) -> int:
-        """The number of different attitudes."""
-        return 0 if self.fit is None else self.fit.distinct
 
     @property
     def expanded(self) -> float:
@@ -81,33 +108,83 @@ class StaticDetection:
 
     @property
     def segments(self) -> list[Segment]:
-        """The still intervals as segments, named in their order; those of one attitude have one name."""
+        """The still intervals as segments; those of one attitude have one name, its position's or its number."""
         digits = len(str(len(self.intervals)))
+        names = [f"still-{number:0{digits}}" for number in range(1, len(self.intervals) + 1)]
+        if isinstance(self.fit, PositionFit):
+            names = [*self.fit.names]
         return [
-            Segment(f"still-{number:0{digits}}", start, end, None, None)
-            for number, spans in enumerate(self.intervals, start=1)
+            Segment(name, start, end, None, None)
+            for name, spans in zip(names, self.intervals, strict=True)
             for start, end in spans
+            if name
         ]
+
+    @property
+    def directions(self) -> Array:
+        """Up in the sensor's frame, by attitude that has segments, shape (n, 3)."""
+        if isinstance(self.fit, PositionFit):
+            return np.compress([*map(bool, self.fit.names)], self.fit.attitudes, axis=0)
+        return np.empty((0, 3)) if self.fit is None else self.fit.attitudes
 
 
 def find_still(
-    columns: Sequence[Array], windows: Sequence[int] = WINDOWS
+    columns: Sequence[Array], windows: Sequence[int] = WINDOWS, judge: Judge = fit_free
 ) -> tuple[StaticDetection, tuple[StaticDetection, ...]]:
-    """Find the still intervals of columns x, y, z, unit, NaN where a value is missing, by the best threshold.
+    """Find the still intervals of columns of readings, unit, NaN where a value is missing, by the best threshold.
 
     It returns the choice, and all that were tried, the strictest of each window first. An EstimateError where no
-    threshold finds more attitudes than there are unknowns.
+    threshold finds attitudes that determine the sensor and are judged.
     """
     lost = lost_rows(columns, stuck_spans(columns, STUCK))
-    tried = _choices(columns, lost, windows)
+    changes = np.cumsum(~repeated_rows(columns), dtype=np.int32)
+    tried = tuple(choice for window in windows for choice in _choices(columns, lost, changes, window, judge))
     best = min(tried, key=lambda choice: choice.expanded, default=None)
     if best is None or best.fit is None or best.expanded == inf:
         raise EstimateError(_too_few(tried, int(lost.sum())))
     # What is left over shows the scatter no better than this. A choice that is better by less has but left out some
     # attitude that fits badly, and would be surer of itself than it is.
-    tolerance = 1.0 + 1.0 / sqrt(2.0 * (len(best.intervals) - UNKNOWNS))
-    good = [choice for choice in tried if choice.expanded <= tolerance * best.expanded]
-    return max(good, key=lambda choice: (choice.distinct, -choice.expanded)), tried
+    limit = best.expanded * (1.0 + 1.0 / sqrt(2.0 * best.fit.dof))
+    good = [
+        (choice.fit.distinct, -choice.expanded, choice) for choice in tried if choice.fit and choice.expanded <= limit
+    ]
+    return max(good, key=lambda each: each[:2])[2], tried
+
+
+def judge_of(positions: Mapping[str, Vector], channels: Sequence[str]) -> Judge | None:
+    """Return what names and fits the attitudes of a log in positions, g by name; None where readings cannot tell them.
+
+    The extreme readings of each channel are taken to be those of the positions that are extreme along its axis.
+    """
+    axes = [AXES.index(channel) for channel in channels]
+    gravity = np.array([*positions.values()])[:, axes]
+    apart = [float(np.linalg.norm(one - other)) for one, other in combinations(gravity, 2)]
+    design = np.column_stack([np.ones(len(gravity)), gravity])
+    fits = np.linalg.matrix_rank(design) == design.shape[1] < len(design)
+    if not fits or min(apart) < 2.0 * NEAR:
+        return None
+    middle, half = (gravity.max(axis=0) + gravity.min(axis=0)) / 2.0, np.ptp(gravity, axis=0) / 2.0
+
+    def judge(means: Array, u: Array) -> PositionFit:
+        reach = np.maximum(np.ptp(means, axis=0) / 2.0, 1e-300)
+        up = middle + half * (means - (means.max(axis=0) + means.min(axis=0)) / 2.0) / reach
+        distance = np.linalg.norm(up[:, None] - gravity, axis=2)
+        nearest, near = distance.argmin(axis=1), distance.min(axis=1) < NEAR
+        attitudes = np.zeros((len(up), 3))
+        attitudes[:, axes] = up
+        names = tuple(name if there else "" for name, there in zip(np.array([*positions])[nearest], near, strict=True))
+        absent = tuple(name for name in positions if name not in names)
+        rows, dof = design[nearest[near]], int(near.sum()) - design.shape[1]
+        if absent or dof < 1:
+            return PositionFit(names, absent, attitudes, inf, dof, inf)
+        readings = means[near] * half / reach  # g
+        misfit = readings - rows @ np.linalg.lstsq(rows, readings, rcond=None)[0]
+        squares = max(float(np.sum(misfit**2)) / (dof * len(axes)), float(np.mean((u[near] * half / reach) ** 2)))
+        student = float(coverage_factor(np.array([float(dof * len(axes))]))[0])
+        expanded = student * sqrt(squares * float(np.mean(np.diag(np.linalg.inv(rows.T @ rows)))))
+        return PositionFit(names, absent, attitudes, sqrt(float(np.mean(misfit**2))), dof, expanded)
+
+    return judge
 
 
 def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit: str) -> str:
@@ -122,71 +199,37 @@ def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit
         if choice.window == chosen.window:
             fit = choice.fit
             row = f"{choice.threshold:>10.4g}{sum(map(len, choice.intervals)):>11}{len(choice.intervals):>11}"
-            row += f"{fit.distinct:>10}{1e3 * fit.rms:>11.3f} mg" if fit else f"{'-':>10}{'-':>14}"
-            row += "             -" if choice.expanded == inf else f"{1e3 * choice.expanded:>11.3f} mg"
+            row += f"{'-':>10}" if fit is None else f"{fit.distinct:>10}"
+            row += f"{'-':>14}" if fit is None or fit.rms == inf else f"{1e3 * fit.rms:>11.3f} mg"
+            row += f"{'-':>14}" if choice.expanded == inf else f"{1e3 * choice.expanded:>11.3f} mg"
             lines.append(f"{'*' if choice is chosen else ' '} {row}")
     return "\n".join(lines)
 
 
-def _choices(columns: Sequence[Array], lost: Mask, windows: Sequence[int]) -> tuple[StaticDetection, ...]:
-    still = [(window, *found) for window in windows for found in _still(columns, lost, window)]
-    if not still:
-        return ()
-    # A span in which nothing changes is stuck; its first row need not repeat the row before it.
-    changes = np.cumsum(~repeated_rows(columns), dtype=np.int32)
-    moving = [spans[changes[spans[:, 1] - 1] > changes[spans[:, 0]]] for *_, spans in still]
-    sums = RowSums(columns, moving)
-    attitudes = [_attitudes(sums, spans) for spans in moving]
-    sums = RowSums(
-        columns, [part for found in attitudes for spans in found for part in (spans, block_bounds(spans)[1])]
-    )
-    return tuple(
-        StaticDetection(window, multiple, noise, tuple(map(_as_spans, found)), _fit(columns, sums, found))
-        for (window, multiple, noise, _), found in zip(still, attitudes, strict=True)
-    )
-
-
-def _still(columns: Sequence[Array], lost: Mask, window: int) -> Iterator[tuple[float, float, Numbers]]:
-    """Yield each threshold in units of the noise, the noise, and the spans that are still by it, shape (spans, 2)."""
+def _choices(
+    columns: Sequence[Array], lost: Mask, changes: NDArray[np.int32], window: int, judge: Judge
+) -> Iterator[StaticDetection]:
+    """Yield the detection by each threshold; ``changes`` counts the rows that do not repeat the one before, (n,)."""
     scatter = window_scatter(columns, lost, window)
     noise = stillest(scatter, varying=True)
     for multiple in MULTIPLES if noise else ():
         spans = np.stack(run_bounds(scatter <= multiple * (noise or 0.0)), axis=1)
         # Bounds that touch a window in motion are half a window inside; what is shorter than that is a turning point.
-        yield multiple, noise or 0.0, spans[np.diff(spans)[:, 0] >= max(window // 2, 2)] + window // 2
+        spans = spans[np.diff(spans)[:, 0] >= max(window // 2, 2)] + window // 2
+        # A span in which nothing changes is stuck; its first row need not repeat the row before it.
+        spans = spans[changes[spans[:, 1] - 1] > changes[spans[:, 0]]]
+        attitudes = tuple(
+            tuple((start, end) for start, end in of_one.tolist()) for of_one in _attitudes(columns, spans)
+        )
+        yield StaticDetection(window, multiple, noise or 0.0, attitudes, _fit(columns, attitudes, judge))
 
 
-class RowSums:
-    """Sums of the rows of columns between any two of some bounds, from one pass over them.
-
-    A value that is missing counts as zero.
-    """
-
-    def __init__(self, columns: Sequence[Array], bounds: Sequence[Numbers]) -> None:
-        rows = len(columns[0])
-        inside = np.unique(np.concatenate([np.arange(0, rows, _PIECE), *map(np.ravel, bounds)]))
-        inside = inside[inside < rows]
-        self._bounds, self._sums = np.append(inside, rows), np.zeros((len(inside) + 1, len(columns)))
-        # Sums about values amid the others keep their digits.
-        self._centres = np.array([np.nan_to_num(column[inside]).mean() for column in columns])
-        for start in range(0, rows, _PIECE):
-            first, last = np.searchsorted(inside, [start, start + _PIECE])
-            for k, column in enumerate(columns):
-                values = np.nan_to_num(column[start : start + _PIECE] - self._centres[k])
-                self._sums[first + 1 : last + 1, k] = np.add.reduceat(values, inside[first:last] - start)
-        np.cumsum(self._sums, axis=0, out=self._sums)
-
-    def between(self, starts: Numbers, ends: Numbers) -> Array:
-        """Return the sums of the rows from each start to before each end, shape (k, columns)."""
-        first, last = np.searchsorted(self._bounds, starts), np.searchsorted(self._bounds, ends)
-        return np.asarray(self._sums[last] - self._sums[first] + np.multiply.outer(ends - starts, self._centres))
-
-
-def _attitudes(sums: RowSums, spans: Numbers) -> list[Numbers]:
+def _attitudes(columns: Sequence[Array], spans: Numbers) -> list[Numbers]:
     """Return the spans of each attitude, shape (m, 2): those that follow each other without a turn between them."""
     if not len(spans):
         return []
-    means = sums.between(*spans.T) / np.diff(spans)
+    bounds = spans.ravel()[: None if spans[-1, 1] < len(columns[0]) else -1]
+    means = np.stack([np.add.reduceat(column, bounds)[::2] for column in columns], axis=1) / np.diff(spans)
     directions = means - (means.max(axis=0) + means.min(axis=0)) / 2
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-300)
     first, cuts = directions[0], []
@@ -197,49 +240,36 @@ def _attitudes(sums: RowSums, spans: Numbers) -> list[Numbers]:
     return np.split(spans, cuts)
 
 
-def _fit(columns: Sequence[Array], sums: RowSums, attitudes: Sequence[Numbers]) -> FreeFit | None:
+def _fit(columns: Sequence[Array], attitudes: Sequence[Sequence[Span]], judge: Judge) -> FreeFit | PositionFit | None:
     if not attitudes:
         return None
-    means, uncertainties = zip(*(mean_of(columns, sums, spans) for spans in attitudes), strict=True)
+    means, uncertainties = zip(*(mean_of(columns, spans) for spans in attitudes), strict=True)
     try:
-        return fit_free(np.array(means), np.array(uncertainties))
+        return judge(np.array(means), np.array(uncertainties))
     except EstimateError:
         return None
 
 
-def mean_of(columns: Sequence[Array], sums: RowSums, spans: Numbers) -> tuple[Array, Array]:
-    """Return the mean of an attitude and its standard uncertainty, by :func:`tiltcal.core.samples.summarise`."""
-    starts, ends = spans.T
-    n = int((ends - starts).sum())
-    each = sums.between(starts, ends)
-    mean = each.sum(axis=0) / n
-    size = n // BLOCKS
-    if size < 2:
-        rows = [np.concatenate([column[start:end] for start, end in _as_spans(spans)]) for column in columns]
-        return mean, np.asarray(np.std(rows, axis=1, ddof=1) / sqrt(n))
-    which, bounds = block_bounds(spans)
-    up_to = (np.cumsum(each, axis=0) - each)[which] + sums.between(starts[which], bounds)
-    return mean, np.asarray((np.diff(up_to, axis=0) / size).std(axis=0, ddof=1) / sqrt(BLOCKS))
-
-
-def block_bounds(spans: Numbers) -> tuple[Numbers, Numbers]:
-    """Return the bounds of the ten blocks of an attitude along its spans: the span of each, and the row."""
-    starts, ends = spans.T
-    lengths = ends - starts
-    before = np.cumsum(lengths) - lengths
-    places = int(lengths.sum()) // BLOCKS * np.arange(BLOCKS + 1)
-    which = np.searchsorted(before, places, side="right") - 1
-    return which, starts[which] + places - before[which]
-
-
-def _as_spans(spans: Numbers) -> tuple[Span, ...]:
-    return tuple(zip(*spans.T.tolist(), strict=True))
+def mean_of(columns: Sequence[Array], spans: Sequence[Span]) -> tuple[Array, Array]:
+    """Return the mean of an attitude and its standard uncertainty, as :func:`tiltcal.core.samples.summarise` has it."""
+    rows = np.stack([np.concatenate([column[start:end] for start, end in spans]) for column in columns])
+    n = rows.shape[1]
+    blocks = rows[:, : n // BLOCKS * BLOCKS].reshape(len(rows), BLOCKS, -1).mean(axis=2) if n >= 2 * BLOCKS else rows
+    return rows.mean(axis=1), np.asarray(blocks.std(axis=1, ddof=1) / sqrt(blocks.shape[1]))
 
 
 def _too_few(tried: Sequence[StaticDetection], lost: int) -> str:
     most = max((len(choice.intervals) for choice in tried), default=0)
     windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried)) or "any number of"
     why = f" ({lost} rows are missing, or stuck at one value)" if lost else ""
+    placed = [choice.fit for choice in tried if isinstance(choice.fit, PositionFit)]
+    if placed:
+        absent = min((fit.absent for fit in placed), key=len)
+        return (
+            f"no threshold finds the sensor still in every position{why}: {', '.join(absent) or 'a further one'} is "
+            f"missing in windows of {windows} rows. Hold the sensor still for longer in each; try a shorter --window; "
+            "or give the intervals with --segments"
+        )
     return (
         "no threshold finds enough attitudes to determine the sensor and check the result: at most "
         f"{most} static intervals in windows of {windows} rows{why}. Hold the sensor still for longer and in more "

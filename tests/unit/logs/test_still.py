@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tiltcal.errors import EstimateError
-from tiltcal.logs.still import STUCK, RowSums, StaticDetection, block_bounds, choice_table, mean_of
+from tiltcal.logs.still import STUCK, StaticDetection, choice_table, mean_of
 from tiltcal.logs.still import find_still as find_in_columns
 
 Array = NDArray[np.float64]
@@ -158,8 +158,7 @@ def test_mean_and_uncertainty_of_an_attitude() -> None:
         for some in (spans[:1], spans):
             samples = np.concatenate([readings[start:end] for start, end in some])
             blocks = samples[: len(samples) // 10 * 10].reshape(10, -1, 3).mean(axis=1)
-            sums = RowSums(readings.T, [some, block_bounds(some)[1]])
-            mean, uncertainty = mean_of(readings.T, sums, some)
+            mean, uncertainty = mean_of(readings.T, some.tolist())
             assert mean == pytest.approx(samples.mean(axis=0), rel=1e-11)
             assert uncertainty == pytest.approx(blocks.std(axis=0, ddof=1) / np.sqrt(10), rel=1e-8)
 
