@@ -48,7 +48,6 @@ from tiltcal.logs.columns import (
     TEMPERATURE,
     TIME,
     column_names,
-    locate_readings,
     named_columns,
     require_celsius,
     require_unit,
@@ -56,7 +55,7 @@ from tiltcal.logs.columns import (
 from tiltcal.logs.formats import CSV, log_format, open_log
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.log import Progress
-from tiltcal.logs.numbers import RecordedReadings, read_columns, read_readings
+from tiltcal.logs.numbers import RecordedColumns, read_readings
 from tiltcal.logs.options import FitOptions
 from tiltcal.logs.positions import (
     SOAKS,
@@ -234,30 +233,36 @@ class FitSource:
         else:
             origin = _origin(self.segments, SegmentsRecord)
             judge = _judge(procedure, sensor.channels) if self.segments is None else None
-            axes = named_columns(self.columns, sensor.channels)
-            record = read_readings(self.data, sensor.channels, axes, sensor.unit, self.progress)
+            record = self._record(sensor)
             if judge is not None:
-                intervals, origin = self._found(record, judge, soak, sensor.unit, say)
+                intervals, origin = self._found(record, sensor, judge, soak, say)
             else:
                 if self.segments is None:  # the whole log is the one position
                     segments = [Segment(procedure.positions[0].name, 0, TO_THE_END, None, None)]
                 file = record.name if self.segments is None else self._name
-                intervals = intervals_of(record, segments, self.rails, file=file, soak=soak)
+                intervals = intervals_of(record, sensor.channels, segments, self.rails, file=file, soak=soak)
             times = [interval.times for interval in intervals if interval.times is not None]
             provenance = self._provenance(record, origin, times)
         return FitPositions(unplaced(intervals) if free else placed(intervals, procedure, file=self._name), provenance)
 
     def _found(
-        self, record: RecordedReadings, judge: Judge, soak: float, unit: str, say: Callable[[str], None]
+        self,
+        record: RecordedColumns,
+        sensor: SensorIdentity,
+        judge: Judge,
+        soak: float,
+        say: Callable[[str], None],
     ) -> tuple[list[StaticInterval], SegmentsRecord]:
         """Return what the sensor read in the static intervals of a log, and how these were found."""
-        chosen, tried = find_still(record.columns, WINDOWS if self.window is None else (self.window,), judge)
-        say(choice_table(chosen, tried, unit))
-        intervals = intervals_of(record, chosen.segments, self.rails, file=record.name, soak=soak)
+        windows = WINDOWS if self.window is None else (self.window,)
+        chosen, tried = find_still(record.of(sensor.channels), windows, judge)
+        say(choice_table(chosen, tried, sensor.unit))
+        segments = chosen.segments
+        intervals = intervals_of(record, sensor.channels, segments, self.rails, file=record.name, soak=soak)
         for interval, (x, y, z) in zip(intervals, chosen.directions.tolist(), strict=True):
             rows = interval.where["rows"]
             first, last = (rows[0][0], rows[-1][1]) if isinstance(rows[0], tuple) else rows
-            n = interval.summaries[record.channels[0]].n
+            n = interval.summaries[sensor.channels[0]].n
             say(f"  {interval.name}: {n} of rows {first} to {last - 1}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
         return intervals, SegmentsRecord(
             found="standard deviation in a window below a threshold",
@@ -277,16 +282,12 @@ class FitSource:
                     "first row and the last of the whole ramp",
                     file=self._name,
                 )
-        named, is_file = named_columns(self.columns, sensor.channels), isinstance(self.data, str | Path)
-        with open_log(self.data, digest=is_file, progress=self.progress) as log:
-            where = locate_readings(log, sensor.channels, named, sensor.unit, (TIME, TEMPERATURE))
-            columns = [where[role] for role in (*sensor.channels, TEMPERATURE, TIME)]
-            numbers = read_columns(log, columns, where[TIME], needs_time=True)
-        start, end = (0, len(numbers)) if segment is None else (segment.start, segment.end)
-        if segment is not None and end > len(numbers):
-            why = f"segment {segment.name} ends at row {end}, and the log has {len(numbers)}"
-            raise InputError(why, file=log.name)
-        *readings, temperature, time = (column[start:end] for column in numbers.columns)
+        record = self._record(sensor, (TIME, TEMPERATURE))
+        start, end = (0, len(record)) if segment is None else (segment.start, segment.end)
+        if segment is not None and end > len(record):
+            why = f"segment {segment.name} ends at row {end}, and the log has {len(record)}"
+            raise InputError(why, file=record.name)
+        *readings, temperature, time = (c[start:end] for c in record.of((*sensor.channels, TEMPERATURE, TIME)))
         ramp = ramp_record(time, temperature, readings, start)
         first = procedure.positions[0]
         gravity = first.gravity
@@ -301,12 +302,9 @@ class FitSource:
             dict.fromkeys(sensor.channels, SampleSummary(0.0, 0.0, 1, 0.0)),
         )
         origin = _origin(self.segments, SegmentsRecord)
-        provenance = self._provenance(None, origin, [(ramp.time[0], ramp.time[-1])])
-        if is_file:
-            missing = end - start - ramp.rows or None
-            record = LogRecord(name=Path(self.data).name, sha256=log.sha256, rows=len(numbers), missing=missing)
-            provenance = provenance.replaced(log=record)
-        return FitPositions([attitude], provenance, ramp)
+        missing = end - start - ramp.rows or None
+        times = [(ramp.time[0], ramp.time[-1])]
+        return FitPositions([attitude], self._provenance(record, origin, times, missing), ramp)
 
     @property
     def _name(self) -> str:
@@ -315,16 +313,23 @@ class FitSource:
             return str(self.segments) if isinstance(self.segments, str | Path) else "the segments"
         return str(self.data) if isinstance(self.data, str | Path) else "the table"
 
+    def _record(self, sensor: SensorIdentity, others: Sequence[str] = ()) -> RecordedColumns:
+        """Read the log."""
+        named = named_columns(self.columns, sensor.channels)
+        return read_readings(self.data, sensor.channels, named, sensor.unit, self.progress, others)
+
     def _provenance(
         self,
-        record: RecordedReadings | None = None,
+        record: RecordedColumns | None = None,
         segments: SegmentsRecord | None = None,
         times: Sequence[tuple[float, float]] = (),
+        missing: int | None = None,
     ) -> Provenance:
         """Return what was read; ``times`` are those of the first and the last row of each interval, s."""
         log = None
         if record is not None and record.sha256 is not None:
-            log = LogRecord(name=Path(self.data).name, sha256=record.sha256, rows=len(record))
+            name = Path(self.data).name
+            log = LogRecord(name=name, sha256=record.sha256, rows=len(record), missing=missing)
         return Provenance(
             made_by=f"fit of a {'table of positions' if self.table else 'recorded log'}",
             log=log,

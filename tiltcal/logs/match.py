@@ -209,23 +209,24 @@ def read_pair_log(
     ``time`` or, without one, from the number of the row. Where ``online``, a stage that turns too little, or backwards,
     is left to the online estimators.
     """
-    where = locate_columns(log, channels, {}, option="--pair or --orthogonal ")
-    columns = [where[channel] for channel in channels]
+    located = locate_columns(log, channels, {}, option="--pair or --orthogonal ")
+    where = {channel: located[channel] for channel in channels}
     if phase is not None:
-        columns.append(locate_columns(log, (phase,), {}, option="--phase ")[phase])
-        require_degrees(log, columns[-1], "stage angles")
-    index = log.names.index(TIME) if TIME in log.names else None
-    numbers = read_columns(log, columns if index is None else [*columns, index], index)
-    readings = numbers.columns[: len(channels)]
-    for name, column in zip((*channels, str(phase)), numbers.columns[: len(columns)], strict=False):
+        where[phase] = locate_columns(log, (phase,), {}, option="--phase ")[phase]
+        require_degrees(log, where[phase], "stage angles")
+    timed = TIME in log.names
+    numbers = read_columns(log, where | ({TIME: log.names.index(TIME)} if timed else {}))
+    readings = numbers.of(channels)
+    for name in where:
+        column = numbers.by_role[name]
         finite = np.isfinite(column)
         if not finite.any():
             raise InputError(f"column {name!r} has no value in any row: is {name} connected?", file=log.name)
         largest = max(np.max(column, initial=0.0, where=finite), -np.min(column, initial=0.0, where=finite))
         if name in channels and largest > _LARGEST:
             raise InputError(f"column {name!r} has a reading of {largest:.3g}, which is no measurement", file=log.name)
-    time = np.arange(float(len(numbers))) if index is None else numbers.columns[-1]
-    theta = estimated_angle(time, readings) if phase is None else numbers.columns[len(channels)]
+    time = numbers.by_role[TIME] if timed else np.arange(float(len(numbers)))
+    theta = estimated_angle(time, readings) if phase is None else numbers.by_role[phase]
     record = stage_record(channels, theta, readings)
     for line in record.stuck:
         say(line)
@@ -233,8 +234,8 @@ def read_pair_log(
     if len(angle) and (not online or np.ptp(angle) < STANDSTILL):
         require_turns(angle)
     demodulation = demodulate(channels, record.angle, readings, record.whole)
-    timed = time[np.isfinite(time)]
-    seconds = float(timed[-1] - timed[0]) if index is not None and len(timed) else 0.0
+    known = time[np.isfinite(time)]
+    seconds = float(known[-1] - known[0]) if timed and len(known) else 0.0
     turns, missing = float(angle[-1] - angle[0]), len(numbers) - len(angle)
     return PairLog(record, demodulation, turns, len(angle), missing, seconds if seconds > 0.0 else None)
 

@@ -132,13 +132,13 @@ def characterise_readings(
         if facts.unit is not None:
             locate_readings(log, channels, named, facts.unit)
         where = locate_columns(log, channels, named)
-        indices = [where[channel] for channel in channels]
-        time = None if rate is not None else _time_column(log, named)
-        numbers = read_columns(log, indices if time is None else [*indices, time], time)
-        samples, pace = numbers.columns[: len(indices)], Pace(1.0 / (rate or 1.0), len(numbers))
-        if time is not None:
-            samples, pace = evenly_spaced(samples, numbers.columns[-1], log.name)
-        name = log.name
+        where = {channel: where[channel] for channel in channels}
+        if rate is None:
+            where[TIME] = _time_column(log, named)
+        numbers = read_columns(log, where)
+    samples, pace, name = numbers.of(channels), Pace(1.0 / (rate or 1.0), len(numbers)), numbers.name
+    if rate is None:
+        samples, pace = evenly_spaced(samples, numbers.by_role[TIME], name)
     with ThreadPoolExecutor(os.cpu_count()) as threads:
         each = threads.map(partial(_noise, file=name, interval=pace.interval, averages=averages), channels, samples)
         noises = dict(zip(channels, each, strict=True))
@@ -156,7 +156,7 @@ def _time_column(log: LogReader, named: Mapping[str, str]) -> int:
     return log.names.index(time)
 
 
-def evenly_spaced(columns: Sequence[Array], times: Array, file: str) -> tuple[Sequence[Array], Pace]:
+def evenly_spaced(columns: list[Array], times: Array, file: str) -> tuple[list[Array], Pace]:
     """Give each row its place in time: columns of shape (n + lost,), NaN where a row is lost.
 
     Times, shape (n,), are seconds; a row without one follows the row before it. An InputError where time stands still,

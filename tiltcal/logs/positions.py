@@ -31,7 +31,8 @@ from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Position, Procedure
 from tiltcal.files.tables import Segment, TabledPosition
-from tiltcal.logs.numbers import RecordedReadings
+from tiltcal.logs.columns import TEMPERATURE, TIME
+from tiltcal.logs.numbers import RecordedColumns
 
 FEWEST_ROWS = 2
 """Samples that a segment needs for a standard deviation."""
@@ -70,7 +71,13 @@ class StaticInterval:
 
 
 def intervals_of(
-    record: RecordedReadings, segments: Sequence[Segment], rails: Rails, *, file: str, soak: float = 0.0
+    record: RecordedColumns,
+    channels: Sequence[str],
+    segments: Sequence[Segment],
+    rails: Rails,
+    *,
+    file: str,
+    soak: float = 0.0,
 ) -> list[StaticInterval]:
     """Return what the sensor read in each interval, without the samples that are far off the others or missing.
 
@@ -78,14 +85,14 @@ def intervals_of(
     at a rail or too many far off or missing, or is stuck is refused; ``file`` is where the segments stand, and a
     temperature is judged over ``soak`` seconds.
     """
-    step = resolution(record.columns)
+    step = resolution(record.of(channels))
     whole = [replace(one, end=len(record)) if one.end == TO_THE_END else one for one in segments]
     groups = [list(parts) for _, parts in groupby(whole, key=lambda segment: (segment.name, segment.gravity))]
     names = _distinct([parts[0].name for parts in groups])
     ends = [0, *(parts[-1].end for parts in groups)]
     intervals = []
     for parts, name in zip(groups, names, strict=True):
-        interval = _LogInterval(record, parts, file)
+        interval = _LogInterval(record, channels, parts, file)
         previous = max((end for end in ends if end <= parts[0].start), default=0)
         intervals.append(interval.read(name, step, rails, soak, previous))
     _require_not_stuck(intervals, step, file)
@@ -167,7 +174,8 @@ def rise(values: Array) -> float:
 class _LogInterval:
     """One attitude of a log: segments of one name that follow each other."""
 
-    record: RecordedReadings
+    record: RecordedColumns
+    channels: Sequence[str]
     parts: Sequence[Segment]
     file: str
 
@@ -186,7 +194,7 @@ class _LogInterval:
             if len(beyond):
                 raise self._refusal(at_rail(channel, f"{beyond[0]:.6g} in {len(beyond)} of its rows", (low, high)))
         temperatures = self._temperatures()
-        times = self._finite(self.record.time)
+        times = self._finite(TIME)
         first = self.parts[0]
         rows = tuple((part.start, part.end) for part in self.parts)
         return StaticInterval(
@@ -206,15 +214,13 @@ class _LogInterval:
         parts = sorted(self.parts, key=lambda part: part.start)
         return np.concatenate([column[part.start : part.end] for part in parts])
 
-    def _finite(self, column: Array | None) -> Array:
-        values = np.empty(0) if column is None else self._rows_of(column)
+    def _finite(self, role: str) -> Array:
+        values = self._rows_of(self.record.by_role[role]) if role in self.record.by_role else np.empty(0)
         return values[np.isfinite(values)]
 
     def _samples(self, step: float) -> tuple[dict[str, Array], int]:
         """Return the samples that count by channel, and how many rows are missing or far off, which are few."""
-        columns = {
-            c: self._rows_of(column) for c, column in zip(self.record.channels, self.record.columns, strict=True)
-        }
+        columns = {channel: self._rows_of(self.record.by_role[channel]) for channel in self.channels}
         there = np.logical_and.reduce([np.isfinite(values) for values in columns.values()])
         why = next((f"{c} has no number" for c, values in columns.items() if not np.isfinite(values).all()), "")
         columns = {channel: values[there] for channel, values in columns.items()}
@@ -230,7 +236,7 @@ class _LogInterval:
 
     def _temperatures(self) -> Array:
         """Return the temperatures, °C, without the few that jump."""
-        values = self._finite(self.record.temperature)
+        values = self._finite(TEMPERATURE)
         far = outliers(values)
         far = far[np.abs(values[far] - np.median(values)) > TEMPERATURE_JUMP] if len(far) else far
         if len(far):
@@ -243,14 +249,14 @@ class _LogInterval:
         A short segment of a steady ramp looks still, and the sensor is as far behind its thermometer as in a long one.
         Without times it is judged over as many times its own rows. ``soak`` is in seconds; 0 judges its rows alone.
         """
-        start, end, time = self.parts[0].start, self.parts[-1].end, self.record.time
-        if self.record.temperature is None or not soak:
+        start, end, time = self.parts[0].start, self.parts[-1].end, self.record.by_role.get(TIME)
+        if TEMPERATURE not in self.record.by_role or not soak:
             return own
         begin = max(previous, start - (SOAKS - 1) * (end - start))
         if time is not None and np.isfinite(time[end - 1]):
             early = np.flatnonzero(~(time[:end] >= time[end - 1] - soak))
             begin = int(early[-1]) + 1 if len(early) else 0
-        before = np.asarray(self.record.temperature[min(begin, start) : end])
+        before = self.record.by_role[TEMPERATURE][min(begin, start) : end]
         return own if begin >= start else max(own, rise(before[np.isfinite(before)]), key=abs)
 
     def _require_few(self, count: int, why: str) -> None:

@@ -9,14 +9,14 @@ import pytest
 
 from tiltcal.core.model import Array
 from tiltcal.files.tables import Segment
-from tiltcal.logs.numbers import RecordedReadings
+from tiltcal.logs.numbers import RecordedColumns
 from tiltcal.logs.positions import TO_THE_END, StaticInterval, intervals_of, rise
 
 
 def intervals(values: Array, segments: Sequence[Segment]) -> list[StaticInterval]:
     """Of channels x and y and, where there are three columns, a temperature."""
-    record = RecordedReadings("the log", ("x", "y"), list(values[:2]), values[2] if len(values) > 2 else None)
-    return intervals_of(record, segments, {}, file="the segments")
+    record = RecordedColumns(dict(zip(("x", "y", "temperature"), values, strict=False)), "the log", None, 0)
+    return intervals_of(record, ("x", "y"), segments, {}, file="the segments")
 
 
 def segment(start: int, end: int, name: str = "level") -> Segment:
