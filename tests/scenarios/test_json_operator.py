@@ -109,6 +109,15 @@ def test_redo_asks_again_and_back_goes_back(tmp_path: Path) -> None:
     assert next(words) == "ready"
 
 
+def test_a_position_is_asked_for_in_vain_a_hundred_times_in_a_row_and_no_more(tmp_path: Path) -> None:
+    """99 times before the first position and before the second do not add up."""
+    words = [*["redo"] * 99, "ready", *["redo"] * 99, "ready", *["redo"] * 101]
+    led = table(tmp_path, "plane", lambda ask, n: {"answer": words[n - 1]})
+    assert led.exit_code == 130
+    assert len(led.asks) == 300
+    assert "y-tilt1 was asked for 100 times in a row in vain" in led.errors
+
+
 def test_back_at_the_first_position_is_refused_with_the_reason(tmp_path: Path) -> None:
     led = table(tmp_path, "plane", lambda ask, n: {"answer": "back"} if n == 1 else ready(ask, n))
     assert led.exit_code == 0, led.errors

@@ -14,7 +14,7 @@ from support import accelerometer_disk as disk
 from tiltcal.bench import devices
 from tiltcal.bench.journal import SessionResult, calibrations_of
 from tiltcal.bench.measure import run_session
-from tiltcal.bench.operators import Message
+from tiltcal.bench.operators import Message, Operator
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.core.pair.matching import Matching
@@ -66,7 +66,7 @@ class Device:
         pass
 
 
-class Attendant:
+class Attendant(Operator):
     """Says ready, and stop where it is told to; keeps what it hears."""
 
     def __init__(self, *, stop_after: Sequence[int] = (), readies: int = 1) -> None:

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from tiltcal.bench.devices import BenchDevice
+from tiltcal.bench.guidance import AxisGuidance, guidance
 from tiltcal.bench.settle import Timed, Unsettled
 from tiltcal.bench.setup import Setup
 from tiltcal.calibration.measurement import Measurement, missing_temperature
+from tiltcal.core.attitude import Vector
 from tiltcal.core.detection import (
     LEFT_OUT,
     TEMPERATURE_JUMP,
@@ -248,6 +250,7 @@ class Expectations:
         bases = setup.known.values()
         self._mounted = any(base.calibration.coefficients.mounting is not None for base in bases)
         """Whether the positions are those of an application in which a sensor sits in a way of its own."""
+        self._known = not (self._determines.free or self._determines.mounting or self._mounted)
         self._readings = {sensor.serial: self._learnt(sensor.serial, sensor.wired) for sensor in sensors}
 
     def _learnt(self, serial: str, model: Model) -> ExpectedReadings:
@@ -261,11 +264,23 @@ class Expectations:
 
     def expected(self, result: PositionResult) -> dict[str, dict[str, float]]:
         """Return the predicted reading of each channel by serial number; empty where nothing predicts it."""
-        known = not self._determines.free and not self._mounted
         return {
             sensor.serial: self._readings[sensor.serial].expected(result.measurements[sensor.serial].gravity)
-            if sensor.wired.scaled and known
+            if sensor.wired.scaled and self._known
             else {}
+            for sensor in self._sensors
+        }
+
+    def guidance(self, sensor: BenchDevice, values: Sequence[float], gravity: Vector) -> dict[str, AxisGuidance]:
+        """Return the guidance of each channel of a sensor where the fixture is to be held in an attitude."""
+        expected = self._readings[sensor.serial] if self._known else None
+        return guidance(sensor.wired, sensor.orientation, values, gravity, expected)
+
+    def guidance_of(self, result: PositionResult) -> dict[str, dict[str, AxisGuidance]]:
+        """Return the guidance that the means of a position give, by serial number."""
+        gravity = result.position.gravity
+        return {
+            sensor.serial: self.guidance(sensor, result.mean(sensor.serial).tolist(), gravity)
             for sensor in self._sensors
         }
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 
-from tiltcal.bench.journal import SessionResult, calibrations_of, positions_of
+from tiltcal.bench.journal import SessionResult, calibrations_of
 from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
 from tiltcal.bench.sensors import RECOVERY
 from tiltcal.bench.session import Session
@@ -86,13 +86,12 @@ def run_session(session: Session, operator: Operator) -> SessionResult:
     if session.journal is not None and session.finished:
         return calibrations_of(session.journal)
     steps = session.setup.steps
-    recorded = None if session.journal is None else positions_of(session.journal)
     with ExitStack() as stack:
-        writer = session.open(stack, operator, recorded)
-        if steps.rotation is not None and (recorded is None or recorded.turned is None):
+        session.open(stack, operator)
+        if steps.rotation is not None and (session.recorded is None or session.recorded.turned is None):
             from tiltcal.bench.rotation import TurningStage
 
-            TurningStage(session, steps.rotation, recorded).turn()
+            TurningStage(session, steps.rotation).turn()
         attempt: Callable[[Position], str] = session.attempt
         if steps.ramp is not None:
             from tiltcal.bench.ramp import take_leg
@@ -114,7 +113,7 @@ def run_session(session: Session, operator: Operator) -> SessionResult:
             outputs = [session.files.outputs.get(sensor.serial) for sensor in session.sensors.sensors]
             session.ask({"ask": "write", "files": [str(output) for output in outputs if output is not None]})
         result = calibrations_of(read_journal(session.files.journal))
-        writer.finish(0)
+        session.writer.finish(0)
         session.finished = True
     return result
 

@@ -28,7 +28,6 @@ it. A person is asked for a review of each position and before the files are wri
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import select
@@ -74,29 +73,29 @@ HEARD = ("waiting", "accepted", "refused", "lost", "done", "turn", "held", "resu
 KEYS = ("answer", "gravity", "temperature", "tilt")
 TILT_AXES = ("x", "y")
 
-REPEATS, VIRTUAL_REPEATS = 100, 10
-"""How often one position, or the stage, is asked for in vain before the session stops: the virtual jig does the same
-again."""
-
 SAME = 1e-4
 """Directions that differ by less are one, g: 0.006°."""
 
-CHUNK = 1 << 16
-LONGEST = 1 << 16
-"""Bytes of a line that are kept; the rest of a longer one is dropped, and what is left is no answer."""
-MOST_LINES = 1000
-"""Lines that are looked at while more arrive."""
+CHUNK = LONGEST = 1 << 16
+"""Bytes that are read at once, and of a line without an end that are kept: no answer is as long."""
 
 
 class Operator(Protocol):
-    """Who brings the sensors into position."""
+    """Who brings the sensors into position.
+
+    A session stops where one position, or the stage, is asked for in vain ``most_attempts`` times in a row, of a person
+    never. ``watches`` is whether it is shown every reading.
+    """
+
+    most_attempts: int | None = None
+    watches: bool = False
 
     def ask(self, question: Message) -> object:
-        """Return the answer to a question; ``Stopped`` where the operator quits."""
+        """Return the answer to a question; Stopped where the operator quits."""
         ...
 
     def tell(self, event: Message) -> None:
-        """Take an event; ``Stopped`` where the operator gives up."""
+        """Take an event; Stopped where the operator gives up."""
         ...
 
 
@@ -157,23 +156,24 @@ def understood(said: object, words: Sequence[str] = WORDS["position"]) -> Operat
     strange = sorted(str(key) for key in set(said) - set(KEYS))
     if strange:
         raise InputError(f"unknown key {strange[0]!r} in the answer; it may have {', '.join(KEYS)}")
-    word, tilt, gravity, temperature = said.get("answer"), said.get("tilt"), of_python(said.get("gravity")), None
+    word, tilt, gravity = said.get("answer"), said.get("tilt"), of_python(said.get("gravity"))
     if not isinstance(word, str) or word not in words:
         raise InputError(f"answer {word!r} is not one of {', '.join(words)}")
-    if not isinstance(tilt, Mapping | None):
+    tilt = {} if tilt is None else tilt
+    if not isinstance(tilt, Mapping):
         raise InputError('tilt is an object of degrees such as {"y": 30.02}')
-    for axis in tilt or {}:
+    for axis in tilt:
         if axis not in TILT_AXES:
             raise InputError(f"tilt of {axis!r} in the answer: an angle is that of {' or '.join(TILT_AXES)}")
     if gravity is not None and not (isinstance(gravity, list | tuple) and len(gravity) == 3):
         raise InputError("gravity is a list of three numbers")
-    if said.get("temperature") is not None:
-        temperature, (low, high) = _number(said["temperature"], "temperature"), TEMPERATURES
-        if not low <= temperature <= high:
-            raise InputError(f"temperature in the answer is {temperature:g} °C, not between {low:g} and {high:g}")
+    temperature = None if said.get("temperature") is None else _number(said["temperature"], "temperature")
+    if temperature is not None and not TEMPERATURES[0] <= temperature <= TEMPERATURES[1]:
+        low, high = TEMPERATURES
+        raise InputError(f"temperature in the answer is {temperature:g} °C, not between {low:g} and {high:g}")
     return OperatorAnswer(
         word,
-        {axis: _number(angle, f"tilt.{axis}") for axis, angle in (tilt or {}).items()},
+        {axis: _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()},
         None if gravity is None else tuple(_number(component, "gravity") for component in gravity),
         temperature,
     )
@@ -186,34 +186,13 @@ def _number(value: object, key: str) -> float:
     return float(value)
 
 
-class Attempts:
-    """Counts how often one position, or the stage, is asked for in vain; too often in a row raises ``Stopped``."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._position, self._count = "", 0
-
-    def tell(self, event: Message) -> None:
-        """Take an event: a refusal counts, and a success ends the count."""
-        if event["event"] == "refused":
-            self.repeat(event["position"], event["why"])
-        elif event["event"] in ("accepted", "turn"):
-            self._position = ""
-
-    def repeat(self, position: str, why: str) -> None:
-        """Count that a position has to be asked for again."""
-        self._count = self._count + 1 if position == self._position else 1
-        self._position = position
-        if self._count == self._most:
-            raise Stopped(f"{position} was asked for {self._most} times in a row in vain, the last time because {why}")
-
-
-class VirtualJig:
+class VirtualJig(Operator):
     """The operator of a virtual bench, whose jig has taken the position before it is asked; ``say`` takes its talk."""
+
+    most_attempts = 10  # asked again, it does the same again
 
     def __init__(self, say: Callable[[str], None] = lambda line: None) -> None:
         self._say = say
-        self._attempts = Attempts(VIRTUAL_REPEATS)
         self._begin: Message = {}
 
     def ask(self, question: Message) -> object:
@@ -239,7 +218,6 @@ class VirtualJig:
             case _:
                 for line in in_words(event):
                     self._say(line)
-        self._attempts.tell(event)
 
     def _measured(self, event: Message) -> Iterator[str]:
         """Yield mean and scatter of each sensor of an accepted position."""
@@ -252,15 +230,16 @@ class VirtualJig:
             yield f"  {number} {event['position']:<12} {whose}{'  '.join(stated)} {sensors[serial]['unit']}{warmth}"
 
 
-class Program:
+class Program(Operator):
     """A program that speaks JSON Lines on two text streams; it is asked for positions and rotations alone.
 
     The end of its ``answers``, while it is asked, ends the session.
     """
 
+    most_attempts = 100
+
     def __init__(self, answers: TextIO, questions: TextIO) -> None:
         self._answers, self._questions = LineReader(answers), questions
-        self._attempts = Attempts(REPEATS)
 
     def ask(self, question: Message) -> object:
         """Ask, and wait for the answer; to a poll return what the program has said without being asked."""
@@ -269,13 +248,12 @@ class Program:
         if question["ask"] == "poll":
             return self._next() if self._answers.waiting() else None
         self._send(question)
-        return _counted(self._next(), question, self._attempts)
+        return self._next()
 
     def tell(self, event: Message) -> None:
         """Send an event, unless it is for a person's eyes."""
         if event["event"] in HEARD:
             self._send(event)
-        self._attempts.tell(event)
 
     def _next(self) -> object:
         line = self._answers.next()
@@ -291,12 +269,13 @@ class Program:
             raise Stopped("the operator program has ended") from None
 
 
-class PythonObject:
+class PythonObject(Operator):
     """An object with a method for each question that it answers, ``position`` or ``rotation``, and each event."""
+
+    most_attempts = 100
 
     def __init__(self, rig: object, question: str) -> None:
         self._rig = rig
-        self._attempts = Attempts(REPEATS)
         if not callable(getattr(rig, question, None)):
             raise UsageError(f"the operator ({type(rig).__name__}) has no method {question}(ask)")
 
@@ -307,20 +286,12 @@ class PythonObject:
             return self._rig.poll() if hasattr(self._rig, "poll") else None
         if name in ("review", "write"):
             return {"answer": USUAL[name]}
-        return _counted(getattr(self._rig, name)(question), question, self._attempts)
+        return getattr(self._rig, name)(question)
 
     def tell(self, event: Message) -> None:
         """Call the method of an event that a program gets, where the object has it."""
         if event["event"] in HEARD and hasattr(self._rig, event["event"]):
             getattr(self._rig, event["event"])(event)
-        self._attempts.tell(event)
-
-
-def _counted(said: object, question: Message, attempts: Attempts) -> object:
-    """Return an answer; one that has the position asked for again counts as an attempt in vain."""
-    if isinstance(said, Mapping) and said.get("answer") == "redo" and question["ask"] == "position":
-        attempts.repeat(question["position"], "the program answered redo")
-    return said
 
 
 def parsed(line: str) -> object:
@@ -347,7 +318,7 @@ class LineReader:
         self._ended = False
         try:
             self._descriptor: int | None = stream.fileno()
-        except (OSError, ValueError, io.UnsupportedOperation):
+        except (OSError, ValueError):
             self._descriptor = None
 
     def next(self) -> str:
@@ -355,29 +326,23 @@ class LineReader:
         if self._descriptor is None:
             return self._stream.readline()
         while not self._ready and not self._ended:
-            self._listen(self._descriptor)
+            self._read(self._descriptor)
         return self._ready.popleft() if self._ready else ""
 
     def waiting(self) -> list[str]:
         """Return the lines that have arrived; they stay."""
-        while self._descriptor is not None and not self._ended and len(self._ready) < MOST_LINES:
-            if not select.select([self._descriptor], [], [], 0.0)[0]:
-                break
-            self._listen(self._descriptor)
+        if self._descriptor is not None and not self._ended and select.select([self._descriptor], [], [], 0.0)[0]:
+            self._read(self._descriptor)
         return list(self._ready)
 
-    def _listen(self, descriptor: int) -> None:
+    def _read(self, descriptor: int) -> None:
         arrived = os.read(descriptor, CHUNK)
         self._ended = not arrived
-        *lines, rest = arrived.split(b"\n")
-        if lines:
-            lines[0] = self._rest + lines[0]
-            self._rest = b""
-        self._rest = (self._rest + rest)[:LONGEST]
-        self._ready.extend(line[:LONGEST].decode(errors="replace") + "\n" for line in lines)
-        if self._ended and self._rest:
-            self._ready.append(self._rest.decode(errors="replace"))
-            self._rest = b""
+        *lines, rest = (self._rest + arrived).split(b"\n")
+        self._rest = b"" if self._ended else rest[:LONGEST]
+        self._ready.extend(line.decode(errors="replace") + "\n" for line in lines)
+        if self._ended and rest:
+            self._ready.append(rest.decode(errors="replace"))
 
 
 def in_words(event: Message) -> list[str]:

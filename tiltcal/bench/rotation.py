@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tiltcal.bench.journal import RecordedSession, unused
+from tiltcal.bench.journal import unused
 from tiltcal.bench.sensors import RECOVERY
 from tiltcal.bench.session import Session
 from tiltcal.core.model import Array
@@ -106,9 +106,10 @@ class StageSamples:
 
 
 class TurningStage:
-    """The rotation of a session; ``before`` is what there is from before an interruption."""
+    """The rotation of a session."""
 
-    def __init__(self, session: Session, rotation: Rotation, before: RecordedSession | None) -> None:
+    def __init__(self, session: Session, rotation: Rotation) -> None:
+        before = session.recorded
         self._session = session
         self._rotation = rotation
         self._channels = session.setup.stage_channels()

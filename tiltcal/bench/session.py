@@ -12,22 +12,14 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from tiltcal.bench.checks import (
-    Expectations,
-    PositionResult,
-    ReadingSpans,
-    at_rail,
-    far_off,
-    require_few,
-    result_of,
-)
+from tiltcal.bench.checks import Expectations, PositionResult, ReadingSpans, at_rail, far_off, require_few, result_of
 from tiltcal.bench.devices import VirtualBench, probe_devices
-from tiltcal.bench.journal import RecordedSample, RecordedSession
+from tiltcal.bench.journal import RecordedSample, RecordedSession, positions_of
 from tiltcal.bench.operators import LOOK, WORDS, Operator, OperatorAnswer, understood
 from tiltcal.bench.sensors import Recorder, Sample, SensorSet, connected
-from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
+from tiltcal.bench.settle import NEAR, SOAKS, Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.setup import SessionFiles, Setup
-from tiltcal.core.attitude import normalised
+from tiltcal.core.attitude import Vector, normalised
 from tiltcal.core.quantisation import ReadingStep
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.model import Reading
@@ -48,20 +40,22 @@ TIP = "tip"
 TIPPED = (0.2, 0.2, -0.2)
 """What a tip by hand adds to gravity, g: of any attitude it changes all components, of level by 14° in all."""
 
-WAITING_NS = 60_000_000_000
+MINUTE_NS = 60_000_000_000
 """Time between two events while a chamber soaks or a reading settles, ns."""
 
 
 class Session:
     """A setup being carried out; ``journal`` is what was captured before an interruption.
 
-    ``accepted`` are the positions so far, ``leg`` the samples of a ramp's leg from before an interruption. The journal
-    is ``captured`` where it has a begin, and ``finished`` where it has its end.
+    ``accepted`` are the positions so far, ``recorded`` what the journal holds, ``leg`` the samples of a ramp's leg from
+    before an interruption. The journal is ``captured`` where it has a begin, and ``finished`` where it has its end.
     """
 
     sensors: SensorSet
     recorder: Recorder
+    writer: JournalWriter
     _operator: Operator
+    _expectations: Expectations
 
     def __init__(self, setup: Setup, files: SessionFiles, journal: Journal | None = None) -> None:
         self.setup = setup
@@ -69,6 +63,7 @@ class Session:
         self.journal = journal
         self.clock = session_clock(setup.began, virtual=setup.simulated)
         self.accepted: list[PositionResult] = []
+        self.recorded: RecordedSession | None = None
         self.leg: list[RecordedSample] = []
         self.captured = journal is not None
         self.finished = journal is not None and journal.end is not None
@@ -78,7 +73,12 @@ class Session:
         """What the readings have shown of the steps that no model states."""
         self._probed: dict[str, Reading] = {}
         self._tipped = self._interrupted = False
-        self._answered_ns = self._waiting_ns = 0
+        self._answered_ns = self._minutes = 0
+        self._begun_ns = 0
+        self._durations: dict[bool, list[int]] = {False: [], True: []}
+        """How long positions took, ns: those without, and with a new temperature."""
+        self._attempts = ("", 0)
+        """The position that was last asked for in vain, and how often in a row."""
         self._soaked: float | None = None
         """The temperature that the sensors have, °C; None on the way."""
 
@@ -94,19 +94,18 @@ class Session:
         probed = probe_devices(devices, VirtualBench(clock, devices), clock, read=True)
         self._probed = {device.serial: reading for device, reading in zip(self.setup.sensors, probed, strict=False)}
 
-    def open(self, stack: ExitStack, operator: Operator, recorded: RecordedSession | None) -> JournalWriter:
-        """Open the journal and the devices until the end of the stack, and tell the operator what begins.
-
-        Of a session that goes on what it has is taken over.
-        """
+    def open(self, stack: ExitStack, operator: Operator) -> None:
+        """Open the journal and the devices until the end of the stack, and tell the operator what begins."""
         setup, self._operator = self.setup, operator
         if self.journal is None:
-            writer = JournalWriter.create(self.files.journal, setup.header())
+            self.writer = JournalWriter.create(self.files.journal, setup.header())
         else:
-            writer = JournalWriter.resume(self.journal)
+            self.recorded = positions_of(self.journal)
+            self.writer = JournalWriter.resume(self.journal)
         self.captured = True
-        stack.callback(writer.close)
-        self.recorder = Recorder(self.clock, writer, 0 if recorded is None else recorded.playback.now_ns)
+        stack.callback(self.writer.close)
+        recorded = self.recorded
+        self.recorder = Recorder(self.clock, self.writer, 0 if recorded is None else recorded.playback.now_ns)
         if recorded is not None:
             self._take_over(recorded)
         last_answers = None if recorded is None else recorded.playback.last_answers
@@ -115,11 +114,13 @@ class Session:
         self._spans.add(self._probed)
         self.sensors.listeners.append(self._spans.add)
         self.sensors.give_up({} if recorded is None else recorded.lost)
+        self._begun_ns = self.recorder.now_ns()
         self.tell(
             "begin",
             title=setup.steps.title,
             length="" if setup.steps.rotation is not None else setup.steps.length,
             positions=[position.name for position in setup.steps.positions],
+            accepted=[result.position.name for result in self.accepted],
             sensors={
                 sensor.serial: {
                     "model": model.name,
@@ -130,7 +131,6 @@ class Session:
                 for sensor, model in zip(self.sensors.sensors, self.sensors.models, strict=True)
             },
         )
-        return writer
 
     def _take_over(self, recorded: RecordedSession) -> None:
         """Take what was measured before the interruption; the virtual jig has taken the positions, too."""
@@ -156,28 +156,37 @@ class Session:
         if actual != position:
             self._hold(actual)
         window = self._window(position, answer.temperature)
-        wait_until_still(self.sensors, self.recorder, window, partial(self.look, position))
+        wait_until_still(self.sensors, self.recorder, window, partial(self.look, actual))
         self._soaked = position.temperature
         first = self.recorder.line + 1
-        samples, without = self._sampled(position, thermometers=answer.temperature is None)
+        samples, without = self._sampled(actual, thermometers=answer.temperature is None)
         last = self.recorder.line
         self.sensors.succeeded()
         result = self._result(position, actual, samples, len(without), answer.temperature)
-        expectations = Expectations(self.setup, self.sensors.sensors, self.accepted)
-        expectations.require(result)
+        self._expectations.require(result)
         if len(self.accepted) == len(self.setup.steps.positions) - 1:
             self.tip(position)
-        review = {"ask": "review", "position": position.name, "sensors": result.values()}
-        verdict = self.ask({**review, "expected": expectations.expected(result)})
+        verdict = self.ask(
+            {
+                "ask": "review",
+                "position": position.name,
+                "sensors": result.values(),
+                "expected": self._expectations.expected(result),
+                "guidance": self._expectations.guidance_of(result),
+            }
+        )
         if verdict.word == "accept":
             self.accept(result, {"lines": [first, last], **({"without": without} if without else {})})
         return verdict.word
 
     def ask_for(self, position: Position, to: str = "position") -> OperatorAnswer:
         """Ask for a position; ``to`` is the question in the journal."""
+        self._expectations = Expectations(self.setup, self.sensors.sensors, self.accepted)
         if position.temperature != self._soaked:
             self._soaked = None
         self._hold(position)
+        names = [result.position.name for result in self.accepted]
+        self.tell("progress", position=position.name, accepted=names, seconds=self._seconds_left())
         question = {
             "ask": "position",
             "position": position.name,
@@ -189,9 +198,22 @@ class Session:
             "prompt": position.prompt,
         }
         answer = self.ask(question, to)
-        self._answered_ns = self.recorder.now_ns()
-        self._waiting_ns = WAITING_NS
+        self._answered_ns, self._minutes = self.recorder.now_ns(), 0
+        if answer.word == "redo" and to == "position":
+            self._count_attempt(position.name, "the program answered redo")
         return answer
+
+    def _seconds_left(self) -> float:
+        """Return how long the positions that remain will take: as long as those before, or as their windows state."""
+        settings = self.setup.settings
+        sampling = settings.samples * max(model.interval for model in self.sensors.models)
+        seconds, before = 0.0, self.accepted[-1].asked if self.accepted else None
+        for position in self.setup.steps.positions[len(self.accepted) :]:
+            soaks = position.temperature is not None and position.temperature != before
+            taken, before = self._durations[soaks], position.temperature
+            stated = sampling + (SOAKS * settings.soak if soaks else settings.settle)
+            seconds += sum(taken) / len(taken) / 1e9 if taken else stated
+        return seconds
 
     def ask(self, question: Mapping[str, Any], to: str = "") -> OperatorAnswer:
         """Return the answer to a question, which goes to the journal; ask again where it cannot be understood.
@@ -199,7 +221,7 @@ class Session:
         Stopped: the operator quits.
         """
         while (answer := self._heard(question, to or question["ask"])) is None:
-            pass
+            self._show_reading(question)
         return answer
 
     def poll(self, to: str) -> OperatorAnswer | None:
@@ -211,10 +233,7 @@ class Session:
         while True:
             try:
                 said = self._operator.ask(question)
-                if said is None and question["ask"] == "poll":
-                    return None
-                if said == {"answer": LOOK}:
-                    self._show_reading(question)
+                if said == {"answer": LOOK} or (said is None and question["ask"] == "poll"):
                     return None
                 answer = understood(said, WORDS[question["ask"]])
             except InputError as error:
@@ -228,16 +247,30 @@ class Session:
     def tell(self, event: str, **fields: Any) -> None:
         """Tell the operator what has happened."""
         self._operator.tell({"event": event, **fields})
+        if event in ("accepted", "turn"):
+            self._attempts = ("", 0)
 
     def refuse(self, position: str, why: str) -> None:
         """Tell the operator that an answer, or what was set, is refused; it is asked for again."""
         self.tell("refused", position=position, why=why)
+        self._count_attempt(position, why)
+
+    def _count_attempt(self, position: str, why: str) -> None:
+        """Count that a position was asked for in vain; Stopped where that is too often for its operator."""
+        before, count = self._attempts
+        count = count + 1 if position == before else 1
+        self._attempts = (position, count)
+        if count == self._operator.most_attempts:
+            raise Stopped(f"{position} was asked for {count} times in a row in vain, the last time because {why}")
 
     def accept(self, result: PositionResult, samples: Mapping[str, Any]) -> None:
         """Note an accepted position and the lines of its samples, and wait until it is on the disk."""
         values = result.values()
         self.recorder.record(POSITION, {"position": result.position.name, **samples, "sensors": values})
         self.recorder.secure()
+        soaked = result.asked is not None and (not self.accepted or self.accepted[-1].asked != result.asked)
+        self._durations[soaked].append(self.recorder.now_ns() - self._begun_ns)
+        self._begun_ns = self.recorder.now_ns()
         self.accepted.append(result)
         stated = {
             serial: {key: value for key, value in one.items() if value is not None} for serial, one in values.items()
@@ -247,29 +280,32 @@ class Session:
 
     def _show_reading(self, question: Mapping[str, Any]) -> None:
         """Take a reading that only the operator looks at."""
-        look = {"position": question.get("position", ""), "why": "", "readings": {}}
+        why, readings = "", {}
         try:
-            look["readings"] = self._shown(self.sensors.read(fresh=True))
+            readings = self._shown(self.sensors.read(fresh=True), question.get("gravity"))
         except HardwareError as error:
-            look["why"] = f"no reading: {error}"
-        self.tell("look", **look)
+            why = f"no reading: {error}"
+        self.tell("look", position=question.get("position", ""), why=why, readings=readings)
 
     def look(self, position: Position, sample: Sample, why: str) -> None:
         """Show readings while the session waits or samples, and once a minute why it takes so long."""
-        self.tell("look", position=position.name, why=why, readings=self._shown(sample))
-        waited_ns = self.recorder.now_ns() - self._answered_ns
-        if waited_ns >= self._waiting_ns:
-            self._waiting_ns = (waited_ns // WAITING_NS + 1) * WAITING_NS
+        if self._operator.watches:
+            readings = self._shown(sample, position.gravity)
+            self.tell("look", position=position.name, why=why, readings=readings)
+        minutes = (self.recorder.now_ns() - self._answered_ns) // MINUTE_NS
+        if minutes > self._minutes:
+            self._minutes = minutes
             temperature = next((one.temperature for one in sample if one.temperature is not None), None)
-            seconds = round(waited_ns / 1e9)
+            seconds = round((self.recorder.now_ns() - self._answered_ns) / 1e9)
             self.tell("waiting", position=position.name, seconds=seconds, why=why, temperature=temperature)
 
-    def _shown(self, sample: Sample) -> dict[str, dict[str, Any]]:
-        """Return readings as the operator gets them, by serial number."""
+    def _shown(self, sample: Sample, gravity: Vector | None) -> dict[str, dict[str, Any]]:
+        """Return readings as the operator gets them, by serial number, with guidance where gravity is asked for."""
         return {
             sensor.serial: {
                 "values": dict(zip(model.channels, reading.values, strict=True)),
                 "temperature": reading.temperature,
+                "guidance": {} if gravity is None else self._expectations.guidance(sensor, reading.values, gravity),
             }
             for sensor, model, reading in zip(self.sensors.sensors, self.sensors.models, sample, strict=True)
         }
@@ -315,21 +351,21 @@ class Session:
         """Return the samples of a position, and the numbers of those far off; Unsettled where too many are."""
         sensors, wanted = self.sensors, self.setup.settings.samples
         interval = max(model.interval for model in sensors.models)
-        counted: dict[int, Timed] = {}
+        samples: dict[int, Timed] = {}
         without: list[int] = []
-        while True:
-            while len(counted) < wanted:
-                sample = sensors.read()
-                counted[len(counted) + len(without)] = (self.recorder.now_ns() / 1e9, sample)
-                self.look(position, sample, f"sample {len(counted)} of {wanted}")
-                self.clock.sleep(interval)
-            numbers = list(counted)
-            wrong = far_off(list(counted.values()), sensors.models, thermometers=thermometers)
-            if not wrong:
-                return list(counted.values()), sorted(without)
-            without += [numbers[place] for place in wrong]
-            require_few(len(without), wanted, next(iter(wrong.values())))
-            counted = {number: timed for number, timed in counted.items() if number not in without}
+        while len(samples) < wanted:
+            sample = sensors.read()
+            samples[len(samples) + len(without)] = (self.recorder.now_ns() / 1e9, sample)
+            self.look(position, sample, f"sample {len(samples)} of {wanted}")
+            self.clock.sleep(interval)
+            if len(samples) == wanted:
+                numbers = list(samples)
+                wrong = far_off(list(samples.values()), sensors.models, thermometers=thermometers)
+                without += [numbers[place] for place in wrong]
+                if wrong:
+                    require_few(len(without), wanted, next(iter(wrong.values())))
+                samples = {number: timed for number, timed in samples.items() if number not in without}
+        return list(samples.values()), sorted(without)
 
     def _result(
         self, asked: Position, actual: Position, samples: list[Timed], left_out: int, typed: float | None

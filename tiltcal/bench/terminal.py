@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from tiltcal.bench.operators import LOOK, LineReader, Message, in_words
+from tiltcal.bench.operators import LOOK, LineReader, Message, Operator, in_words
 from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.errors import InputError, Stopped
@@ -58,7 +58,7 @@ def open_terminal(stack: ExitStack, *, plain: bool) -> Terminal:
     return terminal
 
 
-class Terminal:
+class Terminal(Operator):
     """Asks a person.
 
     Parameters
@@ -70,7 +70,7 @@ class Terminal:
     def __init__(self, console: Console, keys: Keys, *, live: bool) -> None:
         self._console = console
         self._keys = keys
-        self._live = live
+        self._live = self.watches = live
         self._line_is_live = False
         self._offered: list[str] = []
         self._positions: list[str] = []

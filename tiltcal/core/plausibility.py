@@ -8,7 +8,7 @@ what each position of the procedure should give.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import cos, radians, sin
+from math import cos, radians, sin, sqrt
 
 import numpy as np
 
@@ -67,12 +67,9 @@ class ExpectedReadings:
 
     def distance(self, gravity: Vector, reading: Array, temperature: float | None = None) -> float:
         """Return how many standard deviations a reading is from what ``gravity`` should give, in the worst channel."""
-        row = np.array([1.0, *gravity])
-        sigma = self._pose(temperature)
-        worst = 0.0
-        for mean, covariance, value in zip(self._mean, self._covariance, self._in_g(reading), strict=True):
-            worst = max(worst, abs(value - row @ mean) / np.sqrt(row @ covariance @ row + sigma**2))
-        return float(worst)
+        means, deviations = self.in_g(gravity, temperature)
+        misses = [abs(value - mean) for value, mean in zip(self._in_g(reading), means, strict=True)]
+        return max(miss / deviation for miss, deviation in zip(misses, deviations, strict=True))
 
     def learn(self, gravity: Vector, reading: Array, temperature: float | None = None) -> None:
         """Take an accepted position into account."""
@@ -88,11 +85,16 @@ class ExpectedReadings:
 
     def expected(self, gravity: Vector) -> dict[str, float]:
         """Return the reading per channel that ``gravity`` should give, in the sensor's unit."""
+        means, _ = self.in_g(gravity)
+        readings = (self._offset + self._sensitivity * mean for mean in means)
+        return dict(zip(self._channels, readings, strict=True))
+
+    def in_g(self, gravity: Vector, temperature: float | None = None) -> tuple[list[float], list[float]]:
+        """Return the expected readings by the nominal coefficients, g, and their standard deviations."""
         row = np.array([1.0, *gravity])
-        return {
-            channel: float(self._offset + self._sensitivity * (row @ mean))
-            for channel, mean in zip(self._channels, self._mean, strict=True)
-        }
+        means = [float(row @ mean) for mean in self._mean]
+        spreads = (row @ covariance @ row for covariance in self._covariance)
+        return means, [sqrt(spread + self._pose(temperature) ** 2) for spread in spreads]
 
     def objection(
         self, position: str, positions: Mapping[str, Vector], reading: Array, temperature: float | None = None

@@ -1,4 +1,4 @@
-"""What a person is shown and may type, and when the virtual jig gives up."""
+"""What a person is shown and may type."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from tiltcal.bench.operators import Attempts, VirtualJig
+from tiltcal.bench.operators import VirtualJig
 from tiltcal.bench.terminal import ENTER, Terminal
-from tiltcal.errors import Stopped
 
 LEVEL = {
     "ask": "position", "position": "level", "tilt": {"x": 0.0, "y": 0.0}, "gravity": [0, 0, 1], "heading": 0,
@@ -145,25 +144,3 @@ def test_the_virtual_jig_numbers_a_position_that_a_resumed_session_only_reports(
     operator.tell(ACCEPTED)
     assert said[0] == "A title: 2 positions"
     assert said[1].startswith("  2/2 level ")
-
-
-def test_the_virtual_jig_gives_up_a_position_that_is_refused_again_and_again() -> None:
-    operator = VirtualJig()
-    refused = {"event": "refused", "position": "level", "why": "x is stuck"}
-    for _ in range(9):
-        operator.tell(refused)
-    with pytest.raises(Stopped, match="level was asked for 10 times in a row in vain, the last time because x is stuc"):
-        operator.tell(refused)
-
-
-def test_attempts_before_a_success_do_not_count() -> None:
-    attempts = Attempts(100)
-    refused = {"event": "refused", "position": "rotation", "why": "the stage does not turn"}
-    for number in range(1, 4):
-        for _ in range(99):
-            attempts.tell(refused)
-        attempts.tell({"event": "turn", "turn": number})
-    for _ in range(99):
-        attempts.tell(refused)
-    with pytest.raises(Stopped, match="rotation was asked for 100 times in a row in vain"):
-        attempts.tell(refused)
