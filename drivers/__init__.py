@@ -1,8 +1,9 @@
 """Sensor drivers: bytes in, readings out. They contain nothing about calibration, prompts or files.
 
-A module holds a sensor or converter and its virtual part; ``parts`` has register parts, a row of facts each. What they
-share is in ``model`` (the interfaces), ``bus/`` (addresses and links), ``registers`` (what makes a driver and a virtual
-part of a row), ``converters`` and ``analog`` (analog sensors), and ``virtual`` (virtual parts and their truth).
+A module holds a sensor or converter and its virtual part; ``parts`` and ``accelerometers`` have register parts, a row
+of facts each. What they share is in ``model`` (the interfaces), ``bus/`` (addresses and links), ``registers`` (what
+makes a driver and a virtual part of a row), ``converters`` and ``analog`` (analog sensors), and ``virtual`` (virtual
+parts and their truth).
 
 The user selects a model by name. The built-in models are in a table and are imported only when used. A third party adds
 a model by an entry point in the group ``tiltcal.devices``, with the name of the model, that loads a
@@ -45,6 +46,8 @@ _BUILT_IN = {
     "adxl355": "parts",
     **dict.fromkeys(("sca103t-d04", "sca103t-d05", "sca61t-fahh1g", "sca61t-fa1h1g"), "sca100t"),
     "iis2iclx": "parts",
+    **dict.fromkeys(("adxl345", "mpu6050", "mpu6500", "mpu9250", "icm20948", "lis3dh"), "accelerometers"),
+    **dict.fromkeys(("lsm6ds3", "lsm6ds3tr-c", "lsm6dsox", "mma8451", "bmi160", "msa311"), "accelerometers"),
 }
 """The module of each model, whose ``MODELS`` has it by its name; in the order of the list of devices."""
 

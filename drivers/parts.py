@@ -42,6 +42,7 @@ TEMPERATURE = 0x06
 
 def load_trim(sensor: RegisterSensor) -> None:
     """Reset an ADXL355 until its shadow registers have the content that they had first; a reset may have lost it."""
+    sensor.identify()
     before = sensor.registers(SHADOW, SHADOWS)
     sensor.remembered = sensor.remembered or before
     for _ in range(RESETS):
@@ -97,10 +98,11 @@ ADXL355 = RegisterPart(
     # FILTER and RANGE (bit 7 as after a reset) in standby; then POWER, which ends it.
     set_up=lambda part: (
         (Write(0x28, part.rates[part.rate]), Write(0x2C, 0x80 | part.ranges[part.range].code)),
-        (Write(0x2D, 0x00),),
+        # The turn-on time is 10 ms.
+        (Write(0x2D, 0x00, seconds=0.010),),
     ),
-    # The turn-on time, and the group delay of the filter: four samples suffice at every rate.
-    settling=lambda part: 0.010 + 4 / part.rate,
+    # The group delay of the filter: four samples suffice at every rate.
+    settling=4,
     new_sample=(0x04, 0x01),
     take=with_whole_temperature,
     probe=_with_revision,
@@ -253,7 +255,7 @@ def at_any_range(part: RegisterPart, address: Address) -> RegisterPart:
     measured = address.choice("thermometer", {"no": False, "yes": True}, part.thermometer is not None)
     part = _with_thermometer(part) if measured else replace(part, thermometer=None, bursts=(SCA3000.bursts))
     pointer = address.choice("pointer", {"register": part.pointer, "command": part.read}, part.pointer)
-    return replace(part, ranges={"": Range(0, counts)}, rate=rate, pointer=pointer)
+    return replace(part, ranges={"": Range(0, counts, OVERLOAD)}, rate=rate, pointer=pointer)
 
 
 def _with_thermometer(part: RegisterPart) -> RegisterPart:
@@ -266,9 +268,8 @@ SCA3000 = RegisterPart(
     short="SCA3000",
     channels={axis: Field(at, 13, shift=3, order="little") for axis, at in (("x", 0x04), ("y", 0x06), ("z", 0x08))},
     bursts=((0x09, 6),),
-    rails=OVERLOAD,
     # Of a virtual part; that of a real one must be stated.
-    ranges={"": Range(0, 1333.0)},
+    ranges={"": Range(0, 1333.0, OVERLOAD)},
     range="",
     # The slowest normal one of the known parts, the E04's.
     rate=100.0,
@@ -310,7 +311,7 @@ def _sca3000(variant: str, counts_per_g: float, rate: float, buses: str = "SPI",
         SCA3000,
         name=f"sca3000-{variant.lower()}",
         title=f"VTI (Murata) SCA3000-{variant} three-axis accelerometer, {extent}, {buses}",
-        ranges={"": Range(0, counts_per_g)},
+        ranges={"": Range(0, counts_per_g, OVERLOAD)},
         rate=rate,
         addresses=(SPI, f"{I2C}0x1d") if on_i2c else (SPI,),
         options=SCA3000.options if on_i2c else SCA3000.options[:-1],

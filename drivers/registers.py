@@ -8,7 +8,7 @@ such as a factory trim that a reset may lose, is a function in its row. The rows
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import ceil, inf, sqrt
@@ -104,10 +104,11 @@ class Thermometer:
 
 
 class Range(NamedTuple):
-    """A measuring range: its code in the part's registers, and count/g."""
+    """A measuring range: its code in the part's registers, count/g, and its rails where they are not the field's."""
 
     code: int
     counts_per_g: float
+    rails: tuple[int, int] | None = None
 
 
 class Write(NamedTuple):
@@ -126,19 +127,20 @@ class RegisterPart:
     name, title, short: what the user types; maker, part and buses for the list of devices; its name in messages.
     channels: x, y and z, as far as it has them.
     bursts: the transactions of a sample: first register and number of registers.
-    rails: numbers at or beyond which a word is no measurement, where they are not the ends of its field.
     ranges, rates: by the word of the option ``range``, such as ``2g``; code by samples per second.
     range, rate: without an option of the address.
     addresses: an example for each of its buses, the preferred one first; the virtual part has that one.
     read, write, pointer: the first byte of an SPI frame that reads or writes a register, and that on I2C.
+    several: bits of that byte, by the letter of the bus, without which a burst repeats its first register.
     count: -1 where the address counts down in a burst.
     burst_bytes: of a sample on SPI: at the slowest clock they pass in a sample period; 0 where no word can be torn.
     fastest_on_i2c: samples per second that the bus carries at 100 kHz.
     identity: the first register of the part's identity, and the contents that are this part's.
     set_up: ``set_up(part)`` returns the writes before it measures; each group is read back before the next one begins.
-    settling, dropped: ``settling(part)`` is the time from the last of them to a sample, s; samples dropped then.
+    settling, dropped: sample periods from the last of them to a sample; samples dropped then.
     new_sample, cleared_by: status register and bit of a new sample, without which a sample is taken at any time; the
         register whose reading clears that bit, where it is not the status register.
+    watched: a register that a reset changes from what is set up, compared before each sample, where no bit shows that.
     held: contents after power-up that are not 0, of the virtual part.
     memory_fault: the status register and the bit of a fault of the part's memory.
     limits, spread: as delivered; standard deviation of offset (g) and sensitivity (relative), where the limits do not
@@ -146,8 +148,8 @@ class RegisterPart:
     noise_density, corner, noise_counts: g/√Hz, and the bandwidth as a share of the rate; noise of a sample where no
         source states a density, count.
     nonlinearity: typical, relative to the range.
-    begin, take, probe: what is special, as functions of the :class:`RegisterSensor`: in place of the reset, of the
-        bursts and of what a probe tells.
+    begin, take, probe: what is special, as functions of the :class:`RegisterSensor`: in place of identity and reset,
+        of the bursts and of what a probe tells.
     configure: ``configure(part, address)`` returns the part with the options of an address.
     bus: what opens its ``package:`` addresses, where tiltcal does not have its bus.
     """
@@ -158,15 +160,15 @@ class RegisterPart:
     channels: Mapping[str, Field]
     bursts: tuple[tuple[int, int], ...]
     thermometer: Thermometer | None = None
-    rails: tuple[int, int] | None = None
     ranges: Mapping[str, Range]
     rates: Mapping[float, int] = field(default_factory=dict)
-    range: str
+    range: str = "2g"
     rate: float
     addresses: tuple[str, ...]
     read: Command = lambda register: register | 0x80
     write: Command = int
     pointer: Command = int
+    several: Mapping[str, int] = field(default_factory=dict)
     count: int = 1
     spi: SpiPort = ANY_PORT
     burst_bytes: int = 0
@@ -174,10 +176,11 @@ class RegisterPart:
     identity: tuple[int, tuple[bytes, ...]] | None = None
     reset: Write | None = None
     set_up: Callable[[RegisterPart], tuple[tuple[Write, ...], ...]] = lambda part: ()
-    settling: Callable[[RegisterPart], float] = lambda part: 0.0
+    settling: int = 0
     dropped: int = 0
     new_sample: tuple[int, int] | None = None
     cleared_by: int | None = None
+    watched: int | None = None
     held: Registers = field(default_factory=dict)
     memory_fault: tuple[int, int] | None = None
     limits: Tolerances = ANY_PART
@@ -187,7 +190,7 @@ class RegisterPart:
     noise_counts: float = 1.0
     nonlinearity: float = 0.0
     not_modelled: tuple[str, ...] = ("the real tolerances, noise and response time", "the memory fault (parity)")
-    begin: Callable[[RegisterSensor], None] = lambda sensor: sensor.reset()
+    begin: Callable[[RegisterSensor], None] = lambda sensor: sensor.begin()
     take: Callable[[RegisterSensor], Registers] = lambda sensor: sensor.bursts()
     probe: Callable[[RegisterSensor], Mapping[str, str]] = lambda sensor: {
         **sensor.part.range_in_words,
@@ -215,7 +218,12 @@ class RegisterPart:
     @property
     def word_rails(self) -> tuple[int, int]:
         """Numbers at or beyond which a word is no measurement."""
-        return self.rails or next(iter(self.channels.values())).rails
+        return self.ranges[self.range].rails or next(iter(self.channels.values())).rails
+
+    @property
+    def writes(self) -> tuple[Write, ...]:
+        """All writes before it measures."""
+        return tuple(write for group in self.set_up(self) for write in group)
 
     @property
     def schemes(self) -> tuple[str, ...]:
@@ -300,7 +308,9 @@ class RegisterSensor(Sensor):
         if not ready:
             self._start()
         if not self._sample_comes():
-            raise DeviceFault(self._why_no_sample(ready))
+            raise self._no_sample(ready)
+        if ready and (wrong := self._unlike(write for write in part.writes if write.register == part.watched)):
+            raise self._was_reset(wrong)
         registers = part.take(self)
         self._ready = True
         values = tuple(float(place.decode(registers)) for place in part.channels.values())
@@ -311,10 +321,11 @@ class RegisterSensor(Sensor):
 
         BusError: the transaction failed, or its answer has another length.
         """
+        several = self.part.several.get(self.link.letter, 0) if count > 1 else 0
         if self.link.letter == "i":
-            data = require_length(self.link.exchange(bytes([self.part.pointer(first)]), count), count)
+            data = require_length(self.link.exchange(bytes([self.part.pointer(first) | several]), count), count)
         else:
-            frame = bytes([self.part.read(first), *bytes(count)])
+            frame = bytes([self.part.read(first) | several, *bytes(count)])
             data = require_length(self.link.exchange(frame), len(frame))[1:]
         return dict(zip(range(first, first + self.part.count * count, self.part.count), data, strict=True))
 
@@ -341,25 +352,13 @@ class RegisterSensor(Sensor):
         if self.part.reset:
             self.write(self.part.reset)
 
-    def _start(self) -> None:
-        """Check that it is the part, reset it and write its settings."""
-        self._require_identity()
-        self.part.begin(self)
-        for group in self.part.set_up(self.part):
-            for write in group:
-                self.write(write)
-            if wrong := self._unlike(group):
-                raise BusError(
-                    f"the {self.part.short} does not keep what is written to it ({wrong}): check MOSI or SDA, the "
-                    "clock and the supply"
-                )
-        self._clock.sleep(self.part.settling(self.part))
-        for _ in range(self.part.dropped):
-            if not self._sample_comes():
-                raise DeviceFault(self._why_no_sample(was_ready=False))
-            self.registers(*self.part.bursts[0])
+    def begin(self) -> None:
+        """Check that it is the part, and reset it."""
+        self.identify()
+        self.reset()
 
-    def _require_identity(self) -> None:
+    def identify(self) -> None:
+        """Check that it is the part."""
         if self.part.identity is None:
             return
         first, known = self.part.identity
@@ -371,6 +370,23 @@ class RegisterSensor(Sensor):
                 f"the part says that it is {identity.hex(' ').upper()}, where an {self.part.short} says {expected}: is "
                 "another device on this chip select or address?"
             )
+
+    def _start(self) -> None:
+        """Begin, and write the settings."""
+        self.part.begin(self)
+        for group in self.part.set_up(self.part):
+            for write in group:
+                self.write(write)
+            if wrong := self._unlike(group):
+                raise BusError(
+                    f"the {self.part.short} does not keep what is written to it ({wrong}): check MOSI or SDA, the "
+                    "clock and the supply"
+                )
+        self._clock.sleep(self.part.settling / self.part.rate)
+        for _ in range(self.part.dropped):
+            if not self._sample_comes():
+                raise self._no_sample(was_ready=False)
+            self.registers(*self.part.bursts[0])
 
     def _sample_comes(self) -> bool:
         if self.part.new_sample is None:
@@ -392,14 +408,16 @@ class RegisterSensor(Sensor):
             if content != write.value
         )
 
-    def _why_no_sample(self, was_ready: bool) -> str:
-        writes = [write for group in self.part.set_up(self.part) for write in group]
-        if was_ready and (wrong := self._unlike(writes)):
-            return (
-                f"the {self.part.short} was reset or its supply failed since it was set up ({wrong}): check the supply "
-                "and its wires; it is set up anew"
-            )
-        return (
+    def _was_reset(self, wrong: str) -> DeviceFault:
+        return DeviceFault(
+            f"the {self.part.short} was reset or its supply failed since it was set up ({wrong}): check the supply and "
+            "its wires; it is set up anew"
+        )
+
+    def _no_sample(self, was_ready: bool) -> DeviceFault:
+        if was_ready and (wrong := self._unlike(self.part.writes)):
+            return self._was_reset(wrong)
+        return DeviceFault(
             f"no sample came for {PERIODS * (1.0 / self.part.rate):.3g} s: the {self.part.short} does not measure; "
             "switch its supply off and on"
         )
@@ -415,19 +433,28 @@ class VirtualRegisters(VirtualPart):
         super().__init__(truth, fixture, clock)
         self._part = part
         self.letter = part.bus.letter if part.schemes[0] == "package" and part.bus else part.schemes[0][0]
-        self._set_up = {write.register: write.value for group in part.set_up(part) for write in group if write.kept}
+        self._set_up = {write.register: write.value for write in part.writes if write.kept}
         first, known = part.identity or (0, (b"",))
         self._after_reset = {**part.held, **dict(enumerate(known[0], first))}
         self._held = dict(self._after_reset)
         self._taken = -1
 
     @cached_property
-    def _commands(self) -> Mapping[int, tuple[int, bool]]:
-        """Register, and whether it is written, by the first byte of a transaction; on I2C its length says that."""
-        reading, writing = (self._part.read, self._part.write) if self.letter == "s" else (self._part.pointer,) * 2
-        registers = range(HIGHEST_REGISTER, -1, -1)
-        commands = {writing(register) & 0xFF: (register, True) for register in registers}
-        return commands | {reading(register) & 0xFF: (register, False) for register in registers}
+    def _commands(self) -> Mapping[int, tuple[int, bool, int]]:
+        """Register, whether it is written, and the step of a burst, by the first byte of a transaction.
+
+        On I2C its length says whether it is written.
+        """
+        part = self._part
+        reading, writing = (part.read, part.write) if self.letter == "s" else (part.pointer,) * 2
+        several = part.several.get(self.letter, 0)
+        commands: dict[int, tuple[int, bool, int]] = {}
+        # The lowest of several registers with the same first byte is meant.
+        for register in range(HIGHEST_REGISTER, -1, -1):
+            commands[writing(register) & 0xFF] = (register, True, part.count)
+            commands[reading(register) & 0xFF] = (register, False, 0 if several else part.count)
+            commands[(reading(register) | several) & 0xFF] = (register, False, part.count)
+        return commands
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Answer one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
@@ -447,19 +474,18 @@ class VirtualRegisters(VirtualPart):
         return answer
 
     def _answered(self, out: bytes, count: int) -> bytes:
-        register, written = self._commands.get(out[0], (0, False))
+        register, written, step = self._commands.get(out[0], (0, False, 0))
         if not written and (self.letter == "s" or len(out) == 1):
-            return self._content(register, count)
+            return self._content([register + step * place for place in range(count)])
         if self._part.reset and (register, out[-1]) == self._part.reset[:2]:
             self._held = dict(self._after_reset)
         else:
             self._held[register] = out[-1]
         return bytes(count)
 
-    def _content(self, first: int, count: int) -> bytes:
-        """Return registers of one moment, in the order of the part."""
+    def _content(self, asked: Sequence[int]) -> bytes:
+        """Return registers of one moment."""
         part, held = self._part, dict(self._held)
-        asked = range(first, first + part.count * count, part.count)
         if part.memory_fault and self._fault().kind == "parity":
             held[part.memory_fault[0]] = held.get(part.memory_fault[0], 0) | part.memory_fault[1]
         if all(held.get(register) == value for register, value in self._set_up.items()):

@@ -17,6 +17,7 @@ from support.example_device.tiltcal_dfrobot import DFROBOT_SCA100T
 from support.for_each import for_each
 
 from tiltcal.drivers import models
+from tiltcal.drivers.accelerometers import MODELS as ACCELEROMETERS
 from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
@@ -28,8 +29,13 @@ DEVICES = {model.name: model for model in (*models(), DFROBOT_SCA100T)}
 
 OPTIONS = {
     "adxl202": ["wiring=edges"],
+    "adxl345": ["range=16g&rate=1600"],
     "adxl355": ["range=4g", "range=8g&rate=1000", "rate=3.90625"],
+    "bmi160": ["range=16g&rate=1600"],
+    "icm20948": ["range=8g&rate=225"],
     "iis2iclx": ["range=0.5&rate=833", "range=3g"],
+    "lis3dh": ["range=16g&rate=400"],
+    "mma8451": ["range=8g&rate=400"],
     "modbus-columns": [
         "columns=x@0:int16*0.001,y@8:int32*0.0001,temperature@0x20:float64&order=cdab&table=input&measured_in=g",
         "columns=x@0:float64,y@9:int32*1e-6,temperature@4:int16*0.1&order=dcba",
@@ -51,7 +57,7 @@ TILTED = (0.2, -0.25, 0.8975**0.5)
 NAMES_THE_REQUEST = ("scl3300", "sca3300-d01", "modbus-columns")
 """Their answers say which request they belong to, or of what length it was."""
 HAS_A_CHECKSUM = ("scl3300", "sca3300-d01", "dfrobot-sca100t", "adxl202", "adxl202e", "adxl210", "witmotion")
-TELLS_A_RESET = ("scl3300", "sca3300-d01", "adxl355", "iis2iclx")
+TELLS_A_RESET = ("scl3300", "sca3300-d01", "adxl355", "iis2iclx", *ACCELEROMETERS)
 HAS_A_SHAPE = (*HAS_A_CHECKSUM, "serial-columns", "gradiometer", "modbus-columns", "iio", "python")
 
 
