@@ -28,7 +28,7 @@ from tiltcal.files.calibration import BaseFile, tilt_record
 from tiltcal.files.document import Document, document_of, read_document
 from tiltcal.files.journal import Journal
 from tiltcal.files.moments import moment, stamp
-from tiltcal.files.procedure import Procedure, Rotation, procedure_from_record
+from tiltcal.files.procedure import Procedure, Rotation, procedure_in
 from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, plain
 from tiltcal.files.results import Reference, Standard
 from tiltcal.stated_arguments import require_printable
@@ -165,7 +165,7 @@ class Setup(Record, kw_only=True, dict=True):
     @cached_property
     def steps(self) -> Procedure:
         """The procedure."""
-        procedure = procedure_from_record(self.procedure, self.settings.angle)
+        procedure = procedure_in(document_of(self.procedure), self.settings.angle)
         return procedure.with_turns(self.settings.turns)
 
     @property

@@ -172,7 +172,7 @@ def _along_ramp(procedure: Procedure) -> Procedure:
         for leg, (start, end) in enumerate(ways, start=1)
         for part in range(PARTS)
     )
-    return replace(procedure, positions=positions)
+    return procedure.replaced(positions=positions)
 
 
 def predict(

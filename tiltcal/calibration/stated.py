@@ -83,7 +83,7 @@ def uncertain_coefficients(uncertainty: Uncertainty, coefficients: Coefficients)
     else:
         names, covariance = stated.parameters, stated.as_array()
     factors = np.array([uncertainty.coverage_factor.get(name, NORMAL_FACTOR) for name in names])
-    wide = widened(covariance, factors) if stated is None else stated.wide_array(factors)
+    wide = np.array(stated.wide, dtype=float) if stated is not None and stated.wide else widened(covariance, factors)
     scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
     scales = np.outer(scale, scale)
     found = Uncertain(names, np.zeros(len(names)), covariance * scales, wide * scales)

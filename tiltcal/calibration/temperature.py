@@ -86,7 +86,7 @@ def order_errors(
 
 def with_order(procedure: Procedure, order: int) -> Procedure:
     """Return the procedure with one order of the drift."""
-    return replace(procedure, determines=procedure.determines.replaced(drift=order, cross_validated=False))
+    return procedure.replaced(determines=procedure.determines.replaced(drift=order, cross_validated=False))
 
 
 def _with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) -> CalibrationRecord:

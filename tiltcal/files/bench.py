@@ -12,13 +12,8 @@ from tiltcal.files.document import Document
 from tiltcal.files.record import FromZero, Record, Text, about
 from tiltcal.files.results import Reference, Standard
 
-Serial = Annotated[
-    str,
-    Meta(
-        pattern=r"^[\w.+-][\w.+ -]*$",
-        extra={"says": "a serial number that names a file: letters, digits, '-', '_', '.', '+'"},
-    ),
-]
+NAMES_A_FILE = {"says": "a serial number that names a file: letters, digits, '-', '_', '.', '+'"}
+Serial = Annotated[str, Meta(pattern=r"^[\w.+-][\w.+ -]*$", extra=NAMES_A_FILE)]
 SignedAxis = Annotated[str, Meta(pattern="^[+-]?[xyz]$", extra={"says": "an axis x, y or z with its sign, such as -y"})]
 
 

@@ -44,9 +44,7 @@ class SensorIdentity(Record):
         Meta(extra_json_schema={"minItems": 1, "maxItems": 3, "uniqueItems": True}),
         about("its readings, one to three of x, y, z"),
     ]
-    columns: Annotated[
-        ByAxis[Text], about("the columns of the log that it was fitted from, which `apply` takes where they are there")
-    ] = {}
+    columns: Annotated[ByAxis[Text], about("the columns of the log it was fitted from: `apply` looks for them")] = {}
 
 
 class LimitsSection(Record, kw_only=True):
@@ -54,9 +52,7 @@ class LimitsSection(Record, kw_only=True):
 
     tilt: Annotated[Range | ByAxis[Range], about("`[low, high]` per axis, or for all of them, degrees")] = {}
     temperature: Annotated[Range | None, about("`[low, high]`, °C")] = None
-    reading: Annotated[
-        Range | ByAxis[Range], about("the rails `[low, high]` per channel, or for all of them, unit")
-    ] = {}
+    reading: Annotated[Range | ByAxis[Range], about("the rails `[low, high]` per channel, or for all, unit")] = {}
 
 
 class TiltFile(Record, kw_only=True):
@@ -66,17 +62,12 @@ class TiltFile(Record, kw_only=True):
 
     sensor: Annotated[SensorIdentity, about("which sensor it is")]
     calibration: Annotated[CoefficientsSection, about("the coefficients")]
-    uncertainty: Annotated[
-        UncertaintySection, about("standard uncertainties (k = 1) in the shape of `calibration`")
-    ] = UncertaintySection()
+    uncertainty: Annotated[UncertaintySection, about("standard uncertainties (k = 1)")] = UncertaintySection()
     limits: Annotated[LimitsSection, about("the ranges that were covered")] = LimitsSection()
     derived: Annotated[DerivedRecord, about("what follows from the coefficients")] = DerivedRecord()
     fit: Annotated[FitRecord, about("how well the positions agree")] = FitRecord()
     procedure: Annotated[ProcedureRecord, about("the procedure as run")] = ProcedureRecord()
-    positions: Annotated[
-        tuple[PositionRecord, ...],
-        about("what was measured in each position; those of a mounting and of a level come last"),
-    ] = ()
+    positions: Annotated[tuple[PositionRecord, ...], about("what was measured; of a mounting and a level last")] = ()
     provenance: Annotated[Provenance, about("how it was made")] = Provenance()
 
 

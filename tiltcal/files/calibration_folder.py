@@ -11,9 +11,7 @@ import os
 import re
 import stat
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import datetime
-from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +23,6 @@ from tiltcal.files.yaml_text import SIZE_LIMIT
 
 SUFFIXES = (".yaml", ".yml")
 
-_READ = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0)  # a pipe is opened without a wait
 _HEAD, _TAIL = 256, 1024  # bytes of a file in which its sensor and its date stand
 _PLAIN = rb"([^\s,{}\[\]\"'\\&*!|>%@`#?:-][^,{}\[\]\"'\\#:\n]*)"
 _SENSOR = re.compile(rb"\Atiltcal: 1\nkind: tilt\nsensor: \{model: " + _PLAIN + rb", serial: " + _PLAIN + rb", unit: ")
@@ -35,17 +32,14 @@ _DATES = re.compile(rb'\n  started: "([^"\n]+)"\n  ended: "([^"\n]+)"\n')
 
 
 class CalibrationFile(NamedTuple):
-    """A calibration file of a folder: when it ended (UTC), and when it began, as it stands in the file."""
+    """A calibration file of a folder, and when its session ended (UTC)."""
 
     serial: str
     date: datetime
-    started: str
-    model: str
     path: str
 
 
-@dataclass(frozen=True)
-class FolderIndex:
+class FolderIndex(NamedTuple):
     """The calibrations of a folder by serial number and date, and files that may be ones and cannot be used."""
 
     files: tuple[CalibrationFile, ...]
@@ -62,15 +56,14 @@ def index_folder(folder: str | Path) -> FolderIndex:
     problems: list[InputError] = []
     for path in _yaml_files(folder):
         try:
-            found = _scanned(path)
-            if found is None:
-                found = _read(path)
+            content = _content(path)
+            found = _scanned(content, path) or _read(content, path)
         except InputError as problem:
             problems.append(problem)
             continue
         if found is not None:
             files.append(found)
-    return FolderIndex(tuple(sorted(files, key=itemgetter(0, 1, 4))), tuple(problems))
+    return FolderIndex(tuple(sorted(files)), tuple(problems))
 
 
 def date_of(record: CalibrationRecord, path: str | Path) -> tuple[str, datetime]:
@@ -103,32 +96,30 @@ def _yaml_files(folder: str | Path) -> Iterator[str]:
             raise UsageError(f"{failure.filename}: cannot be read as a folder: {failure.strerror}") from None
 
 
-def _scanned(path: str) -> CalibrationFile | None:
-    """Return what the head and the tail of a file state; None where they are laid out otherwise, or it is not UTF-8."""
+def _content(path: str) -> bytes:
     try:
-        descriptor = os.open(path, _READ)
+        status = os.stat(path)
+        if stat.S_ISREG(status.st_mode) and status.st_size <= SIZE_LIMIT:
+            return Path(path).read_bytes()
     except OSError as failure:
         raise InputError(f"cannot be read: {failure.strerror}", file=path) from None
-    try:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode) or status.st_size > SIZE_LIMIT:
-            raise InputError(f"this is no regular file of at most {SIZE_LIMIT:,} bytes", file=path)
-        content = os.read(descriptor, status.st_size)
-        content.decode()
-    except (OSError, UnicodeDecodeError):  # whatever parses it says where
-        return None
-    finally:
-        os.close(descriptor)
+    raise InputError(f"this is no regular file of at most {SIZE_LIMIT:,} bytes", file=path)
+
+
+def _scanned(content: bytes, path: str) -> CalibrationFile | None:
+    """Return what the head and the tail of a file state; None where they are laid out otherwise, or it is not UTF-8."""
     sensor, dates = _SENSOR.match(content[:_HEAD]), _DATES.search(content[-_TAIL:])
     if sensor is None or dates is None:
         return None
-    started, ended = dates.groups()
-    return CalibrationFile(sensor[2].decode(), moment(ended.decode(), path), started.decode(), sensor[1].decode(), path)
+    try:
+        content.decode()
+    except UnicodeDecodeError:  # whatever parses it says where
+        return None
+    return CalibrationFile(sensor[2].decode(), moment(dates[2].decode(), path), path)
 
 
-def _read(path: str) -> CalibrationFile | None:
+def _read(content: bytes, path: str) -> CalibrationFile | None:
     """Return what a file states that is parsed; None where it is no calibration of a tilt sensor."""
-    content = Path(path).read_bytes()
     if not content.strip():
         raise InputError("the file is empty", file=path)
     if not _TILT.search(content) and _KIND.search(content):
@@ -137,5 +128,4 @@ def _read(path: str) -> CalibrationFile | None:
     if not isinstance(document.data, dict) or document.kind != "tilt":
         return None
     record = tilt_record(document)
-    started, ended = date_of(record, path)
-    return CalibrationFile(record.sensor.serial, ended, started, record.sensor.model, path)
+    return CalibrationFile(record.sensor.serial, date_of(record, path)[1], path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import degrees, radians
 from typing import Annotated
 
@@ -25,12 +26,11 @@ _SINGULAR = 1e-9
 """Smallest over largest singular value below which a sensitivity matrix has no inverse worth its name."""
 _ANGLE_DIGITS = 12
 
-NONLINEAR_TERMS = 2
-"""The square and the cube."""
-
 STEEP = 0.1
 """Least slope of a bent characteristic relative to the straight one."""
 
+Bend = ByAxis[Annotated[tuple[Finite, ...], Meta(max_length=2)]]
+"""The shares of the square and the cube for all channels."""
 Polynomials = ByAxis[Annotated[tuple[Finite, ...], Meta(max_length=ORDER_LIMIT)]]
 """Coefficients of dT, dT², ... for some of the channels."""
 
@@ -63,9 +63,7 @@ class CoefficientsSection(Record, kw_only=True):
         ByAxis[ByAxis[Finite]],
         about("row = channel, column = axis, unit/g; as many columns as channels, or x, y, z for two; not singular"),
     ]
-    nonlinearity: Annotated[
-        Polynomials | None, about("per channel n₂ or n₂, n₃: it reads S_ii (a + n₂a² + n₃a³) in place of S_ii a")
-    ] = None
+    nonlinearity: Annotated[Bend | None, about("n₂ or n₂, n₃: reads S_ii (a + n₂a² + n₃a³), not S_ii a")] = None
     temperature: Annotated[ThermalSection | None, about("absent where it was not measured")] = None
     mounting: Annotated[MountingSection | None, about("how the sensor sits in its application")] = None
 
@@ -82,25 +80,13 @@ def coefficients_of(section: CoefficientsSection, place: Document, channels: tup
             if curves := getattr(thermal, key):
                 place.require_keys(curves, channels, "temperature", key, complete=True)
         place.require_order(thermal.range, "temperature", "range")
-    return Coefficients(
-        channels=channels,
-        axes=axes,
-        offset=np.array([section.offset[channel] for channel in channels]),
-        sensitivity=sensitivity,
-        thermal=None
-        if thermal is None
-        else Thermal(
-            reference=thermal.reference,
-            range=thermal.range,
-            drift=_padded(thermal.offset, channels),
-            gain=_padded(thermal.sensitivity, channels),
-            lag=thermal.lag,
-        ),
-        mounting=None
-        if mounting is None
-        else Mounting(radians(mounting.roll), radians(mounting.pitch), radians(mounting.yaw)),
-        nonlinearity=None if bent is None else _nonlinearity(bent, place, channels, axes),
-    )
+    found = Coefficients(channels, axes, np.array([section.offset[channel] for channel in channels]), sensitivity)
+    if thermal is not None:
+        drift, gain = _padded(thermal.offset, channels), _padded(thermal.sensitivity, channels)
+        found = replace(found, thermal=Thermal(thermal.reference, thermal.range, drift, gain, thermal.lag))
+    if mounting is not None:
+        found = replace(found, mounting=Mounting(*(radians(getattr(mounting, name)) for name in ANGLES)))
+    return found if bent is None else replace(found, nonlinearity=_nonlinearity(bent, place, channels, axes))
 
 
 def coefficients_section(coefficients: Coefficients) -> CoefficientsSection:
@@ -108,23 +94,24 @@ def coefficients_section(coefficients: Coefficients) -> CoefficientsSection:
     channels, axes, thermal = coefficients.channels, coefficients.axes, coefficients.thermal
     bent, mounting = coefficients.nonlinearity, coefficients.mounting
     rows = zip(channels, coefficients.sensitivity.tolist(), strict=True)
-    return CoefficientsSection(
+    section = CoefficientsSection(
         offset=dict(zip(channels, coefficients.offset.tolist(), strict=True)),
         sensitivity={channel: dict(zip(axes, row, strict=True)) for channel, row in rows},
         nonlinearity=None if bent is None else _by_channel(channels, bent),
-        temperature=None
-        if thermal is None
-        else ThermalSection(
+    )
+    if thermal is not None:
+        warm = ThermalSection(
             reference=float(thermal.reference),
             range=thermal.range and (float(thermal.range[0]), float(thermal.range[1])),
             offset=_by_channel(channels, thermal.drift),
             sensitivity=_by_channel(channels, thermal.gain),
             lag=float(thermal.lag),
-        ),
-        mounting=None
-        if mounting is None
-        else MountingSection(**{name: in_degrees(getattr(mounting, name)) for name in ANGLES}),
-    )
+        )
+        section = section.replaced(temperature=warm)
+    if mounting is not None:
+        angles = {name: in_degrees(getattr(mounting, name)) for name in ANGLES}
+        section = section.replaced(mounting=MountingSection(**angles))
+    return section
 
 
 def in_degrees(angle: float) -> float:
@@ -151,9 +138,16 @@ def _matrix(
     place.require_keys(rows, channels, "sensitivity", complete=True)
     require_equal_columns(rows, place)
     axes = tuple(axis for axis in AXES if axis in rows[channels[0]])
-    square = _square_columns(place, channels, axes)
+    # The columns that are inverted: of two channels x and y, where unit gravity gives z; that of a single channel.
+    inverted = {1: channels, 2: ("x", "y")}.get(len(channels), axes) if len(axes) > len(channels) else axes
+    if len(inverted) != len(channels) or not set(inverted) <= set(axes):
+        raise place.error(
+            f"{len(axes)} columns [{', '.join(axes)}] do not go with {len(channels)} channels [{', '.join(channels)}]: "
+            f"there are as many columns as channels; of two channels x, y and z; of one its own and others",
+            "sensitivity",
+        )
     matrix = np.array([[rows[channel][axis] for axis in axes] for channel in channels])
-    values = np.linalg.svd(matrix[:, square], compute_uv=False)
+    values = np.linalg.svd(matrix[:, [axes.index(axis) for axis in inverted]], compute_uv=False)
     if not values[-1] >= _SINGULAR * values[0] or values[0] == 0.0:
         why = "the matrix is singular: its rows do not separate the axes; measure the sensitivity again"
         raise place.error(why, "sensitivity")
@@ -162,21 +156,6 @@ def _matrix(
             why = f"{channel} does not sense axis {channel}: call each channel by the axis it senses most"
             raise place.error(why, "sensitivity")
     return axes, matrix
-
-
-def _square_columns(place: Document, channels: Sequence[str], axes: Sequence[str]) -> list[int]:
-    """Return the columns that are inverted: all, x and y where unit gravity gives z, or that of a single channel."""
-    if len(axes) == len(channels):
-        return list(range(len(axes)))
-    if len(channels) == 2 and len(axes) == 3:
-        return [0, 1]
-    if len(channels) == 1 and channels[0] in axes:
-        return [axes.index(channels[0])]
-    raise place.error(
-        f"{len(axes)} columns [{', '.join(axes)}] do not go with {len(channels)} channels [{', '.join(channels)}]: "
-        f"there are as many columns as channels; for two channels the columns x, y and z; for one its own and others",
-        "sensitivity",
-    )
 
 
 def _padded(curves: Mapping[str, Sequence[float]], channels: Sequence[str]) -> Array:
@@ -199,15 +178,11 @@ def _nonlinearity(
 ) -> Array:
     """Return the shares of the square and the cube by channel; refuse a reading that has several angles."""
     table = _padded(curves, channels)
-    if table.shape[1] > NONLINEAR_TERMS:
-        raise place.error(
-            f"a nonlinearity has at most {NONLINEAR_TERMS} terms, the square and the cube", "nonlinearity"
-        )
     if any(channel not in axes for channel in channels):
         raise place.error("a nonlinearity needs every channel's sensitivity to its own axis", "nonlinearity")
     for channel, row in zip(channels, table, strict=True):
         # The derivative 1 + 2 n2 a + 3 n3 a² is smallest at an end of the range or at its own turning point.
-        square, cube = np.pad(row, (0, NONLINEAR_TERMS - len(row)))
+        square, cube = np.pad(row, (0, 2 - len(row)))
         turning = -square / (3.0 * cube) if cube else 1.0
         places = [-1.0, 1.0, *([turning] if abs(turning) < 1.0 else [])]
         if min(1.0 + 2.0 * square * a + 3.0 * cube * a * a for a in places) < STEEP:

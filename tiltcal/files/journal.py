@@ -22,7 +22,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -34,7 +34,7 @@ import msgspec
 from msgspec import Struct
 
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.files.atomic import append_whole, part_of, portable, sync_data, write_all
+from tiltcal.files.atomic import append_whole, portable, sync_data, write_all
 from tiltcal.files.record import Count, Record
 
 VERSION, VERSIONS = 2, (1, 2)
@@ -70,7 +70,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Events(Collection[Event]):
+class Events:
     """The events of a journal that was checked, read from its file one by one: a night of six sensors has millions."""
 
     path: Path
@@ -78,9 +78,6 @@ class Events(Collection[Event]):
 
     def __len__(self) -> int:
         return self.count
-
-    def __contains__(self, event: object) -> bool:
-        return any(event == one for one in self)
 
     def __iter__(self) -> Iterator[Event]:
         with open(self.path, "rb") as stream:
@@ -191,30 +188,24 @@ class JournalWriter:
 
     @classmethod
     def create(cls, path: str | Path, header: Mapping[str, Any]) -> JournalWriter:
-        """Start a journal. It appears with its whole header or not at all.
-
-        UsageError: the file exists, or cannot be made.
-        """
+        """Start a journal with its header; a UsageError where the file exists, or cannot be made."""
         path = Path(path)
         body = _dumps({"tiltcal-journal": VERSION, **header}).encode()
         crc = crc32(body)
         line = body[:-1] + f',"check":"{crc:08x}"}}\n'.encode()
-        part = part_of(path)
         try:
-            descriptor = os.open(part, _APPEND | os.O_CREAT | os.O_EXCL | portable("O_NOFOLLOW"), 0o644)
-            try:
-                write_all(descriptor, line)
-                os.fsync(descriptor)
-                _lock(descriptor, path)  # while no other process can resume it, because it has no name
-                _give_name(part, path)
-            except BaseException:
-                os.close(descriptor)
-                raise
-            finally:
-                part.unlink(missing_ok=True)
+            descriptor = os.open(path, _APPEND | os.O_CREAT | os.O_EXCL, 0o644)
         except FileExistsError:
             raise UsageError(f"{path} exists: resume it with --resume {path}, or name another --journal") from None
         except OSError as error:
+            raise UsageError(f"{path}: the journal cannot be made: {error.strerror}") from None
+        try:
+            _lock(descriptor, path)
+            write_all(descriptor, line)
+            os.fsync(descriptor)
+        except OSError as error:
+            os.close(descriptor)
+            path.unlink()
             raise UsageError(f"{path}: the journal cannot be made: {error.strerror}") from None
         return cls(path, descriptor, Written(crc, hashlib.sha256(line), len(line)))
 
@@ -301,17 +292,6 @@ def _lock(descriptor: int, path: Path) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         raise JournalError("another tiltcal is writing this journal; wait until it ends", file=path) from None
-
-
-def _give_name(part: Path, path: Path) -> None:
-    """Give a file its name; a FileExistsError where another has it, be it a link that leads nowhere."""
-    try:
-        os.link(part, path)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without links: a file of our own takes the name, and only that one is replaced
-        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | portable("O_NOFOLLOW")))
-        os.rename(part, path)
 
 
 def _header(line: bytes, path: Path) -> tuple[dict[str, Any], Written]:

@@ -31,9 +31,7 @@ class SpinRecord(Record, kw_only=True):
 
     turns: Annotated[AboveZero, about("turns of the stage in the record")]
     frequency: Annotated[AboveZero | None, about("Hz; absent where the record has no time")] = None
-    phase: Annotated[
-        Text | None, about("the column of the stage angle, degrees, by which `apply` demodulates; absent if estimated")
-    ] = None
+    phase: Annotated[Text | None, about("column of the stage angle, degrees, for `apply`; absent if estimated")] = None
 
 
 class CoefficientUncertainty(Record, kw_only=True):
@@ -58,9 +56,7 @@ class PairEntry(Record, kw_only=True):
     p: Annotated[Finite, about("a pure number, below 1")]
     q: Annotated[Finite, about("a pure number")]
     uncertainty: Annotated[CoefficientUncertainty, about("`{p, q}`, standard uncertainties (k = 1)")]
-    suppression: Annotated[
-        Suppression | None, about("common acceleration in the first channel over that in the sum, or over the noise")
-    ] = None
+    suppression: Annotated[Suppression | None, about("the common acceleration over that in the sum, or noise")] = None
     components: Annotated[
         ByStage[tuple[Finite, Finite]],
         about("`before`, `after_p`, `after_pq`: `[sin, cos]` at the turning per channel and for their `sum`, unit"),
@@ -93,15 +89,16 @@ def pair_record(document: Document) -> PairRecord:
     """Return the content of a pair file, checked; an InputError names file, line and key."""
     document = document.body("pair")
     file = document.read(PairFile)
-    matchings = tuple(_matching_of(entry, document.at("pairs", number)) for number, entry in enumerate(file.pairs))
+    matchings = tuple(_checked(entry, document.at("pairs", number)) for number, entry in enumerate(file.pairs))
     if len({matching.pair.name for matching in matchings}) < len(matchings):
         raise document.error("the same pair is there twice", "pairs")
     document.require_moments(file.provenance, "started", "ended", place=("provenance",))
     return PairRecord(spin=file.spin, online=file.online, matchings=matchings, provenance=file.provenance)
 
 
-def _matching_of(entry: PairEntry, place: Document) -> Matching:
-    pair, u = Pair(*entry.pair, entry.orthogonal), entry.uncertainty
+def _checked(entry: PairEntry, place: Document) -> Matching:
+    """Return the matching of a section; an InputError where its keys contradict one another."""
+    pair = Pair(*entry.pair, entry.orthogonal)
     if len(set(pair.channels)) < len(pair.channels):
         raise place.error("pair and orthogonal are three different channels", "orthogonal")
     if entry.p >= 1.0:
@@ -111,45 +108,39 @@ def _matching_of(entry: PairEntry, place: Document) -> Matching:
         place.require_keys(stages, STAGES, key, complete=True)
         for stage, row in stages.items():
             place.require_keys(row, (*pair.channels, SUM), key, stage, complete=True)
+    return _matching(entry)
+
+
+def _matching(entry: PairEntry) -> Matching:
+    pair, u = Pair(*entry.pair, entry.orthogonal), entry.component_uncertainty
+    names = (*pair.channels, SUM)
     components = {
-        stage: {
-            name: Component(*entry.components[stage][name], *entry.component_uncertainty[stage][name])
-            for name in (*pair.channels, SUM)
-        }
-        for stage in STAGES
+        stage: {name: Component(*entry.components[stage][name], *u[stage][name]) for name in names} for stage in STAGES
     }
-    return Matching(pair, entry.p, entry.q, u.p, u.q, components)
+    return Matching(pair, entry.p, entry.q, entry.uncertainty.p, entry.uncertainty.q, components)
 
 
 def _entry_of(matching: Matching) -> PairEntry:
-    """Return the section with the digits of the file, so that the file gives the same derived values again."""
-    components = {
-        stage: {
-            name: Component(
-                round_to(one.sin, one.u_sin),
-                round_to(one.cos, one.u_cos),
-                significant(one.u_sin, _DIGITS),
-                significant(one.u_cos, _DIGITS),
-            )
-            for name, one in row.items()
-        }
-        for stage, row in matching.components.items()
-    }
-    p, q = round_to(matching.p, matching.u_p), round_to(matching.q, matching.u_q)
+    """Return the section with the digits of the file, from which its suppression follows."""
     u_p, u_q = significant(matching.u_p, _DIGITS), significant(matching.u_q, _DIGITS)
-    suppression = Matching(matching.pair, p, q, u_p, u_q, components).suppression
-    return PairEntry(
+    stages = matching.components.items()
+    entry = PairEntry(
         pair=(matching.pair.first, matching.pair.second),
         orthogonal=matching.pair.orthogonal,
-        p=p,
-        q=q,
+        p=round_to(matching.p, matching.u_p),
+        q=round_to(matching.q, matching.u_q),
         uncertainty=CoefficientUncertainty(p=u_p, q=u_q),
-        suppression=Suppression(**{name: significant(value, _DIGITS) for name, value in suppression.items()}),
-        components={stage: {name: (c.sin, c.cos) for name, c in components[stage].items()} for stage in STAGES},
+        components={
+            stage: {name: (round_to(c.sin, c.u_sin), round_to(c.cos, c.u_cos)) for name, c in row.items()}
+            for stage, row in stages
+        },
         component_uncertainty={
-            stage: {name: (c.u_sin, c.u_cos) for name, c in components[stage].items()} for stage in STAGES
+            stage: {name: (significant(c.u_sin, _DIGITS), significant(c.u_cos, _DIGITS)) for name, c in row.items()}
+            for stage, row in stages
         },
     )
+    suppression = {name: significant(value, _DIGITS) for name, value in _matching(entry).suppression.items()}
+    return entry.replaced(suppression=Suppression(**suppression))
 
 
 def dump_pair(calibration: PairRecord) -> str:

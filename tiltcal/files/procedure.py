@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -22,7 +22,7 @@ from tiltcal.core.attitude import LEVEL, Vector, gravity_from_tilt, normalised
 from tiltcal.core.pair.model import FEWEST_TURNS, Pair
 from tiltcal.errors import UsageError
 from tiltcal.files.coefficients import ORDER_LIMIT
-from tiltcal.files.document import Document, document_of, read_document
+from tiltcal.files.document import Document, read_document
 from tiltcal.files.record import AboveZero, Axis, FromZero, Identifier, Number, Record, Text, about, file_data, one_of
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import is_number, require_path, require_whole, shown
@@ -37,6 +37,8 @@ Temperature = Annotated[float, Meta(ge=ABSOLUTE_ZERO, le=HOTTEST)]
 Order = Annotated[int, Meta(ge=0, le=ORDER_LIMIT)]
 
 FEWEST_WHOLE_TURNS, MOST_TURNS = int(FEWEST_TURNS), 1_000_000
+Turns = Annotated[int, Meta(ge=FEWEST_WHOLE_TURNS, le=MOST_TURNS)]
+Angle = Annotated[float, Meta(gt=0.0, le=90.0)]
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 
@@ -52,18 +54,10 @@ class Determines(Record):
     drift: Annotated[Order, about("order of the temperature polynomial of the offset, up to 6")] = 0
     gain: Annotated[Order, about("order of the temperature polynomial of the sensitivity, up to 6")] = 0
     nonlinearity: Annotated[int, Meta(ge=0, le=2), about("1 for the square, 2 for square and cube")] = 0
-    mounting: Annotated[
-        bool, about("the positions are the application's, with `axes: []`; `measure` takes the calibration as `--base`")
-    ] = False
-    level: Annotated[bool, about("the position is level and renews the offset of the `--base`, with `axes: []`")] = (
-        False
-    )
-    cross_validated: Annotated[bool, about("the order of the drift is chosen by cross-validation, up to `drift`")] = (
-        False
-    )
-    free: Annotated[bool, about("nobody sets the positions, with `axes: [x, y, z]`: unit gravity alone determines")] = (
-        False
-    )
+    mounting: Annotated[bool, about("positions of the application, of a sensor with a `--base`; `axes: []`")] = False
+    level: Annotated[bool, about("the position is level and renews the offset of the `--base`; `axes: []`")] = False
+    cross_validated: Annotated[bool, about("the order of the drift is cross-validated, up to `drift`")] = False
+    free: Annotated[bool, about("nobody sets the positions: unit gravity determines; `axes: [x, y, z]`")] = False
 
     @property
     def completes(self) -> bool:
@@ -96,23 +90,21 @@ class PositionSection(Record, kw_only=True):
         Mapping[Annotated[str, one_of("x", "y")], Number | Literal["angle", "-angle"]] | None,
         about("degrees per axis, or `angle` and `-angle`; or else `gravity`"),
     ] = None
-    gravity: Annotated[
-        tuple[Number, Number, Number] | None, about("`[gx, gy, gz]`, up in the sensor frame; it is normalised")
-    ] = None
-    heading: Annotated[
-        Number | None,
-        about("turn about the vertical, degrees; where headings differ, the table's own lean is estimated too"),
-    ] = None
+    gravity: Annotated[tuple[Number, Number, Number] | None, about("`[gx, gy, gz]`, up in the sensor frame")] = None
+    heading: Annotated[Number | None, about("degrees about the vertical; several show the table's own lean")] = None
     temperature: Annotated[Temperature | None, about("°C")] = None
     stage: Annotated[Number | None, about("angle of the rotary stage, degrees; no estimate uses it")] = None
 
 
-class Soak(Record, kw_only=True):
+class Soak(Record):
     """The conditions for a new temperature to count as settled."""
 
     seconds: Annotated[AboveZero, about("the window, seconds")]
     drift: Annotated[AboveZero, about("the largest drift of the temperature in it, or in that of the thermometer, °C")]
     thermometer: Annotated[AboveZero | None, about("the window of a thermometer that may be late, seconds")] = None
+
+
+USUAL_SOAK = "`{seconds: 20, drift: 0.06, thermometer: 360}`"
 
 
 class Ramp(Record, kw_only=True):
@@ -136,19 +128,11 @@ class Rotation(Record):
 
     phase: Annotated[Text, about("the channel of the stage angle, degrees")]
     selected: Annotated[
-        tuple[PairSelection, ...],
-        Meta(min_length=1, max_length=2),
-        about("one or two of `{pair: [first, second], orthogonal: third}`"),
+        tuple[PairSelection, ...], Meta(min_length=1, max_length=2), about("`{pair: [one, other], orthogonal: third}`")
     ] = msgspec.field(name="pairs")
     prompt: Annotated[Text, about("the operator's sentence")] = "Let the stage turn steadily, with its axis inclined."
-    turns: Annotated[
-        int,
-        Meta(ge=FEWEST_WHOLE_TURNS, le=MOST_TURNS),
-        about("the most that are made; `--turns` takes its place"),
-    ] = 100
-    converged: Annotated[
-        AboveZero | None, about("uncertainty of p and q, relative to a scale factor, that ends it after five turns")
-    ] = None
+    turns: Annotated[Turns, about("the most that are made; `--turns` takes its place")] = 100
+    converged: Annotated[AboveZero | None, about("relative uncertainty of p and q that ends it after 5 turns")] = None
     patience: Annotated[AboveZero, about("seconds in which the stage must begin to turn")] = 60.0
 
     @property
@@ -171,28 +155,44 @@ class Rotation(Record):
         return self.replaced(turns=turns)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Procedure:
-    """A procedure: the positions to measure in order, or the rotation of a stage; the keys are those of its file.
+class NamedProcedure(Record, kw_only=True):
+    """What a procedure file says of itself."""
 
-    ``angle`` is the one of the file, or that which the user gives in its place; ``record`` is the file as plain data,
-    with its defaults, before the user's angle and turns were put in. A procedure with a rotation has no positions.
+    name: Annotated[Identifier, about("a letter, then letters, digits, `-`, `_`, `.`")]
+    title: Annotated[Text, about("what it is for, in one line")]
+    source: Annotated[Text, about("the document it comes from")] = ""
+
+
+class RotationFile(NamedProcedure, kw_only=True):
+    """The procedure file of a stage that turns."""
+
+    rotation: Annotated[Rotation, about("which pairs are matched while the stage turns")]
+
+
+class ProcedureFile(NamedProcedure, kw_only=True):
+    """The procedure file of positions."""
+
+    determines: Annotated[Determines, about("what the positions determine besides the offset")]
+    reference: Annotated[Temperature | None, about("reference temperature, °C; needed with drift or gain")] = None
+    angle: Annotated[Angle | None, about("that positions call `angle`, degrees; `--tilt` takes its place")] = None
+    alignment: Annotated[FromZero, about("with `level`: how askew it may sit, degrees, or `--alignment`")] = 0.0
+    samples: Annotated[int, Meta(ge=2), about("samples a position")] = 100
+    settle: Annotated[AboveZero, about("seconds over which the reading must hold still")] = 2.0
+    soak: Annotated[Soak, about("at a new temperature", usual=USUAL_SOAK)] = Soak(20.0, 0.06, 360.0)
+    ramp: Annotated[Ramp | None, about("the temperature goes on from position to position, in one attitude")] = None
+    positions: Annotated[tuple[PositionSection, ...], Meta(min_length=1), about("in order")]
+
+
+class Procedure(ProcedureFile, kw_only=True):
+    """A procedure with its angle filled in: its positions in order, or the rotation of a stage, which has none.
+
+    ``record`` is the file as plain data, with its defaults, before the user's angle and turns were put in.
     """
 
-    name: str
-    title: str
-    source: str = ""
-    determines: Determines
-    reference: float | None = None
-    angle: float | None = None
-    alignment: float = 0.0
-    samples: int = 100
-    settle: float = 2.0
-    soak: Soak = Soak(seconds=20.0, drift=0.06, thermometer=360.0)
-    ramp: Ramp | None = None
-    positions: tuple[Position, ...]
-    record: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    determines: Determines = Determines(())
+    positions: tuple[Position, ...] = ()  # type: ignore[assignment]
     rotation: Rotation | None = None
+    record: Mapping[str, Any] = {}
 
     @property
     def length(self) -> str:
@@ -216,7 +216,7 @@ class Procedure:
         if self.rotation is None:
             raise UsageError(f"the procedure {self.name!r} has positions and no turns; leave --turns out")
         require_whole("--turns", turns, 1, "turns")
-        return replace(self, rotation=self.rotation.with_turns(turns))
+        return self.replaced(rotation=self.rotation.with_turns(turns))
 
     def with_alignment(self, alignment: float | None) -> Procedure:
         """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it."""
@@ -226,7 +226,7 @@ class Procedure:
             raise UsageError(f"{self.name} renews no offset: leave --alignment out")
         if not (is_number(alignment, 0.0) and alignment <= MOST_ASKEW):
             raise UsageError(f"--alignment {shown(alignment)}: it is between 0 and {MOST_ASKEW:g} degrees")
-        return replace(self, alignment=alignment, record={**self.record, "alignment": alignment})
+        return self.replaced(alignment=alignment, record={**self.record, "alignment": alignment})
 
     @property
     def closes(self) -> bool:
@@ -248,42 +248,7 @@ class Procedure:
         entries = list(self.record["positions"])
         entries.append({**entries[0], "name": name, "prompt": f"{again} {entries[0]['prompt']}"})
         last = replace(first, name=name, prompt=f"{again} {first.prompt}")
-        return replace(self, positions=(*self.positions, last), record={**self.record, "positions": entries})
-
-
-class NamedProcedure(Record, kw_only=True):
-    """What a procedure file says of itself."""
-
-    name: Annotated[Identifier, about("a letter, then letters, digits, `-`, `_`, `.`")]
-    title: Annotated[Text, about("what it is for, in one line")]
-    source: Annotated[Text, about("the document it comes from")] = ""
-
-
-class RotationFile(NamedProcedure, kw_only=True):
-    """The procedure file of a stage that turns."""
-
-    rotation: Annotated[Rotation, about("which pairs are matched while the stage turns")]
-
-
-class ProcedureFile(NamedProcedure, kw_only=True):
-    """The procedure file of positions."""
-
-    determines: Annotated[Determines, about("what the positions determine besides the offset")]
-    reference: Annotated[Temperature | None, about("reference temperature, °C; needed with drift or gain")] = None
-    angle: Annotated[
-        Annotated[float, Meta(gt=0.0, le=90.0)] | None,
-        about("of positions that say `angle` or `-angle`, degrees; `--tilt` takes its place"),
-    ] = None
-    alignment: Annotated[
-        FromZero, about("with `level`: how far askew the sensor may sit, degrees; `--alignment` takes its place")
-    ] = 0.0
-    samples: Annotated[int, Meta(ge=2), about("samples a position")] = Procedure.samples
-    settle: Annotated[AboveZero, about("seconds over which the reading must hold still")] = 2.0
-    soak: Annotated[Soak, about("at a new temperature", usual="`{seconds: 20, drift: 0.06, thermometer: 360}`")] = (
-        Procedure.soak
-    )
-    ramp: Annotated[Ramp | None, about("the temperature goes on from position to position, in one attitude")] = None
-    positions: Annotated[tuple[PositionSection, ...], Meta(min_length=1), about("in order")]
+        return self.replaced(positions=(*self.positions, last), record={**self.record, "positions": entries})
 
 
 def _procedure_of(file: ProcedureFile, document: Document, given: float | None) -> Procedure:
@@ -308,7 +273,8 @@ def _procedure_of(file: ProcedureFile, document: Document, given: float | None) 
         if file.ramp is not None and (position.temperature is None or position.gravity != positions[0].gravity):
             raise place.error("the positions of a ramp have one attitude, and each a temperature at which it turns")
     keys = {name: getattr(file, name) for name in file.__struct_fields__}
-    return Procedure(**keys | {"determines": determines, "angle": angle, "positions": positions})
+    keys |= {"determines": determines, "angle": angle, "positions": positions}
+    return Procedure(record=file_data("procedure", file, whole=True), **keys)
 
 
 def _check_determines(asked: Determines, place: Document) -> None:
@@ -394,31 +360,19 @@ def read_procedure(path: str | Path, angle: float | None = None) -> Procedure:
     return procedure_in(read_document(path), angle)
 
 
-def procedure_from_record(
-    record: Mapping[str, Any], angle: float | None = None, *, file: str | None = None, line: int | None = None
-) -> Procedure:
-    """Return the procedure of a :attr:`Procedure.record`, which stands in a line of a file, and the angle given."""
-    return procedure_in(document_of(record, file, line), angle)
-
-
 def procedure_in(document: Document, angle: float | None = None) -> Procedure:
     """Return the procedure of a document; an InputError names file, line and key."""
     body = document.body("procedure")
     if "rotation" not in body.data:
         file = body.read(ProcedureFile)
-        procedure = _procedure_of(file, body, angle)
-        return replace(procedure, record=file_data("procedure", file, whole=True))
-    turning = body.read(RotationFile)
-    _check_rotation(turning.rotation, body.at("rotation"))
+        return _procedure_of(file, body, angle)
+    turning, place = body.read(RotationFile), body.at("rotation", "pairs")
+    pairs = turning.rotation.pairs
+    for number, pair in enumerate(pairs):
+        if len({*pair.channels, turning.rotation.phase}) < len(pair.channels) + 1:
+            raise place.error("pair, orthogonal and phase are four different channels", number)
+    if len({pair.name for pair in pairs}) < len(pairs):
+        raise place.error("the same pair is there twice")
     stated = {name: getattr(turning, name) for name in turning.__struct_fields__}
     angle = _chosen_angle(turning.name, None, angle)
-    record = file_data("procedure", turning, whole=True)
-    return Procedure(determines=Determines(()), positions=(), angle=angle, record=record, **stated)
-
-
-def _check_rotation(rotation: Rotation, place: Document) -> None:
-    for number, pair in enumerate(rotation.pairs):
-        if len({*pair.channels, rotation.phase}) < len(pair.channels) + 1:
-            raise place.error("pair, orthogonal and phase are four different channels", "pairs", number)
-    if len({pair.name for pair in rotation.pairs}) < len(rotation.pairs):
-        raise place.error("the same pair is there twice", "pairs")
+    return Procedure(angle=angle, record=file_data("procedure", turning, whole=True), **stated)

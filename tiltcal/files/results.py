@@ -31,6 +31,7 @@ VIRTUAL = "the virtual bench: no real sensor was measured"
 """``made_by`` of a file that no real sensor made."""
 
 Names = tuple[Text, ...]
+ByName = Mapping[str, Size]
 BySerial = Mapping[str, Mapping[str, Count]]
 Direction = Annotated[tuple[Finite, ...], Meta(min_length=3, max_length=3)]
 
@@ -76,6 +77,9 @@ class ProcedureRecord(Record, kw_only=True):
 
 
 # A constrained number beside a tuple of two in a union makes msgspec 0.22 crash: the rows are not bounded here.
+Rows = tuple[int | tuple[Count, Count], ...]
+
+
 class PositionRecord(Record, kw_only=True):
     """The readings of one position."""
 
@@ -87,9 +91,7 @@ class PositionRecord(Record, kw_only=True):
     left_out: Annotated[Count | None, about("samples far off the others, left out or taken again")] = None
     temperature: Annotated[Finite | None, about("°C")] = None
     time: Annotated[Text | None, about("when it was measured, UTC")] = None
-    rows: Annotated[
-        tuple[int | tuple[Count, Count], ...] | None, about("its rows `[first, end]` of the log, the end exclusive")
-    ] = None
+    rows: Annotated[Rows | None, about("its rows `[first, end]` of the log, the end exclusive")] = None
     line: Annotated[FromOne | None, about("its line of the table")] = None
 
     @property
@@ -121,10 +123,7 @@ class CrossValidation(Record, kw_only=True):
     """The choice of the order of the drift: terms above it are 0, uncertain by the highest that was tried."""
 
     order: Annotated[FromOne, about("that was chosen; higher terms are 0, uncertain as the highest that was tried")]
-    error_by_order: Annotated[
-        Mapping[str, Size],
-        about("per order the mean square error of predicting a left-out position, over its variance"),
-    ] = {}
+    error_by_order: Annotated[ByName, about("mean square error of a left-out position, over its variance")] = {}
 
 
 class Hysteresis(Record, kw_only=True):
@@ -179,62 +178,36 @@ class LevelFit(Record, kw_only=True):
 class FitRecord(Record, kw_only=True):
     """The quality of a fit, and the sources of its uncertainty."""
 
-    residuals: Annotated[
-        Mapping[str, ByAxis[Finite]], about("per position and channel, measured − modelled as it was set, unit")
-    ] = {}
+    residuals: Annotated[Mapping[str, ByAxis[Finite]], about("per position, measured − modelled, unit")] = {}
     worst: Annotated[WorstResidual | None, about("the largest of them, where any position is left over")] = None
     degrees_of_freedom: Annotated[Count | None, about("readings left over, of all sensors of the bench")] = None
-    chi_square: Annotated[Size | None, about("where the jig was stated: squares of all errors over what is stated")] = (
-        None
-    )
+    chi_square: Annotated[Size | None, about("squares of all errors over what is stated; with a stated jig")] = None
     p_value: Annotated[Size | None, about("the probability of so large a chi-square or a larger one")] = None
     suspect_positions: Annotated[
         Mapping[str, SuspectPosition], about("further off than the stated jig allows", formerly="worse_than_stated")
     ] = {}
-    uncertainty_from: Annotated[
-        Text | None,
-        about("`stated noise and jig`, `stated jig, residuals for the noise`, `residuals`, or `noise alone` and why"),
-    ] = None
+    uncertainty_from: Annotated[Text | None, about("`stated …`, `residuals`, or `noise alone` and why")] = None
     jig_degrees: Annotated[Size | None, about("stated standard uncertainty of a set angle, degrees")] = None
     table_degrees: Annotated[Size | None, about("that of the lean of the table, degrees")] = None
     heading_degrees: Annotated[Size | None, about("that of a heading, degrees")] = None
     jig_estimated_degrees: Annotated[
-        Size | None,
-        about("standard deviation of a set angle by the residuals, degrees", formerly="jig_that_shows_degrees"),
+        Size | None, about("of a set angle by the residuals, degrees", formerly="jig_that_shows_degrees")
     ] = None
-    thermometer_estimated_celsius: Annotated[
-        Size | None, about("standard deviation of a temperature by the residuals, where a jig was stated, °C")
-    ] = None
-    noise_estimated: Annotated[
-        Size | None, about("standard deviation of a table's means by the residuals, where it states none, unit")
-    ] = None
+    thermometer_estimated_celsius: Annotated[Size | None, about("of a temperature by the residuals, °C")] = None
+    noise_estimated: Annotated[Size | None, about("of a table's means by the residuals, unit")] = None
     thermometer_celsius: Annotated[Size | None, about("the standard uncertainty of a temperature, °C")] = None
     budget: Annotated[
         Mapping[str, Mapping[str, Finite]],
-        about(
-            "per coefficient, which share of its variance comes from `noise`, `adc`, `jig`, `table`, `heading`, "
-            "`thermometer`, `hysteresis`, `base`, `assumed`, `other sessions`"
-        ),
+        about("per coefficient the share of its variance from `noise`, `adc`, `jig`, `table`, `heading`, `base`, …"),
     ] = {}
     notes: Annotated[Names, about("what limits the numbers")] = ()
-    priors: Annotated[
-        Mapping[str, Size],
-        about(
-            "standard uncertainty by the data sheet of each coefficient that the procedure does not determine: it is 0 "
-            "before the session, and its error is common to all calibrations of the sensor"
-        ),
-    ] = {}
-    not_covered: Annotated[
-        Names, about("errors that no position shows and that are not in the uncertainty, such as `lean` of the table")
-    ] = ()
+    priors: Annotated[ByName, about("by the data sheet, of what no position determines; common to all files")] = {}
+    not_covered: Annotated[Names, about("errors that are not in the uncertainty, such as `lean` of the table")] = ()
     cross_validation: Annotated[CrossValidation | None, about("of a sweep: the choice of the order")] = None
     hysteresis: Annotated[ByAxis[Hysteresis], about("of a sweep: the largest difference between two visits")] = {}
     ramp: Annotated[RampFitRecord | None, about("of a ramp: the thermal lag, and what each leg says of it")] = None
     distinct_attitudes: Annotated[Count | None, about("from free positions: how many attitudes differ")] = None
-    left_out_mg: Annotated[
-        Mapping[str, Finite],
-        about("from free positions: attitudes that are not in the fit, and how far off gravity is in each, mg"),
-    ] = {}
+    left_out_mg: Annotated[Mapping[str, Finite], about("from free positions: attitudes left out, mg off")] = {}
     misfit_rms_mg: Annotated[Size | None, about("from free positions: misfit of the length of gravity, mg rms")] = None
     warning: Annotated[Text | None, about("what speaks against the result")] = None
     mounting: Annotated[MountingFit | None, about("after the mounting procedure: how well its positions agree")] = None
@@ -274,9 +247,7 @@ class IntrinsicRecord(IntrinsicCoverage, kw_only=True):
 
     uncertainty: Annotated[IntrinsicUncertainty | None, about("standard uncertainties (k = 1) of the above")] = None
     gimbal_lock: Annotated[bool, about("`true` where roll and yaw cannot be separated")] = False
-    left_handed: Annotated[
-        Text | None, about("why there is no rotation: the frame is left-handed", formerly="not_separated")
-    ] = None
+    left_handed: Annotated[Text | None, about("why there is no rotation", formerly="not_separated")] = None
 
 
 class DerivedRecord(Record, kw_only=True):
@@ -371,8 +342,7 @@ class Provenance(Record, kw_only=True):
     ended: Annotated[Text | None, about("when the session ended, UTC")] = None
     journal: Annotated[FileRecord | None, about("the journal")] = None
     link_statistics: Annotated[
-        Mapping[str, Count] | None,
-        about("[what became of what a sensor said](../explanation.md#lost-and-damaged)", formerly="reception"),
+        Mapping[str, Count] | None, about("[of the link](../explanation.md#lost-and-damaged)", formerly="reception")
     ] = None
 
 

@@ -34,11 +34,7 @@ LEAST_OWN = 1e-6
 class FaultSection(Record, kw_only=True):
     """One of ``faults`` as it stands in a file."""
 
-    kind: Annotated[
-        str,
-        one_of(*FAULTS),
-        about("`parity` (of a memory, no `gradiometer`), `stuck` (the reading), `silent` (the line) or `unplugged`"),
-    ]
+    kind: Annotated[str, one_of(*FAULTS), about("`parity` of a memory, `stuck` reading, `silent` line, `unplugged`")]
     start: Annotated[FromZero, about("seconds after the session began")]
     end: Annotated[Number, about("seconds after the session began")]
 
@@ -61,13 +57,9 @@ class TruthSection(Record, kw_only=True):
     supply: Annotated[FromZero, about("of an analog sensor or a thermistor, V")] = Truth.supply
     nonlinearity: Annotated[Polynomials, about("per channel the coefficients of a², a³, … of the signal a in g")] = {}
     noise: Annotated[ByAxis[FromZero], about("per channel, standard deviation of a sample, unit", usual="0")] = {}
-    thermometer_error: Annotated[Number, about("what the sensor's thermometer reads too high, °C")] = (
-        Truth.thermometer_error
-    )
+    thermometer_error: Annotated[Number, about("of the sensor's thermometer, °C")] = Truth.thermometer_error
     lag: Annotated[FromZero, about("of the sensing element behind chamber and thermometer, s")] = Truth.lag
-    jig: Annotated[FromZero, about("standard deviation of a set angle, degrees; of the bench's first sensor")] = (
-        Truth.jig
-    )
+    jig: Annotated[FromZero, about("standard deviation of a set angle, degrees; the first sensor's")] = Truth.jig
     ambient: Annotated[Number, about("temperature at the start, °C")] = Truth.ambient
     time_constant: Annotated[FromZero, about("of the chamber, seconds")] = Truth.time_constant
     faults: Annotated[tuple[FaultSection, ...], about("a list of `{kind, start, end}`")] = ()
@@ -91,6 +83,12 @@ class AccelerometerSection(Record, kw_only=True):
     second_order: Annotated[Number, about("1/g")] = 0.0
 
 
+ByChannel = Annotated[
+    Mapping[Annotated[str, one_of(*CHANNELS)], AccelerometerSection],
+    Meta(extra_json_schema={"required": list(CHANNELS)}),
+]
+
+
 class DiskSection(Record, kw_only=True):
     """``truth.disk`` as it stands in a file."""
 
@@ -102,14 +100,7 @@ class DiskSection(Record, kw_only=True):
     noise: Annotated[FromZero, about("one-sided amplitude density, g/√Hz")] = Disk.noise
     corner: Annotated[FromZero, about("where 1/f noise is as large, Hz")] = Disk.corner
     encoder_noise: Annotated[FromZero, about("standard deviation of the angle, degrees")] = Disk.encoder_noise
-    accelerometers: Annotated[
-        Annotated[
-            Mapping[Annotated[str, one_of(*CHANNELS)], AccelerometerSection],
-            Meta(extra_json_schema={"required": list(CHANNELS)}),
-        ]
-        | None,
-        about("`a1` to `a4`", usual="the source's"),
-    ] = None
+    accelerometers: Annotated[ByChannel | None, about("`a1` to `a4`", usual="the source's")] = None
 
 
 class StageSection(Record, kw_only=True):

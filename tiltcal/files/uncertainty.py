@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations_with_replacement
-from math import isclose, sqrt
+from math import isclose
 from typing import Annotated, Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from msgspec import Meta
 
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.named_coefficients import values
-from tiltcal.core.uncertain import TURN, widened
+from tiltcal.core.uncertain import TURN
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.document import Document
 from tiltcal.files.record import AboveZero, ByAxis, Finite, Record, Size, Text, about, one_of, plain
@@ -38,37 +37,25 @@ _ROUNDED = 0.01  # an eigenvalue of the correlations below zero, or a difference
 class Covariance(Record, kw_only=True):
     """The covariance of the uncertain coefficients."""
 
-    parameters: Annotated[
-        tuple[Text, ...],
-        about("coefficients by dotted name; `mounting.turn.x` is a turn about the application's x axis, degrees"),
-    ]
+    parameters: Annotated[tuple[Text, ...], about("dotted names; `mounting.turn.x`: about the application's x")]
     matrix: Annotated[tuple[tuple[Finite, ...], ...], about("their covariance matrix")]
     wide: Annotated[
         tuple[tuple[Finite, ...], ...],
-        about(
-            "the covariance of errors of known size that have the same 95 % intervals, which few degrees of freedom "
-            "widen: half an interval of what follows from the coefficients is 1.96 times the root of its variance by "
-            "this matrix; where it is left out, by `matrix` and the coverage factors"
-        ),
+        about("that of errors of known size with the same 95 % intervals, which few degrees of freedom widen"),
     ] = ()
 
     def as_array(self) -> Array:
         """Return the matrix as an array, shape (k, k)."""
         return np.array(self.matrix, dtype=float).reshape(2 * (len(self.parameters),))
 
-    def wide_array(self, factors: Array) -> Array:
-        """Return the covariance of errors of known size with the same 95 % intervals, shape (k, k)."""
-        if not self.wide:
-            return widened(self.as_array(), factors)
-        return np.array(self.wide, dtype=float)
-
     def without_turn(self) -> Covariance:
         """Return the covariance of all but the turn of the mounting."""
         kept = [k for k, name in enumerate(self.parameters) if not name.startswith(TURN)]
-        matrix, wide = (
-            tuple(tuple(rows[i][j] for j in kept) for i in kept) if rows else () for rows in (self.matrix, self.wide)
+        matrices = [self.matrix, self.wide] if self.wide else [self.matrix]
+        matrix, *wide = [tuple(tuple(rows[i][j] for j in kept) for i in kept) for rows in matrices]
+        return Covariance(
+            parameters=tuple(self.parameters[k] for k in kept), matrix=matrix, wide=wide[0] if wide else ()
         )
-        return Covariance(parameters=tuple(self.parameters[k] for k in kept), matrix=matrix, wide=wide)
 
 
 @dataclass(frozen=True)
@@ -102,7 +89,7 @@ class Uncertainty(Mapping[str, float]):
             {name: value for name, value in named.items() if not name.startswith(MOUNTING)}
             for named in (self.standard, self.coverage_factor)
         )
-        covariance = None if self.covariance is None else self.covariance.without_turn()
+        covariance = self.covariance and self.covariance.without_turn()
         return replace(self, standard=standard, coverage_factor=factors, covariance=covariance)
 
 
@@ -122,18 +109,18 @@ def _check_covariance(covariance: Covariance, place: Document, known: Sequence[s
         raise place.error("a parameter is named twice", "parameters")
     for number, name in enumerate(names):
         place.require_known(name, known, "parameters", number)
-    for key, matrix in (("matrix", covariance.matrix), *((("wide", covariance.wide),) if covariance.wide else ())):
-        if len(matrix) != size or any(len(row) != size for row in matrix):
+    for key, rows in (("matrix", covariance.matrix), *([("wide", covariance.wide)] if covariance.wide else [])):
+        if [len(row) for row in rows] != [size] * size:
             raise place.error(f"{size} parameters need a matrix of {size} rows of {size} numbers", key)
-        for i, j in combinations_with_replacement(range(size), 2):
-            if i == j and matrix[i][i] < 0.0:
-                raise place.error(f"the variance {matrix[i][i]:g} of {names[i]} is negative", key, i)
-            if abs(matrix[i][j] - matrix[j][i]) > _SYMMETRY * max(abs(matrix[i][j]), abs(matrix[j][i])):
-                raise place.error(f"the matrix is not symmetric in {names[j]} and {names[i]}", key, j)
-        stated = np.array(matrix, dtype=float).reshape(size, size)
-        deviations = np.sqrt(np.diag(stated))
+        matrix = np.array(rows, dtype=float).reshape(size, size)
+        for k in np.flatnonzero(np.diag(matrix) < 0.0):
+            raise place.error(f"the variance {matrix[k, k]:g} of {names[k]} is negative", key, int(k))
+        sizes = np.maximum(np.abs(matrix), np.abs(matrix.T))
+        for i, j in np.argwhere(np.abs(matrix - matrix.T) > _SYMMETRY * sizes):
+            raise place.error(f"the matrix is not symmetric in {names[j]} and {names[i]}", key, int(j))
+        deviations = np.sqrt(np.diag(matrix))
         scales = np.where(deviations > 0.0, deviations, 1.0)
-        if np.linalg.eigvalsh(stated / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
+        if np.linalg.eigvalsh(matrix / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
             raise place.error(
                 "this is no covariance: its correlations contradict one another; take it from the file that the "
                 "calibration wrote",
@@ -153,24 +140,18 @@ class UncertaintySection(Record, kw_only=True):
         Mapping[Annotated[str, one_of(*AXES, TEMPERATURE)], Size],
         about("of a reading of a log, per channel, unit, and of its `temperature`, °C", formerly="reading"),
     ] = {}
-    alignment: Annotated[
-        Size, about("after `level`: of how the sensor sits since its sensitivity was measured, degrees about each axis")
-    ] = 0.0
-    coverage_factor: Annotated[
-        Mapping[str, AboveZero],
-        about("per coefficient, such as `sensitivity.x.y`, for an interval of 95 %; 1.96 where it is not named"),
-    ] = {}
+    alignment: Annotated[Size, about("after `level`: of how the sensor sits since, degrees about each axis")] = 0.0
+    coverage_factor: Annotated[Mapping[str, AboveZero], about("for 95 %; 1.96 where none is named")] = {}
     covariance: Annotated[Covariance | None, about("the covariance of the coefficients")] = None
 
 
 def uncertainty_of(section: UncertaintySection, place: Document, coefficients: Coefficients) -> Uncertainty:
     """Return a section with its standard uncertainties by dotted name; an InputError where it contradicts the rest."""
     channels, known = coefficients.channels, [*values(coefficients), *TURNS]
-    thermal = section.temperature or ThermalUncertainty()
-    for key, curves in {"offset": thermal.offset, "sensitivity": thermal.sensitivity}.items():
-        place.require_keys(curves, channels, TEMPERATURE, key)
     for key in ("offset", "sensitivity", "nonlinearity"):
         place.require_keys(getattr(section, key), channels, key)
+        if key != "nonlinearity" and section.temperature is not None:
+            place.require_keys(getattr(section.temperature, key), channels, TEMPERATURE, key)
     for channel, row in section.sensitivity.items():
         place.require_keys(row, coefficients.axes, "sensitivity", channel)
     place.require_keys(section.single_reading, (*channels, TEMPERATURE), "single_reading")
@@ -179,8 +160,7 @@ def uncertainty_of(section: UncertaintySection, place: Document, coefficients: C
     covariance = section.covariance
     if covariance is not None:
         _check_covariance(covariance, place.at("covariance"), known)
-        for name, variance in zip(covariance.parameters, np.diag(covariance.as_array()).tolist(), strict=True):
-            u = sqrt(variance)
+        for name, u in zip(covariance.parameters, np.sqrt(np.diag(covariance.as_array())).tolist(), strict=True):
             if not isclose(standard.get(name, u), u, rel_tol=_ROUNDED):
                 raise place.error(
                     f"the variance of {name} is that of a standard uncertainty of {u:.4g}, and {standard[name]:g} is "
@@ -202,15 +182,11 @@ def uncertainty_section(uncertainty: Uncertainty) -> UncertaintySection:
             section[path[-1]] = (*section.get(path[-1], ()), u)
         else:
             section.setdefault(path[-1], {})[last] = u
-    temperature = shaped.pop(TEMPERATURE)
-    return UncertaintySection(
-        **shaped,
-        temperature=ThermalUncertainty(**temperature) if temperature else None,
-        single_reading=uncertainty.single_reading,
-        coverage_factor=uncertainty.coverage_factor,
-        covariance=uncertainty.covariance,
-        alignment=uncertainty.alignment,
-    )
+    warm = shaped.pop(TEMPERATURE)
+    rest = {
+        name: getattr(uncertainty, name) for name in ("single_reading", "coverage_factor", "covariance", "alignment")
+    }
+    return UncertaintySection(**shaped, **rest, temperature=ThermalUncertainty(**warm) if warm else None)
 
 
 def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:

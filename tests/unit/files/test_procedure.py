@@ -11,13 +11,13 @@ import yaml
 
 from tiltcal.core.pair.model import Pair
 from tiltcal.errors import InputError, UsageError
+from tiltcal.files.document import document_of
 from tiltcal.files.procedure import (
     Determines,
     PairSelection,
-    Procedure,
     Rotation,
     find_procedure,
-    procedure_from_record,
+    procedure_in,
     read_procedure,
 )
 
@@ -116,7 +116,7 @@ def test_own_procedure_is_run_by_path(own: Path) -> None:
     procedure = find_procedure(str(own))
     level, up, side = procedure.positions
     assert procedure.determines.axes == ("x", "y")
-    assert (procedure.samples, procedure.settle) == (Procedure.samples, Procedure.settle)
+    assert (procedure.samples, procedure.settle) == (100, 2.0)  # the defaults of the reference
     assert level.gravity == (0.0, 0.0, 1.0)
     assert (up.tilt, up.prompt, up.heading) == ({"x": 20.0, "y": -20.0}, "Up 20° at 5.5 °C", 90.0)
     assert (side.gravity, side.stage) == ((0.0, 0.6, 0.8), 45.0)
@@ -132,7 +132,7 @@ def test_unknown_procedure_offers_near_names() -> None:
 def test_record_gives_the_procedure_again_through_json(own: Path) -> None:
     for angle in (None, 7.0):
         procedure = read_procedure(own, angle)
-        assert procedure_from_record(json.loads(json.dumps(procedure.record)), angle) == procedure
+        assert procedure_in(document_of(json.loads(json.dumps(procedure.record))), angle) == procedure
         # A default that changes later changes no journal: 100 samples by the reference.
         assert (procedure.record["samples"], procedure.record["soak"]["seconds"]) == (100, 20.0)
 
@@ -140,7 +140,7 @@ def test_record_gives_the_procedure_again_through_json(own: Path) -> None:
 def test_damaged_record_names_the_journal_line() -> None:
     record = yaml.safe_load(OWN.replace("tilt: {}", "tilt: {x: 91}"))
     with pytest.raises(InputError, match=r"j\.jsonl:1: positions\[0\]\.tilt: a tilt of 91"):
-        procedure_from_record(record, file="j.jsonl", line=1)
+        procedure_in(document_of(record, "j.jsonl", 1))
 
 
 def refused(path: Path, text: str, changes: list[tuple[str, str, int, str, str]]) -> None:
@@ -194,7 +194,7 @@ def test_a_users_own_is_read_and_comes_again_from_its_record(turning: Path) -> N
     procedure = read_procedure(turning)
     pair = PairSelection(("left", "right"), "up")
     assert procedure.rotation == Rotation("angle", (pair,), "Start the motor.", 12, 1e-6, 30.0)
-    assert procedure_from_record(json.loads(json.dumps(procedure.record))) == procedure
+    assert procedure_in(document_of(json.loads(json.dumps(procedure.record)))) == procedure
 
 
 def test_the_turns_of_the_command_line_take_the_place_of_the_files(turning: Path) -> None:
