@@ -16,16 +16,9 @@ from pathlib import Path
 import numpy as np
 
 import tiltcal
+from tiltcal.calibration import stated
 from tiltcal.calibration.comparison import compare_records, require_same_sensor, temperature_of
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
-from tiltcal.calibration.stated import (
-    derived_record,
-    fit_record,
-    rounded,
-    stated_section,
-    stated_uncertainty,
-    uncertain_coefficients,
-)
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
 from tiltcal.core.model import AXES, Array, Coefficients, Limits
@@ -34,14 +27,9 @@ from tiltcal.core.rounding import plus_minus
 from tiltcal.core.samples import BLOCKS, pooled
 from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, selection
 from tiltcal.errors import EstimateError, InputError, UsageError
-from tiltcal.files.calibration import (
-    UNKNOWN_MODEL,
-    CalibrationRecord,
-    dump_calibration,
-    tilt_record,
-)
+from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.document import parse_document
-from tiltcal.files.results import NOISE_ALONE, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.results import NOISE_ALONE, FileRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.files.yaml_text import read_text
 
@@ -73,11 +61,9 @@ class CombinedSession:
     @property
     def origins(self) -> set[str]:
         """The checksums of the calibrations whose measurements it holds, its own among them."""
-        provenance = self.record.provenance
-        origins = {self.sha256, *(source.sha256 for source in provenance.sources if source.sha256)}
-        if provenance.base is not None and provenance.base.sha256 and not self.assumes("sensitivity"):
-            origins.add(provenance.base.sha256)
-        return origins
+        sources, base = self.record.provenance.sources, self.record.provenance.base
+        files = sources if base is None or self.assumes("sensitivity") else (*sources, base)
+        return {self.sha256, *(file.sha256 for file in files if file.sha256)}
 
     def assumes(self, kind: str) -> str:
         """Return what the session has assumed of ``sensitivity`` or ``temperature``; empty where it measured it."""
@@ -87,8 +73,8 @@ class CombinedSession:
     def assumed(self) -> frozenset[str]:
         """The coefficients that were not measured, those that the data sheet states among them."""
         starts = tuple(start for kind, all_ in KINDS.items() if self.assumes(kind) for start in all_)
-        names = frozenset(name for name in values(self.coefficients) if starts and name.startswith(starts))
-        return names | set(self.record.fit.priors)
+        names = (name for name in values(self.coefficients) if starts and name.startswith(starts))
+        return frozenset(names) | set(self.record.fit.priors)
 
     @property
     def measured(self) -> frozenset[str]:
@@ -106,23 +92,14 @@ class CombinedSession:
         """Whether it has positions that were set, with their uncertainty, and they give its coefficients."""
         fit, places = self.record.fit, self.record.procedure.set
         apart = self.counted or self.by_values or fit.level or fit.ramp or fit.distinct_attitudes is not None
-        stated = [one.u and one.position in places and places[one.position].up for one in self.positions]
-        return not apart and bool(stated) and all(stated)
+        complete = [one.u and one.position in places and places[one.position].up for one in self.positions]
+        return not apart and bool(complete) and all(complete)
 
     @property
     def jig(self) -> float | None:
         """The standard uncertainty of a set angle that it states or shows, degrees; None where it does neither."""
         fit = self.record.fit
         return fit.jig_estimated_degrees if fit.jig_degrees is None else fit.jig_degrees
-
-    @property
-    def temperature(self) -> tuple[float, float] | None:
-        """Where the offset holds, °C, and the standard uncertainty of that; None where it is not known."""
-        fit, at = self.record.fit, temperature_of(self.record)
-        if at is None or self.coefficients.thermal is not None:
-            return None if at is None else (at, 0.0)
-        spread = float(np.std([one.temperature for one in self.positions if one.temperature is not None]))
-        return at, hypot(spread, fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0)
 
     def observations(self, design: Design) -> list[Observation]:
         """Return its positions for the estimator, by their names in the combination."""
@@ -148,17 +125,16 @@ class CombinedSession:
         """Return what the file states of the coefficients of a design that it has measured.
 
         ``slope`` is the drift that the temperature of a file without one is worth, unit/°C, shape (channels,).
-        EstimateError: it states no uncertainty. UsageError: its drift has another order, or its sensitivity other axes.
         """
         try:
-            stated = stated_uncertainty(self.record.uncertainty, self.coefficients)[0].without(TURN, READING, ALIGNMENT)
+            own = stated.stated_uncertainty(self.record.uncertainty, self.coefficients)[0]
         except EstimateError as failure:
             raise EstimateError(f"{self.label}: {failure}") from failure
-        at, thermal, axes = self.temperature, self.coefficients.thermal, self.coefficients.axes
+        at, thermal, axes = temperature_of(self.record), self.coefficients.thermal, self.coefficients.axes
         for what in ("drift", "gain") if thermal is not None else ():
-            if (own := getattr(thermal, what).shape[1]) not in (0, getattr(design, what)):
+            if (order := getattr(thermal, what).shape[1]) not in (0, getattr(design, what)):
                 raise UsageError(
-                    f"the {what} of {self.label} has order {own} and that of another calibration "
+                    f"the {what} of {self.label} has order {order} and that of another calibration "
                     f"{getattr(design, what)}; combine one of them"
                 )
         if not self.assumes("sensitivity") and set(axes) != set(design.axes):
@@ -166,26 +142,26 @@ class CombinedSession:
                 f"{self.label} determines the sensitivity to {', '.join(axes)} and another calibration to "
                 f"{', '.join(design.axes)}; combine sessions of the same axes"
             )
-        lost = "offset." if design.thermal and at is None else "-"
-        names = [n for n in stated.names if n in design.names and n in self.measured and not n.startswith(lost)]
-        stated = stated.named(names)
-        stated = stated.chosen(np.flatnonzero(stated.u > 0.0))
-        rows, covariance = selection(stated.names, design.names), stated.wide.copy()
-        directions = [place.up for place in self.record.procedure.set.values() if place.up]
+        own = own.without(TURN, READING, ALIGNMENT, *(["offset."] if design.thermal and at is None else []))
+        own = own.named([name for name in own.names if name in design.names and name in self.measured])
+        own = own.chosen(np.flatnonzero(own.u > 0.0))
+        rows, covariance, place = selection(own.names, design.names), own.wide.copy(), design.names.index
+        directions = [setting.up for setting in self.record.procedure.set.values() if setting.up]
         same = bool(directions) and np.allclose(directions, directions[0], atol=1e-6) and self.assumes("sensitivity")
-        for k, name in enumerate(stated.names):
+        met = [one.temperature for one in self.positions if one.temperature is not None] or [0.0]
+        fit = self.record.fit
+        u_at = hypot(float(np.std(met)), fit.thermometer_celsius or fit.thermometer_estimated_celsius or 0.0)
+        for k, name in enumerate(own.names):
             kind, _, channel = name.partition(".")
-            if kind != "offset":
-                continue
-            if at is not None:
+            if kind == "offset" and at is not None:
                 for order in range(1, design.drift + 1):
-                    place = design.names.index(f"temperature.offset.{channel}.{order}")
-                    rows[k, place] = (at[0] - design.reference) ** order
+                    rows[k, place(f"temperature.offset.{channel}.{order}")] = (at - design.reference) ** order
                 if thermal is None:
-                    covariance[k, k] += (slope[design.channels.index(channel)] * at[1]) ** 2
-            for axis in set(design.axes) - set(axes) if same else ():  # a column that it lacks is in its offset
-                rows[k, design.names.index(f"sensitivity.{channel}.{axis}")] = directions[0][AXES.index(axis)]
-        return StatedCoefficients(stated.names, rows, vector_of(self.coefficients, stated.names), covariance)
+                    covariance[k, k] += (slope[design.channels.index(channel)] * u_at) ** 2
+            for axis in set(design.axes) - set(axes) if kind == "offset" and same else ():
+                # A column that it lacks is in its offset.
+                rows[k, place(f"sensitivity.{channel}.{axis}")] = directions[0][AXES.index(axis)]
+        return StatedCoefficients(own.names, rows, vector_of(self.coefficients, own.names), covariance)
 
 
 def combine_records(
@@ -193,12 +169,12 @@ def combine_records(
 ) -> CalibrationRecord:
     """Combine calibrations of one sensor, or their files, in their own mounting or in a stated one, degrees."""
     sessions = _sessions(calibrations)
-    stated = stated_mounting(mounting) if mounting else None
-    if not sessions or (len(sessions) < 2 and stated is None):
+    turned = stated_mounting(mounting) if mounting else None
+    if not sessions or (len(sessions) < 2 and turned is None):
         raise UsageError("name two calibrations or more, or a --mounting")
     _require_consistent(sessions)
-    if stated is not None:
-        sessions = [replace(session, record=with_mounting(session.record, stated)) for session in sessions]
+    if turned is not None:
+        sessions = [replace(session, record=with_mounting(session.record, turned)) for session in sessions]
     if len(sessions) == 1:
         return replace(sessions[0].record, provenance=_provenance(sessions))
     mounted = {s.label: s.coefficients.mounting for s in sessions if s.coefficients.mounting is not None}
@@ -303,20 +279,21 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
         at = values(referred(session.coefficients, design.reference)) | dict.fromkeys(fit.priors, 0.0)
         for name in session.assumed & set(design.names) - measured - set(priors):
             priors[name] = Prior(at[name], fit.priors.get(name, u.get(name, 0.0)))
-    priors = {name: priors[name] for name in design.names if name in priors}
-    by_values = [session for session in sessions if not (session.observed or session.counted)]
+    design = replace(design, priors={name: priors[name] for name in design.names if name in priors})
     slope = next((thermal.drift[:, 0] for thermal in thermals if thermal.drift.size), np.zeros(len(design.channels)))
-    stated = tuple(session.statement(replace(design, priors=priors), slope) for session in by_values)
-    for session in by_values:
-        known = uncertain_coefficients(session.record.uncertainty, session.coefficients)
-        exact = session.measured - {name for name, u in known.by_name(known.u).items() if u}
-        for name in sorted(exact & set(design.names)):
+    by_values = [session for session in sessions if not (session.observed or session.counted)]
+    statements = tuple(session.statement(design, slope) for session in by_values)
+    exact = dict(design.priors)
+    for session, statement in zip(by_values, statements, strict=True):
+        for name in sorted((session.measured & set(design.names)) - set(statement.names)):
+            if session.record.uncertainty.get(name):
+                continue  # an offset of no known temperature
             if any(name in other.measured for other in sessions if other is not session):
                 raise UsageError(
                     f"{session.label} states no uncertainty of {name}, which another has: it cannot be weighed"
                 )
-            priors[name] = Prior(values(session.coefficients)[name])
-    return replace(design, priors=priors, stated=stated)
+            exact[name] = Prior(values(session.coefficients)[name])
+    return replace(design, priors=exact, stated=statements)
 
 
 def _observations(sessions: Sequence[CombinedSession], design: Design) -> list[list[Observation]]:
@@ -334,7 +311,7 @@ def _notes(sessions: Sequence[CombinedSession], design: Design) -> Iterator[str]
     for session in sessions:
         if session.counted:
             yield f"{session.label} has the journal of another calibration: its positions count once"
-        elif design.thermal and session.temperature is None:
+        elif design.thermal and temperature_of(session.record) is None:
             yield f"{session.label} states no temperature: its offset is left out"
         elif session.observed and session.jig is None and design.jig is not None:
             yield f"{session.label} does not state how level it was (--jig): its offset hardly counts"
@@ -367,7 +344,7 @@ def _disagreement(
     p = float(fdtrc(more, dof, rise / more * dof / max(chi_square, 1e-9)) if shared else chdtrc(more, rise))
     if p >= NOTED:
         return []
-    lines = [*_differences(sessions)] or [
+    lines = list(_differences(sessions)) or [
         f"chi-square rises by {rise:.3g} over the separate fits, with {more} degrees of freedom"
     ]
     if p >= REFUSED:
@@ -401,19 +378,30 @@ def _record(
 ) -> CalibrationRecord:
     """Return the calibration that a combination gives, with remarks on what it left out."""
     records = [session.record for session in sessions]
+    fits, procedures = [record.fit for record in records], [record.procedure for record in records]
     scaled = [session.record for session in sessions if not session.assumes("sensitivity")]
     new = [session for session in sessions if not session.counted]
     runs = [[one.replaced(position=s.names[one.position]) for one in run] for s in new for run in s.record.runs]
-    derived = derived_record(found, "", mounted=True) if scaled else records[0].derived
+    derived = stated.derived_record(found, "", mounted=True) if scaled else records[0].derived
     kept = [sessions[0].assumes(kind) for kind in KINDS if all(session.assumes(kind) for session in sessions)]
-    procedures = [record.procedure for record in records]
+    noise = max(u for record in records for one in record.positions for u in (one.u or {}).values())
+    each = [(s.label, s.record.procedure.name, (s.record.provenance.ended or "")[:10]) for s in sessions]
+    told = [f"{label} ({', '.join(filter(None, more))})" if any(more) else label for label, *more in each]
+    notes = [f"combined of {' and '.join(told)}", *remarks, *found.notes]
+    notes += [note for fit in fits for note in fit.notes if note != NO_FREEDOM]
     return CalibrationRecord(
         sensor=next((record.sensor for record in records if record.sensor.model != UNKNOWN_MODEL), records[0].sensor),
-        coefficients=replace(rounded(found), mounting=found.coefficients.mounting),
+        coefficients=replace(stated.rounded(found), mounting=found.coefficients.mounting),
         uncertainty=_uncertainty(sessions, found),
         limits=_limits(records, scaled or records),
         derived=derived.replaced(assumed=tuple(kept)),
-        fit=_fit(sessions, found, design, remarks),
+        fit=stated.fit_record(found, design, noise).replaced(
+            notes=tuple(dict.fromkeys(notes)),
+            priors={name: prior.u for name, prior in design.priors.items() if any(name in fit.priors for fit in fits)},
+            not_covered=tuple(dict.fromkeys(error for fit in fits for error in fit.not_covered)),
+            mounting=next((fit.mounting for fit in fits if fit.mounting), None),
+            level=next((fit.level for fit in fits if fit.level), None),
+        ),
         procedure=ProcedureRecord(
             name=" + ".join(session.record.procedure.name or session.label for session in sessions),
             title=f"Combined of {len(sessions)} calibrations",
@@ -426,45 +414,27 @@ def _record(
     )
 
 
-def _fit(sessions: Sequence[CombinedSession], found: Estimate, design: Design, remarks: Sequence[str]) -> FitRecord:
-    """Return how well the positions of all sessions agree."""
-    fits = [session.record.fit for session in sessions]
-    noise = max(u for session in sessions for one in session.record.positions for u in (one.u or {}).values())
-    each = [(s.label, s.record.procedure.name, (s.record.provenance.ended or "")[:10]) for s in sessions]
-    told = [f"{label} ({', '.join(filter(None, more))})" if any(more) else label for label, *more in each]
-    notes = [note for fit in fits for note in fit.notes if note != NO_FREEDOM]
-    return fit_record(found, design, noise).replaced(
-        notes=tuple(dict.fromkeys([f"combined of {' and '.join(told)}", *remarks, *found.notes, *notes])),
-        priors={name: prior.u for name, prior in design.priors.items() if any(name in fit.priors for fit in fits)},
-        not_covered=tuple(dict.fromkeys(error for fit in fits for error in fit.not_covered)),
-        mounting=next((fit.mounting for fit in fits if fit.mounting), None),
-        level=next((fit.level for fit in fits if fit.level), None),
-    )
-
-
 def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncertainty:
     """Return the uncertainty of all coefficients, and that of a mounting with its covariance."""
-    stated, joint = [session.record.uncertainty for session in sessions], found.uncertain
+    each, joint = [session.record.uncertainty for session in sessions], found.uncertain
     mounted = next((session.record for session in sessions if session.coefficients.mounting), sessions[0].record)
     angles, factors = (
         {name: value for name, value in its.items() if name.startswith("mounting.")}
         for its in (mounted.uncertainty, mounted.uncertainty.coverage_factor)
     )
-    names = dict.fromkeys(name for one in stated for name in one.single_reading)
-    single = {name: max(one.single_reading.get(name, 0.0) for one in stated) for name in names}
-    kept = Uncertainty(angles, single, coverage_factor=factors, alignment=max(one.alignment for one in stated))
-    before = uncertain_coefficients(mounted.uncertainty, mounted.coefficients)
-    turns = [name for name in before.names if name.startswith(TURN)]
-    if turns:
+    names = dict.fromkeys(name for one in each for name in one.single_reading)
+    single = {name: max(one.single_reading.get(name, 0.0) for one in each) for name in names}
+    kept = Uncertainty(angles, single, coverage_factor=factors, alignment=max(one.alignment for one in each))
+    before = stated.uncertain_coefficients(mounted.uncertainty, mounted.coefficients)
+    if turns := [name for name in before.names if name.startswith(TURN)]:
         # What follows the coefficients of its own session follows those of the combination by as much.
         shared = [name for name, u in before.by_name(before.u).items() if name in joint.names and u > 0.0]
         follows = selection(turns, before.names) @ before.following(shared) @ selection(shared, joint.names)
         size, across = len(joint.names), follows @ joint.covariance
         joint = joint.beside(before.named(turns))
-        common = np.zeros_like(joint.covariance)
-        common[size:, :size], common[:size, size:] = across, across.T
-        joint = replace(joint, covariance=joint.covariance + common, wide=joint.wide + common)
-    return stated_section(joint, kept)
+        for matrix in (joint.covariance, joint.wide):
+            matrix[size:, :size], matrix[:size, size:] = across, across.T
+    return stated.stated_section(joint, kept)
 
 
 def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRecord]) -> Limits:

@@ -82,8 +82,7 @@ def test_two_sessions_give_what_one_joint_session_gives(with_base: bool, model: 
     """Whether the overnight run took the part's own sensitivity or the nominal one: it is no information."""
     scale = calibrated(ZERO_45, measured(ZERO_45, 1, at=24.0), model=model)
     drift = calibrated(TWO, measured(TWO, 2), scale.record if with_base else None, model=model)
-    both = replace(
-        ZERO_45,
+    both = ZERO_45.replaced(
         positions=(*ZERO_45.positions, *TWO.positions),
         determines=Determines(("x", "y"), drift=1),
         reference=24.0,
