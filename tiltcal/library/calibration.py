@@ -169,6 +169,7 @@ class Calibration(SavedCalibration):
         """Who made the calibration, when, and from which data."""
         return self.record.provenance
 
+    @names_arguments
     def compensation(self, *, first_order: bool = False) -> Compensation:
         """Return the compensation of readings in arrays, with these coefficients and limits.
 
@@ -236,6 +237,7 @@ class Calibration(SavedCalibration):
             raise UsageError(f"the calibration of {self.sensor.serial} states no uncertainty: there is nothing to plot")
         return figure
 
+    @names_arguments
     def with_mounting(self, angles: Mapping[str, float] | str) -> Calibration:
         """Return this calibration for a sensor that sits in a known way; a mounting that it has is replaced.
 

@@ -62,6 +62,7 @@ class CalibrationLibrary:
         """
         return self.records.history(serial)
 
+    @names_arguments
     def at(self, serial: str, time: str | date, *, stability: float | None = None) -> Calibration:
         """Return the calibration of a sensor at a time: between two of them, or the nearest one.
 

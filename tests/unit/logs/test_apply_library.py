@@ -261,15 +261,15 @@ def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
     kept(tmp_path, calibrated(0, (1000, 1000), serial="A"), calibrated(0, (1010, 1020), serial="B"))
     library = tiltcal.open_calibrations(tmp_path)
     frame = {"time": np.array([0.0, 1.0]), "x": np.full(2, 1000.0), "y": np.full(2, 1000.0)}
-    with pytest.raises(UsageError, match=r"names no sensor of .*: name it with --serial; the folder has .* A, B"):
+    with pytest.raises(UsageError, match=r"names no sensor of .*: name it with serial; the folder has .* A, B"):
         library.apply(frame)
     with pytest.raises(UsageError, match="has no calibration of 'C'"):
         library.apply(frame, serial="C")
-    with pytest.raises(InputError, match="no count of seconds since 1970: state when the log began with --start"):
+    with pytest.raises(InputError, match="no count of seconds since 1970: state when the log began with start"):
         library.apply(frame, serial="A")
     placed = library.apply(frame, serial="A", start=stamp(1.0))
     assert placed["reason"].tolist() == [64, 64]
-    with pytest.raises(InputError, match="the times are dates, or count seconds since 1970: leave out --start"):
+    with pytest.raises(InputError, match="the times are dates, or count seconds since 1970: leave out start"):
         library.apply(frame | {"time": seconds([0.0, 1.0])}, serial="A", start=stamp(0.0))
     del frame["time"]
     with pytest.raises(InputError, match="there is no column 'time'"):
@@ -283,7 +283,7 @@ def test_what_is_no_moment_and_no_stability(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="is no date: write it as"):
             library.at("S-1", time)  # type: ignore[arg-type]
     for stability in (-1.0, np.nan, "1"):
-        with pytest.raises(UsageError, match="--stability takes 0 or a number from"):
+        with pytest.raises(UsageError, match="stability takes 0 or a number from"):
             library.at("S-1", stamp(0), stability=stability)  # type: ignore[arg-type]
 
 

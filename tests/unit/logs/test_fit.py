@@ -156,7 +156,7 @@ def test_a_column_time_that_holds_none_is_left_alone(base: Path) -> None:
 @pytest.mark.parametrize("procedure", ["reversal", "two-temperature", "temperature-sweep"])
 def test_without_a_model_or_a_base_it_is_said_what_is_needed(procedure: str) -> None:
     """It asked a two-axis log for a column z."""
-    with pytest.raises(tiltcal.EstimateError, match=r"determines no sensitivity: name a --sensor .* or with --base"):
+    with pytest.raises(tiltcal.EstimateError, match=r"determines no sensitivity: name a sensor .* or with base"):
         tiltcal.fit(procedure, **recorded(procedure, (2.5, 2.4)), **SENSOR)
 
 
@@ -199,9 +199,9 @@ def test_a_base_with_a_mounting_is_refused(base: Path) -> None:
 
 def test_numbers_out_of_range_are_refused(base: Path) -> None:
     for option, value, why in (
-        ("jig", -0.1, "--jig takes 0 or a number from .*, not -0.1"),
-        ("gravity", 12.0, "--gravity 12: local gravity is between 9.7 and 9.9"),
-        ("window", 2, "--window"),
+        ("jig", -0.1, "jig takes 0 or a number from .*, not -0.1"),
+        ("gravity", 12.0, "gravity 12: local gravity is between 9.7 and 9.9"),
+        ("window", 2, "window"),
     ):
         with pytest.raises(tiltcal.UsageError, match=why):
             tiltcal.fit("reversal", **recorded("reversal", (2.5, 2.4)), base=base, **SENSOR, **{option: value})
