@@ -585,7 +585,7 @@ def _pair_calibration(
     session: RecordedSession, provenance: Mapping[str, Any], statistics: Mapping[str, dict[str, int]]
 ) -> PairRecord:
     """Return the pairs that a journal gives."""
-    from tiltcal.core.pair.rotation import rotation_of
+    from tiltcal.core.pair.matching import rotation_of
     from tiltcal.files.pair import PairRecord, SpinRecord
 
     setup = session.setup

@@ -18,10 +18,17 @@ from tiltcal.bench.journal import unused
 from tiltcal.bench.sensors import RECOVERY
 from tiltcal.bench.session import Session
 from tiltcal.core.model import Array
-from tiltcal.core.pair.matching import Matching, PairCoefficients, solve
+from tiltcal.core.pair.matching import (
+    TOO_FEW,
+    MatchedRotation,
+    Matching,
+    PairCoefficients,
+    rotation_of,
+    solve,
+    split_at_breaks,
+)
 from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.core.pair.online import Notice, TurnStream
-from tiltcal.core.pair.rotation import TOO_FEW, MatchedRotation, rotation_of, split_at_breaks
 from tiltcal.core.pair.stage import STANDSTILL
 from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.journal import POSITION

@@ -31,8 +31,7 @@ from tiltcal.core.tilt_angles import DIRECTIONS
 from tiltcal.core.uncertain import ALIGNMENT, NEGLIGIBLE, NORMAL_FACTOR, READING, TURN, Uncertain
 from tiltcal.errors import EstimateError
 
-HALF_TURN = pi
-"""No half width is more, radians."""
+HALF_TURN = pi  # no half width is more, radians
 
 CIRCLE = 1.2489
 """Radius of the circle that holds 95 % of the errors in two directions, over the half width that holds them in one."""
@@ -57,20 +56,16 @@ class AngleUncertainty:
     expanded: Array
 
 
-@dataclass(frozen=True)
-class _Errors:
-    """Some rows with the covariance of their signals, behind them of the turns, by pair."""
-
-    chunk: KernelChunk
-    covariances: dict[tuple[int, int], Array]
+_Errors = dict[tuple[int, int], Array]
+"""Covariances of the signals of some rows, behind them of the turns, by pair, shape (n,) each."""
 
 
 class CompensationWithUncertainty:
     """A compensation, of the same coefficients, with the uncertainty of each angle.
 
-    A row has no uncertainty (NaN) where its flag is 4 or 9, where its temperature is missing and counts, and where the
-    argument of an arcsine is so far beyond ±1 that its interval does not reach back. An EstimateError refuses an
-    uncertain coefficient that is not there, and an uncertain mounting of a sensor that has no x and y.
+    It is NaN where the flag is 4 or 9, a temperature is missing that counts, or the argument of an arcsine is so far
+    beyond ±1 that its interval does not reach back. An EstimateError refuses an uncertain coefficient that is not
+    there, and an uncertain mounting of a sensor that has no x and y.
     """
 
     def __init__(self, compensation: Compensation, coefficients: Coefficients, uncertain: Uncertain) -> None:
@@ -115,9 +110,10 @@ class CompensationWithUncertainty:
         room = np.empty((2, len(self._compensation.angles), count)) if out is None else out
         for start in range(0, count, _ROWS):
             part = room[:, :, start : start + _ROWS]
-            kinds = self._errors(chunk.part(slice(start, start + _ROWS)))
+            rows = chunk.part(slice(start, start + _ROWS))
+            kinds = self._errors(rows)
             for errors, half in zip(kinds, part[::-1], strict=False):
-                self._angles(errors, half)
+                self._angles(rows, errors, half)
             np.minimum(part[-len(kinds)] / NORMAL_FACTOR, UNKNOWN_ANGLE, out=part[0])
             np.minimum(part[1], HALF_TURN, out=part[1])
             part *= 180.0 / pi
@@ -133,11 +129,10 @@ class CompensationWithUncertainty:
         return self._half(self._errors(chunk)[0], chunk.own / np.sqrt(np.sum(chunk.own**2, axis=0)))
 
     def of_up(self, chunk: KernelChunk, gradients: Iterable[tuple[Array, Array, Array | float]]) -> Array:
-        """Return of quantities that follow from up their standard uncertainties, and half of their 95 % intervals.
+        """Return standard and expanded uncertainty of quantities that follow from up, shape (2, quantities, n).
 
-        In their units, shape (2, quantities, n). A gradient has the derivatives by the unit vector that points up,
-        across it, and by a turn of the mounting about the application's axes, both of shape (3, n), and the variance
-        that other sources of known size add, shape (n,).
+        A gradient has the derivatives by the unit vector that points up, across it, and by a turn of the mounting about
+        the application's axes, both (3, n), and the variance that other sources of known size add, (n,).
         """
         kinds, gravity = self._errors(chunk), self._compensation.sensed(chunk)
         length = np.sqrt(np.einsum("in,in->n", gravity, gravity))
@@ -159,30 +154,38 @@ class CompensationWithUncertainty:
         """Return the covariance of the signals and turns of some rows, by ``wide`` and, where it differs, as it is."""
         gravity = self._compensation.sensed(chunk)
         dt = np.zeros(gravity.shape[1]) if chunk.dt is None else chunk.dt
-        rows, by_temperature = [], []
-        stated: dict[tuple[int, int], Array] = {}  # what noise and thermometer add
-        for k, (model, theta, columns) in enumerate(zip(self._models, self._vectors, self._columns, strict=True)):
+        since_level = gravity - self._rotation[2][:, None]
+        if len(self._compensation.axes) == 1:  # the rest of gravity lies along an axis that the sensor does not see
+            hidden = 0 if self._compensation.axes == ("z",) else 2
+            since_level[hidden] += np.sqrt(np.maximum(1.0 - np.sum(gravity**2, axis=0), 0.0))
+        rows, noise, shared = (
+            [],
+            [],
+            [],
+        )  # derivatives by the coefficients, by a reading, and by what all channels share
+        for model, theta, columns, u in zip(self._models, self._vectors, self._columns, self._readings, strict=True):
             read = model.read(theta, gravity.T, dt)
             slope = 1.0 / read.by_signal
             rows.append(read.by_coefficient.T[columns] * -slope)
-            stated[k, k] = (self._readings[k] * slope) ** 2 * chunk.share
-            by_temperature.append(self._thermometer * slope * read.by_temperature)
+            noise.append((u * slope) ** 2 * chunk.share)
+            by_alignment = (
+                np.cross(since_level, read.sensitivity[:, None], axis=0) if self._alignment else np.empty((0, len(dt)))
+            )
+            shared.append(np.vstack([self._thermometer * slope * read.by_temperature, self._alignment * by_alignment]))
         rows += [np.ones((1, len(dt)))] * (3 * self._rotated)
-        if self._thermometer:
-            for b in range(len(by_temperature)):
-                for a in range(b + 1):
-                    stated[a, b] = stated.get((a, b), 0.0) + by_temperature[a] * by_temperature[b]
-        return [_Errors(chunk, self._signals(rows, covariance, stated)) for covariance in self._kinds]
+        return [self._signals(covariance, rows, noise, shared) for covariance in self._kinds]
 
-    def _signals(
-        self, rows: list[Array], covariance: Array, stated: dict[tuple[int, int], Array]
-    ) -> dict[tuple[int, int], Array]:
+    def _signals(self, covariance: Array, rows: list[Array], noise: list[Array], shared: list[Array]) -> _Errors:
         """Return the covariance of signals and turns by pair, from their derivatives, shape (inputs, n) each."""
-        found = dict(stated)
+        found: _Errors = {}
         for b, second in enumerate(self._parts):
             weighted = product(covariance[: second.stop, second], rows[b])
             for a, first in enumerate(self._parts[: b + 1]):
-                found[a, b] = np.einsum("kn,kn->n", rows[a], weighted[first]) + stated.get((a, b), 0.0)
+                found[a, b] = np.einsum("kn,kn->n", rows[a], weighted[first])
+        for b, second in enumerate(shared):
+            found[b, b] += noise[b]
+            for a, first in enumerate(shared[: b + 1]):
+                found[a, b] += np.einsum("kn,kn->n", first, second)
         return found
 
     def _variance(
@@ -190,12 +193,10 @@ class CompensationWithUncertainty:
     ) -> Array:
         """Return the variance of a quantity from its gradients by the measured components and by a turn, (n,)."""
         gradient = [*(self._compensation.inverse.T @ by_measured), *(() if by_turn is None else by_turn)]
-        total = np.zeros(len(errors.chunk.out.flag)) + more
-        for (a, b), covariance in errors.covariances.items():
+        total = np.zeros(by_measured.shape[1]) + more
+        for (a, b), covariance in errors.items():
             if b < len(gradient):
                 total += (1.0 if a == b else 2.0) * gradient[a] * gradient[b] * covariance
-        if self._alignment:
-            total += self._of_alignment(errors.chunk, by_measured)
         return np.maximum(total, 0.0, out=total)
 
     def _half(
@@ -204,18 +205,6 @@ class CompensationWithUncertainty:
         """Return the half width of the 95 % interval of a quantity."""
         return np.asarray(NORMAL_FACTOR * np.sqrt(self._variance(errors, by_measured, by_turn, more)))
 
-    def _of_alignment(self, chunk: KernelChunk, by_measured: Array) -> Array:
-        """Return the variance of a turn θ of the sensor since it was level: θ × (g - z), alike about every axis."""
-        axes, gravity = self._compensation.axes, self._compensation.sensed(chunk)
-        if len(axes) == 1:  # the rest of gravity lies along an axis that the sensor does not see
-            gravity[0 if axes == ("z",) else 2] = np.sqrt(np.maximum(1.0 - np.sum(gravity**2, axis=0), 0.0))
-        by_gravity = np.zeros_like(gravity)
-        by_gravity[[AXES.index(axis) for axis in axes]] = by_measured
-        if len(axes) == 2:
-            by_gravity[2] += self._coupling @ by_measured
-        turned = self._alignment * np.cross(gravity - self._rotation[2][:, None], by_gravity, axis=0)
-        return np.asarray(np.einsum("in,in->n", turned, turned))
-
     def _slope_of_hidden(self, errors: _Errors, gravity: Array) -> Array:
         """Return what the error of half the square of a hidden g_z is divided by for its own."""
         along = self._half(errors, gravity[:2])
@@ -223,11 +212,10 @@ class CompensationWithUncertainty:
 
     # From components to angles
 
-    def _angles(self, errors: _Errors, half: Array) -> None:
+    def _angles(self, chunk: KernelChunk, errors: _Errors, half: Array) -> None:
         """Fill in the half width of every angle, shape (angles, n), radians."""
-        chunk = errors.chunk
         if self._sees_all:
-            self._angles_of_three(errors, half)
+            self._angles_of_three(chunk.out.gravity.T, errors, half)
             return
         slope = None if chunk.hidden is None else self._slope_of_hidden(errors, self._compensation.sensed(chunk))
         for axis, argument in enumerate(chunk.out.gravity.T):
@@ -241,9 +229,8 @@ class CompensationWithUncertainty:
                 by_turn = np.cross(self._compensation.up(chunk), np.eye(3)[axis][:, None], axis=0)
             _through_arcsine(argument, self._variance(errors, by_own, by_turn), half[axis])
 
-    def _angles_of_three(self, errors: _Errors, half: Array) -> None:
+    def _angles_of_three(self, gravity: Array, errors: _Errors, half: Array) -> None:
         """Fill in the angles of three axes: arctangents of one component and the length of the two others."""
-        gravity = errors.chunk.out.gravity.T
 
         def half_along(gradient: Array) -> Array:
             by_turn = np.cross(gravity, gradient, axis=0) if self._rotated else None
@@ -253,10 +240,8 @@ class CompensationWithUncertainty:
         for alone, (first, second) in enumerate(((1, 2), (0, 2), (0, 1))):
             length = _length(gravity[first], gravity[second])
             nowhere = length == 0.0
-            cosine, sine = (
-                np.where(nowhere, 1.0, gravity[first] / length),
-                np.where(nowhere, 0.0, gravity[second] / length),
-            )
+            cosine = np.where(nowhere, 1.0, gravity[first] / length)
+            sine = np.where(nowhere, 0.0, gravity[second] / length)
             gradient = np.zeros_like(gravity)
             gradient[first], gradient[second] = -sine, cosine
             across = half_along(gradient)
@@ -276,10 +261,7 @@ class CompensationWithUncertainty:
 
 
 def length_half_width(coefficients: Coefficients, limits: Limits, uncertain: Uncertain) -> float:
-    """Return half of the widest 95 % interval of the length of gravity of three axes over the calibrated range, g.
-
-    It is that of the coefficients and of a single reading; 0 where no attitude was covered.
-    """
+    """Return half of the widest 95 % interval of the length of gravity in the calibrated range, g; 0 if it is empty."""
     ends = (limits.tilt.get(axis, (-pi / 2, pi / 2)) for axis in AXES)
     x, y, z = (np.sin(np.linspace(low, high, _ATTITUDES)) for low, high in ends)
     g_x, g_y, side = np.meshgrid(x, y, np.array([1.0, -1.0]))
@@ -292,9 +274,8 @@ def length_half_width(coefficients: Coefficients, limits: Limits, uncertain: Unc
     temperatures = (nan,) if thermal is None else (thermal.reference, *(covered or ()))
     gravity, temperature = np.tile(gravity, (len(temperatures), 1)), np.repeat(temperatures, len(gravity))
     compensation, out = Compensation(coefficients), Compensated.empty(len(gravity), 3)
-    kernel = CompensationWithUncertainty(
-        compensation, coefficients, uncertain.without(TURN)
-    )  # a turn changes no length
+    # A turn changes no length.
+    kernel = CompensationWithUncertainty(compensation, coefficients, uncertain.without(TURN))
     chunks = compensation.chunks(coefficients.predict(gravity, temperature), temperature, out)
     return max((float(kernel.length_half_width(chunk).max()) for chunk in chunks), default=0.0)
 
@@ -311,8 +292,7 @@ def uncertainty_columns(quantities: Sequence[str], *, averaged: bool = False) ->
 def with_shares(total: Array, common: Array) -> Array:
     """Return the columns of means, shape (4 k, n): both uncertainties, then both shares of the standard one.
 
-    The arguments are standard and expanded uncertainty of k quantities, shape (2, k, n): of the means, and without the
-    noise of readings, which is the share that no averaging makes less.
+    ``total`` and ``common``, without the noise of readings, are standard and expanded uncertainties, shape (2, k, n).
     """
     random = np.sqrt(np.maximum(total[0] ** 2 - common[0] ** 2, 0.0))
     found = np.concatenate([total[0], total[1], random, common[0]])
@@ -322,14 +302,10 @@ def with_shares(total: Array, common: Array) -> Array:
 
 def round_up(room: Array) -> None:
     """Round numbers that are not negative up to four digits, or five, in place."""
-    for row in room.reshape(-1, room.shape[-1]) if room.flags.contiguous else room:
-        if row.ndim > 1:
-            round_up(row)
-            continue
-        scale = np.take(_SCALES, (row.view(np.uint64) >> _MANTISSA).view(np.int64), mode="clip")
-        row *= scale
-        np.ceil(row, out=row)
-        row /= scale
+    scale = np.take(_SCALES, (room.view(np.uint64) >> _MANTISSA).view(np.int64), mode="clip")
+    room *= scale
+    np.ceil(room, out=room)
+    room /= scale
 
 
 def _slope_of_root(root: Array, half: Array) -> Array:
@@ -341,8 +317,7 @@ def _slope_of_root(root: Array, half: Array) -> Array:
 
 
 def _length(a: Array, b: Array) -> Array:
-    """Compute the hypotenuse in half the time of ``hypot``: nothing here comes near an overflow."""
-    return np.asarray(np.sqrt(a * a + b * b))
+    return np.asarray(np.sqrt(a * a + b * b))  # in half the time of hypot: nothing here comes near an overflow
 
 
 def _through_arcsine(argument: Array, variance: Array, width: Array) -> None:

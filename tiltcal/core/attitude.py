@@ -26,18 +26,14 @@ from tiltcal.errors import EstimateError, InputError
 
 Vector = tuple[float, float, float]
 
-LEVEL: Vector = (0.0, 0.0, 1.0)
-"""Up in the frame of what is level."""
+LEVEL: Vector = (0.0, 0.0, 1.0)  # up in the frame of what is level
 
 _UNIT: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _UPSIDE_DOWN = 1e-12
 _SMALL = 1e-6
 
-UNKNOWN_ANGLE = pi / sqrt(3.0)
-"""Standard uncertainty of an angle of which nothing is known, radians."""
-
-UNKNOWN_FACTOR = 0.95 * sqrt(3.0)
-"""Its coverage factor: 95 % of the whole circle."""
+UNKNOWN_ANGLE = pi / sqrt(3.0)  # standard uncertainty of an angle of which nothing is known, radians
+UNKNOWN_FACTOR = 0.95 * sqrt(3.0)  # its coverage factor: 95 % of the whole circle
 
 LOCKED = 3.0
 """Standard uncertainties of the pitch from ±90° within which roll and yaw are not separated: both errors of the line
@@ -92,12 +88,8 @@ def tilt_from_gravity(gravity: Sequence[float]) -> dict[str, float]:
 
 
 def _sine(angle: float) -> float:
-    """Return the sine of an angle in degrees, exact at 0° and ±90°, where procedures put most of their positions."""
-    if abs(angle) == 90.0:
-        return 1.0 if angle > 0 else -1.0
-    if abs(angle) == 30.0:
-        return 0.5 if angle > 0 else -0.5
-    return cos(pi / 2 - radians(angle)) if abs(angle) > 45.0 else sin(radians(angle))
+    """Return the sine of an angle in degrees; exact at 0°, ±30° and ±90°, where procedures put most positions."""
+    return round(sin(radians(angle)), 15)
 
 
 # How a sensor sits on the fixture
@@ -126,8 +118,7 @@ class Orientation:
         return x, y, z
 
 
-STRAIGHT = Orientation()
-"""The sensor's frame is the fixture's."""
+STRAIGHT = Orientation()  # the sensor's frame is the fixture's
 
 
 def orientation(names: Sequence[str]) -> Orientation:
@@ -173,10 +164,7 @@ def tangent_basis(gravity: Array) -> Array:
 
 
 def turned(gravity: Array, basis: Array, angles: Array) -> tuple[Array, Array]:
-    """Turn unit vectors, (n, 3), along arcs, (n, 2), radians; and differentiate them by the arcs, (n, 3, 2), g/rad.
-
-    ``basis`` comes from :func:`tangent_basis`.
-    """
+    """Turn unit vectors, (n, 3), along arcs in a tangent basis, (n, 2), radians; with the derivatives, (n, 3, 2)."""
     size = np.linalg.norm(angles, axis=1)
     sinc = np.sinc(size / np.pi)
     # (cos r - sin r / r) / r², whose limit is -1/3.
@@ -192,18 +180,14 @@ def turned(gravity: Array, basis: Array, angles: Array) -> tuple[Array, Array]:
 def heading_rotations(heading: Array) -> Array:
     """Return the matrices, (n, 2, 2), that take the lean of a table to the angles of positions at headings, (n,).
 
-    ``angles = matrix @ lean``, the lean in the frame of the table. A heading is how far the fixture is turned about the
-    vertical, counterclockwise seen from above, radians.
+    A heading is how far the fixture is turned about the vertical, counterclockwise seen from above, radians.
     """
     c, s = np.cos(heading), np.sin(heading)
     return np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
 
 
 def rotation_vectors(gravity: Array, basis: Array, angles: Array) -> Array:
-    """Return the arcs of :func:`turned` as right-handed rotation vectors in the fixture's frame, shape (n, 3), radians.
-
-    None has a part along gravity.
-    """
+    """Return the arcs of :func:`turned` as right-handed rotation vectors in the fixture's frame, (n, 3), radians."""
     return np.cross(gravity, np.einsum("nij,nj->ni", basis, angles))
 
 
@@ -217,14 +201,11 @@ def mounting_matrix(mounting: Mounting) -> Array:
     clockwise seen from the positive side of the axis: ``Rz(-yaw) Ry(-pitch) Rx(-roll)`` with right-handed elementary
     rotations, which written out is the document's formula term by term.
     """
-    c_r, s_r = cos(mounting.roll), sin(mounting.roll)
-    c_p, s_p = cos(mounting.pitch), sin(mounting.pitch)
-    c_y, s_y = cos(mounting.yaw), sin(mounting.yaw)
+    (c_r, s_r), (c_p, s_p), (c_y, s_y) = ((cos(turn), sin(turn)) for turn in _vector(mounting).tolist())
     roll = np.array([[1.0, 0.0, 0.0], [0.0, c_r, s_r], [0.0, -s_r, c_r]])
     pitch = np.array([[c_p, 0.0, -s_p], [0.0, 1.0, 0.0], [s_p, 0.0, c_p]])
     yaw = np.array([[c_y, s_y, 0.0], [-s_y, c_y, 0.0], [0.0, 0.0, 1.0]])
-    matrix: Array = yaw @ pitch @ roll
-    return matrix
+    return np.asarray(yaw @ pitch @ roll)
 
 
 def mounting_angles(matrix: Array) -> tuple[Mounting, bool]:
@@ -259,8 +240,8 @@ def angle_derivatives(matrix: Array) -> Array:
     columns = []
     for axis in np.eye(3):
         turn = _STEP * np.cross(np.eye(3), axis)
-        ends = [_vector(mounting_angles(matrix + sign * turn @ matrix)[0]) for sign in (1.0, -1.0)]
-        columns.append(np.angle(np.exp(1j * (ends[0] - ends[1]))) / (2 * _STEP))
+        ahead, behind = (_vector(mounting_angles(matrix + sign * turn @ matrix)[0]) for sign in (1.0, -1.0))
+        columns.append(np.angle(np.exp(1j * (ahead - behind))) / (2 * _STEP))
     return np.stack(columns, axis=1)
 
 
@@ -275,20 +256,16 @@ def angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
 
 @dataclass(frozen=True)
 class MountingEstimate:
-    """A mounting by its angles, and the ``covariance`` of its rotation vector in the application's frame, rad².
-
-    ``u`` is None in gimbal lock. ``residuals`` are the angles between directions as set and as read, (positions,);
-    ``chi_square`` is their sum of squares over those of their uncertainties. ``stated``: these were stated.
-    """
+    """A mounting by its angles, with what the directions leave."""
 
     mounting: Mounting
     gimbal_lock: bool
-    covariance: Array
-    u: Mounting | None
-    residuals: Array
-    chi_square: float
+    covariance: Array  # of its rotation vector in the application's frame, (3, 3), rad²
+    u: Mounting | None  # None in gimbal lock
+    residuals: Array  # angles between directions as set and as read, (positions,), radians
+    chi_square: float  # sum of their squares over those of their uncertainties
     dof: int
-    stated: bool
+    stated: bool  # whether these were stated
 
 
 def mounting_rotation(read: Array, known: Array, sigma: Array | None = None) -> Array:
@@ -311,8 +288,8 @@ def mounting_rotation(read: Array, known: Array, sigma: Array | None = None) -> 
 
 def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> MountingEstimate:
     """Return the mounting by :func:`mounting_rotation`; without ``sigma`` the residuals show the uncertainty."""
-    matrix = mounting_rotation(read, known, sigma)
-    known, weights = _units(known), _weights(known, sigma)
+    matrix, known = mounting_rotation(read, known, sigma), _units(known)
+    weights = _weights(known, sigma)
     turned = _units(read) @ matrix.T
     residuals = np.arctan2(np.linalg.norm(np.cross(turned, known), axis=1), np.sum(turned * known, axis=1))
     dof = 2 * len(known) - 3
@@ -347,5 +324,4 @@ def _vector(mounting: Mounting) -> Array:
 
 
 def _wrapped(angle: float) -> float:
-    """Return an angle with +π in place of -π, which atan2 makes of a negative zero."""
-    return pi if angle == -pi else angle
+    return pi if angle == -pi else angle  # atan2 makes -π of a negative zero

@@ -18,19 +18,12 @@ from tiltcal.errors import EstimateError
 
 
 def sensitivity_from_pair(reading_tilt1: float, reading_tilt2: float, tilt1: float, tilt2: float) -> float:
-    """Eq. 2: sensitivity along an axis that is tilted up, then down, from the magnitudes of both tilts.
-
-    ``S = (u_tilt1 - u_tilt2) / (sin tilt1 + sin tilt2)``; an EstimateError for a magnitude outside 0 to 90°, or both 0.
-    """
+    """Eq. 2: sensitivity by the magnitudes of a tilt up and one down, (u_tilt1 - u_tilt2) / (sin tilt1 + sin tilt2)."""
     return (reading_tilt1 - reading_tilt2) / _span(tilt1, tilt2)
 
 
 def offset_from_pair(reading_tilt1: float, reading_tilt2: float, tilt1: float, tilt2: float) -> float:
-    """Reading at 0 g that goes with :func:`sensitivity_from_pair`, of the same arguments (or, at ±90°, with eq. 3).
-
-    The document leaves the offset to the reader: it is what remains when the sensitivity of eq. 2 is put back into
-    ``u = offset + S sin tilt`` at either position. With equal tilts it is the mean of the two readings.
-    """
+    """Reading at 0 g that goes with eq. 2 or 3: what remains of ``u = offset + S sin tilt`` at either position."""
     return (reading_tilt1 * sin(tilt2) + reading_tilt2 * sin(tilt1)) / _span(tilt1, tilt2)
 
 
@@ -40,11 +33,7 @@ def sensitivity_from_upright_pair(reading_up: float, reading_down: float) -> flo
 
 
 def cross_axis_sensitivity(own: float, cross_1: float, cross_2: float) -> float:
-    """Eq. 1: cross-axis sensitivity of one channel, percent, ``sqrt(S_Y² + S_Z²) / S_X * 100 %``.
-
-    From the sensitivities in the measuring direction and in the two perpendicular ones; negative where ``own`` is, and
-    an EstimateError where that is zero.
-    """
+    """Eq. 1: cross-axis sensitivity of one channel, ``sqrt(S_Y² + S_Z²) / S_X * 100 %``; negative where ``own`` is."""
     if own == 0.0:
         raise EstimateError("a sensitivity of 0 in the measuring direction has no cross-axis ratio: is the axis wired?")
     return hypot(cross_1, cross_2) / own * 100.0
@@ -59,9 +48,6 @@ def first_order_compensation(
     reading_x: float, reading_y: float, offset_y: float, sensitivity_xy: float, sensitivity_yy: float
 ) -> float:
     """Eq. 6 with a MINUS: ``u_X - S_XY (u_Y - offset_Y) / S_YY``, X freed from what the Y axis couples into it.
-
-    Both sensitivities, of channel X and of channel Y along the Y axis, are from :func:`sensitivity_from_pair` in the
-    same two positions.
 
     The document prints a plus, and the plus is wrong. The channel reads ``offset_X + S_XX g_x + S_XY g_y``, and
     ``(u_Y - offset_Y) / S_YY`` is g_y, so the coupled part is there once and must be taken away. No convention for
@@ -81,10 +67,7 @@ def first_order_compensation_from_tilt(reading_x: float, tilt_y: float, sensitiv
 
 
 def scale_from_tilt(reading_tilted: float, reading_level: float, tilt: float) -> float:
-    """Section A: scale factor from level and one tilt of about 45°, the angle actually set, with its sign.
-
-    An EstimateError where the angle is zero.
-    """
+    """Section A: scale factor from level and one tilt of about 45°, the angle actually set, with its sign."""
     if sin(tilt) == 0.0:
         raise EstimateError("two level positions cannot determine a scale factor: tilt the second one, to about 45°")
     return (reading_tilted - reading_level) / sin(tilt)
@@ -93,10 +76,7 @@ def scale_from_tilt(reading_tilted: float, reading_level: float, tilt: float) ->
 def tempco_from_two_temperatures(
     reading_1: float, reading_2: float, temperature_1: float, temperature_2: float
 ) -> float:
-    """Section C: temperature coefficient of the offset from level readings at two temperatures, such as 24 and 5.5 °C.
-
-    An EstimateError where the temperatures are equal.
-    """
+    """Section C: temperature coefficient of the offset from level readings at two temperatures, such as 24 and 5.5."""
     if temperature_1 == temperature_2:
         raise EstimateError(
             f"two readings at the same temperature ({temperature_1} °C) cannot determine a temperature coefficient"
@@ -112,10 +92,7 @@ def referenced_reading(reading: float, temperature: float, tempco: float, refere
 def referenced_tilt(
     reading: float, temperature: float, offset: float, scale: float, tempco: float, reference: float = 0.0
 ) -> float:
-    """Section C: tilt of one axis from the reading at the reference temperature, its offset there, its scale factor.
-
-    NaN where the argument of the arcsine is beyond ±1: section A asks that it be trapped near 90°.
-    """
+    """Section C: tilt of one axis from the reading at the reference temperature; NaN beyond ±1, as section A asks."""
     return _trapped_arcsine((referenced_reading(reading, temperature, tempco, reference) - offset) / scale)
 
 

@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 from tiltcal.core.flags import FAIL, SUSPECT, count_flags
 from tiltcal.core.model import Array
 
-STRETCHES = 600
-"""Fewest stretches of a long log, one for each dot across a page; there are up to twice as many."""
-
-STEP = 0.005
-"""Width of a histogram's bins, degrees."""
+STRETCHES = 600  # fewest stretches of a long log, one for each dot across a page; there are up to twice as many
+STEP = 0.005  # width of a histogram's bins, degrees
 
 _REACH = 180.0
 

@@ -20,44 +20,20 @@ from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.samples import SampleSummary, noise_under_rounding
 
-Span = tuple[int, int]
-"""First row and the row behind the last."""
-Numbers = NDArray[np.intp]
-"""Numbers of rows."""
+Span = tuple[int, int]  # first row and the row behind the last
+Numbers = NDArray[np.intp]  # numbers of rows
 
-CHANCE = 1e-6
-"""Probability of identical samples below which they are no chance."""
-
-JUMP = 8.0
-"""A difference of block means beyond so many standard deviations is motion."""
-
-BURST = 5.0
-"""So is a scatter within a block beyond so many times the usual one."""
-
-FEWEST_SAMPLES = 8
-"""Readings among which one can be called far off."""
-
-OUTLYING = 6.0
-"""Standard deviations beyond which a sample is far off."""
-
-LEFT_OUT = 0.05
-"""The largest share of samples that is left out as far off; more is a fault that must not be hidden."""
-
-TEMPERATURES = (-60.0, 150.0)
-"""The range of temperatures at a bench, °C: a DS18B20 that fails reads -127."""
-
-TEMPERATURE_JUMP = 5.0
-"""A temperature this far from those around it is a failed conversion, °C."""
-
-FLICKER = 0.5
-"""Standard deviation of a reading that takes two neighbouring values, at most, in steps."""
-
-TILTED = 0.1
-"""How far a channel's axis has to move before its reading must change, g."""
-
-STILLEST = 0.01
-"""The share of the windows of a record that counts as its stillest part."""
-
+CHANCE = 1e-6  # probability of identical samples below which they are no chance
+JUMP = 8.0  # a difference of block means beyond so many standard deviations is motion
+BURST = 5.0  # so is a scatter within a block beyond so many times the usual one
+FEWEST_SAMPLES = 8  # readings among which one can be called far off
+OUTLYING = 6.0  # standard deviations beyond which a sample is far off
+LEFT_OUT = 0.05  # the largest share of samples that is left out as far off; more is a fault that must not be hidden
+TEMPERATURES = (-60.0, 150.0)  # the range of temperatures at a bench, °C: a DS18B20 that fails reads -127
+TEMPERATURE_JUMP = 5.0  # a temperature this far from those around it is a failed conversion, °C
+FLICKER = 0.5  # standard deviation of a reading that takes two neighbouring values, at most, in steps
+TILTED = 0.1  # how far a channel's axis has to move before its reading must change, g
+STILLEST = 0.01  # the share of the windows of a record that counts as its stillest part
 _SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
 _SIGMA_OF_NEAREST = 1.267  # and over the root mean square of the nearest 90 % of them
 _EXACT = 1.0 + 1e-9  # arithmetic may leave the last digits of a scatter that is the largest of a flicker

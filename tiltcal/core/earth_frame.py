@@ -36,33 +36,17 @@ from __future__ import annotations
 from bisect import insort
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from math import cos, radians, sin
+from math import cos, isfinite, radians, sin
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.angle_uncertainty import (
-    HALF_TURN,
-    CompensationWithUncertainty,
-    round_up,
-    uncertainty_columns,
-    with_shares,
-)
+from tiltcal.core import angle_uncertainty, flags
+from tiltcal.core.angle_uncertainty import HALF_TURN, CompensationWithUncertainty
 from tiltcal.core.attitude import UNKNOWN_ANGLE
 from tiltcal.core.compensation import CLIP_LIMIT, VANISHES, Compensation, KernelChunk
-from tiltcal.core.flags import (
-    CLIPPED,
-    FAIL,
-    MISSING,
-    NO_DIRECTION,
-    NO_TEMPERATURE,
-    NOT_A_NUMBER,
-    SUSPECT,
-    Mask,
-    mark,
-    mark_columns,
-)
+from tiltcal.core.flags import CLIPPED, FAIL, MISSING, NO_DIRECTION, SUSPECT, Mask, mark
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
@@ -72,11 +56,8 @@ VELOCITY = ("v_east", "v_north", "v_up")
 _VANISHES = 1e-6
 """A horizontal part below this share of the whole has no direction in double precision that means anything."""
 
-FIELD_TOLERANCE = 0.05
-"""The share of its usual length by which the field may differ."""
-
-_USUAL = 1000
-"""Rows of which the median length of the field is the usual one."""
+FIELD_TOLERANCE = 0.05  # the share of its usual length by which the field may differ
+_USUAL = 1000  # rows of which the median length of the field is the usual one
 
 
 @dataclass(frozen=True)
@@ -84,17 +65,15 @@ class EarthFrame:
     """The directions of the earth for n rows, in the application's frame; NaN where there is none.
 
     ``up``, ``east`` and ``north`` are unit vectors, (3, n), true where the declination or the heading is; ``heading``
-    is that of the x axis, (n,), radians, 0 to 2π. With a magnetic field there are also its ``magnetic_east``, (3, n),
-    and its ``horizontal`` part and that along ``down``, (n,), in its unit.
+    is that of the x axis, (n,), radians, 0 to 2π. Of a magnetic ``field`` these are its east, (3, n), and its parts
+    that are horizontal and along down, (n,), in its unit.
     """
 
     up: Array
     east: Array
     north: Array
     heading: Array
-    magnetic_east: Array | None = None
-    horizontal: Array | None = None
-    down: Array | None = None
+    field: tuple[Array, Array, Array] | None = None
 
     @classmethod
     def of_field(cls, up: Array, field: Array, declination: float) -> EarthFrame:
@@ -109,7 +88,7 @@ class EarthFrame:
         heading = np.arctan2(east[0], north[0])
         heading[np.hypot(east[0], north[0]) <= _VANISHES] = np.nan
         down = -np.einsum("in,in->n", field, up)
-        return cls(up, east, north, full_circle(heading, 2 * np.pi), magnetic_east, horizontal, down)
+        return cls(up, east, north, full_circle(heading, 2 * np.pi), (magnetic_east, horizontal, down))
 
     @classmethod
     def of_heading(cls, up: Array, heading: Array) -> EarthFrame:
@@ -135,8 +114,9 @@ class EarthFrame:
         east, north = self.east, self.north
         own = (self.up[0] / (east[0] ** 2 + north[0] ** 2)) * (east[0] * north - north[0] * east)
         turn = -own
-        if self.down is not None and self.horizontal is not None and self.magnetic_east is not None:
-            turn = -(self.down / self.horizontal) * self.magnetic_east
+        if self.field is not None:
+            magnetic_east, horizontal, down = self.field
+            turn = -(down / horizontal) * magnetic_east
             yield turn + own, np.ones(own.shape[1])
         if velocity is not None:
             v_east, v_north, v_up = self.velocity(velocity)
@@ -184,7 +164,7 @@ class EarthFrameCompensation:
         """Names of the columns of a call, in order."""
         if self._uncertain is None:
             return self._own
-        return (*self._own, *uncertainty_columns(self._own, averaged=self._averaged))
+        return (*self._own, *angle_uncertainty.uncertainty_columns(self._own, averaged=self._averaged))
 
     def __call__(self, chunk: KernelChunk, field: Array | None, heading: Array | None, velocity: Array | None) -> Array:
         """Return the columns of compensated rows, shape (columns, n), and mark their flags.
@@ -192,8 +172,8 @@ class EarthFrameCompensation:
         ``field``, (n, 3), is in the sensor's frame; without one it takes a ``heading``, (n,), degrees. ``velocity`` has
         the shape (n, 3).
         """
-        up = self._up(chunk)
-        turned = None if field is None else self._turned(field.T)
+        up, rotation = self._up(chunk), self._compensation.rotation
+        turned = None if field is None else field.T if rotation is None else np.asarray(rotation @ field.T)
         if turned is not None:
             frame = EarthFrame.of_field(up, turned, self._declination)
         elif heading is not None:
@@ -204,7 +184,7 @@ class EarthFrameCompensation:
         for given in (field, heading, velocity):
             if given is not None:
                 missing |= ~np.isfinite(given).reshape(len(given), -1).all(axis=1)
-        mark(chunk.out, missing & (chunk.out.flag < MISSING), FAIL, NOT_A_NUMBER)
+        mark(chunk.out, missing & (chunk.out.flag < MISSING), FAIL, flags.NOT_A_NUMBER)
         without = ~missing & ~np.isfinite(frame.heading)
         mark(chunk.out, without & (np.isfinite(up[0]) | (chunk.out.flag < FAIL)), FAIL, NO_DIRECTION)
         rows = [] if field is None else [full_circle(np.degrees(frame.heading), 360.0)]
@@ -215,8 +195,8 @@ class EarthFrameCompensation:
         total = self._uncertainty(self._uncertain, chunk, frame, turned, instrument)
         if self._averaged:
             common = self._uncertainty(self._uncertain, replace(chunk, share=0.0), frame, turned, instrument)
-            return np.concatenate([found, with_shares(total, common)])
-        round_up(total)
+            return np.concatenate([found, angle_uncertainty.with_shares(total, common)])
+        angle_uncertainty.round_up(total)
         return np.concatenate([found, *total])
 
     def _uncertainty(
@@ -232,11 +212,11 @@ class EarthFrameCompensation:
         def gradients() -> Iterator[tuple[Array, Array, Array | float]]:
             for by_up, by_azimuth in frame.gradients(velocity):
                 by_turn = cross(frame.up, by_up)
-                if field is None or frame.horizontal is None or frame.magnetic_east is None:
+                if field is None or frame.field is None:
                     yield by_up, by_turn, 0.0
                 else:
-                    by_field = -by_azimuth / frame.horizontal
-                    by_turn += cross(field, by_field * frame.magnetic_east)
+                    by_field = -by_azimuth / frame.field[1]
+                    by_turn += cross(field, by_field * frame.field[0])
                     yield by_up, by_turn, (by_field * self._field_noise) ** 2 * chunk.share
 
         found = uncertain.of_up(chunk, gradients())
@@ -249,7 +229,7 @@ class EarthFrameCompensation:
         if field is not None:
             for half, most in zip(found, (UNKNOWN_ANGLE, HALF_TURN), strict=True):
                 half[0] = np.degrees(np.minimum(half[0], most))
-        lost = (chunk.out.flag == MISSING) | (chunk.out.reason & NO_TEMPERATURE > 0) | ~np.isfinite(frame.heading)
+        lost = (chunk.out.flag == MISSING) | (chunk.out.reason & flags.NO_TEMPERATURE > 0) | ~np.isfinite(frame.heading)
         found[:, :, lost] = np.nan
         return found
 
@@ -267,10 +247,6 @@ class EarthFrameCompensation:
             unknown |= np.isnan(chunk.out.angles[:, 0])
         length[unknown | (length <= VANISHES)] = np.nan
         return np.asarray(up / length)
-
-    def _turned(self, vectors: Array) -> Array:
-        rotation = self._compensation.rotation
-        return vectors if rotation is None else np.asarray(rotation @ vectors)
 
 
 def full_circle(angle: Array, turn: float) -> Array:
@@ -291,34 +267,23 @@ def length_of(vectors: Array) -> Array:
 
 
 class FieldLength:
-    """Rows whose field is longer or shorter than usual.
-
-    The usual length is the median of the first thousand rows, or of those up to the row itself; so it does not depend
-    on where blocks end.
-    """
+    """Rows whose field is longer or shorter than usual, the median of the first thousand rows up to the row itself."""
 
     def __init__(self) -> None:
         self._first: list[float] = []
 
     def flagged(self, table: Mapping[str, NDArray[Any]], field: Array) -> dict[str, NDArray[Any]]:
-        """Return the columns of the next rows, flagged 3 with reason 128 where the field, (n, 3), is of unusual length.
+        """Return the columns of the next rows, flagged 3, reason 128, where the field, (n, 3), is of unusual length."""
+        return flags.mark_columns(table, self._wanders(length_of(field.T)), SUSPECT, NO_DIRECTION)
 
-        The columns are as :func:`tiltcal.core.flags.mark_columns` takes them.
-        """
-        return mark_columns(table, self.wanders(length_of(field.T)), SUSPECT, NO_DIRECTION)
-
-    def wanders(self, lengths: Array) -> Mask:
+    def _wanders(self, lengths: Array) -> Mask:
         """Return which of the next lengths, shape (n,), differ by more than :data:`FIELD_TOLERANCE`; NaN does not."""
-        usual = np.full(len(lengths), np.nan)
-        row = 0
-        while row < len(lengths) and len(self._first) < _USUAL:
-            if np.isfinite(lengths[row]):
-                insort(self._first, float(lengths[row]))
-            usual[row] = self._median()
-            row += 1
-        usual[row:] = self._median()
+        usual, known = np.full(len(lengths), np.nan), self._first
+        for row, length in enumerate(lengths):
+            if len(known) >= _USUAL:
+                usual[row:] = usual[row - 1] if row else (known[(_USUAL - 1) // 2] + known[_USUAL // 2]) / 2.0
+                break
+            if isfinite(length):
+                insort(known, float(length))
+            usual[row] = (known[(len(known) - 1) // 2] + known[len(known) // 2]) / 2.0 if known else np.nan
         return np.asarray(np.abs(lengths - usual) > FIELD_TOLERANCE * usual)
-
-    def _median(self) -> float:
-        count = len(self._first)
-        return (self._first[(count - 1) // 2] + self._first[count // 2]) / 2.0 if count else np.nan

@@ -22,8 +22,7 @@ Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
 
-NEWTON_STEPS = 4
-"""Of the nonlinearity's inverse: a nonlinearity of 5 % needs three to reach double precision."""
+NEWTON_STEPS = 4  # of the nonlinearity's inverse: a nonlinearity of 5 % needs three to reach double precision
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from tiltcal.core.model import Array, Coefficients, polynomial
 from tiltcal.core.uncertain import TURN, Uncertain, central_differences
 from tiltcal.errors import EstimateError
 
-_STEP = 1e-4
-"""Of an uncertainty, by which its coefficient is moved to see how others follow."""
+_STEP = 1e-4  # of an uncertainty, by which its coefficient is moved to see how others follow
 
 
 _KINDS = ("offset.", "sensitivity.", "temperature.offset.", "temperature.sensitivity.", "nonlinearity.")

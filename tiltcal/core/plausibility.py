@@ -24,17 +24,13 @@ MATCHED, ODD = 5.0, 8.0
 UNKNOWN_OFFSET = 1.0
 """An offset whose standard deviation over parts is above this is not known, g: it predicts no reading by itself."""
 
-SAME_TILT = radians(5.0)
-"""Attitudes closer than this are one attitude taken again."""
+SAME_TILT = radians(5.0)  # attitudes closer than this are one attitude taken again
 
 CROSS_SPREAD = 0.03
 """Standard deviation of a cross-axis sensitivity over parts, relative to the main one (4 % at most, SCA100T)."""
 
-OFFSET_FLOOR = 0.03
-"""Offsets may differ by this much more than the part's specification: boards are soldered askew, g."""
-
-DRIFT = 0.005
-"""How far an offset may move per °C before the drift is known, g/°C: the ADXL202's worst part."""
+OFFSET_FLOOR = 0.03  # offsets may differ by this much more than the part's specification: boards are soldered askew, g
+DRIFT = 0.005  # how far an offset may move per °C before the drift is known, g/°C: the ADXL202's worst part
 
 
 class ExpectedReadings:

@@ -5,25 +5,15 @@ from __future__ import annotations
 from decimal import Context, Decimal
 from math import isfinite
 
-_GUARD_DIGITS = 3
-"""Digits kept after the first one of the uncertainty: rounding adds less than a thousandth of it."""
+_GUARD_DIGITS = 3  # digits kept after the first one of the uncertainty: rounding adds less than a thousandth of it
 _DIGITS_WITHOUT_UNCERTAINTY = 12
-_MOST_ZEROS = 4
-"""Largest number of zeros before the first digit; smaller numbers have a power of ten."""
+_MOST_ZEROS = 4  # largest number of zeros before the first digit; smaller numbers have a power of ten
 
 
 def round_to(value: float, uncertainty: float) -> float:
-    """Round a value so that its last digit is the fourth of its uncertainty.
+    """Round a value so that its last digit is the fourth of its standard uncertainty; never to -0.0.
 
-    Parameters
-    ----------
-    uncertainty : float
-        Standard uncertainty in the unit of the value. Zero, negative or not finite: 12 significant digits are kept.
-
-    Returns
-    -------
-    float
-        The float whose shortest decimal form has no digit beyond that place; never -0.0.
+    Where the uncertainty is zero, negative or not finite, 12 significant digits are kept.
     """
     if not (isfinite(uncertainty) and uncertainty > 0.0):
         return significant(value, _DIGITS_WITHOUT_UNCERTAINTY)
@@ -44,14 +34,9 @@ def significant(value: float, digits: int) -> float:
 
 
 def bracketed(value: float, uncertainty: float, digits: int = 1) -> str:
-    """Return a value with its standard uncertainty in brackets, in units of its last digit: ``3.3830(3)``.
+    """Return a value with so many ``digits`` of its standard uncertainty in units of its last digit: ``3.3830(3)``.
 
-    Parameters
-    ----------
-    value, uncertainty : float
-        Of one unit. Without an uncertainty (zero, or not finite) the value has six digits and no brackets.
-    digits : int
-        Of the uncertainty, after rounding: of one digit 0.00096 is 1e-3.
+    Without an uncertainty (zero, or not finite) the value has six digits and no brackets.
     """
     if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):
         return f"{value:.6g}"
@@ -63,14 +48,8 @@ def bracketed(value: float, uncertainty: float, digits: int = 1) -> str:
 def plus_minus(value: float, uncertainty: float, *, signed: bool = False) -> str:
     """Return a value and its uncertainty with two digits of the uncertainty (GUM, 7.2.6): ``1020.68 ± 0.42``.
 
-    Two small numbers share a power of ten: ``(2.10 ± 0.34)e-6``.
-
-    Parameters
-    ----------
-    value, uncertainty : float
-        Of one unit; the uncertainty is standard or expanded. Without one (zero, or not finite) six digits of the value.
-    signed : bool
-        Whether a value above zero has a plus.
+    Two small numbers share a power of ten: ``(2.10 ± 0.34)e-6``. Without an uncertainty (zero, or not finite) the value
+    has six digits. Where ``signed``, a value above zero has a plus.
     """
     plus = "+" if signed and value > 0.0 else ""
     if not (isfinite(uncertainty) and uncertainty > 0.0 and isfinite(value)):

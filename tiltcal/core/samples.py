@@ -39,7 +39,6 @@ _SPREAD = 0.27  # standard deviation of the correlation of ten block means
 _MARGIN = 0.5  # standard deviations above its mean of a correlation that counts
 _CORRELATED_DOF = 2.0  # of a position's ten block means that are strongly correlated
 _ENOUGH = 5.0  # correlation times that a block should have
-
 _SAME_NOISE = 0.01  # variances are one where chance scatters their logarithms as much with at least this probability
 _CORRELATED, _POSSIBLE = 4.0, 1.5
 """Standard deviations above the correlation of white noise's block means from which it is no chance; and from which it

@@ -10,7 +10,7 @@ Source: *Guide to the expression of uncertainty in measurement* (GUM), 4.2, 5.1,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 
-COVERAGE = 0.95
-"""Probability that a stated interval contains the truth."""
+COVERAGE = 0.95  # probability that a stated interval contains the truth
 
 NORMAL_FACTOR = 1.959963984540054
 """The coverage factor of a variance that is known: the normal distribution is within so many deviations in 95 %."""
 
-NEGLIGIBLE = 1e-3
-"""A coverage factor that exceeds the normal one by less than this share counts as the normal one."""
+NEGLIGIBLE = 1e-3  # a coverage factor that exceeds the normal one by less than this share counts as the normal one
 
 TURN = "mounting.turn."
 """A small rotation error of the mounting about one of the application's axes, radians, by its dotted name."""
@@ -33,8 +31,7 @@ TURN = "mounting.turn."
 READING, ALIGNMENT = "single_reading.", "alignment"
 """Errors of one reading of a log, by channel, and of its ``temperature``; and of how the sensor sits, radians."""
 
-_FOLLOWS = 1e-12
-"""An error follows from others if no larger share of its variance is its own: rounding leaves so much."""
+_FOLLOWS = 1e-12  # an error follows from others if no larger share of its variance is its own: rounding leaves so much
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +116,9 @@ class Uncertain:
     def through(
         self, jacobian: Array, names: Sequence[str], value: Array | None = None, *, source: str = ""
     ) -> Uncertain:
-        """Return m quantities that follow linearly from these, by derivatives of shape (m, k).
+        """Return m quantities that follow linearly from these, by derivatives of shape (m, k), and count as a source.
 
-        ``source`` is what their whole variance counts as; without it that is the one source of these, if they have one.
+        Without ``source`` that is the one source of these, if they have one.
         """
         covariance, wide = (jacobian @ matrix @ jacobian.T for matrix in (self.covariance, self.wide))
         source = source or (next(iter(self.sources)) if len(self.sources) == 1 else "")
@@ -131,9 +128,8 @@ class Uncertain:
     def through_function(self, names: Sequence[str], function: Callable[[Array], Array]) -> Uncertain:
         """Return quantities by a function of these, from shape (k,) to (m,), that may have corners.
 
-        The function is evaluated one standard deviation to either side along each column of the Cholesky factor, as the
-        unscented transform does: it stays finite where the function has a corner, such as the angle between two
-        directions that are nearly parallel, and does not turn with the last digit as principal axes do.
+        It is evaluated one standard deviation to either side along each column of the Cholesky factor: that stays
+        finite at a corner, such as the angle between two directions that are nearly parallel.
 
         Source: S. Julier and J. Uhlmann, *Unscented filtering and nonlinear estimation*, Proc. IEEE 92 (2004) 401.
         """
@@ -168,8 +164,7 @@ def weighted_sum(
 ) -> Uncertain:
     """Return a weighted sum of the errors of two sets of quantities; one that only one set has is exact in the other.
 
-    Weights of -1 and 1 give their difference. The errors of the ``shared`` quantities are one error in both: what
-    follows from these in each set counts as common, and all else as independent.
+    What follows from the ``shared`` quantities in each set counts as common, and all else as independent.
     """
     names = tuple(dict.fromkeys((*first.names, *second.names)))
     common = second.named([name for name in names if name in shared])
@@ -226,23 +221,13 @@ def central_differences(function: Callable[[Array], Array], at: Array, steps: Ar
 
 def _around(function: Callable[[Array], Array], at: Array, covariance: Array) -> Array:
     """Return the covariance of a function's values about the middle, one deviation to either side of it, (m, m)."""
-    middle = function(at)
+    middle, rest = function(at), covariance.copy()
     found = np.zeros((len(middle), len(middle)))
-    for step in _independent_steps(covariance):
-        for change in (function(at + step) - middle, function(at - step) - middle):
-            found += np.outer(change, change) / 2.0
-    return found
-
-
-def _independent_steps(covariance: Array) -> Iterator[Array]:
-    """Yield the columns of the Cholesky factor, shape (k,): independent errors that make up the covariance.
-
-    An error that follows from those before it has none, nor has an exact parameter.
-    """
-    rest = covariance.copy()
     for k, variance in enumerate(np.diag(covariance)):
-        if rest[k, k] > _FOLLOWS * variance:
-            column = rest[:, k] / np.sqrt(rest[k, k])
-            column[:k] = 0.0
-            rest -= np.outer(column, column)
-            yield column
+        if rest[k, k] > _FOLLOWS * variance:  # neither exact, nor following from those before
+            step = rest[:, k] / np.sqrt(rest[k, k])
+            step[:k] = 0.0
+            rest -= np.outer(step, step)
+            for change in (function(at + step) - middle, function(at - step) - middle):
+                found += np.outer(change, change) / 2.0
+    return found

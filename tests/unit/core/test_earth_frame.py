@@ -223,10 +223,14 @@ def test_the_usual_length_does_not_depend_on_where_blocks_end() -> None:
     lengths = np.random.default_rng(5).normal(50.0, 1.5, 3000)
     lengths[[3, 1500]] = nan
     whole, parts = FieldLength(), FieldLength()
-    found = np.concatenate([parts.wanders(lengths[start : start + 7]) for start in range(0, 3000, 7)])
-    assert (found == whole.wanders(lengths)).all()
+    field = np.stack([lengths, 0.0 * lengths, 0.0 * lengths], axis=1)
+    table = {"flag": np.ones(3000, np.uint8), "reason": np.zeros(3000, np.uint16)}
+    blocks = [slice(start, start + 7) for start in range(0, 3000, 7)]
+    found = [parts.flagged({name: column[rows] for name, column in table.items()}, field[rows]) for rows in blocks]
+    flags = np.concatenate([some["flag"] for some in found])
+    assert (flags == whole.flagged(table, field)["flag"]).all()
     usual = np.nanmedian(lengths[:1001])  # a thousand of them are numbers
-    assert found[1001:].tolist() == (np.abs(lengths[1001:] - usual) > 0.05 * usual).tolist()
+    assert (flags == SUSPECT)[1001:].tolist() == (np.abs(lengths[1001:] - usual) > 0.05 * usual).tolist()
 
 
 def test_one_channel_has_no_heading() -> None:

@@ -21,17 +21,10 @@ from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
-MOST_POSITIONS = 3
-"""Positions that may be proposed to be added to those that leave coefficients undetermined."""
-
-WARMER = 20.0
-"""How much another temperature that is proposed differs, °C."""
-
-STRONG = 0.9
-"""A correlation from here on is named."""
-
-WORTH = 0.8
-"""A position is proposed where it brings the largest uncertainty below this share of what it was."""
+MOST_POSITIONS = 3  # positions that may be proposed to be added to those that leave coefficients undetermined
+WARMER = 20.0  # how much another temperature that is proposed differs, °C
+STRONG = 0.9  # a correlation from here on is named
+WORTH = 0.8  # a position is proposed where it brings the largest uncertainty below this share of what it was
 
 LEVEL = "level (+z up)"
 CANDIDATES: dict[str, Vector] = {

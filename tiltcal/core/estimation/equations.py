@@ -32,20 +32,14 @@ Indices = NDArray[np.intp]
 Number = TypeVar("Number", np.float64, np.intp)
 
 NOISE, ADC, JIG, TABLE, HEADING = "noise", "adc", "jig", "table", "heading"
-THERMOMETER, HYSTERESIS, PRIOR = "thermometer", "hysteresis", "assumed"
-"""Where an uncertainty comes from."""
+THERMOMETER, HYSTERESIS, PRIOR = "thermometer", "hysteresis", "assumed"  # where an uncertainty comes from
 
 Bench = Mapping[str, float]
 """Standard uncertainties by source: JIG, TABLE, HEADING, radians; THERMOMETER, °C; NOISE, a factor of its variance."""
 
-UNKNOWN_TABLE = radians(5.0)
-"""Standard uncertainty of a lean that is not stated, radians: no table in use leans more."""
-
-SAME_DIRECTION = 1e-6
-"""Refuse two sensors whose directions for one position differ by more, g."""
-
-_ROUNDED = 1e-9
-"""Eigenvalue of a correlation below which it is what rounding leaves of zero."""
+UNKNOWN_TABLE = radians(5.0)  # standard uncertainty of a lean that is not stated, radians: no table in use leans more
+SAME_DIRECTION = 1e-6  # refuse two sensors whose directions for one position differ by more, g
+_ROUNDED = 1e-9  # eigenvalue of a correlation below which it is what rounding leaves of zero
 
 _PER_LEAN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 

@@ -9,7 +9,7 @@ nobody set have a fit of their own (:mod:`tiltcal.core.estimation.free`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import degrees, hypot, inf, radians, sqrt
@@ -35,33 +35,19 @@ from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 
-LARGEST_THERMOMETER = 5.0
-"""Standard deviation of a temperature above which no thermometer explains the residuals, °C."""
+LARGEST_THERMOMETER = 5.0  # standard deviation of a temperature above which no thermometer explains the residuals, °C
+SUSPICION = 0.01  # probability, over all positions together, of suspecting one of a jig that is as stated
+IMPROBABLE = 0.01  # say that more is left than noise and attitudes explain if its probability is below this
 
-SUSPICION = 0.01
-"""Probability, over all positions together, of suspecting one of a jig that is as stated."""
+BEYOND, SMALLEST_ERROR = 5.0, 2.0  # a position is wrong if it is off by more stated jigs and noises, and degrees
+LIKE_THE_REST = 0.2  # positions agree without one of them where the largest error falls to this share of what it was
 
-IMPROBABLE = 0.01
-"""Say that more is left than noise and attitudes explain if its probability is below this."""
-
-BEYOND, SMALLEST_ERROR = 5.0, 2.0
-"""A position is grossly wrong where it is off by more than so many stated jigs and noises, and by more degrees."""
-
-LIKE_THE_REST = 0.2
-"""Positions agree without one of them where the largest error falls to this share of what it was."""
-
-LEAST_SENSITIVITY = 0.5
-"""Sensitivities of which a singular value is less than this share of the nominal one follow from a wrong position."""
-
-ALIKE = 1.5
-"""Temperatures that are no further apart are one temperature met twice, °C."""
-
-SIGNIFICANT = 3.0
-"""Standard uncertainties above which the difference of two readings at one temperature is hysteresis."""
+LEAST_SENSITIVITY = 0.5  # a singular value below this share of the nominal sensitivity follows from a wrong position
+ALIKE = 1.5  # temperatures that are no further apart are one temperature met twice, °C
+SIGNIFICANT = 3.0  # standard uncertainties above which the difference of two readings at one temperature is hysteresis
 
 NO_FREEDOM = "no degree of freedom is left: the positions fit whatever was read, and nothing checks them"
-LEAN = "lean"
-"""In ``not_covered``: all positions have one heading, where a lean of the table goes into the offsets."""
+LEAN = "lean"  # in ``not_covered``: all positions have one heading, where a lean of the table goes into the offsets
 
 JIG_NOT_SHOWN = (
     "the jig is not stated, and no position shows the angle in which the sensor was held: it is not in the uncertainty"
@@ -121,12 +107,10 @@ def estimate(observations: Sequence[Observation], design: Design) -> Estimate:
 
 
 def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, ...]:
-    """Determine the coefficients of each sensor of a fixture; their attitude errors are common to them.
+    """Determine the coefficients of each sensor of a fixture, whose attitude errors are common to them.
 
-    The sensors have the same jig, table and thermometer, and their positions belong together by their names.
-
-    EstimateError: the positions leave coefficients undetermined (they are named), a position is grossly wrong, or a
-    temperature is missing.
+    The sensors have the same jig, table and thermometer, and their positions belong together by their names. An
+    EstimateError names coefficients that stay undetermined, a position that is grossly wrong or lacks its temperature.
     """
     require_sound(sensors)
     jig = sensors[0].design.jig
@@ -273,10 +257,7 @@ def _require_positions(equations: Equations, start: Array, jig: float) -> None:
 
 
 def _wrong_position(equations: Equations, errors: Mapping[str, float], limit: float) -> str:
-    """Return the position without which the errors of the others stay below a limit, degrees, in words.
-
-    Where no single one is, these are all that are off by more.
-    """
+    """Name the position without which the others are off by less than a limit, degrees, else all beyond it."""
     named = [position for position in errors if _agree(equations.sensors, position, limit)]
     named = named or [position for position, off in errors.items() if off > limit]
     return f"{' or '.join(filter(None, (', '.join(named[:-1]), named[-1])))} is wrong"
@@ -285,8 +266,7 @@ def _wrong_position(equations: Equations, errors: Mapping[str, float], limit: fl
 def _errors_as_set(equations: Equations, start: Array) -> dict[str, float]:
     """Return how far each position is off, degrees, by its readings near a start as set.
 
-    Those of one setting are averaged, and those of one direction at several temperatures: what a reading changes with
-    temperature is no error of a position.
+    Those of one setting are averaged, and those of one direction at several temperatures.
     """
     sensors, first = equations.sensors, 0
     near = equations.at(start, equations.as_set)  # a lean that the start shows is no error
@@ -337,8 +317,8 @@ def _sizes(equations: Equations, z: Array) -> list[Array]:
 
 
 # Hysteresis: two readings in one position at one temperature, which was reached from two sides. The truth is anywhere
-# between the two ways, half a loop to either side, with a rectangular distribution (GUM 4.3.7). It may be off by the
-# same for all positions of the setting that shows the loop, and for each of them that was met only once by itself.
+# between them, with a rectangular distribution (GUM 4.3.7): alike for all positions of the setting that shows the loop,
+# and by itself for each of them that was met only once.
 
 
 def with_hysteresis(fitted: Estimate, sensor: SensorObservations) -> Estimate:
@@ -361,21 +341,16 @@ def with_hysteresis(fitted: Estimate, sensor: SensorObservations) -> Estimate:
             loops.append((loop / u if u else loop, loop, u))
         _, loop, u = max(loops)
         if loop > SIGNIFICANT * u:
-            for rows in _moved_together(settings.tolist(), {index for pair in pairs for index in pair}):
-                moved = fitted.by_reading[:, rows, column].sum(axis=1) * loop
-                added += np.outer(moved, moved) / 12.0
+            twice = sorted({index for pair in pairs for index in pair})
+            for setting in dict.fromkeys(settings[twice].tolist()):
+                together = np.flatnonzero(settings == setting)
+                for rows in (together, *([row] for row in together if row not in twice)):
+                    moved = fitted.by_reading[:, rows, column].sum(axis=1) * loop
+                    added += np.outer(moved, moved) / 12.0
     if not added.any():
         return fitted
     by_loops = Uncertain.errors(fitted.uncertain.names, added, source=HYSTERESIS)
     return replace(fitted, uncertain=fitted.uncertain + by_loops)
-
-
-def _moved_together(settings: Sequence[int], twice: set[int]) -> Iterator[list[int]]:
-    """Yield the positions of each setting that shows a loop, and each of them that was met once."""
-    for setting in dict.fromkeys(settings[index] for index in sorted(twice)):
-        rows = [row for row, its in enumerate(settings) if its == setting]
-        yield rows
-        yield from ([row] for row in rows if row not in twice)
 
 
 def _met_twice(observations: Sequence[Observation]) -> list[tuple[int, int]]:

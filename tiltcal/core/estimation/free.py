@@ -27,17 +27,10 @@ from tiltcal.core.model import AXES, Array, ChannelModel
 from tiltcal.core.uncertain import NORMAL_FACTOR, Uncertain, coverage_factor
 from tiltcal.errors import EstimateError
 
-DIFFERENT_ATTITUDE = 5.0
-"""Attitudes closer than this are one attitude taken again, degrees."""
-
-STEPS = 50
-"""Most Gauss-Newton steps; a fit takes about five."""
-
-CLOSE = 1e-6
-"""A misfit up to this counts as this in the fit of least absolute misfits, and in their scatter, g."""
-
-FAR = 5.0
-"""An attitude whose studentised misfit exceeds this many scatters is left out; more where few misfits show it."""
+DIFFERENT_ATTITUDE = 5.0  # attitudes closer than this are one attitude taken again, degrees
+STEPS = 50  # most Gauss-Newton steps; a fit takes about five
+CLOSE = 1e-6  # a misfit up to this counts as this in the fit of least absolute misfits, and in their scatter, g
+FAR = 5.0  # an attitude whose studentised misfit exceeds this many scatters is left out; more where few misfits show it
 
 MOST_LEFT_OUT, FEWEST_LEFT = 0.2, 12
 """The share of the attitudes that may be left out at most, and how many attitudes must remain."""

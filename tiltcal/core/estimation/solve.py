@@ -10,15 +10,6 @@ The same is done for a thermometer that is not stated, and for the noise of mean
 Near the solution every coefficient is a linear function of the equations' errors, so every equation has its share of
 every variance: the readings by noise and rounding, what is stated of an unknown by its source.
 
-**By hand.** One channel of known offset in one position reads ``S sin(t + a)`` with the uncertainty u, of which
-rounding gives r; S is stated to v before, and the jig to s. What it reads differs from S sin t with the variance V, and
-S changes by G for a unit of it::
-
-    V = u² + (v sin t)² + (s S cos t)²,   G = v² sin t / V
-    noise = G² (u² - r²),   adc = G² r²,   assumed = (1 - G sin t)² v²,   jig = (G s S cos t)²
-
-The four add up to v² (1 - G sin t).
-
 Source: H. D. Patterson, R. Thompson, *Recovery of inter-block information*, Biometrika 58 (1971) 545.
 """
 
@@ -37,33 +28,18 @@ from tiltcal.core.model import Array
 from tiltcal.core.uncertain import NORMAL_FACTOR, Uncertain, coverage_factor
 from tiltcal.errors import EstimateError
 
-_ROUNDS, _SETTLED, _ARITHMETIC = 50, (1e-6, 1e-3), 1e-9
-"""Solve again until no coefficient moves by this share of its standard uncertainty, which grows behind ten rounds
-because readings without noise leave no better equations, or by what rounding leaves."""
+_ROUNDS = 50  # most of them; an estimate settles in about five
+_SETTLED = 1e-6, 1e-3  # solve until no coefficient moves by this share of its uncertainty; behind ten rounds by that
+_ARITHMETIC = 1e-9  # or by this share of its size, which rounding leaves
+LARGEST_JIG = radians(45.0)  # standard deviation of a set angle above which the positions are not those set, radians
+_CLOSE = 1e-4  # estimate a variance again until it changes by this share
+_POSITIVE = 0.9  # let a variance below 0 take away at most this share of the noise, where it takes away most
 
-LARGEST_JIG = radians(45.0)
-"""Standard deviation of a set angle above which the positions are not those that were set, radians."""
-
-_CLOSE = 1e-4
-"""Estimate a variance again until it changes by this share."""
-
-_POSITIVE = 0.9
-"""Let a variance below 0 take away at most this share of the noise, where it takes away most."""
-
-_INSENSITIVE = 1e-12
-"""A direction with less than this share of the largest sensitivity to the errors of a source shows none."""
-
-_HIDDEN = {JIG: radians(1.0), THERMOMETER: 5.0}
-"""Directions in which all else hides errors of a source up to this widen no interval: radians, °C."""
-
-_SHOWN = 0.25
-"""A lean counts as shown by the readings if they leave less than this share of the variance of its bound."""
-
-UNDETERMINED = 1e-9
-"""A singular value below this share of the largest, with columns scaled to one, counts as zero."""
-
-_NAMED_PART = 0.1
-"""Coefficients with at least this part in an undetermined combination are named."""
+_INSENSITIVE = 1e-12  # a direction with less of the largest sensitivity to the errors of a source shows none
+_HIDDEN = {JIG: radians(1.0), THERMOMETER: 5.0}  # directions that hide larger errors widen no interval: radians, °C
+_SHOWN = 0.25  # a lean counts as shown by the readings if they leave less than this share of the variance of its bound
+UNDETERMINED = 1e-9  # a singular value below this share of the largest, with columns scaled to one, counts as zero
+_NAMED_PART = 0.1  # coefficients with at least this part in an undetermined combination are named
 
 
 @dataclass(frozen=True)
@@ -128,17 +104,15 @@ def solved_at(equations: Equations, z: Array) -> Solution:
 
 
 def solved(equations: Equations, bench: Bench, start: Array) -> Solution:
-    """Solve the equations of a fixture, from :func:`start_as_set` or an earlier solution, shape (unknowns,).
-
-    EstimateError: the coefficients do not settle.
-    """
+    """Solve the equations of a fixture from some unknowns; an EstimateError where the coefficients do not settle."""
     z, n = start.copy(), len(equations.names)
     if not bench[JIG]:
         z[equations.errors[JIG]] = 0.0
     shortened = np.full(len(equations.looser), bench[JIG] ** 2)
     for number in range(_ROUNDS):
         solution, step = _solution(equations, bench, z, equations.at(z, bench, shortened))
-        before, shortened = shortened, _shortened(solution)
+        angles = np.diag(solution.covariance)[equations.errors[JIG]]
+        before, shortened = shortened, np.asarray(angles.reshape(-1, 2).sum(axis=1) / 2.0)
         size, u = np.abs(z[:n]), np.sqrt(np.diag(solution.covariance))[:n]
         smallest = np.maximum(_SETTLED[number > 10] * u, _ARITHMETIC * (size + 1e-3 * size.max()))
         z = solution.z + step
@@ -153,12 +127,6 @@ def _solution(equations: Equations, bench: Bench, z: Array, near: Linearised) ->
     step = covariance @ near.gradient
     chi_square = max(float(near.residual @ near.residual - near.gradient @ step), 0.0)
     return Solution(equations, bench, z, near, covariance, chi_square), step
-
-
-def _shortened(solution: Solution) -> Array:
-    """Return by how much uncertain attitude angles shorten gravity on average, shape (settings,)."""
-    angles = np.diag(solution.covariance)[solution.equations.errors[JIG]]
-    return np.asarray(angles.reshape(-1, 2).sum(axis=1) / 2.0)
 
 
 def _covariance(near: Linearised, moving: NDArray[np.bool_]) -> Array:
@@ -182,10 +150,7 @@ def _inverse(normal: Array) -> Array:
 
 
 def with_estimated(solution: Solution, source: str) -> tuple[Solution, EstimatedVariance]:
-    """Solve with the variance of one source, JIG, THERMOMETER or NOISE, as the residuals show it.
-
-    A jig above :data:`LARGEST_JIG` is returned as it is, with the solution before.
-    """
+    """Solve with the variance of JIG, THERMOMETER or NOISE that the residuals show; with too large a jig as before."""
     variance = EstimatedVariance(0.0)
     for _ in range(_ROUNDS):
         before, variance = variance.value, shown_variance(solution, source)
@@ -236,8 +201,7 @@ def _most_likely(
     """Return the most likely ``q`` from the lowest up, its degrees of freedom, and ``q`` with what is stated beside it.
 
     ``squares`` are those of independent normal numbers with the variances ``stated + q each``, shape (directions,).
-    Directions with a large stated part say little of ``q`` and count less, and not at all where it hides a ``q`` of
-    more than ``hidden`` squared.
+    Directions count the less the more is stated, and not at all where that hides a ``q`` above ``hidden`` squared.
     """
     from scipy.optimize import brentq
 
@@ -272,10 +236,7 @@ def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
 
 
 def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> list[Uncertain]:
-    """Return the coefficients of each sensor with their uncertainty.
-
-    ``estimated`` are the variances that the residuals showed; that of NOISE is of noise and rounding together.
-    """
+    """Return the coefficients of each sensor with their uncertainty; an estimated NOISE counts rounding in."""
     equations, bench, near, covariance = solution.equations, solution.bench, solution.near, solution.covariance
     readings = len(equations.u)
     measured = bench[NOISE] * (equations.u / near.sigma) ** 2  # the rest is the square of uncertain attitudes

@@ -38,7 +38,6 @@ _MOST_BLOCKS = 512
 _WHITE = 4  # degrees of freedom that count for white noise, whatever the blocks say
 _SINGULAR = 1e-9
 _PLACES = 1e5  # of a turn that count as different
-
 _SURPRISE = 0.005  # coarse blocks count where chance makes their scatter, for what finer ones say, less often than this
 
 

@@ -45,7 +45,7 @@ _FULL, _LEAST = 0.9, 0.03  # gains of a loop: at first, and when it has averaged
 _CALM = 8  # turns with full gain, in which the error goes
 _FARTHEST = 0.9  # p at which a loop gives up
 _LEAST_QUADRATURE = 0.1  # of the orthogonal accelerometer, over the first one
-_LATE = 200  # turns whose scatter is the uncertainty of a loop
+_FEWEST_ESTIMATES, _LATE = 6, 200  # turns whose scatter is the uncertainty of a loop, at least and at most
 _GROUPS = 10  # of them, whose means show noise slower than a turn
 
 
@@ -69,16 +69,14 @@ class Notice:
 
 
 class TurnStream:
-    """Cuts a stream into whole turns.
-
-    Of its ``rows``, ``left_out`` are those of turns that were not handed on, or with a missing value; ``turns`` were
-    handed on, and from the first angle to the last the stage has ``turned``. ``why`` is why the stream is held now.
-    """
+    """Cuts a stream into whole turns."""
 
     def __init__(self, channels: int) -> None:
-        self.rows = self.left_out = self.turns = 0
-        self.turned = 0.0
-        self.why = "the stage has not turned yet"
+        self.rows = 0
+        self.left_out = 0  # of them, by turns that were not handed on, or with a missing value
+        self.turns = 0  # handed on
+        self.turned = 0.0  # turns from the first angle to the last
+        self.why = "the stage has not turned yet"  # why the stream is held now
         self._events: list[Turn | Notice] = []
         self._last: float | None = None
         self._pilot: Array | None = None
@@ -90,8 +88,7 @@ class TurnStream:
     def push(self, theta: Array, readings: Array, whole: Mask | None = None) -> list[Turn | Notice]:
         """Take samples, and return the turns that they end, and where the stream is held and goes on.
 
-        Angles, shape (n,), are in degrees, readings of shape (channels, n), both NaN where one is missing. Rows whose
-        readings count are ``whole``, those that are finite where it is left out.
+        Angles, (n,), are in degrees, readings of shape (channels, n), NaN where one is missing or is not ``whole``.
         """
         there = np.flatnonzero(np.isfinite(theta))
         angle = follow(theta[there], self._last)
@@ -183,10 +180,10 @@ class TrimmingLoops:
     def coefficients(self) -> PairCoefficients:
         """p and q as they are trimmed now, with the scatter of single turns, or of longer stretches, as it is averaged.
 
-        Before they have settled the latest corrections are the uncertainties; infinite before the first.
+        Before they have settled these are the latest corrections; infinite before the first.
         """
         count = len(self._estimates)
-        if count < 6:
+        if count < _FEWEST_ESTIMATES:
             return PairCoefficients(self._p, self._q, *np.max(np.abs(self._latest), axis=0).tolist())
         estimates = np.array(self._estimates)
         variance = estimates.var(axis=0, ddof=1) * (count - 1) / (count - 3)
@@ -263,17 +260,13 @@ class Recursive:
 
 
 class Online:
-    """Both estimators of a pair.
-
-    ``course`` has p and q of the loops and of the recursive estimator after each turn; ``refused`` is why they could
-    not take the last one, empty where they did.
-    """
+    """Both estimators of a pair."""
 
     def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
         self.stream = TurnStream(len(channels))
         self.loops, self.recursive = TrimmingLoops(pair, channels), Recursive(pair, channels)
-        self.course: list[tuple[float, float, float, float]] = []
-        self.refused = ""
+        self.course: list[tuple[float, float, float, float]] = []  # p and q of both after each turn
+        self.refused = ""  # why they could not take the last one
 
     def push(self, theta: Array, readings: Array, whole: Mask | None = None) -> list[Notice]:
         """Take samples as :meth:`TurnStream.push` does; return where the estimators were held, and went on."""
@@ -296,10 +289,7 @@ class Online:
         return notices
 
     def coefficients(self, *, loops: bool) -> PairCoefficients:
-        """Return what an estimator ended with: the source's two loops, or the recursive one.
-
-        An EstimateError where it was held for so long that it has no estimate.
-        """
+        """Return what the loops or the recursive estimator ended with; an EstimateError where it has no estimate."""
         turns = self.stream.turns
         if turns < FEWEST_TURNS:
             why = self.stream.why or "the record is too short"

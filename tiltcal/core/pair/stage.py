@@ -8,7 +8,7 @@ last.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, ceil, floor, pi
 
@@ -25,7 +25,6 @@ PARTS = 8  # of a turn, each of which must have rows
 BACKWARDS = 0.1875  # turns that the angle of a stream may fall behind before the stage runs backwards
 STANDING = 4.0  # times the rows of a typical part after which the stage stands
 ROUNDING = 1e-6  # turns by which an angle may be rounded
-
 _BACKLASH = 0.25  # turns that the angle of a record may fall behind its highest, by encoder noise and play
 _JUMP = 0.125  # turns back from one row to the next from which on rows are missing
 _STUCK = 0.25  # turns over which a value must stay the same to be stuck
@@ -41,10 +40,7 @@ _CLEAREST = 30.0  # times the median of the spectrum, in power, that the spin's 
 
 
 def follow(theta: Array, last: float | None = None) -> Array:
-    """Return angles in turns that do not wrap, shape (n,), from degrees, wrapped or not, and the turns before them.
-
-    From one to the next it is less than an eighth of a turn back; more is taken for a gap in which the stage went on.
-    """
+    """Return angles in turns that do not wrap, shape (n,), from degrees, wrapped or not, and the turns before them."""
     if not len(theta):
         return np.empty(0)
     angle = theta / 360.0
@@ -115,9 +111,7 @@ def stage_record(channels: Sequence[str], theta: Array, readings: Sequence[Array
     there = np.isfinite(theta)
     angle = np.full(len(theta), np.nan)
     angle[there] = follow(theta[there])
-    whole = there.copy()
-    for column in readings:
-        whole &= np.isfinite(column)
+    whole = np.logical_and.reduce([there, *(np.isfinite(column) for column in readings)])
     stuck = []
     for name, column in zip(channels, readings, strict=True):
         for first, end in _stuck(angle, column):
@@ -127,14 +121,13 @@ def stage_record(channels: Sequence[str], theta: Array, readings: Sequence[Array
     return StageRecord(tuple(channels), theta, angle, readings, whole, tuple(line for _, line in sorted(stuck)))
 
 
-def _stuck(angle: Array, column: Array) -> Iterator[tuple[int, int]]:
-    """Yield the first row of each stuck value, and the row behind its last."""
+def _stuck(angle: Array, column: Array) -> list[tuple[int, int]]:
+    """Return the first row of each stuck value, and the row behind its last."""
     starts, ends = run_bounds(np.append(False, column[1:] == column[:-1]))
-    if len(starts):
-        # Where the angle is missing, it is the last one.
-        angle = angle[np.maximum.accumulate(np.where(np.isfinite(angle), np.arange(len(angle)), 0))]
-        stuck = np.abs(angle[ends - 1] - angle[starts - 1]) >= _STUCK
-        yield from zip((starts[stuck] - 1).tolist(), ends[stuck].tolist(), strict=True)
+    # Where the angle is missing, it is the last one.
+    angle = angle[np.maximum.accumulate(np.where(np.isfinite(angle), np.arange(len(angle)), 0))]
+    stuck = np.abs(angle[ends - 1] - angle[starts - 1]) >= _STUCK
+    return list(zip((starts[stuck] - 1).tolist(), ends[stuck].tolist(), strict=True))
 
 
 # A stage without an encoder: the spin is that which fits the readings best.
@@ -155,8 +148,7 @@ class Spin:
 def estimated_angle(time: Array, readings: Sequence[Array]) -> Array:
     """Return the stage angle of a record without an encoder, degrees; all of shape (n,), NaN where one is missing.
 
-    The spin is followed from piece to piece: no stage keeps its speed for hours. A piece of less than two turns, or
-    that does not say, has that of the piece before.
+    The spin is followed from piece to piece; one of less than two turns, or that slips, has that of the piece before.
     """
     if not np.isfinite(time).any():
         raise EstimateError("no row has a time: write it in seconds, or in ISO 8601 such as 2026-05-01T12:00:00.5Z")
@@ -186,8 +178,7 @@ def estimated_angle(time: Array, readings: Sequence[Array]) -> Array:
 def estimate_spin(time: Array, readings: Array) -> Spin:
     """Find the spin that fits all channels best; time (n,), with gaps and jitter, and readings (n, channels), finite.
 
-    The strongest line of the spectrum is where Gauss's iteration begins. An EstimateError where none stands out, or it
-    turns less than twice.
+    Gauss's iteration begins at the strongest line of the spectrum; an EstimateError where none stands out.
     """
     span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
     if len(time) < _FEWEST_ROWS or not 0.0 < span == float(np.ptp(time)):

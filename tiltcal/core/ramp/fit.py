@@ -30,7 +30,6 @@ from tiltcal.errors import EstimateError
 
 RESOLVED = 2.0  # standard uncertainties that a lag is away from 0 where it is used
 PLACES = 8  # temperatures at which the ways are compared
-
 _LAG_RESOLUTION = 0.1  # of the range: a lag must be known better than the time in which the temperature crosses it
 _LEG_LAGS = 4.0  # lags that a leg lasts at least: else the element does not follow
 _WORSE = 0.02  # by which the mean square error of a channel may grow on a leg and not count as worse
