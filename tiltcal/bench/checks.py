@@ -26,8 +26,7 @@ from tiltcal.core.detection import (
 )
 from tiltcal.core.model import Array
 from tiltcal.core.plausibility import ExpectedReadings
-from tiltcal.core.quantisation import ReadingStep, resolution
-from tiltcal.core.samples import summarise
+from tiltcal.core.samples import ReadingStep, resolution, summarise
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.files.procedure import Position
 

@@ -26,7 +26,7 @@ from tiltcal.bench.operators import Message, OperatorAnswer
 from tiltcal.bench.sensors import THERMOMETER, named_error
 from tiltcal.bench.setup import Setup
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import ReadingStep
+from tiltcal.core.samples import ReadingStep
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Reading, StreamingSensor
 from tiltcal.errors import BusError, HardwareError, JournalError

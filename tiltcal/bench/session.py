@@ -20,7 +20,7 @@ from tiltcal.bench.sensors import Recorder, Sample, SensorSet, connected
 from tiltcal.bench.settle import NEAR, SOAKS, Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.core.attitude import Vector, normalised
-from tiltcal.core.quantisation import ReadingStep
+from tiltcal.core.samples import ReadingStep
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.model import Reading
 from tiltcal.errors import HardwareError, InputError, Stopped

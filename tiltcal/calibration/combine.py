@@ -21,8 +21,7 @@ from tiltcal.calibration.comparison import compare_records, require_same_sensor,
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
-from tiltcal.core.model import AXES, Array, Coefficients, Limits
-from tiltcal.core.named_coefficients import referred, values, vector_of
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, referred, values, vector_of
 from tiltcal.core.rounding import plus_minus
 from tiltcal.core.samples import BLOCKS, pooled
 from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, selection

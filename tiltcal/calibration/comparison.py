@@ -12,10 +12,9 @@ import numpy as np
 from tiltcal.calibration.stated import uncertain_coefficients
 from tiltcal.calibration.wording import unit_of
 from tiltcal.core.attitude import LEVEL, mounting_matrix, orientation, rotation_vector
-from tiltcal.core.model import AXES, Array
-from tiltcal.core.named_coefficients import referred, uncertain_at, values
+from tiltcal.core.model import AXES, Array, referred, values
 from tiltcal.core.rounding import plus_minus
-from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, weighted_sum
+from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, uncertain_at, weighted_sum
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.results import NOISE_ALONE, PositionSet

@@ -45,8 +45,7 @@ from tiltcal.core.attitude import (
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.model import AXES, Array, Coefficients, Mounting
-from tiltcal.core.named_coefficients import vector_of, with_vector
+from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, central_differences, selection, weighted_sum
 from tiltcal.errors import EstimateError

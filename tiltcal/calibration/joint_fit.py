@@ -13,8 +13,7 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.calibration.stated import DIGITS, derived_record, fit_record, rounded, stated_section
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
-from tiltcal.core.model import AXES, Limits
-from tiltcal.core.named_coefficients import values
+from tiltcal.core.model import AXES, Limits, values
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means
 from tiltcal.drivers.model import Model, deviation_within

@@ -17,8 +17,7 @@ from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.estimation.positions import Design
-from tiltcal.core.model import Array, Coefficients, Thermal
-from tiltcal.core.named_coefficients import with_vector
+from tiltcal.core.model import Array, Coefficients, Thermal, with_vector
 from tiltcal.core.ramp.fit import RESOLVED, RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord, row_noise
 from tiltcal.core.rounding import plus_minus, round_to, significant

@@ -26,8 +26,7 @@ import numpy as np
 
 from tiltcal.calibration.comparison import Comparison, compare_records, require_same_sensor, shared_errors, uncertain_of
 from tiltcal.calibration.stated import stated_section
-from tiltcal.core.model import Array, Coefficients, Limits, overlap
-from tiltcal.core.named_coefficients import referred, values
+from tiltcal.core.model import Array, Coefficients, Limits, overlap, referred, values
 from tiltcal.core.uncertain import Uncertain, weighted_sum
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration

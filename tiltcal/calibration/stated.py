@@ -14,8 +14,7 @@ from tiltcal.core.compensation import LENGTH_TOLERANCE
 from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation
 from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.estimation.positions import Design
-from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
-from tiltcal.core.named_coefficients import values, with_vector
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting, values, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import ALIGNMENT, NEGLIGIBLE, NORMAL_FACTOR, READING, TURN, Uncertain, widened
 from tiltcal.errors import EstimateError

@@ -22,8 +22,7 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.calibration.stated import rounded_covariance, uncertain_coefficients
 from tiltcal.core.estimation.estimate import ALIKE, Estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.model import Array, Thermal
-from tiltcal.core.named_coefficients import vector_of, with_vector
+from tiltcal.core.model import Array, Thermal, vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import Uncertain, central_differences
 from tiltcal.errors import EstimateError

@@ -8,8 +8,7 @@ from math import asin, degrees, radians, sin, sqrt
 import numpy as np
 
 from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
-from tiltcal.core.model import AXES
-from tiltcal.core.named_coefficients import values
+from tiltcal.core.model import AXES, values
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed, plus_minus
 from tiltcal.files.calibration import CalibrationRecord

@@ -22,8 +22,7 @@ import numpy as np
 
 from tiltcal.core.attitude import UNKNOWN_ANGLE, is_locked, mounting_angles
 from tiltcal.core.closed_forms import cross_axis_sensitivity
-from tiltcal.core.model import AXES, Array, Coefficients
-from tiltcal.core.named_coefficients import vector_of, with_vector
+from tiltcal.core.model import AXES, Array, Coefficients, vector_of, with_vector
 from tiltcal.core.uncertain import Uncertain
 from tiltcal.errors import EstimateError
 

@@ -13,15 +13,19 @@ unless a procedure determined it. ``S_ii`` is the channel's sensitivity to its o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tiltcal.errors import EstimateError
+
 Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
 
+_KINDS = ("offset.", "sensitivity.", "temperature.offset.", "temperature.sensitivity.", "nonlinearity.")  # in order
 NEWTON_STEPS = 4  # of the nonlinearity's inverse: a nonlinearity of 5 % needs three to reach double precision
 
 
@@ -273,3 +277,72 @@ def _multiply_by_powers(table: Array, variable: Array, power: Array | float = 1.
     for row in table:
         power = power * variable
         row *= power
+
+
+# Coefficients by their dotted names, and at another reference temperature
+
+
+def values(coefficients: Coefficients) -> dict[str, float]:
+    """Return every coefficient by its dotted name."""
+    named = dict(zip(_names(coefficients), coefficients.vectors.ravel().tolist(), strict=True))
+    return {name: value for kind in _KINDS for name, value in named.items() if name.startswith(kind)}
+
+
+def vector_of(coefficients: Coefficients, names: Sequence[str]) -> Array:
+    """Return the coefficients with some names, shape (k,); an EstimateError where there is none of a name."""
+    return coefficients.vectors.ravel()[_places(coefficients, names)]
+
+
+def with_vector(coefficients: Coefficients, names: Sequence[str], vector: Array) -> Coefficients:
+    """Return coefficients with other values for some names, shape (k,)."""
+    vectors = coefficients.vectors
+    vectors.ravel()[_places(coefficients, names)] = vector
+    return coefficients.with_vectors(vectors)
+
+
+def referred(coefficients: Coefficients, reference: float | None) -> Coefficients:
+    """Return the same coefficients at another reference temperature, °C; None for their own.
+
+    A polynomial p(dT) without a constant term becomes p(dT + s) - p(s) with s the shift of the reference; the offset
+    takes p(s) over, and the sensitivity the factor 1 + gain(s), by which the new gain is divided.
+    """
+    thermal = coefficients.thermal
+    if thermal is None or reference is None or thermal.reference == reference:
+        return coefficients
+    shift = reference - thermal.reference
+    drift, gain = (
+        np.array([polynomial(row, np.array(shift)) for row in table]) for table in (thermal.drift, thermal.gain)
+    )
+    return replace(
+        coefficients,
+        offset=coefficients.offset + drift,
+        sensitivity=coefficients.sensitivity * (1.0 + gain)[:, None],
+        thermal=replace(
+            thermal,
+            reference=reference,
+            drift=_shifted(thermal.drift, shift),
+            gain=_shifted(thermal.gain, shift) / (1.0 + gain)[:, None],
+        ),
+    )
+
+
+def _names(coefficients: Coefficients) -> list[str]:
+    """Return the dotted names, channel by channel, as :attr:`Coefficients.vectors` has them."""
+    return [name for model in coefficients.models for name in model.coefficients]
+
+
+def _places(coefficients: Coefficients, names: Sequence[str]) -> list[int]:
+    known = {name: place for place, name in enumerate(_names(coefficients))}
+    for name in names:
+        if name not in known:
+            raise EstimateError(f"the calibration has no coefficient {name!r}")
+    return [known[name] for name in names]
+
+
+def _shifted(table: Array, shift: float) -> Array:
+    """Return the coefficients of p(dT + shift) - p(shift), row by row, without the constant term."""
+    rows = []
+    for row in table:
+        moved = np.polynomial.Polynomial([0.0, *row])(np.polynomial.Polynomial([shift, 1.0]))
+        rows.append(np.pad(moved.coef[1:], (0, len(row) - len(moved.coef[1:]))))
+    return np.array(rows, dtype=float).reshape(table.shape)

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import even_step
-from tiltcal.core.samples import rounding_uncertainty
+from tiltcal.core.samples import even_step, rounding_uncertainty
 from tiltcal.core.uncertain import COVERAGE
 from tiltcal.errors import EstimateError
 

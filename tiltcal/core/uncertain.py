@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core.model import Array
+from tiltcal.core.model import Array, Coefficients, referred, values, vector_of, with_vector
 
 COVERAGE = 0.95  # probability that a stated interval contains the truth
 
@@ -32,6 +32,7 @@ READING, ALIGNMENT = "single_reading.", "alignment"
 """Errors of one reading of a log, by channel, and of its ``temperature``; and of how the sensor sits, radians."""
 
 _FOLLOWS = 1e-12  # an error follows from others if no larger share of its variance is its own: rounding leaves so much
+_STEP = 1e-4  # of an uncertainty, by which its coefficient is moved to see how others follow
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,3 +232,26 @@ def _around(function: Callable[[Array], Array], at: Array, covariance: Array) ->
             for change in (function(at + step) - middle, function(at - step) - middle):
                 found += np.outer(change, change) / 2.0
     return found
+
+
+def uncertain_at(coefficients: Coefficients, uncertain: Uncertain, reference: float | None) -> Uncertain:
+    """Return the errors of coefficients at another reference temperature, °C, from those at their own.
+
+    A turn of the mounting stays as it is; a coefficient that has become certain is left out.
+    """
+    thermal = coefficients.thermal
+    if thermal is None or reference is None or thermal.reference == reference:
+        return uncertain
+    own, turns = uncertain.without(TURN), [name for name in uncertain.names if name.startswith(TURN)]
+    names = list(values(coefficients))
+
+    def at(vector: Array) -> Array:
+        return vector_of(referred(with_vector(coefficients, own.names, vector), reference), names)
+
+    jacobian = np.zeros((len(names) + len(turns), len(uncertain.names)))
+    places = [uncertain.names.index(name) for name in own.names]
+    jacobian[: len(names), places] = central_differences(at, vector_of(coefficients, own.names), _STEP * own.u)
+    for row, name in enumerate(turns, start=len(names)):
+        jacobian[row, uncertain.names.index(name)] = 1.0
+    moved = uncertain.through(jacobian, (*names, *turns))
+    return moved.chosen(np.flatnonzero(moved.u > 0.0))

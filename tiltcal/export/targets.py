@@ -11,8 +11,7 @@ import numpy as np
 
 from tiltcal import __version__
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import Array, Coefficients, Limits, polynomial
-from tiltcal.core.named_coefficients import vector_of, with_vector
+from tiltcal.core.model import Array, Coefficients, Limits, polynomial, vector_of, with_vector
 from tiltcal.errors import UsageError
 from tiltcal.export.affine import Affine, affine_at
 from tiltcal.export.c_header import header, single_precision, single_precision_rounding

@@ -15,8 +15,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from tiltcal.core.model import Coefficients, Limits
-from tiltcal.core.named_coefficients import values
+from tiltcal.core.model import Coefficients, Limits, values
 from tiltcal.files.coefficients import CoefficientsSection, coefficients_of, coefficients_section, in_degrees
 from tiltcal.files.document import Document, parse_document, read_document
 from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data

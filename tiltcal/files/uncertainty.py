@@ -15,8 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from tiltcal.core.model import AXES, Array, Coefficients
-from tiltcal.core.named_coefficients import values
+from tiltcal.core.model import AXES, Array, Coefficients, values
 from tiltcal.core.uncertain import TURN
 from tiltcal.files.coefficients import ANGLES, ORDER_LIMIT
 from tiltcal.files.document import Document

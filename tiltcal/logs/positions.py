@@ -25,8 +25,7 @@ from tiltcal.core.detection import (
     outliers,
 )
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.quantisation import resolution
-from tiltcal.core.samples import SampleSummary, summarise
+from tiltcal.core.samples import SampleSummary, resolution, summarise
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Position, Procedure

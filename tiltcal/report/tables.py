@@ -15,7 +15,7 @@ from tiltcal.calibration.season import CoefficientDistribution, FleetHistory, Mo
 from tiltcal.calibration.wording import HEADINGS, symbol, unit_of, words
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.flags import FLAGS, REASONS
-from tiltcal.core.named_coefficients import values
+from tiltcal.core.model import values
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES

@@ -15,8 +15,7 @@ import tiltcal
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.complete import mount
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.model import Array, Coefficients, Mounting, Thermal
-from tiltcal.core.named_coefficients import values
+from tiltcal.core.model import Array, Coefficients, Mounting, Thermal, values
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model

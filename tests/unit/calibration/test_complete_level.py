@@ -16,8 +16,7 @@ from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.complete import NO_LEVEL, NO_NOISE, level
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.wording import level_summary
-from tiltcal.core.model import Array, Mounting
-from tiltcal.core.named_coefficients import vector_of, with_vector
+from tiltcal.core.model import Array, Mounting, vector_of, with_vector
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import find_procedure

@@ -22,8 +22,7 @@ from support.uncertain_readings import uncertain_readings
 from tiltcal.core.angle_uncertainty import AngleUncertainty, CompensationWithUncertainty, round_up
 from tiltcal.core.attitude import mounting_angles, mounting_matrix
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal
-from tiltcal.core.named_coefficients import vector_of, with_vector
+from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
 from tiltcal.core.uncertain import ALIGNMENT, READING, Uncertain
 from tiltcal.errors import EstimateError
 

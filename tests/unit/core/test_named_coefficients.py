@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.core.model import Coefficients, Thermal
-from tiltcal.core.named_coefficients import referred, uncertain_at, values
-from tiltcal.core.uncertain import Uncertain
+from tiltcal.core.model import Coefficients, Thermal, referred, values
+from tiltcal.core.uncertain import Uncertain, uncertain_at
 
 small = st.floats(-0.01, 0.01)
 

@@ -7,8 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from tiltcal.core.quantisation import ReadingStep, even_step, resolution
-from tiltcal.core.samples import noise_under_rounding
+from tiltcal.core.samples import ReadingStep, even_step, noise_under_rounding, resolution
 
 
 def test_resolution_is_the_smallest_step_of_any_channel() -> None:

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import common_step
-from tiltcal.core.samples import rounding_uncertainty
+from tiltcal.core.samples import common_step, rounding_uncertainty
 from tiltcal.errors import EstimateError
 
 HARMONICS = 4

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tiltcal.core.detection import LEFT_OUT, TEMPERATURE_JUMP
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
-from tiltcal.core.quantisation import even_step
+from tiltcal.core.samples import even_step
 from tiltcal.errors import EstimateError
 
 MOST = 4096  # means that a record has at least, where it has so many rows
