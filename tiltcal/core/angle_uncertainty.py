@@ -182,10 +182,10 @@ class CompensationWithUncertainty:
             weighted = product(covariance[: second.stop, second], rows[b])
             for a, first in enumerate(self._parts[: b + 1]):
                 found[a, b] = np.einsum("kn,kn->n", rows[a], weighted[first])
-        for b, second in enumerate(shared):
+        for b, by_shared in enumerate(shared):
             found[b, b] += noise[b]
-            for a, first in enumerate(shared[: b + 1]):
-                found[a, b] += np.einsum("kn,kn->n", first, second)
+            for a in range(b + 1):
+                found[a, b] += np.einsum("kn,kn->n", shared[a], by_shared)
         return found
 
     def _variance(

@@ -344,7 +344,7 @@ def with_hysteresis(fitted: Estimate, sensor: SensorObservations) -> Estimate:
             twice = sorted({index for pair in pairs for index in pair})
             for setting in dict.fromkeys(settings[twice].tolist()):
                 together = np.flatnonzero(settings == setting)
-                for rows in (together, *([row] for row in together if row not in twice)):
+                for rows in (together, *(together[together == row] for row in set(together.tolist()) - set(twice))):
                     moved = fitted.by_reading[:, rows, column].sum(axis=1) * loop
                     added += np.outer(moved, moved) / 12.0
     if not added.any():
