@@ -1,4 +1,4 @@
-"""Coefficients at another reference temperature."""
+"""Coefficients by their names, and at another reference temperature."""
 
 from __future__ import annotations
 
