@@ -6,7 +6,7 @@ Whole commands are run in turn, and the table has their medians: ``tiltcal apply
 polars expressions, a copy without any mathematics and pandas, each for CSV and Parquet; xarray for NetCDF; and
 ``Calibration.apply`` on arrays beside plain numpy and imucal. pandas takes its turn at CSV only once: it needs ten
 seconds for a million rows. The result of the command before is removed first, so that each finds as much free memory.
-``--keep`` puts the table into README.md. Exit code 1 where ``apply`` takes more than 0.35 GB or, for 10 million rows or
+``--keep`` writes the table to results. Exit code 1 where ``apply`` takes more than 0.35 GB or, for 10 million rows or
 more, where the start of a command counts little, more than 1.2 times the processor time of polars expressions.
 ``--without-pandas`` saves three minutes there.
 """
@@ -172,10 +172,8 @@ def conditions(rows: int, repeat: int) -> str:
 
 
 def keep(text: str, script: str) -> None:
-    """Put what a script has found into README.md, between its marks."""
-    readme, end = HERE / "README.md", "<!-- to here -->\n"
-    before, begin, rest = readme.read_text().partition(f"<!-- benchmarks/{script} --keep writes from here -->\n")
-    readme.write_text(f"{before}{begin}\n{text}\n{end}{rest.partition(end)[2]}")
+    """Put what a script has found into the folder of results."""
+    (HERE / "results" / f"{Path(script).stem}.txt").write_text(text)
 
 
 def main() -> int:
@@ -183,7 +181,7 @@ def main() -> int:
     parser.add_argument("--rows", type=int, default=2_000_000)
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--without-pandas", action="store_true")
-    parser.add_argument("--keep", action="store_true", help="put the table into README.md")
+    parser.add_argument("--keep", action="store_true", help="put the table into results")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     found: dict[str, dict[str, Cost]] = {}

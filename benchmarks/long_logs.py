@@ -4,7 +4,7 @@
 
 Whole commands are run in turn, and the table has their medians: ``fit`` with segments and ``fit free`` without,
 ``noise``, ``report`` and ``match``, each for CSV and Parquet, beside one pass over the same columns with the project's
-reader and with polars. ``--keep`` puts the table into README.md. Exit code 1 where a command takes more than 0.4 GB or,
+reader and with polars. ``--keep`` writes the table to results. Exit code 1 where a command takes more than 0.4 GB or,
 for 10 million rows or more, where its start counts little, more than twice the time of the pass with the project's
 reader; ``fit free`` may take longer, because it looks for the still intervals in four windows before it fits.
 """
@@ -122,7 +122,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rows", type=int, default=10_000_000)
     parser.add_argument("--repeat", type=int, default=5)
-    parser.add_argument("--keep", action="store_true", help="put the table into README.md")
+    parser.add_argument("--keep", action="store_true", help="put the table into results")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     found: dict[str, dict[str, Cost]] = {}
