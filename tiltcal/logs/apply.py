@@ -111,11 +111,7 @@ def prepare_any(calibration: Applied, options: ApplyOptions) -> Callable[[LogRea
 
 
 class CompensatedLog:
-    """The rows of a log with what a calibration makes of them; ``summary`` counts the rows as they pass.
-
-    UsageError: the log has a column of a name that the result needs.
-    InputError: a column is not there, or its unit is not that of the calibration.
-    """
+    """The rows of a log with what a calibration makes of them; ``summary`` counts the rows as they pass."""
 
     def __init__(self, log: LogReader, prepared: PreparedCalibration, options: ApplyOptions) -> None:
         self.log, self.prepared, self._say = log, prepared, options["say"]
@@ -226,8 +222,6 @@ def look_over(
     """Return what a report shows of a log, and whether it has the columns that the calibration would add.
 
     ``time`` is where the time stands, in seconds or ISO 8601; rows are counted where there is none.
-
-    InputError: a row cannot be parsed, or the log is damaged.
     """
     angles = prepared.led(lambda sensor: sensor.angles)
     wanted = (*angles, *_ABSENT)

@@ -61,11 +61,7 @@ _WITHOUT_UNCERTAINTY: ApplyOptions = {
 
 
 def prepare_library(library: CalibrationFolder, log: LogReader, options: ApplyOptions) -> PreparedCalibration:
-    """Find the calibrations of a log's sensors and make them ready.
-
-    UsageError: the log and the options do not name a sensor of the folder, or name different ones.
-    InputError: a calibration is wrong, or two contradict each other.
-    """
+    """Find the calibrations of a log's sensors and make them ready."""
     say = options["say"]
     require_from_zero("--stability", options["stability"])
     start = None if options["start"] is None else moment(options["start"]).timestamp()

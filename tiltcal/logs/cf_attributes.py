@@ -82,9 +82,6 @@ def seconds_since_1970(time: Array, unit: str | None, file: str | None = None) -
     """Return a time as seconds since 1970 where its unit names a moment, such as ``days since 2026-05-01``.
 
     Without one it is in seconds since the moment that it counts from.
-
-    InputError: its months or years differ in length, or it counts since a moment in a unit that is not one of time, or
-        since what is no moment.
     """
     name, *since = _SINCE.split((unit or "").strip(), maxsplit=1)
     lower = name if len(name) <= 2 else name.casefold()  # symbols such as ms and Ms differ in their letters alone

@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.cf_attributes import DEGREE, same_unit, split_unit
+from tiltcal.logs.cf_attributes import same_unit, split_unit
 
 if TYPE_CHECKING:
     from tiltcal.logs.log import LogReader
@@ -43,15 +43,12 @@ def named_columns(
     """Return the column of each role that was named, by a mapping or by text such as ``x=VoutX,temperature=T``.
 
     A log may have ``channels`` and ``others`` besides temperature and time.
-
-    UsageError: a pair without ``=``, a role that there is not, or one that is named twice.
     """
     roles = tuple(dict.fromkeys((*channels, TEMPERATURE, TIME, *others)))
     named: dict[str, str] = {}
-    columns = columns or {}
-    if not isinstance(columns, str | Mapping):
+    if columns and not isinstance(columns, str | Mapping):
         raise UsageError(f"--columns takes the column of each role, such as {{{roles[0]!r}: 'VoutX'}}, not {columns!r}")
-    for role, column in _pairs(columns, roles[0]) if isinstance(columns, str) else columns.items():
+    for role, column in columns.items() if isinstance(columns, Mapping) else _pairs(columns or "", roles[0]):
         if role not in roles:
             raise UsageError(
                 f"--columns: there is no role {role!r}{_suggestion(role, roles)}; the roles are {', '.join(roles)}"
@@ -103,17 +100,15 @@ def locate_columns(
     """Return where the columns of channels and other roles stand in a log, and that of the temperature if it is there.
 
     A role that was not named has the column of its own name. A unit behind a column's name in the header, such as
-    ``x (m/s^2)``, may be left out. ``option`` names a column on the command line, for the message.
-
-    InputError: a column is not there; the message lists those that are.
+    ``x (m/s^2)``, may be left out. ``option`` names a column on the command line, for the InputError that lists the
+    columns where one is not there.
     """
-    where = {name: index for index, name in enumerate(log.names)}
     roles = tuple(dict.fromkeys((*channels, *others, TEMPERATURE, TIME)))
     columns = column_names(log.names, roles, named)
     located: dict[str, int] = {}
     for role in roles:
         if role in columns:
-            located[role] = where[columns[role]]
+            located[role] = log.names.index(columns[role])
         elif role in named or role in channels or role in others:
             why = _absent(role, named.get(role, role), log.names, option.format(role=role))
             raise InputError(why, file=log.name, line=log.header_line)
@@ -153,11 +148,6 @@ def require_celsius(log: LogReader, where: Mapping[str, int]) -> None:
         require_unit(log, [where[TEMPERATURE]], "°C", "temperatures")
 
 
-def require_degrees(log: LogReader, column: int, whose: str) -> None:
-    """Raise InputError for a column of angles that states another unit than degrees; ``whose`` is as above."""
-    require_unit(log, [column], DEGREE, whose)
-
-
 def require_one_unit(log: LogReader, columns: Sequence[int]) -> None:
     """Raise InputError for components of a vector that state different units."""
     stated = [(log.names[column], unit) for column in columns if (unit := log.unit(column)) is not None]
@@ -167,23 +157,6 @@ def require_one_unit(log: LogReader, columns: Sequence[int]) -> None:
                 f"column {name!r} is in {unit}, and {stated[0][0]!r} in {stated[0][1]}: convert one of them",
                 file=log.name,
             )
-
-
-def common_dimension(dimensions: Mapping[str, Sequence[object]], file: str) -> str:
-    """Return along what named columns have their rows; an InputError where one has none or several, or they differ."""
-    along: dict[str, str] = {}
-    for name, each in dimensions.items():
-        if len(each) != 1:
-            listed = ", ".join(map(str, each)) or "a single value"
-            raise InputError(
-                f"column {name!r} has {len(each)} dimensions ({listed}): a log's columns have one, such as time",
-                file=file,
-            )
-        along[str(each[0])] = name
-    if len(along) > 1:
-        kinds = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
-        raise InputError(f"the columns have rows of different kinds: {kinds}", file=file)
-    return next(iter(along), "")
 
 
 def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:

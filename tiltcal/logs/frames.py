@@ -17,7 +17,7 @@ import numpy as np
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import describe, seconds_since_1970
-from tiltcal.logs.columns import TIME, common_dimension
+from tiltcal.logs.columns import TIME
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, Table
 from tiltcal.stated_arguments import of_python
 
@@ -28,11 +28,7 @@ Units = Mapping[str, str | None]
 
 
 class FrameReader(LogReader):
-    """A frame, read like a log of one block; ``source`` is the log whose rows it has, if it is none by itself.
-
-    UsageError: it is of no known kind.
-    InputError: it has no row, or its columns are not of one length.
-    """
+    """A frame, read like a log of one block; ``source`` is the log whose rows it has, if it is none by itself."""
 
     def __init__(self, frame: Any, *, name: str = "the frame", source: LogSource | None = None) -> None:
         super().__init__(source or LogSource(BytesIO(), "", name))
@@ -57,8 +53,19 @@ class FrameReader(LogReader):
         return self._frame.unit(self.names[column])
 
     def dimension(self, columns: Sequence[int]) -> str:
-        """Return along what columns have their rows; an InputError where one has several, or they differ."""
-        return common_dimension({self.names[k]: self._frame.dimensions(self.names[k]) for k in columns}, self.name)
+        """Return along what columns have their rows; an InputError where one has none or several, or they differ."""
+        along: dict[str, str] = {}
+        for name in (self.names[column] for column in columns):
+            each = self._frame.dimensions(name)
+            if len(each) != 1:
+                listed = ", ".join(each) or "a single value"
+                why = f"column {name!r} has {len(each)} dimensions ({listed}): a log's columns have one, such as time"
+                raise InputError(why, file=self.name)
+            along[each[0]] = name
+        if len(along) > 1:
+            kinds = " and ".join(f"{name!r} along {dimension!r}" for dimension, name in along.items())
+            raise InputError(f"the columns have rows of different kinds: {kinds}", file=self.name)
+        return next(iter(along), "")
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         yield self._block(self._frame, columns, time, frames)
@@ -103,17 +110,14 @@ def rows_of(frame: Any, name: str, keys: Collection[str] = ()) -> list[dict[str,
     """Return the rows of a frame, or of a sequence of mappings, without the cells that are empty.
 
     Messages call it ``name``; the coordinates of an xarray Dataset are columns where ``keys`` has them.
-
-    UsageError: the frame is of no known kind.
     """
     if hasattr(frame, "data_vars"):
         frame = {key: frame[key].values for key in frame.variables if key in frame.data_vars or key in keys}
     if isinstance(frame, Mapping):
         arrays = [_array(values) for values in frame.values()]
-        if len({values.shape[:1] or None for values in arrays}) > 1 or any(values.ndim == 0 for values in arrays):
+        if len({values.shape[:1] for values in arrays}) > 1 or any(values.ndim == 0 for values in arrays):
             raise InputError("the columns differ in length", file=name)
-        columns = [values.tolist() for values in arrays]
-        rows = [dict(zip(frame, cells, strict=True)) for cells in zip(*columns, strict=True)]
+        rows = [dict(zip(frame, cells, strict=True)) for cells in zip(*(a.tolist() for a in arrays), strict=True)]
     elif isinstance(frame, Sequence):
         if not all(isinstance(row, Mapping) for row in frame):
             raise UsageError(f"{name} is a list of rows: each is a mapping, such as {{'position': 'level', 'x': 2.5}}")
@@ -158,7 +162,7 @@ class TableFrame:
         self.named = {str(name): name for name in self._frame.columns}  # a pandas frame may have numbers for names
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the rows, by the names of the columns; an index without a name is none of them."""
+        """Return the rows by column; an index without a name is none of them."""
         return list((self._given if self._index_name is None else self._frame).rows(named=True))
 
     def unit(self, name: str) -> str | None:

@@ -219,11 +219,7 @@ def prepare(
     file: Path | None = None,
     origin: Mapping[str, str] | None = None,
 ) -> PreparedCalibration:
-    """Make a calibration ready; ``file`` is its file, for messages, ``origin`` what is known of it.
-
-    UsageError: the calibration is of pairs, and the options are for tilt.
-    InputError: the calibration cannot be applied.
-    """
+    """Make a calibration ready; ``file`` is its file, for messages, ``origin`` what is known of it."""
     require_consistent(options)
     named, size, say = vectors(options), GroupSize.of(options["average"], options["every"]), options["say"]
     stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}

@@ -24,7 +24,8 @@ from tiltcal.core.pair.stage import STANDSTILL, StageRecord, estimated_angle, re
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance
-from tiltcal.logs.columns import TIME, locate_columns, require_degrees
+from tiltcal.logs.cf_attributes import DEGREE
+from tiltcal.logs.columns import TIME, locate_columns, require_unit
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.numbers import read_columns
@@ -119,10 +120,7 @@ def match_log(
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
 ) -> MatchedLog:
-    """Match pairs, and keep what a figure shows; the arguments are those of :func:`tiltcal.match`.
-
-    Raises Stopped where Ctrl-C ended a stream before there was a result.
-    """
+    """Match pairs, and keep what a figure shows; the arguments are those of :func:`tiltcal.match`."""
     require_text_or_none("--phase", phase)
     require_boolean("--online", online)
     require_boolean("--loops", loops)
@@ -213,7 +211,7 @@ def read_pair_log(
     where = {channel: located[channel] for channel in channels}
     if phase is not None:
         where[phase] = locate_columns(log, (phase,), {}, option="--phase ")[phase]
-        require_degrees(log, where[phase], "stage angles")
+        require_unit(log, [where[phase]], DEGREE, "stage angles")
     timed = TIME in log.names
     numbers = read_columns(log, where | ({TIME: log.names.index(TIME)} if timed else {}))
     readings = numbers.of(channels)

@@ -46,8 +46,6 @@ def read_columns(log: LogReader, where: Mapping[str, int], *, needs_time: bool =
     """Read columns of a log to its end, by role; beyond 256 MB they are maps of temporary files, which go with them.
 
     ``needs_time``, and the InputError of the log, are those of :meth:`LogReader.rows`.
-
-    UsageError: the folder of temporary files has no room.
     """
     blocks: list[list[Array]] = [[] for _ in where]
     files: list[IO[bytes]] = []
@@ -78,8 +76,6 @@ def read_readings(
     """Read the readings of a log in a unit to its end, with temperature and time where it has them, and ``others``.
 
     ``named`` are column names by role, from ``--columns``.
-
-    InputError: a column is missing or in another unit, or a row cannot be parsed.
     """
     with open_log(log, digest=isinstance(log, str | Path), progress=progress) as reader:
         needs_time = TIME in named or TIME in others

@@ -121,10 +121,7 @@ def read_ahead(items: Iterator[T], count: int = 2) -> Iterator[T]:
 
 
 def sha256_of(path: str | Path) -> str:
-    """Return the SHA-256 of a whole file, hexadecimal.
-
-    InputError: it is a pipe or a device, whose content is gone when it has been read.
-    """
+    """Return the SHA-256 of a whole file, hexadecimal."""
     if os.path.exists(path) and not os.path.isfile(path):
         raise InputError("this is no file that can be read twice, and its checksum is needed: name a file", file=path)
     with open(path, "rb") as stream:

@@ -37,8 +37,6 @@ class CsvReader(LogReader):
 
     ``header`` is the first line as it stands, byte-order mark and all, without its line end; in a log without a header,
     or with blanks between its fields, the columns between commas. ``line_end`` is LF or CRLF, as the first line has it.
-
-    InputError: the file is empty or no text, or its header names a column twice.
     """
 
     header_line = 1
@@ -163,8 +161,6 @@ class ColumnTypes:
     numbers. Numbers that would not come back as they were written, such as a serial number ``0042`` or more digits than
     a double holds, are text. The needed columns are numbers anyway, but for a time: in ISO 8601 it is a moment, whole
     numbers of many digits stay whole, and what is neither is text. Empty columns are text.
-
-    InputError: a column has no name.
     """
 
     def __init__(self, dialect: Dialect, needed: Sequence[int], time: int | None, *, file: str) -> None:
@@ -182,10 +178,7 @@ class ColumnTypes:
         self._row = 0
 
     def typed(self, block: CsvBlock) -> CsvBlock:
-        """Return a block with its columns as a frame.
-
-        InputError: a column of numbers goes on with something else.
-        """
+        """Return a block with its columns as a frame."""
         import polars as pl
 
         columns = {name: self._column(block, index) for index, name in enumerate(self._dialect.names)}

@@ -78,10 +78,7 @@ class Dialect:
 
 
 def dialect_of(top: str) -> Dialect:
-    """Return how a log is written whose first lines these are, the last of them perhaps torn.
-
-    csv.Error: the header cannot be parsed.
-    """
+    """Return how a log is written whose first lines these are, the last of them perhaps torn."""
     first, _, rows = top.partition("\n")
     first, second = first.removesuffix("\r"), rows.partition("\n")[0].removesuffix("\r")
     if (names := _numbered(first.split())) and "," not in first:

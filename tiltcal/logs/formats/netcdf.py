@@ -42,11 +42,7 @@ _OF_THE_SYSTEM = re.compile(r"errno = (\d+)")
 
 
 class NetcdfReader(FrameReader):
-    """A log in NetCDF-4: its columns are all variables; those that hold readings have one dimension, the same.
-
-    UsageError: the libraries are not there.
-    InputError: the file is no NetCDF-4, or damaged.
-    """
+    """A log in NetCDF-4: its columns are all variables; those that hold readings have one dimension, the same."""
 
     def __init__(self, source: LogSource) -> None:
         try:

@@ -28,11 +28,7 @@ _ROWS = 1 << 15
 
 
 class RosbagReader(LogReader):
-    """The messages of a topic; see :class:`tiltcal.logs.log.LogReader`.
-
-    UsageError: the package ``rosbags`` is not there, or the file cannot be opened.
-    InputError: it is no bag, or a damaged one; it has no such topic, or several; the topic has no message.
-    """
+    """The messages of a topic; see :class:`tiltcal.logs.log.LogReader`."""
 
     names = tuple(UNITS)
 
