@@ -18,7 +18,6 @@ import pytest
 from click.testing import CliRunner, Result
 from support import FIXTURES
 from support.command import TILTCAL
-from support.recordings import RECORDINGS, needs
 
 from tiltcal.cli.apply import command
 from tiltcal.errors import InputError, TiltcalError, UsageError
@@ -100,9 +99,6 @@ class TestOutput:
         assert [float(row["tilt_x"]) for row in rows(result.stdout)] == pytest.approx([30.0, 0.0], abs=1e-9)
         assert [float(row["tilt_y"]) for row in rows(result.stdout)] == pytest.approx([0.0, 30.0], abs=1e-9)
 
-    def test_standard_input_gives_what_the_file_gives(self) -> None:
-        assert apply("cal.yaml", "-", stdin=LOG.encode()).stdout == apply("cal.yaml", "log.csv").stdout
-
     def test_columns_by_name(self) -> None:
         log = "t,VoutX,VoutY,T\n0,3.6,2.5,30\n"
         Path("warm.yaml").write_text(WARM)
@@ -110,14 +106,6 @@ class TestOutput:
         (row,) = rows(result.stdout)
         assert float(row["tilt_x"]) == pytest.approx(degrees(asin((3.6 - 0.1 - 2.5) / 2)), abs=1e-12)
         assert row["flag"] == "1"
-
-    def test_three_axes_have_pitch_roll_and_inclination_over_the_full_circle(self) -> None:
-        Path("three.yaml").write_text(THREE)
-        result = apply("three.yaml", "-", stdin=b"x,y,z\n0,0,-1000\n0,1000,0\n500,0,-866.0254037844386\n")
-        found = [[float(row[name]) for name in ("pitch", "roll", "inclination")] for row in rows(result.stdout)]
-        assert found[0] == pytest.approx([0, 180, 180])
-        assert found[1] == pytest.approx([0, 90, 90])
-        assert found[2] == pytest.approx([30, 180, 150])
 
     def test_first_order_is_selectable(self) -> None:
         Path("cross.yaml").write_text(PLAIN.replace("y: 0.0}, y: {x: 0.0", "y: 0.04}, y: {x: -0.04"))
@@ -193,23 +181,12 @@ class TestRefusals:
         assert (bench / "out.csv").read_text() == "the one before"
         assert sorted(path.name for path in bench.iterdir()) == ["cal.yaml", "log.csv", "out.csv"]
 
-    def test_a_bad_row_far_behind_what_a_block_holds_leaves_no_output_either(self) -> None:
-        content = b"x,y\n" + b"3.5,2.5\n" * 700_000 + b"3.5\n"
-        assert ":700002: the row has 1 field" in refused(apply("cal.yaml", "-", stdin=content), InputError)
-
     def test_a_missing_column_is_named_with_those_there_are(self) -> None:
         said = refused(apply("cal.yaml", "-", stdin=b"time,Vx,Vy\n1,2,3\n"), InputError)
         assert said == (
             "standard input:1: there is no column 'x' (did you mean 'Vx'?); the log has time, Vx, Vy. "
             "Name it with --columns x=NAME"
         )
-
-    @pytest.mark.parametrize(
-        ("log", "said"),
-        [(b"time;x;y\n1,2,3\n", "separate the columns with commas"), (b"0.0,3.5,2.5\n", "must name the columns")],
-    )
-    def test_a_header_that_is_none_is_explained(self, log: bytes, said: str) -> None:
-        assert said in refused(apply("cal.yaml", "-", stdin=log), InputError)
 
     @pytest.mark.parametrize(
         ("columns", "said"),
@@ -226,44 +203,6 @@ class TestRefusals:
     def test_a_result_is_not_compensated_again(self) -> None:
         once = apply("cal.yaml", "log.csv").stdout_bytes
         assert "standard input has a column 'g_x' already" in refused(apply("cal.yaml", "-", stdin=once), UsageError)
-
-    def test_an_absent_log(self) -> None:
-        assert "cannot read none.csv" in refused(apply("cal.yaml", "none.csv"), UsageError)
-
-    def test_first_order_of_three_axes(self) -> None:
-        Path("three.yaml").write_text(THREE)
-        said = refused(apply("three.yaml", "-", "--first-order", stdin=b"x,y,z\n1,2,3\n"), InputError)
-        assert "three.yaml" in said
-        assert "two channels" in said
-
-
-@needs("ferraris_session.csv", "ferraris_segments.csv")
-def test_a_whole_recorded_session_comes_out_row_for_row(tmp_path: Path) -> None:
-    """Held still on its faces, the wearable sensor must read 90° and 0° within its placement error."""
-    session = RECORDINGS / "ferraris_session.csv"
-    (tmp_path / "imu1.yaml").write_text(
-        "tiltcal: 1\nkind: tilt\n"
-        "sensor: {model: wearable, serial: IMU1, unit: m/s2, channels: [x, y, z]}\n"
-        "calibration:\n"
-        "  offset: {x: 0.55114, y: -0.61973, z: 0.38564}\n"
-        "  sensitivity:\n"
-        "    x: {x: 9.77673, y: -0.14501, z: -0.07316}\n"
-        "    y: {x: 0.08434, y: 9.83353, z: 0.01813}\n"
-        "    z: {x: 0.13384, y: 0.02012, z: 10.03860}\n"
-    )
-    output = tmp_path / "tilt.csv"
-    result = apply(
-        str(tmp_path / "imu1.yaml"), str(session), "--columns", "x=acc_x,y=acc_y,z=acc_z", "-o", str(output), "--json"
-    )
-    assert json.loads(result.stdout)["rows"] == 10_376
-    lines = output.read_text().splitlines()
-    assert [line.split(",")[:7] for line in lines] == [line.split(",") for line in session.read_text().splitlines()]
-    found = rows(output.read_text())
-    for segment in rows((RECORDINGS / "ferraris_segments.csv").read_text()):
-        inside = found[int(segment["start"]) : int(segment["end"])]
-        for axis in "xyz":
-            mean = sum(float(row[f"g_{axis}"]) for row in inside) / len(inside)
-            assert mean == pytest.approx(float(segment[f"g{axis}"]), abs=0.005)
 
 
 def test_ctrl_c_ends_the_wait_for_a_pipe_that_has_gone_quiet(tmp_path: Path) -> None:

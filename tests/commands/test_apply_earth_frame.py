@@ -73,12 +73,6 @@ def test_a_column_of_headings_gives_the_same_velocities_and_is_true() -> None:
         assert found[name] == pytest.approx(BY_HAND[name], abs=2e-6)
 
 
-def test_the_declination_is_added_to_a_column_and_a_note_says_so() -> None:
-    found = apply("--velocity", "u,v,w", "--columns", "heading=h", "--declination", "90")
-    assert "declination of 90° is added to the heading of the log" in found.stderr
-    assert columns(found)["v_east"][1] == pytest.approx(0.365998, abs=2e-6)
-
-
 def test_notes_name_the_north_and_what_counts_as_exact() -> None:
     found = apply("--magnetometer", "mx,my,mz", "--uncertainty")
     assert "counts from magnetic north" in found.stderr

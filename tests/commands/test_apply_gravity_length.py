@@ -91,13 +91,6 @@ def test_what_a_tilt_does_not_show(name: str, changed: object, flag: int, length
     assert said.count(NOTE) == 1
 
 
-def test_a_log_in_g_under_a_calibration_in_metres_per_second() -> None:
-    calibration(unit="m/s2", scale=9.80665)
-    out, said = applied(still())
-    assert set(out["flag"]) == {4}
-    assert "|g| is 0.102" in said
-
-
 def test_the_library_says_the_same_of_a_parquet_log_and_of_a_frame() -> None:
     calibration()
     out, said = applied(0.97 * still(70_000), name="log.parquet")
@@ -160,11 +153,6 @@ class TestMeans:
         assert out["reason"].to_list() == [256, 256, 256, 256, 0, 256, 256, 256, 256, 256]
         assert out["tilt_x"].is_nan().to_list() == [flag == 4 for flag in out["flag"]]
         assert out["count"].to_list() == [10, 10, 10, 10, 9, 10, 10, 10, 10, 10]
-
-    def test_the_note_is_of_the_readings(self) -> None:
-        calibration()
-        _, said = applied(0.97 * still(), "--average", "10")
-        assert said.count("|g| is 0.97:") == 1
 
 
 class TestOnEdge:

@@ -14,7 +14,6 @@ from click.testing import CliRunner, Result
 from support import FIXTURES
 
 from tiltcal.cli.apply import command
-from tiltcal.cli.match import command as match_command
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
 xarray = pytest.importorskip("xarray")
@@ -132,28 +131,6 @@ def test_order_stays_over_many_blocks() -> None:
     apply(CAL, "many.csv", "-o", "out.csv")
     with xarray.open_dataset("out.nc") as found:
         np.testing.assert_array_equal(found["tilt_x"].values, pl.read_csv("out.csv")["tilt_x"].to_numpy())
-
-
-def test_pairs_and_their_time_in_another_unit() -> None:
-    rows = 20_000
-    hours, turn = np.arange(rows) * 0.01 / 3600.0, np.arange(rows) * 0.02
-    draw = np.random.default_rng(1)
-    parts = {"a1": np.sin(turn), "a2": -0.99 * np.sin(turn + 0.002), "a4": np.cos(turn)}
-    log = xarray.Dataset(
-        {name: ("time", part + draw.normal(0, 1e-5, rows), {"units": "m s-2"}) for name, part in parts.items()}
-        | {"theta": ("time", np.degrees(turn))},
-        coords={"time": ("time", hours, {"units": "hours since 2026-05-01"})},
-    )
-    log.to_netcdf("disk.nc", engine="h5netcdf")
-    wanted = ["--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "-o", "disk.yaml"]
-    result = CliRunner().invoke(match_command, ["disk.nc", *wanted])
-    assert result.exit_code == 0, result.exception
-    # 0.02 radians every 0.01 s
-    assert f"frequency: {2.0 / (2 * np.pi):.4f}"[:16] in Path("disk.yaml").read_text()
-    assert apply("disk.yaml", "disk.nc", "-o", "out.nc").exit_code == 0
-    with xarray.open_dataset("out.nc", decode_times=False) as found:
-        assert found["matched_a1_a2"].attrs["units"] == "m s-2"
-        assert float(np.abs(found["matched_a1_a2"]).max()) < 1e-3
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import subprocess
 import sys
 from datetime import UTC, date, datetime, timedelta
 from decimal import Decimal
-from math import isnan, nan
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,6 @@ from support import FIXTURES
 from support.warm_start import WarmStart
 
 from tiltcal.cli.apply import command
-from tiltcal.cli.match import command as match_command
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.logs.formats import open_log
 
@@ -104,13 +103,6 @@ class TestOutput:
         assert found["flag"].to_list() == [3, 3, 9, 9, 3]  # no temperature in this log
         assert found["reason"].to_list() == [16, 16, 32, 32, 16]
 
-    def test_null_and_nan_are_missing_and_beyond_the_sine_fails(self) -> None:
-        found = applied(LOG.with_columns(temperature=20.0))
-        assert found["flag"].to_list() == [1, 9, 9, 4]
-        assert found["reason"].to_list() == [0, 32, 32, 1]
-        assert isnan(found["tilt_x"][1])
-        assert isnan(found["tilt_y"][2])
-
     @pytest.mark.parametrize("kind", [pl.Int8, pl.UInt16, pl.Int64, pl.Float32, pl.Decimal(10, 3)])
     def test_numbers_of_any_type_are_readings(self, kind: pl.DataType) -> None:
         found = applied(pl.DataFrame({"x": [3, 2], "y": [2, 3], "temperature": [20, 25]}).cast(kind))
@@ -166,36 +158,6 @@ class TestBesideCsv:
         plain = texts[0].select(added).cast({name: typed.schema[name] for name in added})
         assert_frame_equal(plain, typed.select(added), check_exact=True)
 
-    def test_pairs_whose_kernel_remembers_are_the_same(self) -> None:
-        rows = 200_000
-        theta = np.arange(rows) * 0.72
-        turn, draw = np.radians(theta), np.random.default_rng(1)
-        gains = {"a1": 1.0, "a2": -1.01, "a3": 0.98, "a4": -1.02}
-        phases = {"a1": 0.0, "a2": 0.002, "a3": np.pi / 2 + 0.001, "a4": np.pi / 2}
-        log = pl.DataFrame(
-            {"theta": theta % 360.0}
-            | {name: gain * np.sin(turn + phases[name]) + draw.normal(0, 1e-4, rows) for name, gain in gains.items()}
-        )
-        log = log.with_columns(pl.col("a2") + 1e-3 * np.sin(2 * turn))
-        log.write_parquet("disk.parquet")
-        log.write_csv("disk.csv")
-        pairs = ["--pair", "a1,a2", "--orthogonal", "a4", "--pair", "a3,a4", "--orthogonal", "a1", "--phase", "theta"]
-        found = {}
-        for name in ("disk.csv", "disk.parquet"):
-            result = CliRunner().invoke(match_command, [name, *pairs, "--json", "-o", f"{name}.yaml"])
-            assert result.exit_code == 0, result.exception
-            found[name] = [(pair["p"], pair["q"]) for pair in json.loads(result.stdout)["pairs"]]
-        assert found["disk.parquet"] == pytest.approx(np.array(found["disk.csv"]), abs=1e-9)
-        assert hashlib.sha256(Path("disk.parquet").read_bytes()).hexdigest() in Path("disk.parquet.yaml").read_text()
-        for name in ("disk.csv", "disk.parquet"):
-            assert apply("disk.csv.yaml", name, "-o", f"{name}.out.parquet").exit_code == 0
-        one, other = (pl.read_parquet(f"{name}.out.parquet") for name in ("disk.csv", "disk.parquet"))
-        assert one["gradient_sin"].is_finite().sum() > rows // 2
-        # A turn is summed up block by block, and the blocks of the formats differ.
-        summed = ["gradient_sin", "gradient_cos"]
-        assert_frame_equal(one.drop(summed), other.drop(summed), check_exact=True)
-        assert_frame_equal(one.select(summed), other.select(summed), abs_tol=1e-12)
-
 
 class TestFromCsvToParquet:
     def typed(self, text: str, *arguments: str) -> pl.DataFrame:
@@ -235,10 +197,6 @@ class TestFromCsvToParquet:
         assert "row 700000: column 'n' holds 'off', and numbers above it" in said
         assert not (bench / "out.parquet").exists()
 
-    def test_a_column_without_a_name(self) -> None:
-        said = refused(apply("cal.yaml", "-", "-o", "out.parquet", stdin=b"x,,y\n1,2,3\n"), InputError)
-        assert said == "standard input:1: column 2 has no name, which Parquet and means need: name it in the header"
-
 
 class TestFromParquetToCsv:
     def test_goes_to_standard_output_as_csv(self) -> None:
@@ -255,11 +213,6 @@ class TestRefusals:
         said = refused(apply("cal.yaml", "bad.parquet", "-o", "out.parquet"), InputError)
         assert said.startswith("bad.parquet: this is no Parquet file, or a damaged one: ")
         assert not (bench / "out.parquet").exists()
-
-    def test_a_file_that_was_cut(self, bench: Path) -> None:
-        content = (bench / "log.parquet").read_bytes()
-        (bench / "cut.parquet").write_bytes(content[: len(content) // 2])
-        assert "no Parquet file" in refused(apply("cal.yaml", "cut.parquet"), InputError)
 
     def test_damage_in_the_middle_leaves_no_output(self, bench: Path) -> None:
         draw = np.random.default_rng(0)

@@ -48,11 +48,6 @@ def test_each_goes_into_the_folder_under_its_name(bench: Path) -> None:
     assert (bench / "tilt" / "log2.csv").read_text() == alone.stdout
 
 
-def test_one_log_may_go_into_a_folder_too(bench: Path) -> None:
-    assert tiltcal("apply", CAL, "log1.csv", "-o", "tilt", cwd=bench).returncode == 0
-    assert lines(bench / "tilt" / "log1.csv") == 2
-
-
 def test_a_bad_log_is_named_and_the_others_are_done(bench: Path) -> None:
     (bench / "log2.csv").write_text("x,y\n1,oops\n")
     done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "log3.csv", "-o", "tilt", cwd=bench)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
 from math import cos, degrees, hypot, isnan, nan, radians
 from pathlib import Path
 from typing import Any
@@ -12,17 +11,10 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner, Result
-from support.simulated_bench import XYZ, design, fixture, measured, part, plan_of
+from support.simulated_bench import XYZ
 
-import tiltcal
-from tiltcal.calibration.stated import rounded, stated_section
 from tiltcal.cli.apply import command
-from tiltcal.core.attitude import gravity_from_tilt
-from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.errors import InputError
-from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.library.calibration import Calibration
-from tiltcal.logs.apply_summary import ColumnWidths
 
 SILENT = """\
 tiltcal: 1
@@ -71,10 +63,6 @@ class TestColumns:
         assert tilted["u_tilt_x"] == pytest.approx(expected, rel=1e-3)
         assert tilted["U95_tilt_x"] == pytest.approx(1.96 * expected, rel=2e-3)
 
-    def test_of_the_calibration_alone(self) -> None:
-        level, _ = rows(apply("cal.yaml", "log.csv", "--uncertainty", "--reading-noise", "0").stdout)
-        assert level["u_tilt_x"] == pytest.approx(degrees(0.003 / 2), rel=1e-3)
-
     def test_the_noise_of_the_log_takes_the_place_of_the_files(self) -> None:
         level, _ = rows(apply("cal.yaml", "log.csv", "--uncertainty", "--reading-noise", "0.0004").stdout)
         assert level["u_tilt_x"] == pytest.approx(degrees(hypot(0.003, 0.0004) / 2), rel=1e-3)
@@ -98,39 +86,6 @@ class TestColumns:
         level, _ = rows(apply("few.yaml", "log.csv", "--uncertainty", "--reading-noise", "0").stdout)
         assert level["U95_tilt_x"] == pytest.approx(4.303 * degrees(0.003 / 2), rel=2e-3)
 
-    def test_the_thermometer_counts_where_the_drift_does(self) -> None:
-        """0.1 V/°C and a thermometer that is uncertain by 0.04 °C: as much as the reading."""
-        warm = (
-            SILENT
-            + "  temperature: {reference: 20.0, offset: {x: [0.1], y: [0.0]}}\n"
-            + KNOWN.replace("y: 0.004}", "y: 0.004, temperature: 0.04}")
-        )
-        Path("warm.yaml").write_text(warm)
-        (found,) = rows(apply("warm.yaml", "-", "--uncertainty", stdin="x,y,temperature\n2.5,2.5,20\n").stdout)
-        assert found["u_tilt_x"] == pytest.approx(degrees(hypot(0.003, 0.004, 0.004) / 2), rel=1e-3)
-        assert found["u_tilt_y"] == pytest.approx(degrees(0.005 / 2), rel=1e-3)
-
-    def test_a_mounting_that_is_known_by_its_angles(self) -> None:
-        """Turned by 90° about z, the application's x is the sensor's y; yaw moves it by the tilt of y."""
-        mounted = SILENT + "  mounting: {roll: 0, pitch: 0, yaw: 90}\n" + KNOWN + "  mounting: {yaw: 0.5}\n"
-        Path("mounted.yaml").write_text(mounted)
-        (found,) = rows(apply("mounted.yaml", "-", "--uncertainty", stdin="x,y\n3.5,2.5\n").stdout)
-        assert found["tilt_y"] == pytest.approx(-30.0, abs=1e-9)
-        assert found["u_tilt_x"] == pytest.approx(hypot(degrees(0.005 / 2), 0.5 * 0.5), rel=1e-3)
-
-    def test_three_axes_have_one_for_every_angle(self) -> None:
-        text = SILENT.replace("[x, y]", "[x, y, z]").replace("y: 2.5}", "y: 2.5, z: 2.5}")
-        text = text.replace(
-            "{x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}",
-            "{x: {x: 2, y: 0, z: 0}, y: {x: 0, y: 2, z: 0}, z: {x: 0, y: 0, z: 2}}",
-        )
-        Path("three.yaml").write_text(text + "uncertainty: {offset: {x: 0.003, y: 0.003, z: 0.003}}\n")
-        (found,) = rows(apply("three.yaml", "-", "--uncertainty", stdin="x,y,z\n3.5,2.5,4.232050808\n").stdout)
-        assert found["pitch"] == pytest.approx(30.0, abs=1e-6)
-        for angle in ("tilt_y", "pitch", "inclination"):
-            assert found[f"u_{angle}"] == pytest.approx(degrees(0.003 / 2), rel=1e-3)
-        assert found["u_roll"] == pytest.approx(degrees(0.003 / 2 / cos(radians(30))), rel=1e-3)
-
     def test_rows_without_an_angle_to_use_have_none(self) -> None:
         found = rows(apply("cal.yaml", "-", "--uncertainty", stdin="x,y\n,2.5\n4.9,2.5\n4.502,2.5\n").stdout)
         assert [int(row["flag"]) for row in found] == [9, 4, 3]
@@ -141,13 +96,6 @@ class TestSummary:
     def test_tells_the_median_and_the_largest(self) -> None:
         said = apply("cal.yaml", "log.csv", "--uncertainty", "-o", "out.csv").stderr.splitlines()
         assert said[-1] == "  median (largest) U95_tilt_x 0.28° (0.33°), U95_tilt_y 0.28° (0.28°)"
-
-    def test_the_median_of_many(self) -> None:
-        widths, drawn = ColumnWidths(), np.random.default_rng(4).lognormal(-3.0, 1.5, 100_001)
-        for some in np.array_split(drawn, 7):
-            widths.add(some)
-        assert widths.median == pytest.approx(float(np.median(drawn)), rel=0.005)
-        assert widths.largest == drawn.max()
 
 
 class TestWhatTheFileDoesNotSay:
@@ -160,12 +108,6 @@ class TestWhatTheFileDoesNotSay:
             assert "under `uncertainty`" in str(result.exception)
             assert not Path("out.csv").exists()
 
-    def test_no_covariance_is_said_aloud(self) -> None:
-        assert (
-            "no covariance: the coefficients count as uncorrelated"
-            in apply("cal.yaml", "log.csv", "--uncertainty").stderr
-        )
-
     def test_what_counts_as_exact_is_named(self) -> None:
         Path("half.yaml").write_text(SILENT + "uncertainty: {offset: {x: 0.003, y: 0.003}}\n")
         said = apply("half.yaml", "log.csv", "--uncertainty").stderr
@@ -177,52 +119,6 @@ class TestWhatTheFileDoesNotSay:
         result = apply("odd.yaml", "log.csv", "--uncertainty")
         assert isinstance(result.exception, InputError)
         assert "'offset.q'" in str(result.exception)
-
-    def test_correlations_that_contradict_are_refused(self) -> None:
-        Path("odd.yaml").write_text(
-            SILENT + "uncertainty: {covariance: {parameters: [offset.x, offset.y], matrix: [[1.0, 2.0], [2.0, 1.0]]}}\n"
-        )
-        assert "contradict" in str(apply("odd.yaml", "log.csv", "--uncertainty").exception)
-
-
-def calibrated(rng: np.random.Generator, *, stated: bool) -> tuple[CalibrationRecord, Estimate, object]:
-    """One simulated calibration on a jig of 0.2°, with the noise known from block means alone."""
-    plan = plan_of(12, noise=2e-4, jig=0.2)
-    truth = part(rng)
-    (found,) = estimate_jointly(
-        fixture(measured(rng, plan, [truth], known_noise=False), design(plan, jig=0.2 if stated else None))
-    )
-    reading = dict.fromkeys(XYZ, 1e-3)
-    identity = SensorIdentity("bench-built", "S-1", "g", XYZ)
-    return (
-        CalibrationRecord(identity, rounded(found), replace(stated_section(found.uncertain), single_reading=reading)),
-        found,
-        truth,
-    )
-
-
-@pytest.mark.parametrize("stated", [True, False])
-def test_the_truth_is_inside_in_95_of_100(stated: bool) -> None:
-    """60 calibrations by way of their files, each with 20 noisy readings; and u is what the errors scatter by."""
-    rng = np.random.default_rng(21)
-    inside, ratios = [], []
-    for _ in range(60):
-        calibration, _, truth = calibrated(rng, stated=stated)
-        Calibration(calibration).save("drawn.yaml")
-        x, y = rng.uniform(-40.0, 40.0, (2, 20))
-        gravity = np.array([gravity_from_tilt({"x": a, "y": b}) for a, b in zip(x, y, strict=True)])
-        readings = truth.reading(gravity, np.zeros(20)) + 1e-3 * rng.standard_normal((20, 3))
-        found = tiltcal.read("drawn.yaml").apply(dict(zip(XYZ, readings.T, strict=True)), uncertainty=True)
-        roll = np.degrees(np.arctan2(gravity[:, 1], gravity[:, 2]))
-        for angle, right in (("tilt_x", x), ("tilt_y", y), ("roll", roll)):
-            error = found[angle] - right
-            inside.append(np.mean(np.abs(error) <= found[f"U95_{angle}"]))
-            ratios.append(np.mean((error / found[f"u_{angle}"]) ** 2))
-    shares = np.array(inside).reshape(60, 3).mean(axis=1)
-    doubt = shares.std(ddof=1) / np.sqrt(60)
-    assert abs(shares.mean() - 0.95) < 3 * doubt + 0.005, (shares.mean(), doubt)
-    if stated:
-        assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.06)
 
 
 def test_six_faces_without_a_jig_error() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import radians, sin
 from pathlib import Path
 
 import numpy as np
@@ -87,32 +86,3 @@ def test_a_folder_of_calibrations_uses_what_was_fitted(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     assert float(result.stdout.split()[1].split(",")[5]) == pytest.approx(23.578, abs=0.2)  # asin 0.4
     assert result.stdout.rstrip().endswith(",3,64")
-
-
-def test_free_positions_and_a_ramp_have_dates(tmp_path: Path) -> None:
-    """Twelve attitudes of an ideal sensor, each for 60 s; and a temperature that goes up and down in 4000 s."""
-    rng = np.random.default_rng(4)
-    up = rng.normal(size=(12, 3))
-    up /= np.linalg.norm(up, axis=1)[:, None]
-    still = np.repeat(up, 60, axis=0) + rng.normal(0.0, 1e-4, (720, 3))
-    lines = [f"{1777636800 + k}," + ",".join(f"{v:.6f}" for v in row) for k, row in enumerate(still)]
-    (tmp_path / "free.csv").write_text("time,x,y,z\n" + "\n".join(lines) + "\n")
-    result = tiltcal("fit", "free", "free.csv", "--unit", "g", "--serial", "F", "-o", "F.yaml", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    found = read_calibration(tmp_path / "F.yaml")
-    assert found.provenance.started[:15] == "2026-05-01T12:0"
-    assert found.provenance.ended[:15] == "2026-05-01T12:1"
-    assert all(position.time is not None for position in found.positions)
-
-    fitted(tmp_path, [str(k) for k in range(4 * ROWS)])
-    lines = []
-    for k in range(4000):
-        warm = 25.0 + 15.0 * sin(radians(0.18 * k))
-        x, y = 0.001 * (warm - 25.0) + rng.normal(0.0, 1e-3, 2)
-        lines.append(f"{1777636800 + k},{x:.6f},{y:.6f},{warm:.3f}")
-    (tmp_path / "ramp.csv").write_text("time,x,y,temperature\n" + "\n".join(lines) + "\n")
-    result = tiltcal("fit", "ramp", "ramp.csv", "--base", "S.yaml", "--jig", "1", "-o", "R.yaml", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    found = read_calibration(tmp_path / "R.yaml")
-    assert (found.provenance.started or "")[:15] == "2026-05-01T12:0"
-    assert (found.provenance.ended or "")[:15] == "2026-05-01T13:0"

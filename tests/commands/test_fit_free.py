@@ -5,7 +5,6 @@ Published values are those of the recordings' own projects, imu_tk and imu-calib
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from math import acos, degrees, hypot
 from pathlib import Path
@@ -88,19 +87,6 @@ class TestXsens:
         assert again.coefficients.sensitivity.tolist() == xsens.calibration.coefficients.sensitivity.tolist()
         assert again.positions == xsens.calibration.positions
 
-    def test_apply_reads_the_log_by_the_same_columns(self, xsens: Fit) -> None:
-        result = tiltcal(
-            "apply", "cal.yaml", XSENS, "--columns", "x=2,y=3,z=4", "-o", "tilt.csv", "--json", cwd=xsens.folder
-        )
-        assert result.returncode == 0, result.stderr
-        with open(xsens.folder / "tilt.csv", newline="") as stream:
-            rows = list(csv.DictReader(stream))
-        assert len(rows) == 51175
-        first = rows[0]
-        assert [first[name] for name in "1234"] == ["2.9840000e-02", "3.3108000e+04", "3.3329000e+04", "3.6429000e+04"]
-        # The first 50 s lie still and nearly level.
-        assert float(first["inclination"]) == pytest.approx(1.0, abs=0.3)
-
 
 @needs_data
 class TestMpu9150:
@@ -175,22 +161,6 @@ class TestTable:
         assert "zero degrees of freedom" in fit.calibration.fit.warning
         assert "warning: 9 different attitudes for 9 unknowns" in fit.said
 
-    def test_nothing_says_how_good_it_is(self, tmp_path: Path) -> None:
-        (tmp_path / "means.csv").write_text(table(9, u=False))
-        assert "states no uncertainties" in refused(tmp_path, "free", "means.csv", *self.OPTIONS)
-
-    def test_known_directions_by_the_procedures_names(self, tmp_path: Path) -> None:
-        faces = ("x-up", "x-down", "y-up", "y-down", "z-up", "z-down")
-        lines = [",".join([face, *map(str, reading(up))]) for face, up in zip(faces, UP, strict=False)]
-        (tmp_path / "means.csv").write_text("\n".join(["position,x,y,z", *lines, ""]))
-        options = (*self.OPTIONS, "--serial", "S-1", "-o", "cal.yaml")
-        result = tiltcal("fit", "six-face", "means.csv", *options, cwd=tmp_path)
-        assert result.returncode == 0, result.stderr
-        found = read_calibration(tmp_path / "cal.yaml")
-        assert found.coefficients.offset == pytest.approx(OFFSET, abs=1e-9)
-        assert found.coefficients.sensitivity.ravel() == pytest.approx([s for row in ROWS for s in row], abs=1e-9)
-        assert found.positions[0].u is None
-
 
 def refused(folder: Path, procedure: str, log: str, *options: str) -> str:
     result = tiltcal("fit", procedure, log, *options, "--serial", "S-1", "-o", "cal.yaml", cwd=folder)
@@ -236,21 +206,3 @@ def test_consecutive_segments_of_one_name_are_one_placement(tmp_path: Path) -> N
     assert len(found.positions) == 15
     assert found.positions[0].rows == ((0, 4), (4, 10))
     assert [one.position for one in (found.positions[0], found.positions[-1])] == ["p0", "p0 (2)"]
-
-
-def test_temperatures_in_the_log_give_the_temperature_terms(tmp_path: Path) -> None:
-    """Level at two temperatures: a drift of 2 mV/°C on x and -1 mV/°C on y is put into the log by hand."""
-    log = ["VoutX,VoutY,T"]
-    for temperature in (24.0, 4.0):
-        for k in range(6):
-            jitter = 1e-5 * (-1) ** k
-            drift = temperature - 24.0
-            log.append(f"{2.5 + 0.002 * drift + jitter},{2.4 - 0.001 * drift - jitter},{temperature + jitter}")
-    (tmp_path / "log.csv").write_text("\n".join([*log, ""]))
-    (tmp_path / "seg.csv").write_text("position,start,end,gx,gy,gz\nwarm,0,6,0,0,1\ncold,6,12,0,0,1\n")
-    options = ("--sensor", "sca100t-d02-analog", "--columns", "x=VoutX,y=VoutY,temperature=T", "--segments", "seg.csv")
-    result = tiltcal("fit", "two-temperature", "log.csv", *options, "--serial", "A", "-o", "a.yaml", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    thermal = read_calibration(tmp_path / "a.yaml").coefficients.thermal
-    assert thermal is not None
-    assert thermal.drift[:, 0] == pytest.approx([0.002, -0.001], rel=1e-4)

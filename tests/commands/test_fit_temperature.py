@@ -39,10 +39,6 @@ class TestTemperaturePoint:
             said=log if piped else "",
         )
 
-    def test_one_that_stood_still_is_taken(self, tmp_path: Path) -> None:
-        result = self.fitted(tmp_path, cooling=0.02)
-        assert result.returncode == 0, result.stderr
-
     def test_a_log_without_times_on_standard_input_gives_the_same(self, tmp_path: Path) -> None:
         written = []
         for piped in (False, True):

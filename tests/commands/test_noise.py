@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-from math import degrees, radians, sqrt
+from math import degrees, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from support.recordings import RECORDINGS, needs
 from support.warm_start import WarmStart, wait_until_grown
 
 from tiltcal.cli.noise import command
-from tiltcal.errors import EstimateError, InputError, TiltcalError, UsageError
+from tiltcal.errors import InputError, TiltcalError, UsageError
 
 SCA100T_D02 = 819.0
 """count/g"""
@@ -93,38 +93,6 @@ class TestOfALog:
         result = noise(log, "--sensor", "sca100t-d02", "--target", "0.005")
         assert f"measure --samples {advice['samples']}:" in result.stdout
 
-    def test_the_number_of_samples_for_a_range(self, tmp_path: Path) -> None:
-        """As in table I of the paper: of 200 groups of 100 means, made by numpy, the ranges are 0.5° on average."""
-        single = 0.447
-        log = written(tmp_path / "log.csv", radians(single) * np.random.default_rng(3).normal(size=(20_000, 2)))
-        advice = as_json(log, "--unit", "g", "--target-range", "0.5")["recommendation"]
-        means = single * np.random.default_rng(4).normal(size=(200, 100, advice["samples"])).mean(axis=2)
-        assert np.mean(np.ptp(means, axis=1)) == pytest.approx(0.5, rel=0.05)
-        assert advice["channels"][advice["channel"]]["range_of_100_degrees"] == pytest.approx(0.5, rel=0.05)
-        result = noise(log, "--unit", "g", "--target-range", "0.5", "--target", "0.0001")
-        assert "100 such means range over x" in result.stdout
-        assert "does not meet 0.0001° and a range of 0.5°" in result.stdout
-
-    def test_the_uncertainty_is_that_of_the_position(self, tmp_path: Path) -> None:
-        """The quieter channel has its mean of as many samples as the noisier one needs."""
-        found = as_json(written(tmp_path / "log.csv", counts()), "--sensor", "sca100t-d02", "--target", "0.005")
-        advice = found["recommendation"]
-        x, y = advice["channels"]["x"], advice["channels"]["y"]
-        assert x["samples"] < y["samples"] == advice["samples"]
-        assert x["uncertainty"] == pytest.approx(0.6 / sqrt(advice["samples"]), rel=0.06)
-        assert y["uncertainty_degrees"] == pytest.approx(0.005, rel=0.02)
-
-    def test_a_table_of_averages_that_was_asked_for(self, tmp_path: Path) -> None:
-        """Standard deviation and range, worked out by numpy."""
-        samples = np.round(counts(), 3)
-        found = as_json(written(tmp_path / "log.csv", samples), "--averages", "5, 7000")
-        table = {one["samples"]: one for one in found["channels"]["x"]["averages"]}
-        means = samples[:, 0].reshape(-1, 5).mean(axis=1)
-        # The log holds six digits.
-        assert table[5]["std"] == pytest.approx(np.std(means, ddof=1), rel=1e-3)
-        assert table[5]["range"] == pytest.approx(np.ptp(means), rel=1e-2)
-        assert table[7000]["averages"] == 2
-
     def test_a_calibration_says_what_a_degree_is(self, tmp_path: Path) -> None:
         (tmp_path / "S-1.yaml").write_text(CALIBRATION)
         log = written(tmp_path / "log.csv", counts())
@@ -158,9 +126,6 @@ class TestOfALog:
 
 
 class TestWhatIsWrongWithALog:
-    def test_too_short(self, tmp_path: Path) -> None:
-        assert "fewer than 64" in refused(noise(written(tmp_path / "l.csv", counts(63))), EstimateError)
-
     def test_a_gap(self, tmp_path: Path) -> None:
         path = written(tmp_path / "l.csv", counts(4000))
         lines = path.read_text().splitlines()
@@ -217,19 +182,6 @@ class TestLive:
         assert live == again
         assert live["samples"] == 3000
         assert live["channels"]["x"]["step"] == 1.0
-
-    def test_the_noise_is_that_of_the_part(self, tmp_path: Path) -> None:
-        (tmp_path / "twin.yaml").write_text(
-            "tiltcal: 1\nkind: twin\nmodel: sca100t-d02\ntruth:\n  offset: {x: 1024, y: 1024}\n"
-            "  sensitivity: {x: {x: 819, y: 0}, y: {x: 0, y: 819}}\n  noise: {x: 2.0, y: 3.0}\n"
-        )
-        address = f"sim:twin={tmp_path / 'twin.yaml'}"
-        found = as_json("--sensor", "sca100t-d02", "--address", address, "--for", "60", "--rate", "50")
-        assert found["samples"] == 3000
-        assert found["interval"] == pytest.approx(0.02, rel=1e-3)
-        # The rounding of a converter adds step²/12.
-        assert found["channels"]["x"]["averages"][0]["std"] == pytest.approx(sqrt(4 + 1 / 12), rel=0.05)
-        assert found["channels"]["y"]["averages"][0]["std"] == pytest.approx(sqrt(9 + 1 / 12), rel=0.05)
 
     def test_a_virtual_sensor_needs_an_end(self) -> None:
         assert "--samples or --for" in refused(noise(*self.ONE), UsageError)

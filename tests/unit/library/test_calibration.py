@@ -15,7 +15,7 @@ from support import FIXTURES
 import tiltcal
 from tiltcal.drivers import find_model
 from tiltcal.errors import InputError
-from tiltcal.library.calibration import Calibration, PairCalibration, read
+from tiltcal.library.calibration import Calibration, read
 
 FILE = """\
 tiltcal: 1
@@ -80,24 +80,10 @@ def test_limits_have_the_rails_of_the_model_where_the_file_names_none(calibratio
     assert (int(result.flag[0]), int(result.reason[0]) & 4) == (4, 4)
 
 
-def test_a_log_without_a_model_is_looked_up_in_no_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "log.yaml"
-    path.write_text(FILE.replace("sca100t-d02", "recorded"), encoding="utf-8")  # what `fit` writes without --model
-    monkeypatch.setattr("tiltcal.drivers._plug_ins_on", lambda path: pytest.fail("all packages are searched"))
-    found = read(path)
-    assert isinstance(found, Calibration)
-    assert found.limits.reading == {}
-
-
 def test_text_has_every_coefficient_with_its_uncertainty_and_unit(calibration: Calibration) -> None:
     lines = [" ".join(line.split()) for line in str(calibration).splitlines()]
     assert "offset x 1024.60 ± 0.40 count" in lines
     assert "sensitivity yx -6.40 ± 0.20 count/g" in lines
-
-
-def test_at_a_prompt_it_is_named_in_a_line(calibration: Calibration) -> None:
-    assert repr(calibration) == "<Calibration of sca100t-d02 S-0042: x, y in count>"
-    assert repr(read(FIXTURES / "rotation.yaml")) == "<PairCalibration of a1 and a2, a3 and a4>"
 
 
 def test_a_notebook_shows_calibration_plan_comparison_and_figure() -> None:
@@ -119,12 +105,6 @@ def test_saved_file_reads_back_equal(calibration: Calibration, tmp_path: Path) -
         calibration.sensitivity,
         calibration.limits,
     )
-
-
-def test_file_of_pairs_is_read_as_pairs() -> None:
-    pair = read(FIXTURES / "rotation.yaml")
-    assert isinstance(pair, PairCalibration)
-    assert str(pair).startswith("a1 and a2, orthogonal a4")
 
 
 def test_wrong_file_names_file_line_and_key(tmp_path: Path) -> None:

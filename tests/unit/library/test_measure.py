@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from support import FIXTURES
 
@@ -18,11 +17,11 @@ import tiltcal
 from tiltcal import Calibration, PairCalibration, measure, open_sensor
 from tiltcal.bench import devices
 from tiltcal.bench.journal import calibrations_of
-from tiltcal.bench.operators import PythonObject, understood
+from tiltcal.bench.operators import PythonObject
 from tiltcal.bench.setup import Setup
 from tiltcal.cli.main import run
 from tiltcal.drivers.bus.clock import SystemClock
-from tiltcal.errors import InputError, Stopped, UsageError
+from tiltcal.errors import Stopped, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.calibration import BaseFile
 from tiltcal.files.journal import read_journal
@@ -103,13 +102,6 @@ def test_a_session_that_a_rig_stopped_goes_on_where_it_stopped() -> None:
     assert calibrations_of(read_journal("S-1.journal.jsonl")).texts() == {"S-1": Path("S-1.yaml").read_text()}
 
 
-def test_a_bench_without_a_file() -> None:
-    bench = BenchFile(tuple(BenchSensor(f"S-{k}", "sca100t-d02", f"sim:?seed={k}") for k in (1, 2)), operator="A. Rig")
-    found = measure("plane", operator=Rig(), bench=bench, samples=4, settle=0.2)
-    assert isinstance(found, list)
-    assert [one.sensor.serial for one in found] == ["S-1", "S-2"]
-
-
 def test_a_stage_is_turned_by_a_rig() -> None:
     class Stage:
         turns = 0
@@ -144,17 +136,6 @@ def test_an_operator_without_the_method_is_refused_before_anything_is_captured()
     with pytest.raises(UsageError, match=r"no method rotation\(ask\)"):
         PythonObject(Rig(), "rotation")
     assert list(Path().iterdir()) == []
-
-
-def test_numbers_of_numpy_are_understood() -> None:
-    """An encoder that is read with numpy gives its types; 30.5 is a number of each of them."""
-    said = {"tilt": {"y": np.float32(30.5)}, "gravity": np.array([0.0, 0.6, 0.8]), "temperature": np.int64(20)}
-    found = understood({"answer": "ready", **said})
-    assert found == understood({"answer": "ready", "tilt": {"y": 30.5}, "gravity": [0.0, 0.6, 0.8], "temperature": 20})
-    assert [type(value) for value in (found.tilt["y"], *(found.gravity or ()), found.temperature)] == [float] * 5
-    for wrong in (np.bool_(True), np.float32("nan"), np.array([30.0]), np.array("30")):
-        with pytest.raises(InputError, match=r"temperature in the answer is .*, not a number"):
-            understood({"answer": "ready", "temperature": wrong})
 
 
 def test_a_sensor_is_read_by_itself() -> None:
@@ -195,18 +176,6 @@ def test_between_the_command_and_the_bus_eight_frames_of_ours_stand_on_the_stack
     assert run(["measure", "plane", "--operator=sim", "--output=S-1.yaml", *options]) == 0
     assert depths
     assert max(depths) - len(("run", "command")) <= 8, depths
-
-
-def test_measuring_tilt_loads_nothing_of_a_stage() -> None:
-    program = f"""
-import sys
-from tiltcal.cli.main import run
-assert run({PLANE!r}) == 0
-pair = ("tiltcal.bench.stage", "tiltcal.bench.rotation")
-print([name for name in sys.modules if any(one in name for one in pair)])
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
-    assert done.stdout.splitlines()[-1] == "[]"
 
 
 PLANE = [

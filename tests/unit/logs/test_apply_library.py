@@ -74,11 +74,6 @@ def test_a_reading_at_the_rail_of_the_model_stays_there(tmp_path: Path) -> None:
     assert (found["flag"].tolist(), found["reason"][0] & 4) == ([4], 4)
 
 
-def test_a_history_is_named_in_a_line_at_a_prompt(tmp_path: Path) -> None:
-    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
-    assert repr(library.history("S-1")) == "<SensorHistory of S-1: 2 calibrations, 2026-01-01 to 2026-04-11>"
-
-
 def changed(record: CalibrationRecord, days: float, **coefficients: Any) -> CalibrationRecord:
     ended = record.provenance.replaced(started=stamp(days - 0.01), ended=stamp(days))
     return replace(record, coefficients=replace(record.coefficients, **coefficients), provenance=ended)
@@ -213,10 +208,6 @@ class TestMeansOfSeveralSensors:
         frame |= {"A_x": np.array(a), "B_x": np.array(b), **others}
         return library.apply(frame, average=len(a), uncertainty=True)
 
-    def test_a_rail_fails_its_own_sensor_alone(self, library: tiltcal.CalibrationLibrary) -> None:
-        found = self.means(library, [2000.0, 1000.0], [1000.0, 1000.0])
-        assert (found["A_flag"].tolist(), found["B_flag"].tolist()) == ([4], [1])
-
     def test_a_dead_sensor_costs_the_other_no_row(self, library: tiltcal.CalibrationLibrary) -> None:
         """Of four readings: 8 / 2 counts of 819 are 4 / 819 g."""
         found = self.means(library, [np.nan] * 4, [1000.0, 1004.0, 996.0, 1008.0])
@@ -250,13 +241,6 @@ def test_each_column_of_several_sensors_has_its_unit(tmp_path: Path, units: dict
         library.apply(xarray.Dataset(log))
 
 
-def test_a_calibration_without_a_date_is_named_where_it_is_missed(tmp_path: Path) -> None:
-    record = calibrated(0, (1000, 1000))
-    kept(tmp_path, replace(record, provenance=record.provenance.replaced(started=None, ended=None)))
-    with pytest.raises(UsageError, match=r"has no calibration of 'S-1'; .*left out: .*the calibration has no date"):
-        tiltcal.open_calibrations(tmp_path).at("S-1", stamp(0))
-
-
 def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
     kept(tmp_path, calibrated(0, (1000, 1000), serial="A"), calibrated(0, (1010, 1020), serial="B"))
     library = tiltcal.open_calibrations(tmp_path)
@@ -277,45 +261,12 @@ def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
     assert library.apply(frame, serial="A", start=stamp(0.0))["reason"].tolist() == [0, 0]
 
 
-def test_what_is_no_moment_and_no_stability(tmp_path: Path) -> None:
-    library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000))))
-    for time in (5, None, "soon"):
-        with pytest.raises(InputError, match="is no date: write it as"):
-            library.at("S-1", time)  # type: ignore[arg-type]
-    for stability in (-1.0, np.nan, "1"):
-        with pytest.raises(UsageError, match="stability takes 0 or a number from"):
-            library.at("S-1", stamp(0), stability=stability)  # type: ignore[arg-type]
-
-
 def test_rows_without_any_time_are_refused_unless_they_have_no_readings(tmp_path: Path) -> None:
     library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(100, (1010, 1000))))
     frame = {"time": np.full(2, np.nan), "x": np.full(2, 1100.0), "y": np.full(2, 1000.0)}
     with pytest.raises(InputError, match=r"none of the first rows \(2\) has a time, which decides which calibration"):
         library.apply(frame)
     assert library.apply(frame | {"x": np.full(2, np.nan), "y": np.full(2, np.nan)})["flag"].tolist() == [9, 9]
-
-
-def test_a_damaged_file_is_named_and_left_out(tmp_path: Path) -> None:
-    folder = kept(tmp_path, calibrated(0, (1000, 990)))
-    (folder / "autumn.yaml").touch()
-    log = tmp_path / "log.csv"
-    log.write_text(f"time,x,y\n{stamp(50)},1100,1100\n")
-    said: list[str] = []
-    tiltcal.apply_log(folder, log, tmp_path / "tilt.csv", serial="S-1", say=said.append)
-    assert said == [f"note: left out: {folder / 'autumn.yaml'}: the file is empty"]
-
-
-def test_files_that_contradict_are_named(tmp_path: Path) -> None:
-    kept(tmp_path, calibrated(0, (1000, 1000)), calibrated(0, (1001, 1000)))
-    with pytest.raises(InputError, match=r"S-1-1\.yaml: .*S-1-0\.yaml has the same date, 2026-01-01"):
-        tiltcal.open_calibrations(tmp_path).at("S-1", stamp(1))
-    (tmp_path / "S-1-1.yaml").unlink()
-    other = calibrated(5, (1000, 1000))
-    kept(tmp_path, replace(other, sensor=other.sensor.replaced(model="sca100t-d01")))
-    kept(tmp_path / ".", calibrated(0, (1000, 1000), serial="S-2"))
-    Calibration(calibrated(9, (1000, 1000))).save(tmp_path / "S-1-9.yaml")
-    with pytest.raises(InputError, match="its model is sca100t-d01 in one and sca100t-d02 in the other"):
-        tiltcal.open_calibrations(tmp_path).at("S-1", stamp(1))
 
 
 def mounted(record: CalibrationRecord, roll: float) -> CalibrationRecord:

@@ -13,7 +13,6 @@ import scipy
 import xarray
 
 import tiltcal
-from tiltcal.errors import InputError
 from tiltcal.files.procedure import find_procedure
 from tiltcal.library.recorded import fit
 
@@ -54,16 +53,6 @@ def recorded(procedure: str, offset: tuple[float, float], drift: float = 0.0) ->
         segments.append({"position": position.name, "start": number * ROWS, "end": (number + 1) * ROWS})
     x, y = np.concatenate(blocks).T
     return {"data": {"x": x, "y": y, "temperature": np.concatenate(temperatures)}, "segments": segments}
-
-
-def test_progress_is_that_of_reading_the_log(base: Path, tmp_path: Path) -> None:
-    readings = recorded("reversal", (2.56, 2.38))
-    log = tmp_path / "log.csv"
-    rows = zip(*readings["data"].values(), strict=True)
-    log.write_text("x,y,temperature\n" + "".join(f"{x:.6f},{y:.6f},{t:g}\n" for x, y, t in rows))
-    told: list[tuple[int, int | None]] = []
-    fit("reversal", log, segments=readings["segments"], base=base, progress=lambda *at: told.append(at), **SENSOR)
-    assert told[-1] == (log.stat().st_size, log.stat().st_size)
 
 
 def test_reversal_renews_the_offset_with_the_sensitivity_of_the_base(base: Path) -> None:
@@ -124,16 +113,6 @@ def test_samples_at_a_rail_are_refused_where_their_mean_is_not(base: Path) -> No
         tiltcal.fit("reversal", **readings, base=base, **SENSOR)
 
 
-def test_a_reading_between_two_steps_does_not_make_the_others_stuck() -> None:
-    """One position of three flickers, the others stand still; 3 of 60 logs were refused."""
-    rows, flicker = 400, 4.0 + 0.001 * (np.arange(400) % 2)
-    log = {"x": np.r_[np.full(rows, 2.5), flicker, np.full(rows, 2.501)], "y": np.repeat([2.4, 2.402, 3.8], rows)}
-    names = [one.name for one in find_procedure("zero-45").positions]
-    segments = [{"position": n, "start": k * rows, "end": (k + 1) * rows} for k, n in enumerate(names)]
-    found = tiltcal.fit("zero-45", log, segments=segments, **SENSOR)
-    assert found.offset["x"] == pytest.approx(2.5, abs=2e-3)
-
-
 @pytest.mark.parametrize("procedure", ["two-temperature", "temperature-sweep"])
 def test_the_drift_of_a_users_own_sensor(procedure: str, base: Path) -> None:
     """2 mV/°C on both channels."""
@@ -185,28 +164,6 @@ def test_a_two_axis_sensor_of_no_known_model(kind: str, tmp_path: Path) -> None:
             assert found.sensitivity[channel, axis] == pytest.approx((up - down) / (2 * sine), abs=1e-4)
 
 
-def test_a_column_that_is_named_must_be_there() -> None:
-    readings = recorded("cross-axis", (2.5, 2.4))
-    with pytest.raises(InputError, match="no column 'VoutZ'"):
-        fit("cross-axis", **readings, **SENSOR, columns={"z": "VoutZ"})
-
-
-def test_a_base_with_a_mounting_is_refused(base: Path) -> None:
-    base.write_text(OWN.replace("uncertainty:", "  mounting: {roll: 1.0, pitch: 0.0, yaw: 0.0}\nuncertainty:", 1))
-    with pytest.raises(tiltcal.UsageError, match="has a mounting, which reversal would drop"):
-        tiltcal.fit("reversal", **recorded("reversal", (2.5, 2.4)), base=base, **SENSOR)
-
-
-def test_numbers_out_of_range_are_refused(base: Path) -> None:
-    for option, value, why in (
-        ("jig", -0.1, "jig takes 0 or a number from .*, not -0.1"),
-        ("gravity", 12.0, "gravity 12: local gravity is between 9.7 and 9.9"),
-        ("window", 2, "window"),
-    ):
-        with pytest.raises(tiltcal.UsageError, match=why):
-            tiltcal.fit("reversal", **recorded("reversal", (2.5, 2.4)), base=base, **SENSOR, **{option: value})
-
-
 def test_coordinates_of_a_dataset_are_columns_of_a_table(base: Path) -> None:
     """All but those that no table has, such as the index of the rows."""
     columns = {"position": ["level-warm", "level-cold"], "x": [2.5, 2.466], "y": [2.4, 2.366], "n": [80, 80]}
@@ -255,16 +212,6 @@ def test_the_noise_of_a_table_is_that_of_the_textbook() -> None:
     assert found.uncertainty["offset.x"] == pytest.approx(deviation / np.sqrt(6), rel=1e-3)
     assert found.uncertainty["sensitivity.y.z"] == pytest.approx(deviation / np.sqrt(2), rel=1e-3)
     assert found.uncertainty.coverage_factor["offset.x"] == pytest.approx(scipy.stats.t.ppf(0.975, 6), rel=2e-3)
-
-
-@pytest.mark.filterwarnings("error")
-def test_the_noise_of_a_table_beside_headings_that_show_a_lean(base: Path) -> None:
-    """A lean takes two of the residuals: the bound that keeps it finite is none of them."""
-    names = [one.name for one in find_procedure("reversal").positions]
-    table = {"position": names, "x": [2.5601, 2.5606, 2.5598, 2.5604], "y": [2.38, 2.3802, 2.3798, 2.381]}
-    found = tiltcal.fit("reversal", table, base=base, jig=0.1, **SENSOR)
-    assert found.fit.noise_estimated is not None
-    assert found.fit.noise_estimated < 0.01
 
 
 @pytest.mark.parametrize("jig", [0.02, None])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,7 @@ import xarray
 from support import FIXTURES
 from support.frames import READINGS, array
 
-from tiltcal.library.calibration import Calibration, PairCalibration, read
+from tiltcal.library.calibration import Calibration, read
 from tiltcal.library.recorded import apply_log
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import rows_of
@@ -155,20 +155,6 @@ class TestIndexOfPandas:
     def test_of_a_table_without_a_name_it_is_nothing(self) -> None:
         table = pd.DataFrame({"position": ["level"], "x": [1.0]}, index=self.TIMES[:1].rename(None))
         assert rows_of(table, "the table") == [{"position": "level", "x": 1}]
-
-
-class TestPairs:
-    READINGS: ClassVar[dict[str, list[float]]] = {
-        "theta": [0.0, 90.0],
-        **{f"a{number}": [0.1 * number, 0.2 * number] for number in (1, 2, 3, 4)},
-    }
-
-    def test_columns_of_other_names(self) -> None:
-        pairs = read(FIXTURES / "rotation.yaml")
-        assert isinstance(pairs, PairCalibration)
-        renamed = {{"a1": "Q1"}.get(name, name): column for name, column in self.READINGS.items()}
-        found, expected = pairs.apply(renamed, columns={"a1": "Q1"}), pairs.apply(self.READINGS)
-        assert found["matched_a1_a2"].tolist() == expected["matched_a1_a2"].tolist()
 
 
 MOMENTS = ["2026-05-01T12:00:00.5Z", "2026-05-01T12:00:01.75Z"]

@@ -32,10 +32,6 @@ class TestMissingValues:
         means = calibration.apply(READINGS | {"x": masked, "temperature": [20.0, 20.0]}, average=2)
         assert means["count"].tolist() == [1]
 
-    def test_a_masked_cell_of_a_table_is_missing(self) -> None:
-        masked = {"position": ["level", "x-45"], "temperature": np.ma.masked_array([20.0, 999.0], mask=[False, True])}
-        assert rows_of(masked, "the table") == [{"position": "level", "temperature": 20.0}, {"position": "x-45"}]
-
 
 class TestPythonValues:
     """Numbers and moments of Python, in columns without a type of their own, count as those of arrays do."""
@@ -100,23 +96,6 @@ class TestMeans:
             found = calibration.apply(frame, **how)
             assert found["time"].tolist() == ["2026-05-01T12:00:00Z"]
             assert found["count"].tolist() == [2]
-
-    @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-    def test_moments_of_every_unit(self, unit: str, calibration: Calibration) -> None:
-        times = np.array(["2026-05-01T12:00:00", "2026-05-01T12:00:05"], "M8[s]").astype(f"M8[{unit}]")
-        columns = READINGS | {"temperature": [20.0, 20.0]}
-        data = xarray.Dataset({name: ("time", column) for name, column in columns.items()}, {"time": times})
-        for frame in (columns | {"time": times}, data, columns | {"time": times - times[0]}):
-            for how in ({"average": 2}, {"every": "10s"}, {"every": timedelta(seconds=10)}):
-                found = np.asarray(calibration.apply(frame, **how)["time"])
-                assert found - np.asarray(frame["time"])[0] == [np.timedelta64(2500, "ms")]
-
-    def test_a_masked_moment_is_missing(self, calibration: Calibration) -> None:
-        times = np.ma.masked_array(np.array(["2026-05-01T12:00", "2036-05-01T12:00"], "M8[s]"), mask=[False, True])
-        frame = READINGS | {"temperature": [20.0, 20.0], "time": times}
-        found = calibration.apply(frame, every="10s")
-        assert found["count"].tolist() == [2]
-        assert found["time"].tolist() == [times[0].astype(object)]
 
     @pytest.mark.parametrize(
         "frame",

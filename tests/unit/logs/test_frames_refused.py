@@ -88,8 +88,3 @@ def test_a_stage_angle_in_radians() -> None:
         read(FIXTURES / "rotation.yaml").apply(disk)
     with pytest.raises(TiltcalError, match="column 'theta' is in rad, and stage angles in degree"):
         match(disk, [("a1", "a2", "a4")], phase="theta")
-
-
-def test_another_spelling_of_the_unit_is_none(calibration: Calibration) -> None:
-    for unit in ("count", "counts", "Count", "1", "LSB"):
-        assert calibration.apply(READINGS, unit=unit)["flag"].tolist() == [3, 3], unit  # no temperature

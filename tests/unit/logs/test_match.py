@@ -41,29 +41,11 @@ def matched(taken: stage.Record, pair: tuple[str, str, str] = PAIR) -> Matching:
 # The record of the laboratory
 
 
-@pytest.mark.parametrize(
-    ("pair", "numbers"), [(PAIR, (0, 1, 3)), (("a3", "a4", "a1"), (2, 3, 0)), (("a3", "a4", "a2"), (2, 3, 1))]
-)
-def test_p_and_q_of_the_laboratory_record(pair: tuple[str, str, str], numbers: tuple[int, int, int]) -> None:
-    found, (p, q) = matched(LABORATORY, pair), stage.truth(pair=numbers)
-    assert abs(found.p - p) < min(2e-5, 4 * found.u_p)
-    assert abs(found.q - q) < min(2e-5, 4 * found.u_q)
-
-
 def test_p_and_q_of_one_half_suppress_the_common_acceleration_5e4_times_in_the_other() -> None:
     half = len(LABORATORY.time) // 2
     found = matched(LABORATORY.rows(slice(None, half)))
     assert stage.suppression(LABORATORY.rows(slice(half, None)), found.p, found.q) > 5e4
     assert 5e4 < found.suppression["pq"] < 1e7
-
-
-def test_components_are_those_of_an_independent_regression() -> None:
-    found = matched(LABORATORY)
-    a1, a2, _, a4 = LABORATORY.readings.T
-    sums = {"before": a1 + a2, "after_p": a1 + a2 / (1 - found.p), "after_pq": a1 + (a2 + found.q * a4) / (1 - found.p)}
-    for name, signal in sums.items():
-        one = found.components[name]["sum"]
-        assert (one.sin, one.cos) == pytest.approx(stage.judged(LABORATORY, signal), abs=2e-6)
 
 
 SHARED = stage.record(seconds=80, noise=0.0)
@@ -155,14 +137,6 @@ def test_a_scale_factor_that_drifts_is_said(corner: float) -> None:
 # Units, columns and spectra
 
 
-@pytest.mark.parametrize("phase", ["theta", None])
-def test_the_unit_of_readings_does_not_matter(phase: str | None) -> None:
-    (usual,) = match(disk(1.0), PAIRS, phase=phase).matchings
-    for scale in (1e-130, 1e-9, 1e9, 1e130):
-        (found,) = match(disk(scale), PAIRS, phase=phase).matchings
-        assert (found.p, found.u_p, found.u_q) == pytest.approx((usual.p, usual.u_p, usual.u_q), rel=1e-6), scale
-
-
 def test_readings_whose_squares_vanish_or_overflow() -> None:
     with pytest.raises(EstimateError, match=r"a1 has no clear signal at the spin frequency \(1e-"):
         match(disk(1e-170), PAIRS, phase="theta")
@@ -185,35 +159,6 @@ def test_spectra_are_those_of_the_turning_and_the_noise() -> None:
 # What cannot be matched
 
 TURNS = stage.record(seconds=80)
-
-
-@pytest.mark.parametrize(
-    ("taken", "pair", "message"),
-    [
-        (stage.record(seconds=15.98), PAIR, "has 1.99 turns of the stage; at least 2"),
-        (replace(TURNS, theta=np.full_like(TURNS.theta, 12.0)), PAIR, "not turning"),
-        (replace(TURNS, theta=360.0 - TURNS.theta), PAIR, r"runs backwards, 10\.00 turns"),
-        (
-            replace(TURNS.rows(slice(4000)), theta=np.append(TURNS.theta[:2000], TURNS.theta[2000:0:-1])),
-            PAIR,
-            "in the middle of the record",
-        ),
-        (stage.record(seconds=80, scale=(3.4, 0.05, 3.4, 3.4)), PAIR, r"p is 0\.98.*a2 answers with 0\.01"),
-        (stage.record(seconds=80, scale=(3.4, -3.4, 3.4, 3.4)), PAIR, "same polarity"),
-        (stage.record(seconds=80, scale=(1e-6,) * 4), PAIR, "a1 has no clear signal"),
-        (stage.record(seconds=80, scale=(3.4, 3.4, 3.4, 1e-6)), PAIR, "a4 has"),
-        (TURNS, ("a1", "a3", "a2"), "a2 is not orthogonal to a1"),
-    ],
-    ids=["too short", "stands", "backwards", "turns back", "p near 1", "polarity", "level axis", "dead", "opposite"],
-)
-def test_a_record_that_cannot_be_matched(taken: stage.Record, pair: tuple[str, str, str], message: str) -> None:
-    with pytest.raises(EstimateError, match=message):
-        matched(taken, pair)
-
-
-def test_two_turns_of_rows_are_two_turns() -> None:
-    found = matched(stage.record(seconds=16.0))
-    assert (found.p, found.q) == pytest.approx(stage.truth(), abs=1e-4)
 
 
 def test_online_takes_the_stage_angle() -> None:

@@ -238,12 +238,6 @@ class TestTimeOfCsv:
         assert frame is not None
         assert frame["time"].to_list() == typed
 
-    def test_whole_numbers_that_go_on_with_others_are_refused(self) -> None:
-        types = self.types()
-        types.typed(self.block("1767225600000000001"))
-        with pytest.raises(InputError, match=r"^log\.csv: row 1: column 'time' holds '1.5', and numbers above it"):
-            types.typed(self.block("1.5"))
-
     @staticmethod
     def types() -> ColumnTypes:
         return ColumnTypes(Dialect(("time", "n")), (0,), 0, file="log.csv")

@@ -57,19 +57,6 @@ def test_a_log_that_is_one_position_need_not_say_how_long_it_is() -> None:
     assert found.summaries["x"].noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
 
 
-@pytest.mark.parametrize(("step", "left_out"), [(1.0, 1), (0.5, 21)])
-def test_what_is_far_off_depends_on_the_step_of_the_whole_log(step: float, left_out: int) -> None:
-    """Of 999 samples at 512 and 20 at 514 the latter are within two steps, or not; 700 is not."""
-    values = np.full((2, 1200), 512.0)
-    values[0, 100:500:20] = 514.0
-    values[0, 900] = 700.0
-    values[1, :1020] += np.arange(1020) % 4
-    values[0, 1100] += step
-    (found,) = intervals(values, [segment(0, 1020)])
-    assert found.where["left_out"] == left_out
-    assert found.summaries["x"].n == 1020 - left_out
-
-
 def test_the_rise_is_that_of_the_line_less_its_scatter() -> None:
     """A slope of 0.01 per sample with little scatter, from numpy's fit."""
     values = 0.01 * np.arange(300.0) + np.random.default_rng(4).normal(0.0, 0.05, 300)

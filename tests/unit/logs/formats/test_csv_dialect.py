@@ -86,21 +86,6 @@ def test_names_may_be_parted_by_blanks_too(content: bytes, block: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "second"),
-    [
-        ("Reading of x", "1.5"),
-        ("time x,y", "1 2,3"),
-        ("time x", "1,2"),
-        ("time", "1"),
-        ("date and time", "2026-11-21 08:36:25"),
-        ("time x", ""),
-    ],
-)
-def test_blanks_within_a_name_part_nothing(first: str, second: str) -> None:
-    assert not dialect_of(f"{first}\n{second}\n").has_blanks
-
-
-@pytest.mark.parametrize(
     ("content", "expected"),
     [
         ("time;x\n0,5;1\n1,5;2\n", Dialect(("time", "x"), ";", ",")),
@@ -143,16 +128,3 @@ def test_a_unit_may_stand_in_the_header(name: str, unit: str | None) -> None:
     assert log.unit(1) == unit
     bare = name if unit is None else name.partition(" ")[0] if name.startswith("x") else "Acceleration x"
     assert locate_columns(log, ("x",), {"x": bare}) == locate_columns(log, ("x",), {"x": name}) == {"x": 1}
-
-
-@pytest.mark.parametrize(
-    ("named", "said"),
-    [
-        ({}, "log.txt:1: the first line holds numbers: it must name the columns"),
-        ({"x": "4"}, "log.txt:1: there is no column 4; the log has 3 columns, called 1 to 3"),
-    ],
-)
-def test_a_wrong_number(named: dict[str, str], said: str) -> None:
-    with pytest.raises(InputError) as caught:
-        locate_columns(NUMBERED, ("x",), named)
-    assert str(caught.value).startswith(said)

@@ -106,10 +106,6 @@ class TestRowsThatAreNone:
         assert complaint(content) == f"night.csv:3: {said}"
         assert complaint(content, block=5) == f"night.csv:3: {said}"
 
-    def test_two_wrong_rows_that_add_up_are_both_seen(self) -> None:
-        """A short row and a long one have as many commas as two good ones."""
-        assert "night.csv:2: the row has 2 fields" in complaint(b"time,x,y\n1,2\n1,2,3,4\n")
-
     @pytest.mark.parametrize(
         "tail", [b"2,2.5,2.", b"2,2.5,2.5e", b"2,2.5,-", b"2,2.5,", b"2,2.5", b"2", b'"2",2.5,1e-']
     )
@@ -250,10 +246,3 @@ def test_any_bytes_are_rows_or_an_error_of_ours_and_skipping_keeps_every_row(con
         return
     body = content.removeprefix(b"time,x,y\n")
     assert len(found) == body.count(b"\n") + (not body.endswith(b"\n"))
-
-
-def test_a_bad_row_is_the_text_of_its_first_column() -> None:
-    (block,) = log(b"name,x,y\na\rb,1,2,3\nc,4,5\n", skip=True).rows([1], frames=True)
-    assert block.frame is not None
-    assert block.frame["name"].to_list() == ["a\rb,1,2,3", "c"]
-    assert block.frame["y"].to_list() == [None, 5.0]
