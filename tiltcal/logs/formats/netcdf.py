@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from tiltcal.files.moments import to_the_second
 from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement
 from tiltcal.logs.frames import DatasetFrame, FrameReader
 from tiltcal.logs.log import LogBlock, LogSource, LogWriter, Table
-
-if TYPE_CHECKING:
-    import polars as pl
 
 _ROWS, _MOST_ROWS = 1 << 16, 1 << 21
 """Of a block: as many, or as a chunk of the file holds, which is unpacked as a whole, and how many at most."""
@@ -127,21 +124,21 @@ class NetcdfWriter(LogWriter):
         rows = iter(blocks)
         first = next(rows)
         columns, chunk = list(first[0].values), len(first[0])
+        history = _history(log.data.attrs.get("history"), self._origin, datetime.now(UTC))
+        if first[0].counts is not None:
+            means = log.with_columns([first, *rows], columns, self._units)
+            with _refusing_to_add(log.name):
+                means.assign_attrs(history=history).to_netcdf(self._sink, engine="h5netcdf")
+            return
+        log.source.stream.seek(0)
+        shutil.copyfileobj(log.source.stream, self._sink, 1 << 20)
+        self._sink.flush()
         dimension, like = log.dimension(columns), log.data[log.names[columns[0]]].attrs
-        are_means = first[0].counts is not None
-        if not are_means:
-            log.source.stream.seek(0)
-            shutil.copyfileobj(log.source.stream, self._sink, 1 << 20)
-            self._sink.flush()
-        with _refusing_to_add(log.name), h5netcdf.File(self._sink, "w" if are_means else "r+") as file:
-            if are_means:
-                means = [first, *rows]
-                _write_frames(file, log.data, dimension, [block.framed() for block, _ in means])
-                rows = iter(means[1:])
+        with _refusing_to_add(log.name), h5netcdf.File(self._sink, "r+") as file:
             for name in self._added:
                 self._create(file, name, dimension, like, chunk)
             self._write_tables(file, (table for _, table in chain([first], rows)))
-            file.attrs["history"] = _history(file.attrs.get("history"), self._origin, datetime.now(UTC))
+            file.attrs["history"] = history
 
     def _write_tables(self, file: Any, tables: Iterable[Table]) -> None:
         """Write the columns of each table behind those of the one before, while the next is compensated.
@@ -175,24 +172,6 @@ class NetcdfWriter(LogWriter):
             fillvalue=None if whole else np.nan,
         )
         variable.attrs.update(describe(name, self._added, like, self._units, dimension))
-
-
-def _write_frames(file: Any, data: Any, dimension: str, frames: Sequence[pl.DataFrame]) -> None:
-    """Write means with the attributes of the log and of its variables."""
-    import h5py
-    import polars as pl
-
-    frame = pl.concat(frames)
-    file.dimensions[dimension] = len(frame)
-    for name in frame.columns:
-        values = frame[name].to_numpy()
-        kind = {"i": "f8", "u": "f8", "f": "f8", "b": "i1"}.get(values.dtype.kind)
-        variable = file.create_variable(name, (dimension,), kind or h5py.string_dtype())
-        variable[...] = values.astype(kind or object)
-        variable.attrs.update(data[name].attrs)
-        if values.dtype.kind == "b":
-            variable.attrs["dtype"] = "bool"  # as xarray marks it
-    file.attrs.update(data.attrs)
 
 
 @contextmanager
