@@ -28,6 +28,13 @@ SHORTEST_WINDOW = 4
 _MEANS, _SEASON, _EARTH, _FURTHER = "Means", "Calibrations over time", "Heading and velocity", "Further options"
 _UNCERTAINTIES = "Uncertainties of the bench"
 _flag = partial(Option, metavar="", default=False, check=require_boolean)
+_size = partial(Option, check=require_from_zero)
+
+Remark = Callable[[str], None]
+
+
+def _rows_from(least: int) -> Callable[[str, Any], None]:
+    return partial(require_whole, least=least, what="rows")
 
 
 def silent(line: str) -> None:
@@ -46,13 +53,7 @@ class ApplyOptions(TypedDict, total=False):
     ]
     skip_bad_rows: Annotated[bool, _flag("Keep rows that cannot be parsed, with flag 9.")]
     average: Annotated[
-        int | None,
-        Option(
-            "Average readings of each N rows first; adds count.",
-            "N",
-            _MEANS,
-            check=partial(require_whole, least=1, what="rows"),
-        ),
+        int | None, Option("Average readings of each N rows first; adds count.", "N", _MEANS, check=_rows_from(1))
     ]
     every: Annotated[
         str | float | timedelta | None,
@@ -65,11 +66,10 @@ class ApplyOptions(TypedDict, total=False):
     start: Annotated[str | date | None, Option("When the log's time is 0, such as 2026-05-01T12:00Z.", "TIME", _SEASON)]
     stability: Annotated[
         float | None,
-        Option(
+        _size(
             "How far the offset wanders in a day, as a standard deviation in mg [from half of its changes].",
             "MG",
             _SEASON,
-            check=require_from_zero,
         ),
     ]
     magnetometer: Annotated[
@@ -87,17 +87,13 @@ class ApplyOptions(TypedDict, total=False):
         ),
     ]
     declination: Annotated[float | None, Option("Magnetic north east of true north; added to headings.", "DEG", _EARTH)]
-    magnetometer_noise: Annotated[
-        float | None,
-        Option("Standard uncertainty of a component [0].", "UNIT", _EARTH, check=require_from_zero),
-    ]
+    magnetometer_noise: Annotated[float | None, _size("Standard uncertainty of a component [0].", "UNIT", _EARTH)]
     mounting: Annotated[
         Mapping[str, float] | str,
         Option("How the sensor sits, exactly: roll, then pitch=, then yaw=.", "roll=DEG,…", _FURTHER, default=""),
     ]
     reading_noise: Annotated[
-        float | None,
-        Option("Standard uncertainty of a reading [that of a sample].", "UNIT", _FURTHER, check=require_from_zero),
+        float | None, _size("Standard uncertainty of a reading [that of a sample].", "UNIT", _FURTHER)
     ]
     first_order: Annotated[bool, _flag("Use Cross-axis Compensation, eq. 6, not the matrix.", group=_FURTHER)]
     unit: Annotated[
@@ -108,9 +104,7 @@ class ApplyOptions(TypedDict, total=False):
             check=require_text_or_none,
         ),
     ]
-    say: Annotated[
-        Callable[[str], None], Option("Called with each remark about what had to be assumed.", default=silent)
-    ]
+    say: Annotated[Remark, Option("Called with each remark about what had to be assumed.", default=silent)]
 
 
 def require_consistent(options: ApplyOptions) -> None:
@@ -212,7 +206,7 @@ class FitOptions(TypedDict, total=False):
         Option(
             "Shortest static interval that is found, 4 rows or more; several are tried without it.",
             "ROWS",
-            check=partial(require_whole, least=SHORTEST_WINDOW, what="rows"),
+            check=_rows_from(SHORTEST_WINDOW),
         ),
     ]
     jig: Annotated[float | None, _uncertainty("a set angle", "without it, it is estimated from the residuals.")]
@@ -238,4 +232,4 @@ class FitOptions(TypedDict, total=False):
             _UNCERTAINTIES,
         ),
     ]
-    say: Annotated[Callable[[str], None], Option("Called with each line of what is found on the way.", default=silent)]
+    say: Annotated[Remark, Option("Called with each line of what is found on the way.", default=silent)]
