@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from math import nan
 from pathlib import Path
@@ -27,7 +28,6 @@ from tiltcal.logs.columns import (
     HEADING,
     TEMPERATURE,
     TIME,
-    SensorColumns,
     locate_columns,
     named_columns,
     require_one_unit,
@@ -131,15 +131,15 @@ class CompensatedLog:
             why = f"{log.name} has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
             raise UsageError(why)
         self._sensors = [
-            SensorColumns(
-                sensor.lead,
-                tuple(where[sensor.lead + channel] for channel in sensor.channels),
-                where[sensor.lead + TEMPERATURE] if sensor.lead + TEMPERATURE in thermometers else None,
+            replace(
+                sensor,
+                columns=tuple(where[sensor.lead + channel] for channel in sensor.channels),
+                thermometer=where[sensor.lead + TEMPERATURE] if sensor.lead + TEMPERATURE in thermometers else None,
             )
             for sensor in prepared.sensors
         ]
         self._require_units(where, thermometers, options["unit"])
-        self.channels = tuple(chain(*(sensor.readings for sensor in self._sensors)))
+        self.channels = tuple(chain(*(sensor.columns for sensor in self._sensors)))
         self._roles = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
         if self._lagged and TIME not in self._roles:
             self._say(NO_TIME)
@@ -207,11 +207,11 @@ class CompensatedLog:
         shared: dict[str, Any] = {role: block.values[index] for role, index in self._roles.items()}
         shared |= {role: block.readings(indices) for role, indices in self._vectors.items()}
         table: dict[str, Any] = {}
-        for number, (sensor, columns) in enumerate(zip(self.prepared.sensors, self._sensors, strict=True)):
-            own = {} if columns.thermometer is None else {TEMPERATURE: block.values[columns.thermometer]}
+        for number, sensor in enumerate(self._sensors):
+            own = {} if sensor.thermometer is None else {TEMPERATURE: block.values[sensor.thermometer]}
             count = None if block.counts is None else block.counts[:, number]
             kernel = sensor.judge if judged and sensor.judge is not None else sensor.kernel
-            part = kernel(RoleValues(block.readings(columns.readings), **{**shared, **own}, count=count))
+            part = kernel(RoleValues(block.readings(sensor.columns), **{**shared, **own}, count=count))
             table |= {f"{sensor.lead}{name}": column for name, column in part.items()}
         return table
 

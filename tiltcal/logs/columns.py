@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
@@ -21,20 +20,6 @@ HEADING = "heading"
 _AXIS = re.compile(r"(?:acc(?:el(?:eration|erometer)?)?|a|g-?force|gf)?[ _.-]*([xyz])(?:[ _-]?axis)?", re.IGNORECASE)
 """A component of the acceleration; linear accelerations, without gravity, are none."""
 _CLOCKS = ("time", "t", "seconds_elapsed", "timestamp")
-
-
-@dataclass(frozen=True)
-class SensorColumns:
-    """Where columns of a sensor, readings and its own thermometer, stand among others; ``lead`` begins its names."""
-
-    lead: str
-    readings: tuple[int, ...]
-    thermometer: int | None = None
-
-    @property
-    def columns(self) -> tuple[int, ...]:
-        """The readings and the thermometer."""
-        return self.readings if self.thermometer is None else (*self.readings, self.thermometer)
 
 
 def named_columns(

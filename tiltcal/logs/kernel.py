@@ -28,8 +28,7 @@ from tiltcal.logs.apply_summary import ColumnWidths
 from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME
 from tiltcal.logs.log import Table
-from tiltcal.logs.means import GroupSize
-from tiltcal.logs.options import ApplyOptions, require_consistent, vectors
+from tiltcal.logs.options import ApplyOptions, GroupSize, require_consistent, vectors
 from tiltcal.options import complete
 from tiltcal.printable import counted
 
@@ -162,6 +161,7 @@ class PreparedSensor:
     alone; ``origin`` is what a file made with it should state: software, calibration, sha256, serial; ``watched`` are
     columns to be summed up; ``lag`` is by how much the element is later than the thermometer, s; ``judge`` judges the
     readings of which means are made; ``named`` are columns of the log of the fit; its own names begin with ``lead``.
+    In the log ``columns`` are where its readings stand and, where it has one of its own, its ``thermometer``.
     """
 
     kernel: Kernel
@@ -176,6 +176,8 @@ class PreparedSensor:
     remarks: RowRemarks = field(default_factory=RowRemarks)
     named: Mapping[str, str] = field(default_factory=dict)
     lead: str = ""
+    columns: tuple[int, ...] = ()
+    thermometer: int | None = None
 
 
 @dataclass(frozen=True)

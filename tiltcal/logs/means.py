@@ -9,10 +9,8 @@ log; a row without a time belongs to the group of the row before it.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import timedelta
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -21,45 +19,18 @@ from numpy.typing import NDArray
 from tiltcal.core.earth_frame import FIELD_TOLERANCE, full_circle
 from tiltcal.core.flags import FAIL, GRAVITY_LENGTH, NO_DIRECTION, RAIL, SUSPECT, Bytes, Reasons, mark_columns
 from tiltcal.core.model import Array
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import InputError
 from tiltcal.logs.cf_attributes import COUNT
-from tiltcal.logs.columns import SensorColumns
+from tiltcal.logs.kernel import PreparedSensor
 from tiltcal.logs.log import LogBlock, LogReader, Table
+from tiltcal.logs.options import GroupSize
 from tiltcal.logs.text_to_numbers import no_time_yet, texts_of_times
-from tiltcal.stated_arguments import is_number
 
 if TYPE_CHECKING:
     import polars as pl
 
-_DURATION = re.compile(r"([0-9.]+) *(ms|s|min|h|d)?")
 _FROM_TILT = ("tilt_", "pitch", "roll", "inclination", "heading", "v_", "u_", "U95_")  # columns begin so
 _GROUP = "\0group"
-_SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
-
-
-@dataclass(frozen=True)
-class GroupSize:
-    """The size of a group of rows that becomes one mean: so many rows of the log, or so many seconds."""
-
-    rows: int | None = None
-    seconds: float | None = None
-
-    @classmethod
-    def of(cls, rows: int | None, every: str | float | timedelta | None) -> GroupSize | None:
-        """Return what ``--average`` and ``--every`` state; None where neither is given."""
-        if rows is not None and every is not None:
-            raise UsageError("--average and --every each say what belongs into a mean: give one of them")
-        if every is None:
-            return None if rows is None else cls(rows=rows)
-        text = str(every.total_seconds() if isinstance(every, timedelta) else every).strip()
-        match = _DURATION.fullmatch(text)
-        try:
-            seconds = float(match[1]) * _SECONDS[match[2] or "s"] if match else 0.0
-        except ValueError:
-            seconds = 0.0
-        if not (seconds > 0.0 and is_number(seconds)):
-            raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every}")
-        return cls(seconds=seconds)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +55,7 @@ class Means:
 
     size: GroupSize
     log: LogReader
-    sensors: Sequence[SensorColumns]
+    sensors: Sequence[PreparedSensor]
     judged: Callable[[LogBlock], Table]
     time: int | None = None
     heading: int | None = None
@@ -125,7 +96,7 @@ class Means:
             return (done + np.arange(len(block))) // self.size.rows
         time = block.values[self.time or 0]
         timed = np.isfinite(time)
-        if not timed.any() and any(np.isfinite(block.readings(sensor.readings)).any() for sensor in self.sensors):
+        if not timed.any() and any(np.isfinite(block.readings(sensor.columns)).any() for sensor in self.sensors):
             raise InputError(no_time_yet(len(time), "to which mean of --every they belong"), file=self.log.name)
         place = np.maximum.accumulate(np.where(timed, np.arange(len(time)), 0))
         # Whole microseconds are exact where seconds are not; a border within half of one is where the row is.
@@ -140,7 +111,7 @@ class Means:
 
     def _means(self, block: LogBlock, groups: NDArray[np.int64], bad: int) -> BlockOfMeans:
         starts = np.flatnonzero(np.diff(groups, prepend=groups[0] - 1))
-        complete = np.array([np.isfinite(block.readings(sensor.readings)).all(axis=1) for sensor in self.sensors])
+        complete = np.array([np.isfinite(block.readings(sensor.columns)).all(axis=1) for sensor in self.sensors])
         shared, rows = _counted(np.logical_or.reduce(complete), starts)
         counts = np.empty((len(starts), len(self.sensors)), np.int64)
         flags, reasons = np.empty(counts.shape, np.uint8), np.empty(counts.shape, np.uint16)
@@ -151,7 +122,9 @@ class Means:
             reason = np.where(used, judged[f"{sensor.lead}reason"], 0).astype(np.uint16) & (RAIL | GRAVITY_LENGTH)
             reasons[:, number] = np.bitwise_or.reduceat(reason, starts)
             flags[:, number] = np.maximum.reduceat(np.where(reason, judged[f"{sensor.lead}flag"], 0), starts)
-            used_for |= dict.fromkeys(sensor.columns, used)
+            used_for |= dict.fromkeys(
+                [*sensor.columns, *([] if sensor.thermometer is None else [sensor.thermometer])], used
+            )
         values = {}
         apart = np.zeros(len(starts), bool)
         for index, column in block.values.items():
@@ -162,7 +135,7 @@ class Means:
             else:
                 values[index] = _mean(column, used_for.get(index, shared), starts)
         for number, sensor in enumerate(self.sensors):
-            for index in sensor.readings:
+            for index in sensor.columns:
                 values[index][counts[:, number] == 0] = np.nan
         frame = None if block.frame is None else self._frame(block.frame, groups, shared, values)
         return BlockOfMeans(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date, timedelta
 from functools import partial
 from pathlib import Path
@@ -24,6 +26,9 @@ LOCAL_GRAVITY = (9.7, 9.9)
 
 SHORTEST_WINDOW = 4
 """Rows of a window over which a sensor can be still."""
+
+_DURATION = re.compile(r"([0-9.]+) *(ms|s|min|h|d)?")
+_SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 _MEANS, _SEASON, _EARTH, _FURTHER = "Means", "Calibrations over time", "Heading and velocity", "Further options"
 _UNCERTAINTIES = "Uncertainties of the bench"
@@ -119,6 +124,31 @@ def require_consistent(options: ApplyOptions) -> None:
         raise UsageError(f"--declination is between -180 and 180 degrees, not {shown(declination)}")
     if options["magnetometer_noise"] is not None and not (options["uncertainty"] and options["magnetometer"]):
         raise UsageError("--magnetometer-noise needs --magnetometer and --uncertainty")
+
+
+@dataclass(frozen=True)
+class GroupSize:
+    """The size of a group of rows that becomes one mean: so many rows of the log, or so many seconds."""
+
+    rows: int | None = None
+    seconds: float | None = None
+
+    @classmethod
+    def of(cls, rows: int | None, every: str | float | timedelta | None) -> GroupSize | None:
+        """Return what ``--average`` and ``--every`` state; None where neither is given."""
+        if rows is not None and every is not None:
+            raise UsageError("--average and --every each say what belongs into a mean: give one of them")
+        if every is None:
+            return None if rows is None else cls(rows=rows)
+        text = str(every.total_seconds() if isinstance(every, timedelta) else every).strip()
+        match = _DURATION.fullmatch(text)
+        try:
+            seconds = float(match[1]) * _SECONDS[match[2] or "s"] if match else 0.0
+        except ValueError:
+            seconds = 0.0
+        if not (seconds > 0.0 and is_number(seconds)):
+            raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every}")
+        return cls(seconds=seconds)
 
 
 def vectors(options: ApplyOptions) -> dict[str, tuple[str, ...]]:
