@@ -22,6 +22,7 @@ COMMANDS = {
     "measure": "measure the positions of a procedure and write the calibration file",
     "record": "record the readings of a sensor or a bench",
     "verify": "compare a calibration with positions that it was not fitted to",
+    "live": "show the calibrated tilt of a sensor as it is now",
     "show": "print the coefficients of a calibration",
     "export": "write a calibration as other programs hold it",
     "combine": "combine calibrations of one sensor from several sessions",

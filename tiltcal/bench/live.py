@@ -1,0 +1,132 @@
+"""The calibrated tilt of sensors as they are now, without a session."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from tiltcal.bench.devices import BenchDevice, VirtualBench, probe_devices
+from tiltcal.bench.sensors import Recorder, connected
+from tiltcal.calibration.record import compensation_of
+from tiltcal.calibration.stated import stated_uncertainty
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
+from tiltcal.core.flags import FLAGS, PASS, REASONS
+from tiltcal.core.thermal_lag import ThermalLag
+from tiltcal.drivers.bus.clock import session_clock
+from tiltcal.drivers.model import Model, Reading
+from tiltcal.errors import EstimateError, InputError
+from tiltcal.files.calibration import CalibrationRecord
+
+
+@dataclass(frozen=True)
+class LiveTilt:
+    """What a calibration makes of one reading.
+
+    ``angles`` and half of their 95 % intervals, where the file states its uncertainty, are in degrees by the names of
+    the columns of ``apply``; ``temperature`` is in °C.
+    """
+
+    angles: Mapping[str, float]
+    expanded: Mapping[str, float]
+    temperature: float | None
+    flag: int
+    reason: int
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the tilt as plain data, by the names of the columns of ``apply``."""
+        expanded = {f"U95_{name}": half for name, half in self.expanded.items()}
+        judged = {"temperature": self.temperature, "flag": self.flag, "reason": self.reason}
+        return {**self.angles, **expanded, **judged}
+
+    def in_words(self) -> list[tuple[str, str, str]]:
+        """Return each angle as its name, its value and half of its 95 % interval, such as ``tilt x, +12.03°, ± 0.05°``.
+
+        The temperature follows, and why the reading is suspect.
+        """
+        said = [
+            (name.replace("_", " "), f"{angle:+.2f}°", f"± {self.expanded[name]:.2f}°" if self.expanded else "")
+            for name, angle in self.angles.items()
+        ]
+        said += [] if self.temperature is None else [("", f"{self.temperature:.1f} °C", "")]
+        if self.flag != PASS:
+            reasons = (words for bit, words in REASONS.items() if self.reason & bit)
+            said.append((FLAGS[self.flag], ", ".join(reasons), ""))
+        return said
+
+    def __str__(self) -> str:
+        return "   ".join(" ".join(filter(None, part)) for part in self.in_words())
+
+
+class TiltOfReadings:
+    """Turns readings of a model, in the order of time, into tilt.
+
+    InputError: the calibration cannot be applied, or is of other channels or another unit than the readings.
+    """
+
+    def __init__(self, calibration: CalibrationRecord, model: Model) -> None:
+        coefficients, unit = calibration.coefficients, calibration.sensor.unit
+        if unit != model.unit or not set(coefficients.channels) <= set(model.channels):
+            raise InputError(
+                f"the calibration of {calibration.sensor.serial} is of {', '.join(coefficients.channels)} in {unit}, "
+                f"and the sensor gives {', '.join(model.channels)} in {model.unit}: name the address as it was "
+                "calibrated"
+            )
+        self._places = [model.channels.index(channel) for channel in coefficients.channels]
+        self._lag = ThermalLag(0.0 if coefficients.thermal is None else coefficients.thermal.lag)
+        try:
+            self._compensation = compensation_of(calibration)
+        except EstimateError as failure:
+            raise InputError(str(failure)) from failure
+        self._uncertain: CompensationWithUncertainty | None = None
+        try:
+            stated, _ = stated_uncertainty(calibration.uncertainty, coefficients)
+            self._uncertain = CompensationWithUncertainty(self._compensation, coefficients, stated)
+        except EstimateError:
+            pass  # the file states no uncertainty
+
+    def __call__(self, reading: Reading, seconds: float) -> LiveTilt:
+        """Return the tilt of a reading at a time."""
+        readings = np.array([[reading.values[place] for place in self._places]])
+        temperature = np.array([np.nan if reading.temperature is None else reading.temperature])
+        element = self._lag(np.array([seconds]), temperature)
+        expanded: Mapping[str, float] = {}
+        names = self._compensation.angles
+        if self._uncertain is None:
+            compensated = self._compensation(readings, element)
+        else:
+            result = self._uncertain(readings, element)
+            compensated, expanded = result.compensated, dict(zip(names, result.expanded[0].tolist(), strict=True))
+        angles = dict(zip(names, compensated.angles[0].tolist(), strict=True))
+        return LiveTilt(
+            angles, expanded, reading.temperature, int(compensated.flag[0]), int(compensated.reason[0])
+        )  # fmt: skip
+
+
+@contextmanager
+def live_tilts(
+    devices: Sequence[BenchDevice],
+    calibrations: Mapping[str, CalibrationRecord],
+    thermometer: BenchDevice | None = None,
+) -> Iterator[Callable[[], dict[str, LiveTilt]]]:
+    """Yield a function that reads the sensors and returns the tilt of each, by serial number, in real time.
+
+    HardwareError: a device does not answer; from the function a SensorError, after which it may be called again.
+    """
+    clock = session_clock(datetime.now(UTC), virtual=False)
+    every = tuple(devices) if thermometer is None else (*devices, thermometer)
+    virtual, recorder = VirtualBench(clock, every), Recorder(clock)
+    kernels = {device.serial: TiltOfReadings(calibrations[device.serial], device.wired) for device in devices}
+    probe_devices(every, virtual, clock)
+    with connected(devices, thermometer, recorder, virtual) as sensors:
+
+        def read() -> dict[str, LiveTilt]:
+            readings = sensors.by_serial(sensors.read(fresh=True))
+            seconds = recorder.now_ns() / 1e9
+            return {serial: kernels[serial](reading, seconds) for serial, reading in readings.items()}
+
+        yield read

@@ -1,0 +1,77 @@
+"""``tiltcal live``: the calibrated tilt of a sensor as it is now."""
+
+from __future__ import annotations
+
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from tiltcal.cli import options
+from tiltcal.cli.talk import talk
+from tiltcal.errors import INTERRUPTED, HardwareError
+
+if TYPE_CHECKING:
+    from tiltcal.bench.live import LiveTilt
+
+CLEAR = "\r\x1b[2K"
+
+
+@options.command(epilog="Example: tiltcal live S-0042.yaml --address spi:///dev/spidev0.0")
+@click.argument("calibration", type=click.Path(path_type=Path))
+@click.option("--address", required=True, help="The address of the sensor, or sim: for its virtual twin.")
+@options.above_zero("--rate", metavar="HZ", default=4.0, show_default=True, help="Readings per second.")
+@options.above_zero("--for", "seconds", metavar="SECONDS", help="Stop after this time.")
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object a reading.")
+def command(calibration: Path, address: str, rate: float, seconds: float | None, as_json: bool) -> int:
+    """Show the tilt of a sensor by its CALIBRATION until Ctrl-C.
+
+    Half of the 95 % interval stands behind each tilt, and why a reading is suspect behind all. On a terminal one line
+    renews itself; elsewhere each reading is a line. A reading that fails is said, the fifth in a row ends the command.
+    """
+    from tiltcal.bench.devices import BenchDevice
+    from tiltcal.bench.live import live_tilts
+    from tiltcal.bench.sensors import ATTEMPTS
+    from tiltcal.files.calibration import read_calibration
+
+    record = read_calibration(calibration)
+    serial = record.sensor.serial
+    device = BenchDevice(model=record.sensor.model, serial=serial, address=address)
+    renews = sys.stdout is not None and sys.stdout.isatty() and not as_json
+    failures = 0
+    with live_tilts([device], {serial: record}) as read:
+        began = due = time.monotonic()
+        try:
+            while seconds is None or due - began < seconds:
+                try:
+                    _show(serial, read()[serial], renews=renews, as_json=as_json)
+                    failures = 0
+                except HardwareError as error:
+                    failures += 1
+                    if failures == ATTEMPTS:
+                        raise
+                    talk(f"{CLEAR if renews else ''}no reading: {error}")
+                due = max(due + 1.0 / rate, time.monotonic())
+                time.sleep(max(0.0, due - time.monotonic()))
+        except KeyboardInterrupt:
+            return 0 if seconds is None else INTERRUPTED
+        finally:
+            if renews:
+                click.echo()
+    return 0
+
+
+def _show(serial: str, tilt: LiveTilt, *, renews: bool, as_json: bool) -> None:
+    """Print a tilt, on a terminal in place of the one before."""
+    if as_json:
+        click.echo(options.json_text({"time": datetime.now(UTC).isoformat(timespec="milliseconds"), **tilt.as_data()}))
+    elif renews:
+        from shutil import get_terminal_size
+
+        line = f"{serial}   {tilt}"
+        click.echo(f"{CLEAR}{line[: get_terminal_size().columns - 1]}", nl=False)
+    else:
+        click.echo(f"{serial}   {tilt}")
