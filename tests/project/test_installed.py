@@ -93,7 +93,12 @@ def test_the_wheel_holds_tiltcal_alone(wheel: Path) -> None:
     held = set(ZipFile(wheel).namelist())
     assert {name.partition("/")[0] for name in held} == {"tiltcal", f"tiltcal-{tiltcal.__version__}.dist-info"}
     modules = [path for root in ("tiltcal", "drivers") for path in ROOT.glob(f"{root}/**/*.py")]
-    wanted = [*modules, *ROOT.glob("procedures/*.yaml"), *ROOT.glob("tiltcal/report/templates/*")]
+    wanted = [
+        *modules,
+        *ROOT.glob("procedures/*.yaml"),
+        *ROOT.glob("tiltcal/report/templates/*"),
+        *ROOT.glob("tiltcal/bench/page/*"),
+    ]
     assert {inside_tiltcal(path.relative_to(ROOT)).as_posix() for path in wanted} <= held
     assert "tiltcal/py.typed" in held
 

@@ -94,7 +94,7 @@ def in_words(channel: str, axis: AxisGuidance) -> str:
 def present_gravity(orientation: Orientation, axes: Mapping[str, AxisGuidance], gravity: Vector) -> Vector | None:
     """Return the direction that points up by the present angles of a sensor, a unit vector in the fixture's frame.
 
-    An axis that the sensor does not measure is as the position asks for; None where an angle is not known.
+    An axis that the sensor does not measure is as the position asks for; None where an angle is not known or all are 0.
     """
     angles = {channel: axis["present"] for channel, axis in axes.items()}
     up = {channel: sin(radians(angle)) for channel, angle in angles.items() if angle is not None}
@@ -106,4 +106,4 @@ def present_gravity(orientation: Orientation, axes: Mapping[str, AxisGuidance], 
     columns = zip(*orientation.matrix, strict=True)
     x, y, z = (sum(up[axis] * one for axis, one in zip(AXES, column, strict=True)) for column in columns)
     length = hypot(x, y, z)
-    return x / length, y / length, z / length
+    return (x / length, y / length, z / length) if length else None

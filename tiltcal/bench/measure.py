@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 
 from tiltcal.bench.journal import SessionResult, calibrations_of
@@ -17,9 +18,22 @@ from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Position
 
 
+@dataclass(frozen=True)
+class OperatorOptions:
+    """How an operator is asked: in ``plain`` lines; at a page also on other machines, and with free hands."""
+
+    plain: bool = False
+    listen: str | None = None
+    hands_free: bool = False
+
+
 @contextmanager
 def led_by(
-    chosen: object, session: Session, command: str, remark: Callable[[str], None], *, plain: bool = False
+    chosen: object,
+    session: Session,
+    command: str,
+    remark: Callable[[str], None],
+    options: OperatorOptions | None = None,
 ) -> Iterator[Operator]:
     """Yield the operator of a session whose files can be written and whose devices answer.
 
@@ -34,7 +48,7 @@ def led_by(
     try:
         session.probe()
         with ExitStack() as stack:
-            yield _operator(chosen, session, remark, stack, plain=plain)
+            yield _operator(chosen, session, remark, stack, options or OperatorOptions())
     except (KeyboardInterrupt, TiltcalError) as error:
         if not session.captured:
             raise
@@ -50,12 +64,15 @@ def led_by(
 
 
 def _operator(
-    chosen: object, session: Session, say: Callable[[str], None], stack: ExitStack, *, plain: bool
+    chosen: object, session: Session, say: Callable[[str], None], stack: ExitStack, options: OperatorOptions
 ) -> Operator:
     """Return an operator: one of :data:`NAMED`, or an object with the methods of the protocol.
 
     A terminal is given back at the end of the stack; ``say`` takes a line of the virtual jig's talk.
     """
+    if chosen != "web" and (options.listen is not None or options.hands_free):
+        option = "--hands-free" if options.hands_free else "--listen"
+        raise UsageError(f"{option} is for the page in a browser: give --operator web")
     needed = {"terminal": {"input": sys.stdin, "error": sys.stderr}, "json": {"input": sys.stdin, "output": sys.stdout}}
     for name, stream in needed.get(str(chosen), {}).items():
         if stream is None:
@@ -64,7 +81,11 @@ def _operator(
         case "terminal":
             from tiltcal.bench.terminal import open_terminal
 
-            return open_terminal(stack, plain=plain)
+            return open_terminal(stack, plain=options.plain)
+        case "web":
+            from tiltcal.bench.web import open_web
+
+            return open_web(stack, say, listen=options.listen, hands_free=options.hands_free)
         case "sim" if not session.setup.simulated:
             raise UsageError("--operator sim moves virtual sensors only; give --address sim:")
         case "sim":

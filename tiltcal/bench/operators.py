@@ -49,8 +49,8 @@ from tiltcal.stated_arguments import of_python
 
 Message = Mapping[str, Any]
 
-NAMED = ("terminal", "json", "sim")
-"""A person, a program over JSON Lines, the virtual jig."""
+NAMED = ("terminal", "web", "json", "sim")
+"""A person at the terminal or at a page in a browser, a program over JSON Lines, the virtual jig."""
 
 USUAL = {"position": "ready", "rotation": "ready", "review": "accept", "write": "yes"}
 """The answer to a question that an operator leaves to its default."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 from tiltcal.bench.checks import Expectations, PositionResult, ReadingSpans, at_rail, far_off, require_few, result_of
@@ -120,10 +119,14 @@ class Session:
             title=setup.steps.title,
             length="" if setup.steps.rotation is not None else setup.steps.length,
             positions=[position.name for position in setup.steps.positions],
+            attitudes={position.name: position.gravity for position in setup.steps.positions},
+            headings=any(position.heading for position in setup.steps.positions),
             accepted=[result.position.name for result in self.accepted],
             sensors={
                 sensor.serial: {
                     "model": model.name,
+                    "axes": sensor.orientation.names,
+                    "channels": model.channels,
                     "unit": model.unit,
                     "offset": model.offset,
                     "sensitivity": model.sensitivity,
@@ -156,7 +159,9 @@ class Session:
         if actual != position:
             self._hold(actual)
         window = self._window(position, answer.temperature)
-        wait_until_still(self.sensors, self.recorder, window, partial(self.look, actual))
+        wait_until_still(
+            self.sensors, self.recorder, window, lambda sample, why, left: self.look(actual, sample, why, seconds=left)
+        )
         self._soaked = position.temperature
         first = self.recorder.line + 1
         samples, without = self._sampled(actual, thermometers=answer.temperature is None)
@@ -287,11 +292,14 @@ class Session:
             why = f"no reading: {error}"
         self.tell("look", position=question.get("position", ""), why=why, readings=readings)
 
-    def look(self, position: Position, sample: Sample, why: str) -> None:
-        """Show readings while the session waits or samples, and once a minute why it takes so long."""
+    def look(self, position: Position, sample: Sample, why: str, **progress: object) -> None:
+        """Show readings while the session waits or samples, and once a minute why it takes so long.
+
+        ``progress`` are the ``seconds`` that it waits at least, or the ``samples`` taken and wanted.
+        """
         if self._operator.watches:
             readings = self._shown(sample, position.gravity)
-            self.tell("look", position=position.name, why=why, readings=readings)
+            self.tell("look", position=position.name, why=why, readings=readings, **progress)
         minutes = (self.recorder.now_ns() - self._answered_ns) // MINUTE_NS
         if minutes > self._minutes:
             self._minutes = minutes
@@ -356,7 +364,7 @@ class Session:
         while len(samples) < wanted:
             sample = sensors.read()
             samples[len(samples) + len(without)] = (self.recorder.now_ns() / 1e9, sample)
-            self.look(position, sample, f"sample {len(samples)} of {wanted}")
+            self.look(position, sample, f"sample {len(samples)} of {wanted}", samples=[len(samples), wanted])
             self.clock.sleep(interval)
             if len(samples) == wanted:
                 numbers = list(samples)

@@ -85,6 +85,11 @@ class Window:
         return self.temperature_drift is not None
 
     @property
+    def shortest(self) -> float:
+        """Seconds that waiting takes at least."""
+        return (SOAKS if self.soaking else 1) * self.seconds
+
+    @property
     def patience(self) -> float:
         """Seconds after which waiting ends."""
         return max(OVERNIGHT if self.soaking else PATIENCE, 10 * self.seconds)
@@ -96,10 +101,12 @@ class Window:
         )
 
 
-def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Callable[[Sample, str], None]) -> None:
+def wait_until_still(
+    sensors: SensorSet, clock: Clock, window: Window, look: Callable[[Sample, str, float], None]
+) -> None:
     """Read until neither the readings nor, where it matters, the temperature change over a whole window.
 
-    ``look`` is shown each sample, and what is being waited for.
+    ``look`` is shown each sample, what is being waited for, and how many seconds are waited at least.
 
     Unsettled: they did not come to rest within the window's patience.
     SensorError: one of them failed.
@@ -126,7 +133,7 @@ def wait_until_still(sensors: SensorSet, clock: Clock, window: Window, look: Cal
             why = moving or why
         if now - began > window.patience:
             raise Unsettled(f"not still after {window.patience:.0f} s: {why}")
-        look(sample, why)
+        look(sample, why, max(0.0, window.shortest - (now - began)))
         clock.sleep(pause)
 
 

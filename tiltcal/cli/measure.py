@@ -25,8 +25,11 @@ from tiltcal.cli.talk import remark
     type=options.OPERATORS,
     default="terminal",
     show_default=True,
-    help="Who sets the positions: a person, a program that reads and writes JSON Lines, or the virtual jig.",
+    help="Who sets the positions: a person at the terminal or at a page in a browser, a program that reads and writes "
+    "JSON Lines, or the virtual jig.",
 )
+@options.hands_free
+@options.listen
 @options.samples
 @options.above_zero(
     "--settle",

@@ -19,7 +19,7 @@ from tiltcal.stated_arguments import require_above_zero, require_from_zero, requ
 F = TypeVar("F", bound=Callable[..., Any])
 
 FILE = click.Path(path_type=Path)
-OPERATORS = click.Choice(["terminal", "json", "sim"])
+OPERATORS = click.Choice(["terminal", "web", "json", "sim"])
 
 BASE = (
     "The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, and "
@@ -31,7 +31,8 @@ HEADINGS = {
     "Sensor": "--sensor --address --serial --bench --calibration --base --unit",
     "Data": "--columns --pair --orthogonal --phase --skip-bad-rows",
     "Result": "--output --golden --limit --to --name --fixed --allow --figure --interval",
-    "Positions": "--operator --procedure --tilt --samples --settle --closing --turns --resume --journal --plain",
+    "Positions": "--operator --hands-free --listen --procedure --tilt --samples --settle --closing --turns --resume "
+    "--journal --plain",
     "Recording": "--rate --rows --for",
     "Known of the bench": "--jig --thermometer --noise --table-lean --heading-uncertainty --alignment "
     "--typical-temperature",
@@ -145,6 +146,16 @@ alignment = click.option(
 tilt = click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
 samples = click.option("--samples", type=count(2, "samples"), help="Samples per position; overrides the procedure.")
 resume = file_option("--resume", metavar="JOURNAL", help="Continue an interrupted session.")
+hands_free = click.option(
+    "--hands-free",
+    is_flag=True,
+    help="With --operator web: take the next position as soon as the readings show that it is set and still.",
+)
+listen = click.option(
+    "--listen",
+    metavar="HOST:PORT",
+    help="With --operator web: serve the page to other machines too, such as at 0.0.0.0:8016; prints a token.",
+)
 plain = click.option("--plain", is_flag=True, help="Plain lines: no live reading, no single keys.")
 as_json = click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 @click.option(
     "--operator", type=options.OPERATORS, default="terminal", show_default=True, help="Who sets the positions."
 )
+@options.hands_free
+@options.listen
 @options.samples
 @options.above_zero("--settle", metavar="SECONDS", help="How long a reading must be still; overrides the procedure.")
 @options.file_option("--journal", help="The journal of the session [beside the calibration].")
@@ -41,7 +43,7 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session, as with --operator json.")
 def command(
     calibration: Path, procedure: str, limit: float, operator: str, resume: Path | None, plain: bool, as_json: bool,
-    **stated: Any,
+    hands_free: bool, listen: str | None, **stated: Any,
 ) -> int:  # fmt: skip
     """Measure positions that CALIBRATION was not fitted to, and compare tilts.
 
@@ -50,7 +52,7 @@ def command(
     not decided. Exit code 1 unless passed.
     """
     from tiltcal.bench.journal import positions_of
-    from tiltcal.bench.measure import led_by, run_session
+    from tiltcal.bench.measure import OperatorOptions, led_by, run_session
     from tiltcal.bench.session import Session
     from tiltcal.bench.setup import SessionFiles, Setup, free_journal, single
     from tiltcal.calibration.verification import PASSED, Verification, verify_positions
@@ -75,7 +77,7 @@ def command(
     again = f"verify {quote(str(calibration))}"
     again += "" if options.left_at_default("limit") else f" --limit {limit}"
     again += " --json" if as_json else ""
-    with led_by(operator, session, again, remark, plain=plain) as opened:
+    with led_by(operator, session, again, remark, OperatorOptions(plain, listen, hands_free)) as opened:
         run_session(session, opened)
         recorded = positions_of(read_journal(session.files.journal))
         measurements = [result.measurements[judged.sensor.serial] for result in recorded.results()]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from math import hypot
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
 from tiltcal.bench.journal import SessionResult
-from tiltcal.bench.measure import led_by, run_session
+from tiltcal.bench.measure import OperatorOptions, led_by, run_session
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
 from tiltcal.calibration.complete import NO_LEVEL
@@ -66,6 +67,8 @@ def measure(
     journal: str | Path | None = None,
     resume: str | Path | None = None,
     plain: bool = False,
+    hands_free: bool = False,
+    listen: str | None = None,
     remark: Callable[[str], None] = unheard,
     result: Callable[[str], None] | None = None,
 ) -> Calibration | Any:
@@ -81,7 +84,8 @@ def measure(
     operator : object or str
         Who brings the sensors into position. An object with the methods of :mod:`tiltcal.bench.operators`:
         ``position(ask)`` returns an answer such as ``{"answer": "ready", "tilt": {"y": 30.02}}``; for a turning stage
-        ``rotation(ask)``. By name: ``"terminal"``, ``"json"``, ``"sim"``. None: as the journal says, or a terminal.
+        ``rotation(ask)``. By name: ``"terminal"``, ``"web"``, ``"json"``, ``"sim"``. None: as the journal says, or a
+        terminal.
     sensor, address, serial : str
         Model, address and serial number of one sensor.
     output : str or Path
@@ -119,6 +123,10 @@ def measure(
         journal names a file outside its own folder.
     plain : bool
         Whether the terminal prints lines only.
+    hands_free : bool
+        Whether the operator ``web`` takes the next position as soon as the readings show that it is set and still.
+    listen : str, optional
+        HOST:PORT at which the page of ``web`` is served to other machines too, with a token that is remarked.
     remark : callable
         Gets each remark on the session, one line of text.
     result : callable, optional
@@ -139,7 +147,8 @@ def measure(
     Stopped
         The operator stopped; the message says how to go on.
     """
-    for option, value in (("--typical-temperature", typical_temperature), ("--closing", closing), ("--plain", plain)):
+    yes_or_no = {"--typical-temperature": typical_temperature, "--closing": closing, "--plain": plain}
+    for option, value in {**yes_or_no, "--hands-free": hands_free}.items():
         require_boolean(option, value)
     for option, file in (("--base", base), ("--journal", journal), ("--resume", resume), ("-o", output)):
         if file is not None:
@@ -159,7 +168,8 @@ def measure(
         missing = None if resume is None else Path(resume)
         session = _begun(stated, named, operator, missing, remark)
     operator = operator or session.setup.operator
-    with led_by(operator, session, "measure", remark, plain=bool(plain)) as opened:
+    options = OperatorOptions(bool(plain), listen, bool(hands_free))
+    with led_by(operator, session, "measure", remark, options) as opened:
         outcome = run_session(session, opened)
         paths = {session.files.outputs[serial]: text for serial, text in outcome.texts().items()}
         for path, text in paths.items():
@@ -168,7 +178,14 @@ def measure(
         opened.tell({"event": "done", "calibrations": files, "journal": str(session.files.journal)})
         if outcome.lost:
             raise HardwareError("no calibration file for " + "; ".join(outcome.lost.values()))
-    return _results(session, outcome, remark, None if operator == "json" else result)
+        results = _results(session, outcome, remark, None if operator == "json" else result)
+        if operator == "web":
+            from tiltcal.library.afterwards import Afterwards
+
+            every = results if isinstance(results, list) else [results]
+            with suppress(KeyboardInterrupt):  # everything is written
+                Afterwards(opened, session, dict(zip(outcome.calibrations, every, strict=False)), remark).show()
+    return results
 
 
 def resumed(

@@ -42,7 +42,7 @@ def settled(rate: float, seed: int, seconds: float = 80.0) -> float:
     """Seconds until a sensor with a drift in mg/s counts as still."""
     clock = VirtualClock()
     sensors: Any = Drifting(clock, rate, seconds, seed)
-    wait_until_still(cast(SensorSet, sensors), clock, SOAK, lambda sample, why: None)
+    wait_until_still(cast(SensorSet, sensors), clock, SOAK, lambda sample, why, left: None)
     return clock.now_ns() / 1e9
 
 

@@ -1,0 +1,121 @@
+// Draws a sensor as a box with its axes printed on it, and a bubble level, from directions that point up.
+// A direction is [x, y, z] in the frame of the fixture, g; level is [0, 0, 1].
+"use strict";
+
+const SVG = "http://www.w3.org/2000/svg";
+const HALF = [100, 72, 26];                       // half of the box along each axis, drawing units
+const TURN = -0.5, LIFT = 0.8;                     // where the eye is: round the vertical, and above level, radians
+const FACES = [                                   // outward normal, and right and up of what is printed on it
+  {n: [0, 0, 1], u: [1, 0, 0], v: [0, 1, 0], print: "top"},
+  {n: [0, 0, -1], u: [1, 0, 0], v: [0, -1, 0], print: "underside"},
+  {n: [1, 0, 0], u: [0, 1, 0], v: [0, 0, 1], print: "+X"},
+  {n: [-1, 0, 0], u: [0, -1, 0], v: [0, 0, 1], print: "−X"},
+  {n: [0, 1, 0], u: [-1, 0, 0], v: [0, 0, 1], print: "+Y"},
+  {n: [0, -1, 0], u: [1, 0, 0], v: [0, 0, 1], print: "−Y"},
+];
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const plus = (a, b, by = 1) => a.map((value, i) => value + by * b[i]);
+const unit = (a) => a.map((value) => value / (Math.hypot(...a) || 1));
+
+function element(parent, name, attributes, text) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text !== undefined) made.textContent = text;
+  return parent.appendChild(made);
+}
+
+// The axes of the world in the frame of the box: x to the right, as far as the box's own x axis is level; z up.
+function worldAxes(up) {
+  const z = unit(up);
+  const level = Math.abs(z[0]) < 0.98 ? [1, 0, 0] : [0, 0, -Math.sign(z[0])];
+  const x = unit(plus(level, z, -dot(level, z)));
+  return [x, cross(z, x), z];
+}
+
+// A point of the world on the drawing: right, down, and towards the eye.
+function seen([x, y, z]) {
+  const right = x * Math.cos(TURN) - y * Math.sin(TURN), away = x * Math.sin(TURN) + y * Math.cos(TURN);
+  return [right, -(z * Math.cos(LIFT) + away * Math.sin(LIFT)), z * Math.sin(LIFT) - away * Math.cos(LIFT)];
+}
+
+function drawBox(svg, up) {
+  svg.replaceChildren();
+  const table = [[-130, -130], [130, -130], [130, 130], [-130, 130]].map(([x, y]) => seen([x, y, -95]).slice(0, 2));
+  element(svg, "polygon", {class: "table", points: table.join(" ")});
+  if (!up) return;
+  const world = worldAxes(up);
+  const place = (point) => seen(world.map((axis) => dot(axis, point)));
+  const foot = seen([0, 0, -95]);
+  element(svg, "ellipse", {class: "shadow", cx: foot[0], cy: foot[1], rx: 95, ry: 68});
+  for (const face of FACES.filter(({n}) => place(n)[2] > 1e-9)) {
+    const reach = (axis) => Math.abs(dot(axis, HALF));
+    const centre = place(face.n.map((value, i) => value * HALF[i]));
+    const [u, v] = [place(face.u), place(face.v)];
+    const group = element(svg, "g", {
+      class: "face " + (face.print.length > 2 ? face.print : "side"),
+      transform: `matrix(${[u[0], u[1], -v[0], -v[1], centre[0], centre[1]].map((value) => value.toFixed(4))})`,
+    });
+    const [w, h] = [reach(face.u), reach(face.v)];
+    element(group, "rect", {x: -w, y: -h, width: 2 * w, height: 2 * h, rx: 6});
+    if (face.print === "top") printAxes(group);
+    else element(group, "text", {y: 11, class: "print"}, face.print);
+  }
+}
+
+function printAxes(group) {
+  element(group, "path", {class: "axis", d: "M-62 40 H58 M46 30 L60 40 L46 50"});
+  element(group, "path", {class: "axis", d: "M-62 40 V-44 M-72 -32 L-62 -46 L-52 -32"});
+  element(group, "text", {class: "print", x: 80, y: 51}, "X");
+  element(group, "text", {class: "print", x: -36, y: -34}, "Y");
+  element(group, "circle", {class: "axis", cx: 50, cy: -28, r: 11});
+  element(group, "circle", {class: "dot", cx: 50, cy: -28, r: 3.5});
+  element(group, "text", {class: "print", x: 78, y: -17}, "Z");
+}
+
+// The two axes of the box that are nearest to level in an attitude, each made level: [name, direction].
+function levelAxes(target) {
+  const named = [["X", [1, 0, 0]], ["Y", [0, 1, 0]], ["Z", [0, 0, 1]]];
+  const [first, second] = named.sort((a, b) => Math.abs(dot(a[1], target)) - Math.abs(dot(b[1], target)))
+    .slice(0, 2).sort((a, b) => a[0].localeCompare(b[0]));
+  const x = unit(plus(first[1], target, -dot(first[1], target)));
+  const flat = plus(second[1], target, -dot(second[1], target));
+  return [[first[0], x], [second[0], unit(plus(flat, x, -dot(flat, x)))]];
+}
+
+// How far each of the two level axes is too high, degrees, and their names.
+function tooHigh(target, present) {
+  const angle = Math.atan2(Math.hypot(...cross(target, present)), dot(target, present));
+  const across = plus(present, target, -dot(present, target));
+  const length = Math.hypot(...across) || 1;
+  return levelAxes(target).map(([name, axis]) => [name, angle / length * dot(across, axis) * 180 / Math.PI]);
+}
+
+const BUBBLE = 26, RING = 30, EDGE = 108, FARTHEST = 60;
+
+// Within the tolerance in proportion, beyond it by the logarithm: one degree and sixty are both seen.
+function radius(degrees, tolerance) {
+  if (degrees <= tolerance) return RING * degrees / tolerance;
+  const beyond = Math.log(degrees / tolerance) / Math.log(FARTHEST / tolerance);
+  return RING + (EDGE - RING) * Math.min(1, beyond);
+}
+
+function drawBubble(svg, target, presents, tolerance) {
+  svg.replaceChildren();
+  element(svg, "circle", {class: "vial", r: EDGE + BUBBLE});
+  const [[first], [second]] = levelAxes(target);
+  element(svg, "path", {class: "cross", d: `M${-EDGE - 20} 0 H${EDGE + 20} M0 ${-EDGE - 20} V${EDGE + 20}`});
+  element(svg, "text", {class: "side", x: EDGE + 12, y: -8}, `+${first}`);
+  element(svg, "text", {class: "side", x: 20, y: -EDGE - 4}, `+${second}`);
+  const places = presents.map((present) => {
+    const [[, right], [, up]] = tooHigh(target, present);
+    const degrees = Math.hypot(right, up), by = degrees ? radius(degrees, tolerance) / degrees : 0;
+    return {x: right * by, y: -up * by, within: degrees <= tolerance};
+  });
+  const within = places.length > 0 && places.every((place) => place.within);
+  element(svg, "circle", {class: within ? "ring within" : "ring", r: RING + BUBBLE});
+  const size = places.length > 1 ? BUBBLE * 0.62 : BUBBLE;
+  for (const {x, y, within: good} of places) element(svg, "circle", {class: good ? "bubble within" : "bubble", cx: x, cy: y, r: size});
+  element(svg, "circle", {class: "middle", r: 3});
+}

@@ -1,0 +1,313 @@
+// Shows the state that tiltcal sends, and sends an answer to the question in it. The page itself keeps no state of the session.
+"use strict";
+
+const $ = (selector) => document.querySelector(selector);
+const CHOICES = {                                  // by question: key, answer, words
+  position: [["Enter", "ready", "Measure"], ["a", "angle", "angle set"], ["t", "temperature", "temperature"], ["b", "back", "back"], ["q", "quit", "stop and keep"]],
+  rotation: [["Enter", "ready", "The stage turns"], ["q", "quit", "stop and keep"]],
+  poll: [["s", "stop", "Stop and use the turns so far"], ["q", "quit", "stop and keep"]],
+  review: [["Enter", "accept", "Accept"], ["r", "redo", "redo"], ["b", "back", "back"], ["q", "quit", "stop and keep"]],
+  write: [["Enter", "yes", "Write"], ["n", "quit", "stop and keep"]],
+  afterwards: [["v", "verify", "Verify"], ["r", "report", "Write the report"], ["f", "finish", "Finish"]],
+};
+const UNTOUCHED = 250;                             // ms in which a new question takes no key: it was meant for the one before
+const SILENT = 5000;                               // ms without a sign after which the connection is lost
+const SURE = 4000;                                 // ms in which a stop is pressed a second time
+
+let state = null, asked = "", since = 0, heard = 0, sending = false, stopping = 0, stream = null;
+
+function make(parent, name, text = "", className = "") {
+  const made = document.createElement(name);
+  made.textContent = text;
+  if (className) made.className = className;
+  return parent.appendChild(made);
+}
+
+function choices(question) {
+  return (CHOICES[question?.ask] ?? []).filter(([, word]) => word !== "verify" || question.verify);
+}
+
+// ---- the connection
+
+function connect() {
+  stream?.close();
+  stream = new EventSource("events");
+  heard = Date.now();
+  stream.onmessage = (event) => { alive(); show(JSON.parse(event.data)); };
+  stream.addEventListener("alive", alive);
+  stream.onerror = async () => {
+    lost();
+    if (state?.ended) { stream.close(); return setTimeout(connect, 2000); }
+    if (stream.readyState !== EventSource.CLOSED) return;
+    const answer = await fetch("who").catch(() => null);
+    if (answer?.status === 401) $("#token").hidden = false, $("#lost").hidden = true, $("main").hidden = true;
+    else setTimeout(connect, 1000);
+  };
+}
+
+function alive() {
+  heard = Date.now();
+  document.body.className = "live";
+  $("#lost").hidden = $("#token").hidden = true;
+  $("main").hidden = false;
+  $("#link").textContent = "connected";
+}
+
+function lost() {
+  document.body.className = "lost";
+  $("#lost").hidden = Boolean(state?.ended) || !state;
+  $("#link").textContent = state?.ended ? "the session has ended" : "no connection";
+  for (const button of document.querySelectorAll("#answers button")) button.disabled = true;
+}
+
+setInterval(() => { if (stream && Date.now() - heard > SILENT) { lost(); if (!state?.ended) connect(); } }, 500);
+
+async function send(path, content) {
+  const how = {method: "POST", headers: {"Content-Type": "application/json"}, body: JSON.stringify(content)};
+  return (await fetch(path, how).catch(() => null))?.status ?? 0;
+}
+
+async function openWith(token) {
+  if (await send("token", {token}) === 204) return connect();
+  $("#token").hidden = false;
+  $("#wrong").textContent = "This is not the token.";
+}
+
+$("#token").onsubmit = (event) => { event.preventDefault(); openWith(new FormData(event.target).get("token").trim()); };
+
+// ---- answers
+
+async function answer(word, more = {}) {
+  const question = state?.question;
+  if (!question || sending || document.body.className !== "live" || performance.now() - since < UNTOUCHED) return;
+  if (word === "angle" || word === "temperature") return type(word, question);
+  if (word === "quit" && Date.now() - stopping > SURE) {
+    stopping = Date.now();
+    $("#said").textContent = "Press it again to stop. Everything measured is kept.";
+    return;
+  }
+  sending = true;
+  for (const button of document.querySelectorAll("#answers button")) button.disabled = true;
+  const status = await send("answer", {id: question.id, answer: word, ...more});
+  sending = false;
+  if (status !== 204) {
+    $("#said").textContent = status === 409 ? "This was answered already." : "It did not arrive. Nothing was taken.";
+    asked = "";
+    show(state);
+  }
+}
+
+function type(what, question) {
+  const fields = $("#fields"), typed = question.typed ?? {};
+  const wanted = what === "temperature" ? [["temperature", "Temperature", "°C", typed.temperature]]
+    : question.tilt ? Object.entries(question.tilt).map(([axis, angle]) => [axis, `Tilt of ${axis}, asked ${angle}`, "°", typed.tilt?.[axis]])
+    : ["x", "y", "z"].map((axis, i) => [axis, `Direction that points up, ${axis}`, "", typed.gravity?.[i]]);
+  $("#asked").textContent = what === "temperature" ? "The temperature of the sensor" : "The attitude actually set";
+  fields.replaceChildren();
+  for (const [name, label, unit, value] of wanted) {
+    const row = make(fields, "label", `${label} `);
+    const input = make(row, "input");
+    Object.assign(input, {name, inputMode: "text", autocomplete: "off", required: !unit, value: value ?? "", pattern: " *[-+−]?[0-9]*[.,]?[0-9]+ *"});
+    row.append(` ${unit}`);
+  }
+  const dialog = $("#type");
+  dialog.returnValue = "";
+  dialog.onclose = () => {
+    const read = [...fields.querySelectorAll("input")].filter((input) => input.value.trim());
+    if (dialog.returnValue !== "keep" || !read.length || state.question?.id !== question.id) return;
+    const values = read.map((input) => [input.name, Number(input.value.trim().replace(",", ".").replace("−", "-"))]);
+    answer("set", what === "temperature" ? {temperature: values[0][1]} : question.tilt ? {tilt: Object.fromEntries(values)} : {gravity: values.map(([, value]) => value)});
+  };
+  dialog.showModal();
+}
+
+document.addEventListener("keydown", (event) => {
+  wake();
+  if (event.repeat || event.ctrlKey || event.metaKey || event.altKey || $("dialog[open]") || event.target.tagName === "INPUT") return;
+  if (event.key === "Enter" && event.target.tagName === "A") return;
+  if (event.key === "?") return help();
+  const choice = choices(state?.question).find(([key]) => key.toLowerCase() === event.key.toLowerCase());
+  if (choice) event.preventDefault(), answer(choice[1]);
+});
+document.addEventListener("pointerdown", wake);
+
+function help() {
+  const offered = choices(state?.question);
+  $("#help p").textContent = offered.length ? "Keys" : "tiltcal is measuring: no key is taken at the moment.";
+  $("#help dl").replaceChildren();
+  for (const [key, , words] of offered) make($("#help dl"), "dt", key), make($("#help dl"), "dd", words);
+  $("#help").showModal();
+}
+
+// ---- sound, and a screen that stays on
+
+let audio = null, silent = false, lock = null;
+
+function wake() {
+  if (!audio && !silent) audio = new AudioContext(), sounding();
+  if (audio?.state === "suspended") audio.resume();
+  if (!lock && navigator.wakeLock) navigator.wakeLock.request("screen").then((got) => { lock = got; got.onrelease = () => { lock = null; }; }, () => {});
+}
+document.addEventListener("visibilitychange", () => { if (!document.hidden && audio) wake(); });
+
+function sounding() {
+  $("#sound").setAttribute("aria-pressed", String(Boolean(audio)));
+  $("#sound").textContent = audio ? "sound on" : "sound off";
+}
+$("#sound").onclick = () => { silent = Boolean(audio) && $("#sound").dataset.first !== "1"; $("#sound").dataset.first = ""; if (silent) audio.close(), audio = null; else wake(); sounding(); };
+$("#sound").onpointerdown = () => { $("#sound").dataset.first = audio ? "" : "1"; };
+
+const TONES = {sampled: [[880, 0, 0.12], [1320, 0.13, 0.2]], refused: [[220, 0, 0.25], [165, 0.28, 0.45]], done: [[660, 0, 0.15], [880, 0.16, 0.15], [1320, 0.32, 0.4]]};
+
+function sound(name) {
+  document.documentElement.dataset.sound = name;
+  for (const [pitch, start, length] of audio ? TONES[name] : []) {
+    const tone = audio.createOscillator(), volume = audio.createGain(), from = audio.currentTime + start;
+    tone.type = name === "refused" ? "square" : "sine";
+    tone.frequency.value = pitch;
+    volume.gain.setValueAtTime(name === "refused" ? 0.2 : 0.5, from);
+    volume.gain.exponentialRampToValueAtTime(0.001, from + length);
+    tone.connect(volume).connect(audio.destination);
+    tone.start(from);
+    tone.stop(from + length);
+  }
+}
+
+// ---- what is seen
+
+function show(next) {
+  const before = state;
+  state = next;
+  if (before?.session === next.session) {
+    for (const name of Object.keys(TONES)) if ((next.sounds[name] ?? 0) > (before.sounds[name] ?? 0)) sound(name);
+  }
+  const question = next.question, guide = next.guide;
+  const id = question ? question.id : "";
+  if (id !== asked) {
+    asked = id;
+    since = performance.now();
+    stopping = 0;
+    $("#said").textContent = "";
+    if (before && $("#type").open) $("#type").close("");
+    showAnswers(question);
+  }
+  $("#title").textContent = document.title = next.title;
+  $("#hands").hidden = !next.hands_free;
+  $("#remaining").textContent = next.remaining === null ? "" : `about ${duration(next.remaining)} to go`;
+  $("#step").textContent = next.step;
+  $("#prompt").textContent = next.prompt;
+  $("#conditions").textContent = next.conditions.join(" · ");
+  $("#doing").textContent = next.doing + (next.soak === null ? "" : `, ${duration(next.soak)} at least`);
+  $("#pictures").hidden = !guide;
+  $("#state").hidden = !guide && !next.doing && !next.refused;
+  if (guide) showGuide(guide);
+  showOff(guide, next);
+  const [taken, wanted] = next.samples ?? [0, 0];
+  $("#samples").hidden = !next.samples;
+  Object.assign($("#samples progress"), {value: taken, max: wanted || 1});
+  $("#samples span").textContent = `${taken} of ${wanted}`;
+  list($("#positions"), next.positions.map((name, i) => [name, i < next.at ? "done" : i === next.at ? "now" : ""]));
+  list($("#log"), [...next.log].reverse().map(({text, kind}) => [text, kind]));
+  showTable(next.table);
+  showResults(next);
+  if (next.ended) lost();
+  requestAnimationFrame(() => { document.documentElement.dataset.lag = next.read_ms ? Date.now() - next.read_ms : ""; });
+}
+
+function showAnswers(question) {
+  const place = $("#answers");
+  place.replaceChildren();
+  for (const [key, word, words] of choices(question)) {
+    const button = make(place, "button", words, key === "Enter" ? "main" : "");
+    make(button, "kbd", key === "Enter" ? "⏎" : key);
+    button.dataset.answer = word;
+    button.type = "button";
+    button.onclick = () => { button.blur(); answer(word); };
+  }
+}
+
+function showGuide(guide) {
+  const presents = guide.sensors.map(({present}) => present).filter(Boolean);
+  const mean = presents.length ? unit(presents.reduce((a, b) => plus(a, b))) : null;
+  drawBox($("#set svg"), guide.target);
+  drawBox($("#now svg"), mean);
+  $("#now").classList.toggle("none", !mean);
+  drawBubble($("#level svg"), guide.target, presents, guide.tolerance);
+  const away = mean ? tooHigh(guide.target, mean).filter(([, by]) => Math.abs(by) > guide.tolerance / 4) : [];
+  $("#advice").textContent = mean && !guide.ok ? away.map(([axis, by]) => `${by > 0 ? "lower" : "raise"} +${axis} by ${Math.abs(by).toFixed(by > 10 || by < -10 ? 0 : 1)}°`).join(", ") : "";
+  $("#still meter").value = guide.still;
+}
+
+function showOff(guide, next) {
+  const off = $("#off");
+  off.className = next.refused ? "refused" : guide?.ok ? "good" : "";
+  off.replaceChildren();
+  if (next.refused) off.textContent = `refused: ${next.refused}`;
+  else if (guide && guide.off !== null) {
+    off.textContent = guide.ok ? "ok" : `${guide.off.toFixed(guide.off < 10 ? 1 : 0)}°`;
+    make(off, "small", guide.ok ? `${guide.off.toFixed(1)}° off, ±${guide.tolerance.toFixed(1)}°` : `off, ±${guide.tolerance.toFixed(1)}°`);
+  }
+}
+
+function list(place, items) {
+  const text = JSON.stringify(items);
+  if (place.dataset.shown === text) return;
+  place.dataset.shown = text;
+  place.replaceChildren();
+  for (const [words, className] of items) make(place, "li", words, className);
+}
+
+function showTable(table) {
+  const place = $("#readings");
+  place.hidden = !table;
+  if (!table) return;
+  const text = JSON.stringify(table);
+  if (place.dataset.shown === text) return;
+  place.dataset.shown = text;
+  place.replaceChildren();
+  const made = make(place, "table");
+  const head = make(make(made, "thead"), "tr"), body = make(made, "tbody");
+  for (const name of table.head) make(head, "th", name);
+  for (const {cells, ok} of table.rows) {
+    const row = make(body, "tr");
+    for (const cell of cells) make(row, "td", cell);
+    make(row, "td", ok === null ? "" : ok ? "ok" : "off", ok === null ? "" : ok ? "good" : "bad");
+  }
+}
+
+function showResults(next) {
+  const place = $("#results");
+  const text = JSON.stringify(next.results);
+  if (place.dataset.shown !== text) {
+    place.dataset.shown = text;
+    place.replaceChildren();
+    for (const result of next.results) {
+      const card = make(place, "div", "", "sensor");
+      make(card, "h2", `${result.serial}  ${result.file}`);
+      make(card, "div", "", "tilt").dataset.serial = result.serial;
+      for (const line of result.uncertainty) make(card, "p", line);
+      if (result.verdict) make(card, "pre", result.verdict, "verdict");
+      if (result.report) Object.assign(make(card, "a", `${result.report} is written: open it`), {href: `report/${encodeURIComponent(result.serial)}`, target: "_blank"});
+      const more = make(card, "details");
+      make(more, "summary", "coefficients");
+      make(more, "pre", result.summary);
+    }
+  }
+  for (const tilt of place.querySelectorAll(".tilt")) {
+    tilt.replaceChildren();
+    for (const [name, value, half] of next.live[tilt.dataset.serial] ?? []) {
+      const part = make(tilt, "span", "", name.startsWith("tilt") ? "" : "small");
+      make(part, "small", name), make(part, "b", value), make(part, "small", half);
+    }
+  }
+}
+
+function duration(seconds) {
+  const minutes = Math.round(seconds / 60);
+  if (seconds < 90) return `${Math.max(0, Math.round(seconds))} s`;
+  return minutes < 90 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
+}
+
+const token = location.hash.slice(1);
+if (token) history.replaceState(null, "", "/"), openWith(token);
+else connect();

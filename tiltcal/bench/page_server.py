@@ -1,0 +1,336 @@
+"""The server of the operator's page: it sends the state to every tab, and takes one answer to each question.
+
+The state is here alone. A tab gets the whole of it as a server-sent event whenever it changes, so a reload, a second
+tab or a connection that was lost shows what all others show. An answer names the number of its question; a number that
+is not asked at the moment, as of an old tab or of an earlier session, changes nothing.
+
+What a page of another site could send is refused: its name in ``Host`` (a name that an attacker lets lead to this
+machine) and its ``Origin``. Other machines have to know a token.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import socket
+from collections.abc import Mapping
+from contextlib import suppress
+from http.cookies import CookieError, SimpleCookie
+from http.server import BaseHTTPRequestHandler
+from importlib.resources import files
+from ipaddress import ip_address
+from socketserver import ThreadingTCPServer
+from threading import Condition, Thread
+from time import sleep
+from typing import Any
+from urllib.parse import urlsplit
+
+from tiltcal.errors import UsageError
+
+PORT = 8016
+"""The usual port, so that a page that is open goes on after ``--resume``; another one where it is taken."""
+
+PAGE = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/page.css": ("page.css", "text/css; charset=utf-8"),
+    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/attitude.js": ("attitude.js", "text/javascript; charset=utf-8"),
+}
+"""The files of the page, by path."""
+
+HEADERS = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Content-Security-Policy": "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+}
+REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
+
+STRANGE_HOST = (
+    "this name does not lead to the page: call it by the address that tiltcal printed, or start it with "
+    "--listen NAME:PORT\n"
+)
+EVERYWHERE = ("0.0.0.0", "::")
+"""What listens at every address of the machine."""
+
+LONGEST_ANSWER = 4096
+"""Bytes of an answer."""
+
+SILENCE = 2.0
+"""Seconds after which a stream shows that it lives, though nothing has changed."""
+
+PACE = 0.04
+"""Seconds between two states on one stream: a virtual session has a thousand readings in that time."""
+
+LOST = 5.0
+"""Seconds after which a connection that says or takes nothing is given up."""
+
+WRONG_TOKEN = 0.5
+"""Seconds that the answer to a wrong token takes."""
+
+
+class PageState:
+    """What every tab shows, and the question that one of them may answer once."""
+
+    def __init__(self) -> None:
+        self._changed = Condition()
+        self._session = secrets.token_hex(4)
+        self._fields: dict[str, Any] = {"session": self._session, "question": None}
+        self._version = self._questions = 0
+        self._answer: dict[str, Any] | None = None
+        self.closed = False
+
+    def show(self, **fields: object) -> None:
+        """Change some fields of the state."""
+        with self._changed:
+            self._fields.update(fields)
+            self._note()
+
+    def ask(self, question: Mapping[str, Any]) -> None:
+        """Show a question, with a number that no question has had."""
+        self._questions += 1
+        self._answer = None
+        self.show(question={**question, "id": f"{self._session}-{self._questions}"})
+
+    def withdraw(self) -> None:
+        """Show no question any more."""
+        self.show(question=None)
+
+    def wait(self, seconds: float) -> dict[str, Any] | None:
+        """Return the answer to the question, which is then asked no more; None where there is none in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._answer is not None, seconds)
+            answer, self._answer = self._answer, None
+            return answer
+
+    def take(self, said: Mapping[str, Any]) -> bool:
+        """Take an answer from a tab; return whether its question is asked at the moment."""
+        with self._changed:
+            question = self._fields["question"]
+            if question is None or said.get("id") != question["id"]:
+                return False
+            self._answer = {key: value for key, value in said.items() if key != "id"}
+            self._fields["question"] = None
+            self._note()
+            return True
+
+    def after(self, seen: int) -> tuple[int, bytes]:
+        """Return the number of the state and the state as JSON, none where it is still that of ``seen`` after a while.
+
+        The number is -1 after the end.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._version != seen or self.closed, SILENCE)
+            if self._version != seen:
+                return self._version, json.dumps(self._fields).encode()
+            return (-1 if self.closed else seen), b""
+
+    def close(self) -> None:
+        """End all streams after the last state."""
+        with self._changed:
+            self._fields.update(question=None, ended=True)
+            self.closed = True
+            self._note()
+
+    def _note(self) -> None:
+        self._version += 1
+        self._changed.notify_all()
+
+
+class PageServer(ThreadingTCPServer):
+    """Serves the page, the state and the reports until :meth:`close`; ``url`` is where.
+
+    ``listen`` is HOST:PORT for other machines too, which have to know the ``token``; None is this machine alone.
+
+    UsageError: it cannot listen there.
+    """
+
+    allow_reuse_address = True
+    daemon_threads = False  # all end in close
+
+    def __init__(self, state: PageState, listen: str | None = None) -> None:
+        self.state = state
+        self.reports: dict[str, bytes] = {}
+        self.token = None if listen is None else secrets.token_urlsafe(9)
+        self._connections: set[socket.socket] = set()
+        self.named, port = ("127.0.0.1", PORT) if listen is None else host_and_port(listen)
+        self.address_family = socket.AF_INET6 if ":" in self.named else socket.AF_INET
+        try:
+            super().__init__((self.named, port), PageRequest)
+        except OSError as error:
+            if listen is not None:
+                raise UsageError(f"--listen {listen}: {error.strerror or error}") from None
+            super().__init__((self.named, 0), PageRequest)
+        self._thread = Thread(target=self.serve_forever, args=(0.1,), name="page")
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Where the page is; with the token behind #, which a browser sends to nobody."""
+        host = _outward_address(self.named) if self.named in EVERYWHERE else self.named
+        place = f"[{host}]" if ":" in host else host
+        return f"http://{place}:{self.server_address[1]}/" + ("" if self.token is None else f"#{self.token}")
+
+    def get_request(self) -> tuple[socket.socket, Any]:
+        """Take a connection, which :meth:`close` can end."""
+        connection, address = super().get_request()
+        self._connections.add(connection)
+        return connection, address
+
+    def shutdown_request(self, request: Any) -> None:
+        """End a connection."""
+        self._connections.discard(request)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a browser that has gone."""
+
+    def close(self) -> None:
+        """End every connection and every thread; a stream sends the last state before."""
+        self.state.close()
+        self.shutdown()
+        self._thread.join()
+        for connection in list(self._connections):
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RD)  # what waits for a request waits no more
+        self.server_close()
+
+
+class PageRequest(BaseHTTPRequestHandler):
+    """One request of a browser."""
+
+    server: PageServer
+    timeout = LOST
+    server_version, sys_version = "tiltcal", ""
+
+    def do_GET(self) -> None:
+        """Send the page, the stream of states, or a report."""
+        path = urlsplit(self.path).path
+        if not self._trusted():
+            self._send(403, STRANGE_HOST)
+        elif path in PAGE:
+            name, kind = PAGE[path]
+            self._send(200, (files("tiltcal.bench") / "page" / name).read_bytes(), kind)
+        elif not self._authorised():
+            self._send(401, "the token is missing")
+        elif path == "/events":
+            self._stream()
+        elif path in self.server.reports:
+            self._send(200, self.server.reports[path], "text/html; charset=utf-8", policy=REPORT_POLICY)
+        else:
+            self._send(404, "there is no such page")
+
+    def do_POST(self) -> None:
+        """Take an answer, or the token."""
+        path = urlsplit(self.path).path
+        if not self._trusted() or self.headers.get("Origin") is None:
+            self._send(403, STRANGE_HOST)
+            return
+        try:
+            said = json.loads(self.rfile.read(min(int(self.headers["Content-Length"]), LONGEST_ANSWER)))
+        except (ValueError, TypeError, RecursionError):
+            said = None
+        if not isinstance(said, dict):
+            self._send(400, "an answer is a JSON object")
+        elif path == "/token" and self.server.token is not None:
+            self._let_in(str(said.get("token")))
+        elif not self._authorised():
+            self._send(401, "the token is missing")
+        elif path != "/answer":
+            self._send(404, "there is no such page")
+        elif self.server.state.take(said):
+            self._send(204)
+        else:
+            self._send(409, "this question is not asked any more")
+
+    def log_message(self, *args: object) -> None:
+        """Print nothing: the terminal shows the session."""
+
+    def _trusted(self) -> bool:
+        """Return whether the request is to this machine by address, and from our own page where it says so."""
+        host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
+        by_address = name in ("localhost", self.server.named.lower()) or _is_address(name)
+        return by_address and origin in (None, f"http://{host}")
+
+    def _authorised(self) -> bool:
+        """Return whether the browser has shown the token, where one is asked for."""
+        token = self.server.token
+        if token is None:
+            return True
+        try:
+            cookie = SimpleCookie(self.headers.get("Cookie", "")).get(self._cookie)
+        except CookieError:
+            return False
+        return cookie is not None and secrets.compare_digest(cookie.value.encode(), token.encode())
+
+    @property
+    def _cookie(self) -> str:
+        return f"tiltcal-{self.server.server_address[1]}"  # the ports of a machine share its cookies
+
+    def _let_in(self, token: str) -> None:
+        """Give a browser that shows the token a cookie."""
+        if self.server.token is None or not secrets.compare_digest(token.encode(), self.server.token.encode()):
+            sleep(WRONG_TOKEN)
+            self._send(401, "this is not the token")
+            return
+        self._send(204, cookie=f"{self._cookie}={token}; HttpOnly; SameSite=Strict; Path=/")
+
+    def _stream(self) -> None:
+        """Send each state until the end of the session or of the connection."""
+        self._begin(200, "text/event-stream", HEADERS["Content-Security-Policy"])
+        self.end_headers()
+        seen = 0
+        while seen >= 0:
+            seen, state = self.server.state.after(seen)
+            self.wfile.write(b"data: " + state + b"\n\n" if state else b"event: alive\ndata:\n\n")
+            sleep(PACE)
+
+    def _send(
+        self, status: int, body: str | bytes = b"", kind: str = "text/plain; charset=utf-8", *,
+        policy: str = HEADERS["Content-Security-Policy"], cookie: str = "",
+    ) -> None:  # fmt: skip
+        content = body.encode() if isinstance(body, str) else body
+        self._begin(status, kind, policy)
+        self.send_header("Content-Length", str(len(content)))
+        if cookie:
+            self.send_header("Set-Cookie", cookie)
+        self.end_headers()
+        self.wfile.write(content)
+
+    def _begin(self, status: int, kind: str, policy: str) -> None:
+        self.send_response(status)
+        for name, value in {**HEADERS, "Content-Security-Policy": policy, "Content-Type": kind}.items():
+            self.send_header(name, value)
+
+
+def host_and_port(listen: str) -> tuple[str, int]:
+    """Return host and port of HOST:PORT, such as ``0.0.0.0:8016`` or ``[::]:8016``; a UsageError where it is not."""
+    try:
+        parts = urlsplit(f"//{listen}")
+        if parts.hostname and parts.port is not None and parts.netloc == listen:
+            return parts.hostname, parts.port
+    except ValueError:
+        pass
+    raise UsageError(f"--listen {listen}: it is HOST:PORT, such as 0.0.0.0:{PORT}")
+
+
+def _is_address(name: str) -> bool:
+    """Return whether a host is named by its address, which no name server can turn to another machine."""
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _outward_address(everywhere: str) -> str:
+    """Return the address by which other machines reach this one; its name where there is no network."""
+    family, outside = (socket.AF_INET6, "2001:db8::1") if ":" in everywhere else (socket.AF_INET, "192.0.2.1")
+    with socket.socket(family, socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.connect((outside, 9))  # sends nothing
+        return str(probe.getsockname()[0])
+    return socket.gethostname()
