@@ -30,9 +30,7 @@ from tiltcal.core.samples import ReadingStep, resolution, summarise
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.files.procedure import Position
 
-POWER_ON = 85.0
-"""The temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)."""
-
+POWER_ON = 85.0  # the temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)
 AGREEMENT = 20.0
 """The largest distance of a position's temperature from the one asked for, or from a position before, °C."""
 

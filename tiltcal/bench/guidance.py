@@ -22,8 +22,7 @@ TOLERANCE = 2.0
 VAGUE = 0.2
 """Nothing is called ok where the tolerance is above this, g: of a part whose offset is unknown before two positions."""
 
-UNCALIBRATED = "angles are not calibrated yet"
-"""What an operator is told beside present angles."""
+UNCALIBRATED = "angles are not calibrated yet"  # what an operator is told beside present angles
 
 
 class AxisGuidance(TypedDict):

@@ -1,12 +1,8 @@
-"""A calibration as a function of a journal: its bytes decoded by the drivers, its accepted positions fitted.
+"""A calibration as a function of a journal: its accepted positions, fitted.
 
 ``measure`` ends here, and so do ``replay`` and ``--resume``, so they agree by construction. Nothing of the settling is
 judged a second time: an accepted position names the lines of its samples. In a journal of format 1 they are the last
 ones before the review.
-
-The drivers read as they read at the bench, and each of their requests is compared with the recorded one. A transaction
-begins a sample, which is a reading of each device in their order. A driver may have got several readings with one
-message: they follow without a transaction.
 """
 
 from __future__ import annotations
@@ -23,25 +19,12 @@ import numpy as np
 from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, far_off, result_of
 from tiltcal.bench.devices import BenchDevice
 from tiltcal.bench.operators import Message, OperatorAnswer
-from tiltcal.bench.sensors import THERMOMETER, named_error
-from tiltcal.bench.setup import Setup
+from tiltcal.bench.playback import Playback, RecordedSample
 from tiltcal.core.model import Array
 from tiltcal.core.samples import ReadingStep
-from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.model import Reading, StreamingSensor
-from tiltcal.errors import BusError, HardwareError, JournalError
-from tiltcal.files.calibration import SensorIdentity, dump_calibration
-from tiltcal.files.journal import (
-    ANSWER,
-    HARDWARE_ERROR,
-    LIVE_READING,
-    POSITION,
-    RESUMED,
-    AcceptedPosition,
-    Event,
-    Journal,
-    accepted_position,
-)
+from tiltcal.errors import JournalError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
+from tiltcal.files.journal import ANSWER, POSITION, RESUMED, AcceptedPosition, Event, Journal, accepted_position
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.results import (
     VIRTUAL,
@@ -55,221 +38,9 @@ from tiltcal.files.results import (
 
 if TYPE_CHECKING:
     from tiltcal.core.ramp.record import RampRecord
-    from tiltcal.files.calibration import CalibrationRecord
     from tiltcal.files.pair import PairRecord
 
-STREAMS = ("r", "e", "m")
-"""The buses on which a transaction without bytes drops what has arrived."""
-
-MARKS = (ANSWER, POSITION, LIVE_READING, RESUMED)
-"""The events that are no transaction."""
-
-DIGITS = 1e-9
-"""Part of its size by which a mean may differ from the one that was accepted."""
-
-
-@dataclass(frozen=True)
-class RecordedSample:
-    """A sample of a session, its readings by serial number; a sensor that was given up is left out.
-
-    ``line`` is that of the last event before it ended, ``now_ns`` its time since the session began. It is ``fresh``
-    where what the sensors had sent before was dropped, ``live`` where it was for the operator's eyes alone (format 1),
-    and it ``counts`` where an accepted position names it.
-    """
-
-    line: int
-    now_ns: int
-    readings: Mapping[str, Reading]
-    fresh: bool = False
-    live: bool = False
-    counts: bool = False
-
-
-@dataclass
-class PlayedLink:
-    """A link that answers what the journal holds."""
-
-    playback: Playback
-    letter: str
-    number: int
-
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Return the recorded answer; JournalError where the journal holds another request."""
-        return self.playback.answer(self.letter, self.number, out)
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to release."""
-
-
-class Playback:
-    """The samples and the other events of a journal in their order.
-
-    ``now_ns`` is the time of the last event, and ``breaks`` counts failures of a device and interruptions so far.
-    By serial number ``failures`` are the last ones, and ``reopened`` are the sensors whose bus failed and was opened
-    again; ``last_answers`` are those of each device by its number.
-    """
-
-    def __init__(self, journal: Journal) -> None:
-        self.setup = Setup.of(journal)
-        self.now_ns = 0
-        self.failures: dict[str, str] = {}
-        self.reopened: set[str] = set()
-        self.last_answers: dict[int, bytes] = {}
-        self.breaks = 0
-        self._journal = journal
-        self._clock = VirtualClock()
-        self._events = iter(journal.events)
-        self._line = 1
-        self._event: Event | None = next(self._events, None)
-        self._coming = deque(map(accepted_position, journal.accepted))
-        self._interrupted = False
-        self._given_up: set[str] = set()
-        self._kept: set[str] | None = None
-        self._statistics: dict[str, dict[str, int]] = {}
-        self._names = [device.serial for device in self.setup.sensors]
-        self._names += [] if self.setup.thermometer is None else [THERMOMETER]
-        self._connect()
-
-    def _connect(self) -> None:
-        self._drivers = [
-            device.wired.driver(PlayedLink(self, device.letter, number), self._clock)
-            for number, device in enumerate(self.setup.devices)
-        ]
-
-    def link_statistics(self) -> dict[str, dict[str, int]]:
-        """Return the link statistics of each device that counts them, by serial number, or model where it has none."""
-        counted = {serial: dict(counts) for serial, counts in self._statistics.items()}
-        for name, driver in zip(self._names, self._drivers, strict=True):
-            if isinstance(driver, StreamingSensor) and name not in self._given_up:
-                before = counted.get(name := name or self.setup.sensors[0].model, {})
-                counted[name] = {what: before.get(what, 0) + n for what, n in driver.link_statistics().items()}
-        return counted
-
-    def __iter__(self) -> Iterator[RecordedSample | Event]:
-        in_positions = self.setup.steps.rotation is None and self.setup.steps.ramp is None
-        live, taken = False, None
-        while (event := self._event) is not None:
-            coming = self._coming[0] if self._coming and in_positions else None
-            if coming and coming.lines and coming is not taken and event.line >= coming.lines[0]:
-                taken = coming
-                for _ in range(coming.n + len(coming.without)):
-                    sample = self._sample(counts=True)
-                    if sample is None:
-                        raise self._error("a sample of an accepted position cannot be decoded from here on", event)
-                    yield sample
-            elif event.kind not in MARKS:
-                discards = event.kind in STREAMS and event.payload[:2] == ("", "")
-                sample = self._sample(fresh=discards, live=live)
-                live = False
-                if sample is not None:
-                    yield sample
-            else:
-                yield from self._kept_by_drivers(event)
-                self._take(event)
-                live = event.kind == LIVE_READING
-                if event.kind == POSITION:
-                    self._kept = {*self._coming.popleft().by_serial(self._names)}
-                if event.kind == RESUMED:
-                    self._resume()
-                yield event
-
-    def _kept_by_drivers(self, event: Event) -> Iterator[RecordedSample]:
-        """Yield the samples that need no further transaction, where the session took them before an event."""
-        rotates = self.setup.steps.rotation is not None
-        question = event.payload[0]["to"] if event.kind == ANSWER else ""
-        most = 0
-        if rotates and (event.kind in (POSITION, RESUMED) or question == "write"):
-            most = len(self._journal.events)
-        elif question in ("review", "tip") and self._journal.version == 1:
-            most = self._coming[0].n if self._coming else self.setup.settings.samples
-        for _ in range(most):
-            if (sample := self._sample()) is None:
-                break
-            yield sample
-
-    def _resume(self) -> None:
-        """Begin anew with the drivers, as the session does; sensors given up since the last position count again."""
-        self.breaks += 1
-        if self._journal.version > 1:
-            self._statistics = self.link_statistics()
-            self._connect()
-        self._given_up &= set() if self._kept is None else {*self._names} - self._kept
-
-    def answer(self, letter: str, number: int, out: bytes) -> bytes:
-        """Return what a device answered to ``out``.
-
-        BusError: it failed when it was captured, or the session was interrupted here.
-        JournalError: the journal has something else here.
-        """
-        event = self._event
-        if event is None or event.kind in MARKS:
-            self._interrupted = True
-            if event is not None and event.kind == RESUMED and self._journal.version == 1:
-                self._take(event)  # the driver went on with what it knew
-                self.breaks += 1
-            raise BusError("the session was interrupted here")
-        sent, device = out.hex(), (number,) if number else ()
-        if event.payload[0] != sent or event.payload[2:] != device or event.kind not in (letter, HARDWARE_ERROR):
-            entry = " ".join(str(part) for part in (event.kind, *event.payload))
-            raise self._error(
-                f"the journal holds {entry!r} where the driver sends {letter} {sent or 'nothing'}: another version of "
-                "tiltcal or of the procedure recorded it",
-                event,
-            )
-        self._take(event)
-        if event.kind == HARDWARE_ERROR:
-            raise BusError(event.payload[1])
-        answer = bytes.fromhex(event.payload[1])
-        self.last_answers[number] = answer or self.last_answers.get(number, b"")
-        return answer
-
-    def _sample(self, *, fresh: bool = False, live: bool = False, counts: bool = False) -> RecordedSample | None:
-        """Return a sample of all devices; None where one of them failed, or no further is there."""
-        self._interrupted = False
-        readings: dict[str, Reading] = {}
-        name = ""
-        try:
-            for name, driver in zip(self._names, self._drivers, strict=True) if fresh else ():
-                if name not in self._given_up:
-                    driver.discard()
-            for number, (name, driver) in enumerate(zip(self._names, self._drivers, strict=True)):
-                if not self._gives_up(number):
-                    readings[name] = driver.read()
-        except HardwareError as error:
-            if not self._interrupted:
-                self.breaks += 1
-                self.failures[name] = str(named_error(name, error, alone=len(self.setup.sensors) == 1))
-                self.reopened |= {name} if isinstance(error, BusError) else set()
-            return None
-        if (thermometer := readings.pop(THERMOMETER, None)) is not None:
-            temperature = thermometer.temperature
-            readings = {serial: replace(reading, temperature=temperature) for serial, reading in readings.items()}
-        return RecordedSample(self._line, self.now_ns, readings, fresh, live, counts)
-
-    def _gives_up(self, number: int) -> bool:
-        """Return whether a device that has failed is given up: where it would be read, another one is.
-
-        One that streams may hold a reading without a transaction; it is given up where the next position lacks it.
-        """
-        name, event = self._names[number], self._event
-        if name in self._given_up or name not in self.failures or name == THERMOMETER:
-            return name in self._given_up
-        lacking = not self._coming or name not in self._coming[0].by_serial(self._names)
-        streams = self.setup.devices[number].letter in STREAMS
-        another = event is not None and event.payload[2:] != ((number,) if number else ())
-        if len(self._names) > 1 and another and (lacking or not streams):
-            self._given_up.add(name)
-        return name in self._given_up
-
-    def _take(self, event: Event) -> None:
-        """Pass the next event."""
-        self._line = event.line
-        self._event = next(self._events, None)
-        self.now_ns += event.dt_ns
-        self._clock.seek(self.now_ns)
-
-    def _error(self, message: str, event: Event) -> JournalError:
-        return JournalError(message, file=self._journal.path, line=event.line)
+DIGITS = 1e-9  # part of its size by which a mean may differ from the one that was accepted
 
 
 class RecordedSession:
@@ -474,8 +245,6 @@ class SessionResult:
 
 
 def _text(record: CalibrationRecord | PairRecord) -> str:
-    from tiltcal.files.calibration import CalibrationRecord
-
     if isinstance(record, CalibrationRecord):
         return dump_calibration(record)
     from tiltcal.files.pair import dump_pair

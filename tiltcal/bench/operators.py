@@ -49,9 +49,7 @@ from tiltcal.stated_arguments import of_python
 
 Message = Mapping[str, Any]
 
-NAMED = ("terminal", "web", "json", "sim")
-"""A person at the terminal or at a page in a browser, a program over JSON Lines, the virtual jig."""
-
+NAMED = ("terminal", "web", "json", "sim")  # a person at the terminal or at a page, a program, the virtual jig
 USUAL = {"position": "ready", "rotation": "ready", "review": "accept", "write": "yes"}
 """The answer to a question that an operator leaves to its default."""
 
@@ -64,18 +62,12 @@ WORDS = {
 }
 """The answers to each question."""
 
-LOOK = "look"
-"""The answer of an operator that wants to see a reading before it is asked again."""
-
-HEARD = ("waiting", "accepted", "refused", "lost", "done", "turn", "held", "resumed")
-"""The events that a program gets."""
-
+LOOK = "look"  # the answer of an operator that wants to see a reading before it is asked again
+HEARD = ("waiting", "accepted", "refused", "lost", "done", "turn", "held", "resumed")  # the events that a program gets
 KEYS = ("answer", "gravity", "temperature", "tilt")
 TILT_AXES = ("x", "y")
 
-SAME = 1e-4
-"""Directions that differ by less are one, g: 0.006°."""
-
+SAME = 1e-4  # directions that differ by less are one, g: 0.006°
 CHUNK = LONGEST = 1 << 16
 """Bytes that are read at once, and of a line without an end that are kept: no answer is as long."""
 

@@ -17,8 +17,7 @@ from tiltcal.bench.settle import Unsettled
 from tiltcal.errors import SensorError, UsageError
 from tiltcal.files.procedure import Position, Ramp
 
-CHANGE = 0.5
-"""°C; a temperature that changes by less within the patience of the procedure has stopped."""
+CHANGE = 0.5  # °C; a temperature that changes by less within the patience of the procedure has stopped
 
 
 def take_leg(session: Session, ramp: Ramp, position: Position) -> str:

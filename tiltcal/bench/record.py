@@ -26,11 +26,10 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.moments import moment_after, stamp
 
 if TYPE_CHECKING:
-    from tiltcal.bench.journal import RecordedSample
+    from tiltcal.bench.playback import RecordedSample
     from tiltcal.bench.setup import Setup
 
-SECURE_NS = 1_000_000_000
-"""Time that a row may wait for the disk, ns."""
+SECURE_NS = 1_000_000_000  # time that a row may wait for the disk, ns
 
 
 @dataclass

@@ -34,16 +34,11 @@ from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.journal import POSITION
 from tiltcal.files.procedure import Rotation
 
-BLOCK_NS = 200_000_000
-"""Time over which samples are collected before they are judged and the operator is polled, ns."""
-LARGEST_BLOCK = 16
-"""Samples: fewer than a turn has, so that every turn is reported."""
-SOONEST = 5
-"""Turns before p and q are called known: fewer do not show how the turns scatter."""
-SHOWN_TURN = 2.25
-"""Turns after which a whole one must have been among them."""
-EACH_OF = 100
-"""Of the first so many turns each has p and q anew; of more it takes so much of them again, for a fit takes longer."""
+BLOCK_NS = 200_000_000  # time over which samples are collected before they are judged and the operator is polled
+LARGEST_BLOCK = 16  # samples: fewer than a turn has, so that every turn is reported
+SOONEST = 5  # turns before p and q are called known: fewer do not show how the turns scatter
+SHOWN_TURN = 2.25  # turns after which a whole one must have been among them
+EACH_OF = 100  # of the first so many turns each has p and q anew; of more it takes so much of them again
 
 CONVERGED, ALL_TURNS, STOPPED = "p and q are known as asked", "all turns are made", "the operator stopped"
 
@@ -57,7 +52,7 @@ class StageSamples:
     def __init__(self, columns: list[str]) -> None:
         self._columns = columns
         self._blocks: list[Array] = []
-        self._turns = self._left_out = self._since_break = 0
+        self._turns = self._left_out = 0
         self._stream = TurnStream(len(columns))
 
     @property
@@ -87,23 +82,19 @@ class StageSamples:
 
     def take(self, block: Array) -> list[str]:
         """Take a block of rows; return why samples are held from here on, in order, empty where they go on."""
-        if not len(block):
-            return []
         self._blocks.append(block)
-        self._since_break += len(block)
         return [item.why for item in self._stream.push(block[:, 1], block[:, 2:].T) if isinstance(item, Notice)]
 
     def interrupt(self) -> str:
         """Note a break, and keep the span before it where its turns show its phase; return what becomes of it."""
-        stream, lost = self._stream, self._since_break
-        kept = stream.turns >= FEWEST_TURNS
+        stream, kept = self._stream, self._stream.turns >= FEWEST_TURNS
         self._turns += stream.turns if kept else 0
-        self._left_out += stream.left_out if kept else lost
+        self._left_out += stream.left_out if kept else stream.rows
         self._blocks.append(np.full((1, 2 + len(self._columns)), np.nan))
-        self._stream, self._since_break = TurnStream(len(self._columns)), 0
-        if kept or not lost:
+        self._stream = TurnStream(len(self._columns))
+        if kept or not stream.rows:
             return "the samples before count"
-        return f"{lost} samples of fewer turns than {FEWEST_TURNS:g} are left out"
+        return f"{stream.rows} samples of fewer turns than {FEWEST_TURNS:g} are left out"
 
     def rotation(self) -> MatchedRotation:
         """Return what all samples give; EstimateError where the stage has not turned enough."""
@@ -125,7 +116,6 @@ class TurningStage:
         self._taken = self._damaged = self._due = 0
         self._stale = True
         self._reported = ""
-        self._damage_reported = False
         self._turns = before is not None and before.turning
         self._pairs: dict[str, PairCoefficients] = {}
         self._unknown: dict[str, str] = {}
@@ -193,13 +183,12 @@ class TurningStage:
     def _take_block(self) -> str:
         """Collect a block, and report what of it is held; return why it ended early, empty where it did not."""
         block, why = self._sampled()
-        for remark in self._samples.take(np.array(block)):
+        for remark in self._samples.take(np.array(block)) if block else ():
             self._report(remark)
         if why:
             self._report(f"{why}; {self._samples.interrupt()}")
         elif block:
             self._report(self._samples.holds)
-            self._report_damage()
         return why
 
     def _sampled(self) -> tuple[list[tuple[float, ...]], str]:
@@ -227,12 +216,17 @@ class TurningStage:
     def _report_turn(self, made: int) -> bool:
         """Report a completed turn; return whether p and q of every pair are known as the procedure asks."""
         self._session.recorder.secure()
+        damaged = sum(map(unused, self._session.sensors.link_statistics().values()))
+        if damaged > self._damaged and not self._reported:
+            self._report(f"{damaged - self._damaged} damaged or lost on the line, and left out")
+            self._report("")
+        self._damaged = damaged
         known = made >= self._due and self._match(made)
         self._due = max(self._due, made + made // EACH_OF)
-        remarks = {"unknown": self._unknown, "left_out": self._samples.left_out + self._damaged}
-        remarks = {name: remark for name, remark in remarks.items() if remark}
+        left_out = self._samples.left_out + self._damaged
+        remarks = {"unknown": self._unknown} if self._unknown else {}
+        remarks |= {"left_out": left_out} if left_out else {}
         self._session.tell("turn", turn=made, of=self._rotation.turns, **_coefficients(self._pairs), **remarks)
-        self._damage_reported = False
         return known
 
     def _match(self, made: int) -> bool:
@@ -264,15 +258,6 @@ class TurningStage:
             self._session.tell("held", why=why)
         else:
             self._session.tell("resumed")
-
-    def _report_damage(self) -> None:
-        """Report, at most once a turn, that samples were damaged or lost on the line."""
-        damaged = sum(map(unused, self._session.sensors.link_statistics().values()))
-        if damaged > self._damaged and not self._damage_reported and not self._reported:
-            self._damage_reported = True
-            self._report(f"{damaged - self._damaged} damaged or lost on the line, and left out")
-            self._report("")
-        self._damaged = damaged
 
 
 def _coefficients(pairs: Mapping[str, PairCoefficients | Matching]) -> dict[str, dict[str, float]]:

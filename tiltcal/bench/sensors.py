@@ -22,14 +22,9 @@ if TYPE_CHECKING:
 Sample = tuple[Reading, ...]
 """One reading of each sensor of a set, in its order."""
 
-ATTEMPTS = 5
-"""Failures in a row after which a sensor is given up."""
-
-RECOVERY = 1.0
-"""Seconds that a bus is left alone after an error."""
-
-THERMOMETER = ""
-"""The thermometer of the bench among the names of its devices: no sensor has this serial number."""
+ATTEMPTS = 5  # failures in a row after which a sensor is given up
+RECOVERY = 1.0  # seconds that a bus is left alone after an error
+THERMOMETER = ""  # the thermometer of the bench among the names of its devices: no sensor has this serial number
 
 
 class SensorSet:

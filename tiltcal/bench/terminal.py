@@ -27,16 +27,11 @@ T = TypeVar("T")
 LIVE_PAUSE = 0.4
 """Seconds between live readings: fast enough to set an angle by, slow enough for the journal of a long night."""
 
-WIDEST = 10_000
-"""Columns of a terminal on which any table fits."""
-
-CLEAR = "\r\x1b[2K"
-"""Empties the line of the live reading."""
+WIDEST = 10_000  # columns of a terminal on which any table fits
+CLEAR = "\r\x1b[2K"  # empties the line of the live reading
 
 ENTER, ESCAPE = "\n", "\x1b"
-REST = 0.05
-"""Time within which the rest of an escape sequence arrives, s."""
-
+REST = 0.05  # time within which the rest of an escape sequence arrives, s
 STYLES = {"accepted": "green", "refused": "bold red", "lost": "bold red", "held": "yellow"}
 """The style of an event's lines."""
 
