@@ -81,28 +81,6 @@ def test_one_damaged_sentence_in_seven_is_counted_never_used_and_replays_to_the_
     assert replayed.returncode == 0, replayed.stderr
 
 
-@pytest.mark.parametrize(("address", "procedure"), [("sim:seed=4", "mavs"), ("sim:seed=4&wiring=edges", "zero-45")])
-def test_a_virtual_session_that_was_cut_anywhere_keeps_its_positions(
-    address: str, procedure: str, tmp_path: Path
-) -> None:
-    def measured(*arguments: str) -> None:
-        done = tiltcal("measure", *arguments, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-
-    sensor = ["--sensor", "adxl202", "--address", address, "--serial", "V-1", "--operator", "sim"]
-    measured(procedure, *sensor, "--samples", "20", "-o", "V-1.yaml")
-    journal, file = tmp_path / "V-1.journal.jsonl", tmp_path / "V-1.yaml"
-    lines, whole = journal.read_bytes().splitlines(keepends=True), yaml.safe_load(file.read_text())
-    for share in (0.02, 0.35, 0.351, 0.7, 0.98):
-        journal.write_bytes(b"".join(lines[: max(int(share * len(lines)), 1)]))
-        kept = sum(b',"p",' in line for line in journal.read_bytes().splitlines())
-        file.unlink()
-        measured("--resume", journal.name)
-        found = yaml.safe_load(file.read_text())
-        assert found["positions"][:kept] == whole["positions"][:kept]
-        assert found["calibration"]["offset"] == pytest.approx(whole["calibration"]["offset"], rel=1e-2)
-
-
 def test_a_device_of_unknown_scale_is_calibrated_where_the_procedure_finds_the_scale(tmp_path: Path) -> None:
     def measure(procedure: str) -> Completed:
         address = "sim:unit=V&columns=x,y"

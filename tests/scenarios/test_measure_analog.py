@@ -51,23 +51,6 @@ def test_a_twin_at_4_9_volts_from_a_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.sensitivity[:, :2], ((2.0312, 0.0441), (-0.0317, 1.9884)), atol=3e-3)
 
 
-def test_a_session_cut_between_any_two_transactions_goes_on(tmp_path: Path) -> None:
-    """A conversion is started by one transaction and read by a later one: the drivers begin anew."""
-    path = tmp_path / "S-7.journal.jsonl"
-    place = ["--sensor", "sca100t-d02-analog", "--address", "sim:?seed=1", "--serial", "S-7", "-o", "S-7.yaml"]
-    quick = ["--operator", "sim", "--samples", "5", "--settle", "0.5"]
-    assert tiltcal("measure", "plane", *place, *quick, cwd=tmp_path).returncode == 0
-    lines, golden = path.read_bytes().splitlines(keepends=True), read_calibration(tmp_path / "S-7.yaml")
-    # A sample is four conversions of three transactions or a few more.
-    for kept in range(200, 218):
-        path.write_bytes(b"".join(lines[:kept]))
-        result = tiltcal("measure", "--resume", path.name, cwd=tmp_path)
-        assert result.returncode == 0, result.stderr
-        found = read_calibration(tmp_path / "S-7.yaml")
-        assert found.positions[0] == golden.positions[0], lines[kept]
-        assert found.coefficients.offset == pytest.approx(golden.coefficients.offset, abs=5e-3), lines[kept]
-
-
 def test_probe_of_a_thermistor(tmp_path: Path) -> None:
     result = tiltcal("probe", "--sensor", "thermistor", "--address", "sim:", "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stderr

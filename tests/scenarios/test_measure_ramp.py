@@ -11,13 +11,8 @@ from support.json_program import Event, ProgramSession, lead
 
 from tiltcal.bench import devices
 from tiltcal.bench.journal import calibrations_of
-from tiltcal.bench.measure import run_session
-from tiltcal.bench.operators import LOOK, Message, VirtualJig
-from tiltcal.bench.session import Session
-from tiltcal.bench.setup import SessionFiles, Setup, single
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure import find_procedure
 from tiltcal.library.measure import measure
 
 TWIN = """\
@@ -88,60 +83,6 @@ def test_a_replay_gives_the_same_file(led: tuple[Path, ProgramSession]) -> None:
     assert text == (folder / "S-1.yaml").read_text()
 
 
-class Watching(VirtualJig):
-    """A person at a terminal, who looks at a few live readings before each answer."""
-
-    looks = 0
-
-    def ask(self, question: Message) -> object:
-        self.looks += 1
-        return {"answer": LOOK} if question["ask"] == "position" and self.looks % 4 else super().ask(question)
-
-
-def ramp_session(twin: str) -> Session:
-    """A ramp in the working folder."""
-    Path("twin.yaml").write_text(twin)
-    Path("quick.yaml").write_text(PROCEDURE)
-    journal, outputs = Path("S-1.journal.jsonl"), [Path("S-1.yaml")]
-    bench = single("sca100t-d02", "S-1", "sim:?twin=twin.yaml")
-    setup = Setup.begin(find_procedure("quick.yaml"), bench, outputs, journal, operator="sim")
-    session = Session(setup, SessionFiles(setup, journal))
-    session.probe()
-    return session
-
-
-def test_live_readings_are_no_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    measured = run_session(ramp_session(TWIN), operator := Watching())
-    assert operator.looks > 12
-    assert calibrations_of(read_journal("S-1.journal.jsonl")).texts() == measured.texts()
-
-
-@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
-def test_a_ramp_keeps_all_its_samples_over_a_break(
-    share: float, led: tuple[Path, ProgramSession], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Every sample before the break is in the log of the session, and the fit has the legs of all of them."""
-    folder, _ = led
-    monkeypatch.chdir(tmp_path)
-    for name in ("twin.yaml", "quick.yaml"):
-        (tmp_path / name).write_text((folder / name).read_text())
-    whole = (folder / "S-1.journal.jsonl").read_bytes()
-    path = tmp_path / "S-1.journal.jsonl"
-    path.write_bytes(whole[: int(share * len(whole))])
-    before = len(read_journal(path).events)
-    measure(resume=path, operator="sim")
-    events = list(read_journal(path).events)
-    assert events[before].kind == "resumed"
-    found = read_calibration(tmp_path / "S-1.yaml")
-    assert [event.payload[0]["position"] for event in read_journal(path).accepted] == ["down", "up", "back"]
-    taken = [event.payload[0]["sensors"]["S-1"]["n"] for event in read_journal(path).accepted]
-    assert sum(taken) == sum(event.kind == "s" for event in events) // 3
-    thermal = found.coefficients.thermal
-    assert thermal is not None
-    assert thermal.drift[:, 0] == pytest.approx([2.1, -3.0], abs=0.03)
-
-
 def test_faults_that_pass_cost_their_samples_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six breaks of the bus in an hour, and a reading at the rail of 2047: nobody has to press a key."""
     monkeypatch.chdir(tmp_path)
@@ -160,10 +101,11 @@ def test_faults_that_pass_cost_their_samples_alone(tmp_path: Path, monkeypatch: 
 
     monkeypatch.setattr(devices, "open_device", opened)
     breaks = [f"{{kind: unplugged, start: {600.0 * k}, end: {600.0 * k + 3.0}}}" for k in range(1, 7)]
-    session = ramp_session(TWIN + f"  faults: [{', '.join(breaks)}]\n")
+    Path("twin.yaml").write_text(TWIN + f"  faults: [{', '.join(breaks)}]\n")
+    Path("quick.yaml").write_text(PROCEDURE)
     said: list[str] = []
-    (text,) = run_session(session, VirtualJig(said.append)).texts().values()
-    Path("S-1.yaml").write_text(text)
+    sensor = {"sensor": "sca100t-d02", "serial": "S-1", "address": "sim:?twin=twin.yaml"}
+    measure("quick.yaml", operator="sim", output="S-1.yaml", remark=said.append, **sensor)
     assert not [line for line in said if "refused" in line]
     thermal = read_calibration("S-1.yaml").coefficients.thermal
     assert thermal is not None

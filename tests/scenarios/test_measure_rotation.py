@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 import signal
 import subprocess
@@ -18,8 +17,6 @@ from support.json_program import Event, ProgramSession, lead
 from support.pair_files import read_pair
 from support.stage_part import on_a_pty, printed
 from support.warm_start import WarmStart, wait_until_grown
-
-from tiltcal.library.measure import measure
 
 # 50 lines a turn: 60 turns and more.
 RECORD = disk.record(seconds=125.0, rate=25.0, spin=0.5, noise=3e-4, wander=0.01)
@@ -79,15 +76,6 @@ def require_replay(folder: Path) -> None:
     assert (folder / "again.yaml").read_bytes() == (folder / "pair.yaml").read_bytes()
 
 
-def log_of(journal: Path) -> str:
-    """The lines that came after the stage was said to turn, from the bytes of the journal."""
-    events = [json.loads(line) for line in journal.read_text(encoding="utf-8").splitlines()[1:]]
-    begun = next(number for number, event in enumerate(events) if event[1] == "a")
-    heard = b"".join(bytes.fromhex(event[3]) for event in events[begun:] if event[1] == "r")
-    # The first line may have lost its head, the last one its tail.
-    return "time,theta,a1,a2,a3,a4\n" + "\n".join(heard.decode().splitlines()[1:-1]) + "\n"
-
-
 def test_a_real_line_led_by_a_program(tmp_path: Path) -> None:
     with on_a_pty(LINES) as path:
         program = led(tmp_path, serial(path))
@@ -114,23 +102,6 @@ def test_a_real_line_led_by_a_program(tmp_path: Path) -> None:
     assert written.provenance.journal.name == JOURNAL
     checked = tiltcal("check", "pair.yaml", cwd=tmp_path)
     assert checked.stdout == "pair.yaml: pair calibration, good\n"
-
-
-def test_match_finds_the_same_in_the_same_lines(tmp_path: Path) -> None:
-    with on_a_pty(LINES) as path:
-        program = led(tmp_path, serial(path))
-    assert program.exit_code == 0, program.errors
-    (tmp_path / "heard.csv").write_text(log_of(tmp_path / JOURNAL))
-    matched = tiltcal(
-        *("match", "heard.csv", "--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "-o", "matched.yaml"),
-        cwd=tmp_path,
-    )
-    assert matched.returncode == 0, matched.stderr
-    at_bench, from_log = (read_pair(tmp_path / name).matchings[0] for name in ("pair.yaml", "matched.yaml"))
-    # The log also has the lines before the first whole sector, a twentieth of all.
-    assert at_bench.p == pytest.approx(from_log.p, abs=from_log.u_p)
-    assert at_bench.q == pytest.approx(from_log.q, abs=from_log.u_q)
-    assert at_bench.u_p == pytest.approx(from_log.u_p, rel=0.1)
 
 
 def test_the_program_says_stop_without_being_asked(tmp_path: Path) -> None:
@@ -201,46 +172,6 @@ VIRTUAL = [
     *("measure", "rotation", "--sensor", "gradiometer", "--address", "sim:?seed=3", "--serial", "G-1"),
     *("-o", "pair.yaml", "--operator", "sim", "--turns", "3"),
 ]
-
-
-@pytest.fixture(scope="module")
-def never_stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("never-stopped")
-    done = tiltcal(*VIRTUAL, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder
-
-
-def require_near(folder: Path, never_stopped: Path) -> None:
-    """The resumed session has the turns asked for, and p and q of the one that was never stopped."""
-    found, whole = read_pair(folder / "pair.yaml"), read_pair(never_stopped / "pair.yaml")
-    assert found.spin.turns >= 2.0  # what a span of fewer turns has is left out
-    for ours, theirs in zip(found.matchings, whole.matchings, strict=True):
-        assert ours.p == pytest.approx(theirs.p, abs=5.0 * (ours.u_p**2 + theirs.u_p**2) ** 0.5)
-        assert ours.q == pytest.approx(theirs.q, abs=5.0 * (ours.u_q**2 + theirs.u_q**2) ** 0.5)
-
-
-@pytest.mark.parametrize("number", range(3))
-def test_killed_at_a_random_moment_on_the_virtual_stage(
-    number: int, never_stopped: Path, warm: WarmStart, tmp_path: Path
-) -> None:
-    size = random.Random(number).randrange(1, (never_stopped / JOURNAL).stat().st_size)
-    warm.start(VIRTUAL, tmp_path).kill_at(tmp_path / JOURNAL, size)
-    before = (tmp_path / JOURNAL).read_bytes().rpartition(b"\n")[0]
-    resumed = tiltcal("measure", "--resume", JOURNAL, cwd=tmp_path)
-    assert resumed.returncode == 0, resumed.stderr
-    assert (tmp_path / JOURNAL).read_bytes().startswith(before)
-    require_near(tmp_path, never_stopped)
-    require_replay(tmp_path)
-
-
-def test_truncated_anywhere(never_stopped: Path, tmp_path: Path) -> None:
-    whole = (never_stopped / JOURNAL).read_bytes()
-    header = whole.index(b"\n") + 1
-    for place in [header, header + 1, len(whole) - 1, *random.Random(7).sample(range(header, len(whole)), 7)]:
-        (tmp_path / JOURNAL).write_bytes(whole[:place])
-        measure(resume=tmp_path / JOURNAL)
-        require_near(tmp_path, never_stopped)
 
 
 def test_several_devices_of_a_bench_are_named_as_record_names_them(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ import pytest
 from support.command import tiltcal
 
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.journal import read_journal
 
 HEADER = "tiltcal: 1\nkind: bench\noperator: A. Technician\njig: 0.01\n"
 
@@ -125,37 +124,6 @@ def test_a_failure_of_the_whole_bench_loses_no_sensor(tmp_path: Path) -> None:
         assert found.coefficients.offset == pytest.approx([x, 1021.0], abs=0.5)
         assert len(found.positions) == 4
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / name).read_bytes()
-
-
-def test_resumed_it_keeps_what_every_sensor_has(tmp_path: Path) -> None:
-    bench(
-        tmp_path,
-        f'serial: A, model: sca100t-d02, address: "{twin(tmp_path, 1)}"',
-        'serial: B, model: sca3000-d01, address: "sim:?seed=2"',
-    )
-    measured(tmp_path)
-    journal = tmp_path / "bench.journal.jsonl"
-    whole, offsets = journal.read_bytes(), {name: read_calibration(tmp_path / f"{name}.yaml") for name in "AB"}
-    for share in (0.1, 0.5, 0.9):
-        journal.write_bytes(whole[: int(share * len(whole))])
-        before = [event.payload[0] for event in read_journal(journal).accepted]
-        assert tiltcal("measure", "--resume", journal.name, cwd=tmp_path).returncode == 0
-        assert [event.payload[0] for event in read_journal(journal).accepted[: len(before)]] == before
-        for name in "AB":
-            found = read_calibration(tmp_path / f"{name}.yaml")
-            assert found.coefficients.offset == pytest.approx(offsets[name].coefficients.offset, abs=5.0)
-            assert len(found.positions) == 4
-
-
-def test_the_events_name_their_device(tmp_path: Path) -> None:
-    bench(
-        tmp_path,
-        f'serial: A, model: sca100t-d02, address: "{twin(tmp_path, 1)}"',
-        f'serial: B, model: sca100t-d02, address: "{twin(tmp_path, 2)}"',
-    )
-    measured(tmp_path)
-    events = [event for event in read_journal(tmp_path / "bench.journal.jsonl").events if event.kind == "s"]
-    assert {event.payload[2:] for event in events} == {(), (1,)}
 
 
 @pytest.mark.parametrize(

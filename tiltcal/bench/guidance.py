@@ -8,7 +8,7 @@ positions before have shown.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import asin, degrees, hypot, radians, sin, sqrt
+from math import asin, ceil, degrees, hypot, radians, sin, sqrt
 from typing import TypedDict
 
 from tiltcal.core.attitude import Orientation, Vector
@@ -82,12 +82,16 @@ def _angle(sine: float) -> float:
 
 
 def in_words(channel: str, axis: AxisGuidance) -> str:
-    """Return the present angle of an axis, the difference and whether that is ok, such as ``x +29.71° (-0.29°) ok``."""
-    if axis["present"] is None:
-        return f"{channel} beyond 90°"
-    words = f"{channel} {axis['present']:+.2f}°"
-    words += "" if axis["difference"] is None else f" ({axis['difference']:+.2f}°)"
-    return words + {None: "", True: " ok", False: " not ok"}[axis["ok"]]
+    """Return present angle and difference of an axis, and whether that is ok, such as ``x  +29.71° (-0.29) ok``."""
+    words = "beyond 90°" if axis["present"] is None else f"{axis['present']:+7.2f}°"
+    words += "" if axis["difference"] is None else f" ({axis['difference']:+.2f})"
+    return f"{channel} {words}{' ok' if axis['ok'] else ''}".strip()
+
+
+def remaining_in_words(seconds: float) -> str:
+    """Return how much time remains, such as ``about 12 min left``."""
+    hours, minutes = divmod(ceil(seconds / 60.0), 60)
+    return f"about {f'{hours} h ' if hours else ''}{minutes} min left"
 
 
 def present_gravity(orientation: Orientation, axes: Mapping[str, AxisGuidance], gravity: Vector) -> Vector | None:

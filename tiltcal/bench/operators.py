@@ -29,10 +29,7 @@ it. A person is asked for a review of each position and before the files are wri
 from __future__ import annotations
 
 import json
-import os
-import select
 import sys
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import dist
@@ -40,6 +37,7 @@ from typing import Any, Protocol, TextIO
 
 import msgspec
 
+from tiltcal.bench.keys import LineReader
 from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.rounding import plus_minus
@@ -68,8 +66,6 @@ KEYS = ("answer", "gravity", "temperature", "tilt")
 TILT_AXES = ("x", "y")
 
 SAME = 1e-4  # directions that differ by less are one, g: 0.006°
-CHUNK = LONGEST = 1 << 16
-"""Bytes that are read at once, and of a line without an end that are kept: no answer is as long."""
 
 
 class Operator(Protocol):
@@ -294,47 +290,6 @@ def parsed(line: str) -> object:
         raise InputError(
             f'not understood: {line.strip()[:80]!r}; an answer is one line such as {{"answer": "ready"}}'
         ) from None
-
-
-class LineReader:
-    """The lines of a text stream, waited for or taken where they have arrived.
-
-    It reads the stream's descriptor itself, because Python's buffer cannot be asked without waiting; nothing else may
-    read the stream. A stream without a descriptor is read as it is, and has nothing ready.
-    """
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-        self._ready: deque[str] = deque()
-        self._rest = b""
-        self._ended = False
-        try:
-            self._descriptor: int | None = stream.fileno()
-        except (OSError, ValueError):
-            self._descriptor = None
-
-    def next(self) -> str:
-        """Wait for the next line and return it with its end; empty at the end of the stream."""
-        if self._descriptor is None:
-            return self._stream.readline()
-        while not self._ready and not self._ended:
-            self._read(self._descriptor)
-        return self._ready.popleft() if self._ready else ""
-
-    def waiting(self) -> list[str]:
-        """Return the lines that have arrived; they stay."""
-        if self._descriptor is not None and not self._ended and select.select([self._descriptor], [], [], 0.0)[0]:
-            self._read(self._descriptor)
-        return list(self._ready)
-
-    def _read(self, descriptor: int) -> None:
-        arrived = os.read(descriptor, CHUNK)
-        self._ended = not arrived
-        *lines, rest = (self._rest + arrived).split(b"\n")
-        self._rest = b"" if self._ended else rest[:LONGEST]
-        self._ready.extend(line.decode(errors="replace") + "\n" for line in lines)
-        if self._ended and rest:
-            self._ready.append(rest.decode(errors="replace"))
 
 
 def in_words(event: Message) -> list[str]:

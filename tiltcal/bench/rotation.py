@@ -224,7 +224,7 @@ class TurningStage:
         known = made >= self._due and self._match(made)
         self._due = max(self._due, made + made // EACH_OF)
         left_out = self._samples.left_out + self._damaged
-        remarks = {"unknown": self._unknown} if self._unknown else {}
+        remarks: dict[str, object] = {"unknown": self._unknown} if self._unknown else {}
         remarks |= {"left_out": left_out} if left_out else {}
         self._session.tell("turn", turn=made, of=self._rotation.turns, **_coefficients(self._pairs), **remarks)
         return known

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import io
 import os
-import select
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from math import asin, copysign, degrees, isfinite
+from math import isfinite
 from types import BuiltinFunctionType
-from typing import Any, Protocol, TextIO, TypeVar
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from tiltcal.bench.operators import LOOK, LineReader, Message, Operator, in_words
+from tiltcal.bench import guidance
+from tiltcal.bench.guidance import UNCALIBRATED, AxisGuidance, remaining_in_words
+from tiltcal.bench.keys import ENTER, Keys, LineKeys, NotebookInput, TerminalKeys
+from tiltcal.bench.operators import LOOK, Message, Operator, in_words
 from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.errors import InputError, Stopped
@@ -28,12 +29,29 @@ LIVE_PAUSE = 0.4
 """Seconds between live readings: fast enough to set an angle by, slow enough for the journal of a long night."""
 
 WIDEST = 10_000  # columns of a terminal on which any table fits
-CLEAR = "\r\x1b[2K"  # empties the line of the live reading
+CLEAR, UP, BELL = "\r\x1b[2K", "\x1b[1A", "\a"
 
-ENTER, ESCAPE = "\n", "\x1b"
-REST = 0.05  # time within which the rest of an escape sequence arrives, s
 STYLES = {"accepted": "green", "refused": "bold red", "lost": "bold red", "held": "yellow"}
 """The style of an event's lines."""
+
+HELP = {
+    "Enter measure": "wait until the reading is still, then take the samples",
+    "Enter accept": "the position counts",
+    "Enter write": "write the calibration files",
+    "a angle set": "type the angle that was really set, where it is not the one asked for",
+    "t temperature": "type the temperature, where no thermometer is read",
+    "b back": "give up the position before this one, and take that again",
+    "r redo": "take this position again",
+    "s stop and use the turns so far": "match the pairs on the turns that were made",
+    "q stop and keep": "stop; what was accepted is kept, and --resume goes on",
+    "n stop and keep": "stop without the files; --resume asks again",
+}
+"""What the keys do, by their hints."""
+
+READING_HELP = (
+    "each axis: present angle, in brackets its difference from the target, and ok where it is near enough; "
+    f"{UNCALIBRATED}: they are by the data sheet and the positions before"
+)
 
 
 def open_terminal(stack: ExitStack, *, plain: bool) -> Terminal:
@@ -59,17 +77,18 @@ class Terminal(Operator):
     Parameters
     ----------
     live : bool
-        Whether one line may overwrite another, and readings are shown while it waits; needs a terminal.
+        Whether lines may overwrite others, and readings are shown while it waits; needs a terminal.
     """
 
     def __init__(self, console: Console, keys: Keys, *, live: bool) -> None:
         self._console = console
         self._keys = keys
         self._live = self.watches = live
-        self._line_is_live = False
+        self._live_rows = 0
         self._offered: list[str] = []
         self._positions: list[str] = []
         self._sensors: Mapping[str, Mapping[str, Any]] = {}
+        self._remaining = ""
         self._asked: Message = {}
         self._answer: dict[str, Any] = {}
 
@@ -83,14 +102,20 @@ class Terminal(Operator):
 
     def tell(self, event: Message) -> None:
         """Show an event."""
+        if event["event"] == "refused":
+            self._ring()
         match event["event"]:
             case "begin":
                 self._positions, self._sensors = event["positions"], event["sensors"]
                 self._say(f"\n{'  '.join(filter(None, (event['title'], event['length'])))}", "bold")
-            case "look":
+                if event["accepted"]:
+                    self._say(f"  kept from before: {', '.join(event['accepted'])}")
+            case "progress":
+                self._remaining = remaining_in_words(event["seconds"])
+            case "look" if self._live:
                 self._show(event)
             case "turn" if self._live:
-                self._line(in_words(event)[0].strip())
+                self._overwrite([in_words(event)[0].strip()])
             case kind:
                 for line in in_words(event):
                     self._say(line, "green" if line.startswith("wrote ") else STYLES.get(kind, ""))
@@ -101,7 +126,7 @@ class Terminal(Operator):
             self._asked, self._answer = question, {}
             name = question["position"]
             number = self._positions.index(name) + 1 if name in self._positions else len(self._positions)
-            self._say(f"\n{number}/{len(self._positions)}  {name}", "bold cyan")
+            self._say(f"\n{number}/{len(self._positions)}  {name}   {self._remaining}", "bold cyan")
             self._say(f"  {question['prompt']}")
             if question["temperature"] is not None:
                 self._say(f"  at {question['temperature']:g} °C")
@@ -113,25 +138,22 @@ class Terminal(Operator):
             key = self._keys.choice(LIVE_PAUSE)
         while key is not None:
             self.clear()
-            if key == ENTER:
-                self._asked = {}
-                return {"answer": "ready", **self._answer}
             if key == "q":
                 raise Stopped("stopped by the operator")
-            if key in ("b", "r"):
+            if key in (ENTER, "b", "r"):
                 self._asked = {}
-                return {"answer": "back" if key == "b" else "redo"}
+                word = {ENTER: "ready", "b": "back", "r": "redo"}[key]
+                return {"answer": word, **(self._answer if key == ENTER else {})}
             if key == "t":
-                self._set(
-                    "temperature", self._number("temperature in °C", *TEMPERATURES, self._answer.get("temperature"))
-                )
+                before = self._answer.get("temperature")
+                self._set("temperature", self._number("temperature in °C", *TEMPERATURES, before))
             elif key == "a" and question["tilt"] is not None:
                 self._set("tilt", self._angles(question["tilt"], self._answer.get("tilt", {})) or None)
             elif key == "a":
                 asked = "direction that points up, as gx gy gz"
                 self._set("gravity", self._typed(asked, direction, self._answer.get("gravity")))
             else:
-                self._refuse_key()
+                self._explain(key)
             key = self._keys.choice(0.0 if self._live else None)
         return {"answer": LOOK}
 
@@ -144,9 +166,8 @@ class Terminal(Operator):
             self._say(f"  {' and '.join(pair['pair'])}, orthogonal {pair['orthogonal']}")
         self._say(f"  {question['prompt']}")
         self._hint(f"Enter the stage turns, up to {question['turns']} turns", "q stop and keep")
-        if self._choice(f"{ENTER}q") == "q":
-            raise Stopped("stopped by the operator")
-        self._hint("s stop and use the turns so far", "q stop and keep the journal")
+        self._choice(ENTER)
+        self._hint("s stop and use the turns so far", "q stop and keep")
         return {"answer": "ready"}
 
     def _poll(self, question: Message) -> object:
@@ -156,8 +177,9 @@ class Terminal(Operator):
         return {"answer": "stop"} if key == "s" else None
 
     def _review(self, question: Message) -> object:
-        """Show expected, measured and noise, and ask whether it counts."""
+        """Show expected, measured, difference and noise, and ask whether it counts."""
         self.clear()
+        self._ring()
         table = self._table(question)
         wide = self._console.options.update(width=WIDEST)
         if self._console.measure(table, options=wide).maximum <= self._console.width:
@@ -165,10 +187,7 @@ class Terminal(Operator):
         else:
             self._list(question)
         self._hint("Enter accept", "r redo", "b back", "q stop and keep")
-        key = self._choice(f"{ENTER}rbq")
-        if key == "q":
-            raise Stopped("stopped by the operator")
-        return {"answer": {ENTER: "accept", "r": "redo", "b": "back"}[key]}
+        return {"answer": {ENTER: "accept", "r": "redo", "b": "back"}[self._choice(f"{ENTER}rb")]}
 
     def _write(self, question: Message) -> object:
         """Ask once more before the files are written."""
@@ -176,124 +195,142 @@ class Terminal(Operator):
         named = ", ".join(f"{path} (replaces the one there)" if os.path.exists(path) else path for path in files)
         self._say(f"\nEverything is measured. Write {named}?")
         self._hint("Enter write", "n stop and keep")
-        if self._choice(f"{ENTER}ynq") in "nq":
+        if self._choice(f"{ENTER}yn", quits="not written: the operator declined") == "n":
             raise Stopped("not written: the operator declined")
         return {"answer": "yes"}
 
-    def _choice(self, keys: str) -> str:
-        """Wait for one of these keys."""
+    def _choice(self, keys: str, quits: str = "stopped by the operator") -> str:
+        """Wait for one of these keys; ``q`` stops the session with these words."""
         while True:
             key = self._keys.choice(None)
+            if key == "q":
+                raise Stopped(quits)
             if key is not None and key in keys:
                 return key
-            self._refuse_key()
+            self._explain(key)
 
     def _say(self, text: str, style: str = "", end: str = "\n") -> None:
         """Print a line as it stands: what comes from a file is no markup, and holds no escape sequence."""
         self.clear()
-        self._console.print(Text(printable(text), style=style), end=end)
+        self._console.print(Text(printable(text).rstrip(" "), style=style), end=end)
+
+    def _ring(self) -> None:
+        if self._live:
+            self._console.file.write(BELL)
 
     def _hint(self, *choices: str) -> None:
-        line, self._offered = Text("  "), []
-        for choice in choices:
+        line, self._offered = Text("  "), list(choices)
+        for choice in (*choices, "? help"):
             key, _, meaning = choice.partition(" ")
-            line.append(key, style="bold").append(f" {meaning}   ", style="dim")
-            self._offered.append(key)
+            line.append(key, style="bold").append(f" {meaning}  ", style="dim")
         self._console.print(line)
 
-    def _refuse_key(self) -> None:
-        """Name the keys that are offered, once; the one that was pressed may have no name, such as an arrow."""
-        if self._offered:
-            self._say(f"  not one of the keys: {', '.join(self._offered)}")
+    def _explain(self, key: str | None) -> None:
+        """Say what the keys do, or name them, once; the one that was pressed may have no name, such as an arrow."""
+        keys = [choice.partition(" ")[0] for choice in self._offered]
+        if key == "?":
+            for name, choice in zip(keys, self._offered, strict=True):
+                self._say(f"  {name:<6} {HELP.get(choice, choice.removeprefix(name).strip())}")
+            self._say(f"  {READING_HELP}")
+        elif keys:
+            self._say(f"  not one of the keys: {', '.join(keys)}")
             self._offered = []
 
-    def _line(self, *parts: str) -> None:
-        """Print one line that the next one overwrites; parts that do not fit are left out whole."""
+    def _overwrite(self, lines: list[str]) -> None:
+        """Print lines that the next ones overwrite, as many and as much of each as there is room for."""
+        self.clear()
         room = self._console.width - 3
-        line, *others = (printable(part) for part in parts)
-        for left, part in enumerate(others, start=1 - len(others)):
-            if len(line) + len(part) + (5 if left else 3) > room:
-                line = f"{line[: room - 2]} …"
-                break
-            line = f"{line}   {part}"
-        self._line_is_live = True
-        self._console.file.write(f"{CLEAR}  {line[:room]}")
+        rows = [f"  {line}" if len(line) <= room else f"  {line[: room - 2]} …" for line in map(printable, lines)]
+        rows = rows[-self._console.height + 1 :]
+        self._live_rows = len(rows)
+        self._console.file.write("\n".join(rows))
         self._console.file.flush()
 
     def clear(self) -> None:
-        """Empty the line of the live reading, which whatever is printed next would be appended to."""
-        if self._line_is_live:
-            self._line_is_live = False
-            self._console.file.write(CLEAR)
+        """Empty the lines of the live reading, which whatever is printed next would be appended to."""
+        if self._live_rows:
+            self._console.file.write(CLEAR + (UP + CLEAR) * (self._live_rows - 1))
             self._console.file.flush()
+            self._live_rows = 0
 
-    def _rows(self, review: Message) -> Iterator[tuple[str, str, str, str, str, str]]:
-        """Iterate over name, expected, measured, tilt, noise and n of each reading; a temperature has two of them."""
+    def _show(self, look: Message) -> None:
+        """Show the readings of all sensors, a row each, below their targets: what a row has no room for is left out."""
+        readings, rows, targets = look["readings"], [], ""
+        width = max([6, *map(len, readings)])
+        for serial, reading in readings.items():
+            unit = self._sensors[serial]["unit"]
+            axes: Mapping[str, AxisGuidance] = reading["guidance"]
+            cells = [guidance.in_words(channel, axis).ljust(22) for channel, axis in axes.items()]
+            raw = " ".join(f"{value:.6g}" for value in reading["values"].values())
+            warmth = "" if reading["temperature"] is None else f"{reading['temperature']:.1f} °C"
+            asked = "".join(
+                f"{channel} {axis['target']:+7.2f}°".ljust(22)
+                for channel, axis in axes.items()
+                if axis["target"] is not None
+            )
+            if asked and asked != targets:
+                rows.append(self._fitting(f"{'target':<{width}}  {asked}"))
+            targets = asked
+            rows.append(self._fitting(f"{serial:<{width}}  {''.join(cells)}".rstrip(), warmth, f"{raw} {unit}"))
+        rows.append(look["why"] or f"live, {UNCALIBRATED}")
+        self._overwrite(rows)
+
+    def _fitting(self, row: str, *more: str) -> str:
+        """Return a row with as many further parts as there is room for."""
+        for part in filter(None, more):
+            row = f"{row}  {part}" if len(row) + len(part) + 5 <= self._console.width else row
+        return row.rstrip()
+
+    def _rows(self, review: Message) -> Iterator[tuple[str, ...]]:
+        """Iterate over name, expected, measured, present angle, difference, noise and n of each reading."""
         for serial, values in review["sensors"].items():
-            expected = review["expected"].get(serial, {})
+            expected, axes = review["expected"].get(serial, {}), review["guidance"].get(serial, {})
             for channel, mean in values["mean"].items():
+                words = guidance.in_words("", axes[channel]) if channel in axes else ""
+                present, _, difference = words.replace(")", "").partition(" (")
                 yield (
                     f"{serial} {channel}",
                     f"{expected[channel]:.6g}" if expected else "unknown",
                     f"{mean:.6g} {self._sensors[serial]['unit']}",
-                    self._angle(serial, mean),
+                    present,
+                    difference,
                     f"{values['std'][channel]:.2g}",
                     str(values["n"]),
                 )
             if values["temperature"] is not None:
-                yield f"{serial} T", "", f"{values['temperature']:.2f} °C", "", "", ""
+                yield f"{serial} T", "", f"{values['temperature']:.2f} °C", "", "", "", ""
 
     def _list(self, review: Message) -> None:
         """Print what the table says, one channel below the other."""
-        for name, expected, measured, tilt, noise, n in self._rows(review):
+        for name, expected, measured, present, difference, noise, n in self._rows(review):
             self._say(f"  {name}  {measured}", "bold")
-            if expected:
+            if n:
                 self._say(f"    expected {expected}")
-                self._say(f"    tilt {tilt}, noise {noise}, n {n}")
+                self._say(f"    {present} {difference}")
+                self._say(f"    noise {noise}, n {n}")
 
     def _table(self, review: Message) -> Table:
-        table = Table(box=None, pad_edge=False, padding=(0, 2), header_style="dim")
-        for heading in ("", "expected", "measured", "tilt", "noise", "n"):
+        table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="dim")
+        for heading in ("", "expected", "measured", "tilt", "difference", "noise", "n"):
             table.add_column(heading, justify="right")
         for name, *cells in self._rows(review):
             table.add_row(Text(printable(name)), *cells)
         return table
 
-    def _show(self, look: Message) -> None:
-        """Show readings on one line, and first why: what has no room is left out."""
-        if not self._live:
-            return
-        parts = [look["why"]] if look["why"] else []
-        for serial, reading in look["readings"].items():
-            lead = f"{serial} " if len(look["readings"]) > 1 else ""
-            for channel, value in reading["values"].items():
-                parts.append(f"{lead}{channel} {value:.6g} ({self._angle(serial, value)})")
-                lead = ""
-            if reading["temperature"] is not None:
-                parts.append(f"{reading['temperature']:.1f} °C")
-        self._line(*parts, *(() if look["why"] else ("live",)))
-
-    def _angle(self, serial: str, value: float) -> str:
-        """Return a reading as a tilt, by the model's nominal coefficients."""
-        sensor = self._sensors[serial]
-        sine = (value - sensor["offset"]) / sensor["sensitivity"]
-        return f"{degrees(asin(sine)):+.2f}°" if abs(sine) <= 1 else f"beyond {copysign(90.0, sine):+.0f}°"
-
     def _angles(self, asked: Mapping[str, float], before: dict[str, float]) -> dict[str, float]:
         """Ask for the angles actually set, one an axis; an empty line keeps what was typed before."""
         while True:
-            tilt = dict(before)
-            for axis, angle in asked.items():
-                what = f"tilt of {axis} actually set, in degrees (asked {angle:g})"
-                typed = self._number(what, -90.0, 90.0, before.get(axis))
-                if typed is not None:
-                    tilt[axis] = typed
+            what = "tilt of {} actually set, in degrees (asked {:g})"
+            typed = {
+                axis: self._number(what.format(axis, angle), -90.0, 90.0, before.get(axis))
+                for axis, angle in asked.items()
+            }
+            tilt = before | {axis: angle for axis, angle in typed.items() if angle is not None}
             try:
                 gravity_from_tilt({**asked, **tilt})
+                return tilt
             except InputError as error:
                 self._say(f"  {error}")
-                continue
-            return tilt
 
     def _number(self, what: str, low: float, high: float, before: float | None) -> float | None:
         def parse(typed: str) -> float:
@@ -330,106 +367,3 @@ def direction(typed: str) -> list[float]:
     except ValueError:
         raise InputError("type three numbers such as 0 0.5 0.866") from None
     return list(normalised(parts))
-
-
-class Keys(Protocol):
-    """A source of the operator's choices."""
-
-    def choice(self, timeout: float | None) -> str | None:
-        """Return the next key (:data:`ENTER` for Enter), or None when ``timeout`` seconds pass without one.
-
-        Stopped: the input has ended.
-        """
-        ...
-
-    def pressed(self, choices: str) -> str | None:
-        """Return one of these keys if it has been pressed already, without waiting."""
-        ...
-
-    def line(self) -> str:
-        """Read a typed line, without its newline."""
-        ...
-
-
-class LineKeys:
-    """Reads whole lines of a stream and never returns by itself: for ``--plain``, pipes and screen readers."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._lines = LineReader(stream)
-
-    def choice(self, timeout: float | None) -> str | None:
-        return self.line()[:1].lower() or ENTER
-
-    def pressed(self, choices: str) -> str | None:
-        # What else waits may be the answer to a question that is still to come.
-        for number, line in enumerate(self._lines.waiting(), start=1):
-            key = line.strip()[:1].lower()
-            if key and key in choices:
-                for _ in range(number):
-                    self._lines.next()
-                return key
-        return None
-
-    def line(self) -> str:
-        typed = self._lines.next()
-        if not typed:
-            raise Stopped("the input has ended")
-        return typed.strip()
-
-
-class NotebookInput(io.TextIOBase):
-    """The lines that a person types below the cell of a notebook."""
-
-    def readline(self, size: int = -1) -> str:  # type: ignore[override]
-        try:
-            return f"{input()}\n"
-        except EOFError:
-            return ""
-
-
-class TerminalKeys:
-    """Reads single keys from a terminal, which is given back as it was at the end of a ``with``."""
-
-    def __init__(self) -> None:
-        self._descriptor = sys.stdin.fileno()
-        self._before: list[object] = []
-
-    def __enter__(self) -> TerminalKeys:
-        import termios
-        import tty
-
-        self._before = termios.tcgetattr(self._descriptor)
-        tty.setcbreak(self._descriptor)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        import termios
-
-        termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)  # type: ignore[arg-type]
-
-    def choice(self, timeout: float | None) -> str | None:
-        ready, _, _ = select.select([self._descriptor], [], [], timeout)
-        if not ready:
-            return None
-        key = os.read(self._descriptor, 1).decode(errors="replace")
-        if key in ("", "\x04"):
-            raise Stopped("the input has ended")
-        if key == ESCAPE and select.select([self._descriptor], [], [], REST)[0]:
-            os.read(self._descriptor, 16)  # of an arrow or a function key, whose letters are no choices
-        return ENTER if key in "\r\n" else key.lower()
-
-    def pressed(self, choices: str) -> str | None:
-        key = self.choice(0.0)
-        return key if key is not None and key in choices else None
-
-    def line(self) -> str:
-        import tty
-
-        self.__exit__()
-        try:
-            typed = sys.stdin.readline()
-        finally:
-            tty.setcbreak(self._descriptor)
-        if not typed:
-            raise Stopped("the input has ended")
-        return typed.strip()

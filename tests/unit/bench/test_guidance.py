@@ -35,10 +35,10 @@ def test_the_angle_to_set_and_the_present_one() -> None:
     assert shown["y"]["difference"] == pytest.approx(0.5)
     # Two of sqrt(0.0023² + 0.03² + (0.0029 0.5)² + (0.03 0.87)² + 0.026²) g.
     assert shown["x"]["tolerance"] == pytest.approx(6.5, abs=0.1)
-    assert in_words("x", shown["x"]) == "x +29.00° (-1.00°) ok"
+    assert in_words("x", shown["x"]) == "x  +29.00° (-1.00) ok"
     wrong = guidance(SCA100T, STRAIGHT, counts(0.0, 30.0), UP_30, expected())
     assert [wrong[channel]["ok"] for channel in "xy"] == [False, False]
-    assert in_words("x", wrong["x"]).endswith("not ok")
+    assert in_words("x", wrong["x"]).endswith("(-30.00)")
 
 
 def test_positions_before_correct_the_present_angle() -> None:
@@ -60,7 +60,7 @@ def test_nothing_is_ok_where_nothing_is_known() -> None:
     assert guidance(adxl202, STRAIGHT, [0.56, 0.5], UP_30, expected(adxl202))["x"]["ok"] is None
     free = guidance(SCA100T, STRAIGHT, counts(30.0, 0.0), UP_30, None)
     assert (free["x"]["target"], free["x"]["ok"]) == (None, None)
-    assert in_words("x", free["x"]) == "x +30.00°"
+    assert in_words("x", free["x"]) == "x  +30.00°"
     assert guidance(replace(SCA100T, scaled=False), STRAIGHT, counts(30.0, 0.0), UP_30, expected()) == {}
 
 

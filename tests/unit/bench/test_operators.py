@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from tiltcal.bench.keys import ENTER
 from tiltcal.bench.operators import VirtualJig
-from tiltcal.bench.terminal import ENTER, Terminal
+from tiltcal.bench.terminal import Terminal
 
 LEVEL = {
     "ask": "position", "position": "level", "tilt": {"x": 0.0, "y": 0.0}, "gravity": [0, 0, 1], "heading": 0,
@@ -22,12 +23,13 @@ SCL3300 = {"unit": "count", "offset": 0.0, "sensitivity": 6000.0}
 
 def begin(positions: tuple[str, ...] = ("level",), **sensors: object) -> dict[str, Any]:
     named = {name.replace("_", "-"): facts for name, facts in sensors.items()}
-    return {"event": "begin", "title": "A title", "length": "", "positions": list(positions), "sensors": named}
+    begins = {"event": "begin", "title": "A title", "length": "", "accepted": []}
+    return begins | {"positions": list(positions), "sensors": named}
 
 
-def look(why: str, **readings: tuple[dict[str, float], float | None]) -> dict[str, Any]:
-    seen = {name.replace("_", "-"): {"values": v, "temperature": t} for name, (v, t) in readings.items()}
-    return {"event": "look", "position": "level", "why": why, "readings": seen}
+def axis(target: float | None, present: float | None, ok: bool | None = None) -> dict[str, Any]:
+    difference = None if target is None or present is None else present - target
+    return {"target": target, "present": present, "difference": difference, "tolerance": 3.0, "ok": ok}
 
 
 class Typed:
@@ -88,13 +90,44 @@ def test_a_live_reading_is_shown_until_a_key_is_pressed(shown: io.StringIO) -> N
     assert shown.getvalue().count("Lay it level.") == 1
 
 
-def test_a_reading_of_more_than_1_g_has_no_tilt(shown: io.StringIO) -> None:
-    """An SCL3300 with an offset of -97 counts reads -6097 upside down, where the data sheet has 6000 count/g."""
-    console = Console(file=shown, force_terminal=True, width=100, color_system=None)
+def test_six_sensors_are_shown_in_80_columns_below_their_targets(shown: io.StringIO) -> None:
+    """The targets are repeated where the next sensor sits another way; the next reading takes the place of the rows."""
+    console = Console(file=shown, force_terminal=True, width=80, height=24, color_system=None)
     operator = Terminal(console, Typed(ENTER), live=True)
-    operator.tell(begin(S_1=SCL3300))
-    operator.tell(look("live", S_1=({"x": -6097.0, "y": 6100.0, "z": 0.0}, None)))
-    assert "x -6097 (beyond -90°)   y 6100 (beyond +90°)   z 0 (+0.00°)" in shown.getvalue()
+    serials = [f"SCL-100{n}" for n in range(6)]
+    operator.tell(begin(**{serial.replace("-", "_"): SCL3300 for serial in serials}))
+    straight = {"x": axis(30.0, 29.71, True), "y": axis(0.0, None, False), "z": axis(60.0, 59.5, True)}
+    turned = {"x": axis(0.0, 0.2, True), "y": axis(30.0, 29.9, True), "z": axis(60.0, 60.0, True)}
+    readings = {
+        serial: {
+            "values": {"x": 2973.0, "y": 7000.0, "z": 5170.0},
+            "temperature": 24.0,
+            "guidance": turned if serial.endswith("5") else straight,
+        }
+        for serial in serials
+    }
+    for why in ("", "sample 3 of 20"):
+        operator.tell({"event": "look", "position": "level", "why": why, "readings": readings})
+    first, _, second = shown.getvalue().partition("\r\x1b[2K")
+    rows = first.splitlines()[-9:]
+    assert rows[0].split() == ["target", "x", "+30.00°", "y", "+0.00°", "z", "+60.00°"]
+    assert " ".join(rows[1].split()) == "SCL-1000 x +29.71° (-0.29) ok y beyond 90° z +59.50° (-0.50) ok"
+    assert [row.split()[0] for row in rows[5:8]] == ["SCL-1004", "target", "SCL-1005"]
+    assert rows[8].strip() == "live, angles are not calibrated yet"
+    assert all(len(row) <= 80 for row in rows)
+    assert second.count("\x1b[1A\r\x1b[2K") == 8
+    assert second.endswith("sample 3 of 20")
+
+
+def test_the_keys_are_explained_and_the_time_that_remains_is_said(person, shown) -> None:
+    operator = person("?\n")
+    operator.tell(begin(("first", "level")) | {"accepted": ["first"]})
+    operator.tell({"event": "progress", "position": "level", "accepted": ["first"], "seconds": 4210.0})
+    assert operator.ask(LEVEL) == {"answer": "ready"}
+    said = shown.getvalue()
+    assert "kept from before: first" in said
+    assert "2/2  level   about 1 h 11 min left" in said
+    assert "a      type the angle that was really set" in said
 
 
 def test_a_direction_is_typed_or_left(person, shown) -> None:
@@ -119,7 +152,14 @@ def test_no_escape_sequence_and_no_markup_of_a_file_reaches_the_terminal(person,
 
 MEASURED = {"mean": {"x": 1045.25, "y": 1018.95}, "std": {"x": 0.65, "y": 0.69}, "n": 20, "temperature": 24.93}
 EXPECTED = {"S-1": {"x": 1024.0, "y": 1023.0}}
-REVIEWED = {"ask": "review", "position": "level", "sensors": {"S-1": MEASURED}, "expected": EXPECTED}
+GUIDED = {"S-1": {"x": axis(0.0, 1.49, True), "y": axis(0.0, -0.35, True)}}
+REVIEWED = {
+    "ask": "review",
+    "position": "level",
+    "sensors": {"S-1": MEASURED},
+    "expected": EXPECTED,
+    "guidance": GUIDED,
+}
 ACCEPTED = {"event": "accepted", "position": "level", **MEASURED}
 
 
@@ -130,7 +170,7 @@ def test_no_number_of_a_review_is_cut_off(width: int, shown: io.StringIO) -> Non
     operator.tell(begin(S_1=SCA100T))
     assert operator.ask(REVIEWED) == {"answer": "accept"}
     text = shown.getvalue()
-    for number in ("1045.25 count", "1018.95 count", "1024", "1023", "+1.49°", "-0.35°", "0.65", "0.69", "24.93 °C"):
+    for number in ("1045.25 count", "1018.95 count", "1024", "1023", "+1.49°", "-0.35 ok", "0.65", "0.69", "24.93 °C"):
         assert number in text
     assert "…" not in text
     assert all(len(line) <= width for line in text.splitlines())

@@ -164,7 +164,7 @@ def test_a_damaged_line_is_left_out_and_told_once_a_turn() -> None:
     printed[175] = b"12.0,3.1,x,4,5\r\n"
     attendant = Attendant()
     found = turned(printed, attendant, turns=5)
-    assert attendant.told == ["1 damaged or lost on the line, and left out", "goes on"]
+    assert attendant.told == ["2 damaged or lost on the line, and left out", "goes on"]
     assert found.left_out == 2
     assert near(found.matchings[0], disk.truth())
 

@@ -1,15 +1,16 @@
-"""Lines that are waited for, and lines that are there already."""
+"""What is typed: lines that are waited for or there already, and single keys of a terminal, which is a pty here."""
 
 from __future__ import annotations
 
 import io
 import os
+import pty
+import sys
 from collections.abc import Iterator
 
 import pytest
 
-from tiltcal.bench.operators import LineReader
-from tiltcal.bench.terminal import ENTER, LineKeys
+from tiltcal.bench.keys import ENTER, LineKeys, LineReader, TerminalKeys
 from tiltcal.errors import Stopped
 
 
@@ -35,7 +36,7 @@ def test_whole_lines_wait_and_half_ones_do_not(pipe) -> None:
     assert [lines.next(), lines.next()] == ["two\n", "thr\u00e9e\n"]
 
 
-def test_at_the_end_nothing_waits_and_the_rest_is_a_line() -> None:
+def test_the_rest_at_the_end_is_a_line_and_a_stream_without_a_descriptor_is_read_as_it_is() -> None:
     source, sink = os.pipe()
     with open(source, encoding="utf-8") as stream:
         lines = LineReader(stream)
@@ -43,9 +44,6 @@ def test_at_the_end_nothing_waits_and_the_rest_is_a_line() -> None:
         os.close(sink)
         assert [lines.next(), lines.next(), lines.next()] == ["rest", "", ""]
         assert lines.waiting() == []
-
-
-def test_a_stream_without_a_descriptor_is_read_as_it_is() -> None:
     lines = LineReader(io.StringIO("a\nb"))
     assert lines.waiting() == []
     assert [lines.next(), lines.next(), lines.next()] == ["a\n", "b", ""]
@@ -73,3 +71,39 @@ def test_the_end_of_the_input_is_told_when_a_question_is_asked() -> None:
         assert keys.pressed("sq") is None
         with pytest.raises(Stopped, match="the input has ended"):
             keys.choice(None)
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[TerminalKeys, int]]:
+    """Keys of a terminal, and where they are typed."""
+    person, terminal = pty.openpty()
+    with os.fdopen(terminal, "r") as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        with TerminalKeys() as keys:
+            yield keys, person
+    os.close(person)
+
+
+def test_a_key_is_a_choice_at_once(typed: tuple[TerminalKeys, int]) -> None:
+    keys, person = typed
+    os.write(person, b"B\r")
+    assert [keys.choice(1.0), keys.choice(1.0), keys.choice(0.0)] == ["b", ENTER, None]
+
+
+@pytest.mark.parametrize(
+    "sequence", [b"\x1b[B", b"\x1bOQ", b"\x1b[15~", b"\x1b[1;5A", b"\x1b[[B", b"\x1b\x1b[B", b"\x1b"]
+)
+def test_an_arrow_or_a_function_key_is_no_choice(sequence: bytes, typed: tuple[TerminalKeys, int]) -> None:
+    """xterm's down, F2, F5 and Ctrl-up, F2 of the Linux console, Alt-down of rxvt, and the escape key alone."""
+    keys, person = typed
+    os.write(person, sequence)
+    assert keys.choice(1.0) == "\x1b"
+    os.write(person, b"r")
+    assert keys.choice(1.0) == "r"
+
+
+def test_the_end_of_the_input_ends_the_session(typed: tuple[TerminalKeys, int]) -> None:
+    keys, person = typed
+    os.write(person, b"\x04")
+    with pytest.raises(Stopped, match="has ended"):
+        keys.choice(1.0)
