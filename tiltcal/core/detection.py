@@ -50,14 +50,13 @@ def run_bounds(mask: Mask) -> tuple[Numbers, Numbers]:
     return edges[::2], edges[1::2]
 
 
-# ---------------------------------------------------------------------------------------------------------------- stuck
+# Stuck
 
 
 def noise_of_positions(summaries: Sequence[SampleSummary], step: float) -> float:
     """Return the noise that a channel has in several positions, before rounding to a ``step``, unit; 0 if none shows.
 
-    A reading that flickers between two values scatters by up to half a step however small its noise is: that shows
-    nothing of a position in which the reading stands still. ``step`` is 0 where the reading is continuous.
+    A reading that flickers between two values scatters by up to half a step however small its noise is: it shows none.
     """
     scatters = [summary.std**2 * (summary.n - 1) / summary.n for summary in summaries]
     if step and np.median(scatters) <= (FLICKER * step) ** 2 * _EXACT:
@@ -119,15 +118,14 @@ def stuck_rows(columns: Sequence[Array]) -> Span | None:
     return (start, end) if length > 10 + _ODD_RUN * likely else None
 
 
-# ---------------------------------------------------------------------------------------------------------------- still
+# Still
 
 
 def is_still(
     change: float, uncertainty: float, limit: float, *, sigmas: float = 4.0, shown: bool = False, coverage: float = 2.0
 ) -> bool:
-    """Return whether a change along a line through some samples, of :func:`tiltcal.core.samples.drift`, is none.
+    """Return whether a change along a line through some samples is none: up to a limit, or by noise of so many sigmas.
 
-    ``limit`` is the largest change that counts as none; one below so many ``sigmas`` of its uncertainty is noise.
     ``shown`` asks that it is shown to be within the limit, by ``coverage`` standard uncertainties.
     """
     return abs(change) <= (limit - coverage * uncertainty if shown else max(limit, sigmas * uncertainty))
@@ -135,18 +133,16 @@ def is_still(
 
 def lost_rows(columns: Sequence[Array], stuck: Sequence[Span]) -> Mask:
     """Return the rows in which a value is missing or stuck, shape (n,)."""
-    lost = np.zeros(len(columns[0]), dtype=bool)
-    for column in columns:
-        lost |= ~np.isfinite(column)
+    lost = np.logical_or.reduce([~np.isfinite(column) for column in columns])
     for start, end in stuck:
         lost[start:end] = True
     return lost
 
 
 def window_scatter(columns: Sequence[Array], lost: Mask, window: int) -> Array:
-    """Return the standard deviation in every window of so many rows, all columns together (root of the sum of squares).
+    """Return the standard deviation of all columns together in every window of so many rows, shape (n - window + 1,).
 
-    Shape (n - window + 1,); infinite where a window holds a lost row.
+    It is infinite where a window holds a lost row.
     """
     scatter = np.empty(max(len(lost) - window + 1, 0))
     for start in range(0, len(scatter), _PIECE):
@@ -173,10 +169,7 @@ def _window_sums(values: Array, window: int) -> Array:
 
 
 def stillest(scatter: Array, *, varying: bool = False) -> float | None:
-    """Return the scatter in the stillest part of the windows, the :data:`STILLEST` quantile; None without any.
-
-    ``varying`` leaves out the windows in which nothing changes.
-    """
+    """Return the :data:`STILLEST` quantile of scatters, 0 left out if ``varying``; None without any."""
     most, count, smallest = int(STILLEST * len(scatter)) + 2, 0, np.empty(0)
     for start in range(0, len(scatter), 16 * _PIECE):
         piece = scatter[start : start + 16 * _PIECE]
@@ -192,15 +185,13 @@ def stillest(scatter: Array, *, varying: bool = False) -> float | None:
     return float(np.quantile(np.sort(smallest)[low : low + 2], place - low))
 
 
-# ---------------------------------------------------------------------------------------------------------------- moved
+# Moved
 
 
 def moved_rows(columns: Sequence[Array], steps: Sequence[float]) -> list[Span]:
     """Return the rows in which the sensor was moved, of columns whose readings have ``steps``, 0 where continuous.
 
-    Means of short blocks differ from their neighbours by the noise, and by what it wanders from one to the next; in a
-    block that differs by far more, or scatters by far more within, the sensor was moved. How much is usual the median
-    says, which a knock or two does not shift.
+    There the mean of a short block differs by far more than usual from its neighbours, or scatters by far more within.
     """
     size = _BLOCK
     while len(columns[0]) > size * _MOST_BLOCKS:
@@ -237,7 +228,7 @@ def bursts(scatter: Array, rounding: ArrayLike = 0.0) -> Mask:
     return np.asarray(scatter > BURST * np.maximum(np.nanmedian(scatter), rounding))
 
 
-# ------------------------------------------------------------------------------------------------------------- outlying
+# Outlying
 
 
 def outliers(samples: Sequence[float] | Array, step: float = 0.0) -> Numbers:

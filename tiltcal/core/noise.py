@@ -168,8 +168,7 @@ class SampleSize:
 def characterise(samples: Array, interval: float, sizes: Sequence[int] = ()) -> ChannelNoise:
     """Return the noise of one channel at rest, with averages of 1, 10, 100, ... and some ``sizes`` of samples.
 
-    Samples, shape (n,), are ``interval`` seconds apart, NaN where a value is missing; an EstimateError where there are
-    too few, or their noise is beyond any number.
+    Samples, shape (n,), are ``interval`` seconds apart, NaN where a value is missing; an EstimateError refuses too few.
     """
     factor, variance = allan_variance(samples)
     if not len(factor):
@@ -193,10 +192,7 @@ def average(samples: Array, size: int) -> Average:
 
 
 def allan_variance(samples: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return samples per average by octaves, 1, 2, 4, ..., and the overlapping Allan variances, unit², above 0.
-
-    Samples, shape (n,), are NaN where a value is missing.
-    """
+    """Return samples per average by octaves, 1, 2, 4, ..., and the overlapping Allan variances above 0, unit²."""
     zero = next(some[np.isfinite(some)][0] for some in _chunks(samples) if np.isfinite(some).any())
     variances = _variances(samples, None, zero, 1, _WIDTHS, len(samples))
     size, (sums, counts) = 2, (np.concatenate(parts) for parts in zip(*_sums(samples, 2, zero), strict=True))
@@ -274,7 +270,7 @@ def kinds_of_noise(tau: Array, variance: Array, factor: NDArray[np.int64], sampl
     """Return the fewest kinds of noise that make an Allan variance of a record of so many samples.
 
     Averaging times in seconds, variances and samples per average, shape (k,), rise by octaves. A term has to lower the
-    deviance of the variances by its price. Short octaves that no terms describe are set aside one by one.
+    deviance by its price. Short octaves that no terms describe are set aside one by one.
     """
     from scipy.special import chdtrc
 
@@ -286,8 +282,8 @@ def kinds_of_noise(tau: Array, variance: Array, factor: NDArray[np.int64], sampl
         octaves, terms = len(tau) - first, list(range(len(TERMS)))
         squares, dof, deviance = _squares(tau, variance, table, first, terms)
         while len(terms) > 1:
-            fewer = [(_squares(tau, variance, table, first, rest), rest) for rest in _each_left_out(terms)]
-            best, rest = min(fewer, key=lambda fit: fit[0][2])
+            left = [[term for term in terms if term != gone] for gone in terms]
+            best, rest = min(((_squares(tau, variance, table, first, rest), rest) for rest in left), key=_deviance)
             if best[2] > deviance + _WORTH and len(terms) <= octaves:
                 break
             terms, (squares, dof, deviance) = rest, best
@@ -299,14 +295,14 @@ def kinds_of_noise(tau: Array, variance: Array, factor: NDArray[np.int64], sampl
     return fits[0]
 
 
-def _each_left_out(terms: Sequence[int]) -> Iterator[list[int]]:
-    return ([term for term in terms if term != gone] for gone in terms)
+def _deviance(fit: tuple[tuple[Array, Array, float], list[int]]) -> float:
+    return fit[0][2]
 
 
 def _squares(tau: Array, variance: Array, table: Array, first: int, terms: Sequence[int]) -> tuple[Array, Array, float]:
     """Return the squares of all coefficients, the degrees of freedom of all octaves, and the deviance.
 
-    Non-negative least squares of the octaves from ``first`` on; the weights follow the variance that the terms make.
+    Non-negative least squares of the octaves from ``first`` on, weighted by the variance that the terms make.
     """
     from scipy.optimize import nnls
 
@@ -330,10 +326,7 @@ def _columns(tau: Array) -> Array:
 
 
 def sample_size(noise: ChannelNoise, interval: float, target: float | None = None) -> SampleSize:
-    """Return the smallest number of samples whose mean is good enough, or beyond which more do not help.
-
-    Samples are ``interval`` seconds apart; ``target`` is the standard uncertainty that a mean should have, unit.
-    """
+    """Return the smallest number of samples whose mean is as good as a target, or from which on more do not help."""
     most = round(float(noise.tau[-1]) / interval)
     samples = np.unique(np.geomspace(1, most, _SIZES).round().astype(np.int64))
     u = noise.uncertainty(np.asarray(samples * interval, dtype=np.float64))

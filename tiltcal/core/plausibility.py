@@ -51,14 +51,9 @@ class ExpectedReadings:
         self._offset, self._sensitivity = offset, sensitivity
         self._or = ", or was a position before it wrong (go back)" if offset_spread > UNKNOWN_OFFSET else ""
         prior = np.diag([offset_spread**2 + OFFSET_FLOOR**2, *(3 * [CROSS_SPREAD**2])])
-        self._mean: list[Array] = []
-        self._covariance: list[Array] = []
-        for channel in channels:
-            own = 1 + AXES.index(channel)
-            mean, covariance = np.zeros(4), prior.copy()
-            mean[own], covariance[own, own] = 1.0, sensitivity_spread**2
-            self._mean.append(mean)
-            self._covariance.append(covariance)
+        own = [1 + AXES.index(channel) for channel in channels]
+        self._mean = [np.eye(4)[place] for place in own]
+        self._covariance = [prior + (sensitivity_spread**2 - CROSS_SPREAD**2) * np.diag(np.eye(4)[k]) for k in own]
         self._first_temperature: float | None = None
 
     def distance(self, gravity: Vector, reading: Array, temperature: float | None = None) -> float:
@@ -71,8 +66,7 @@ class ExpectedReadings:
         """Take an accepted position into account."""
         if self._first_temperature is None:
             self._first_temperature = temperature
-        row = np.array([1.0, *gravity])
-        sigma = self._pose(temperature)
+        row, sigma = np.array([1.0, *gravity]), self._pose(temperature)
         for i, value in enumerate(self._in_g(reading)):
             spread = self._covariance[i] @ row
             gain = spread / (row @ spread + sigma**2)
@@ -99,14 +93,9 @@ class ExpectedReadings:
 
         ``positions`` has gravity of every position of the procedure; that of ``position`` as it was set.
         """
-        own = self.distance(positions[position], reading, temperature)
-        others = {
-            name: self.distance(gravity, reading, temperature)
-            for name, gravity in positions.items()
-            if name != position
-        }
-        nearest = min(others, key=lambda name: others[name], default=None)
-        if nearest is not None and own > MATCHED and others[nearest] < own / 2:
+        distances = {name: self.distance(gravity, reading, temperature) for name, gravity in positions.items()}
+        own, nearest = distances[position], min(distances, key=lambda name: distances[name])
+        if own > MATCHED and distances[nearest] < own / 2:
             return f"this looks like {nearest}: is the sensor turned round{self._or}?"
         if own > ODD:
             expected = self.expected(positions[position])
@@ -121,10 +110,7 @@ class ExpectedReadings:
         return None
 
     def repeated(self, readings: Mapping[str, Array], reading: Array) -> str | None:
-        """Return why a reading, (3,), is no attitude of its own beside those before, by their names; None where it is.
-
-        The offset that the part really has moves all attitudes alike: how far they are apart is seen without it.
-        """
+        """Return why a reading, (3,), is the attitude of one before, by their names; None where it is not."""
         own = np.array(self._in_g(reading))
         for name, before in readings.items():
             other = np.array(self._in_g(before))
