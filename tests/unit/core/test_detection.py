@@ -5,9 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from tiltcal.core.detection import (
     bursts,
@@ -16,13 +13,10 @@ from tiltcal.core.detection import (
     jumps,
     lost_rows,
     outliers,
-    repeated_rows,
     run_bounds,
-    stillest,
     stuck_spans,
     window_scatter,
 )
-from tiltcal.core.model import Array
 
 REST = np.random.default_rng(1).normal(0.0, 1.0, (2000, 2))
 
@@ -66,29 +60,12 @@ def test_runs() -> None:
         assert list(zip(starts.tolist(), ends.tolist(), strict=True)) == expected
 
 
-def test_a_missing_value_repeats_nothing() -> None:
-    columns = np.array([[1.0, 1.0, 1.0, 2.0], [3.0, 3.0, np.nan, np.nan]])
-    assert repeated_rows(columns).tolist() == [False, True, False, False]
-
-
 def test_a_run_of_a_noisy_reading_is_stuck_and_of_a_coarse_one_not() -> None:
     samples = np.rint(REST)  # noise of a whole step
     samples[100:140] = samples[100]
     assert stuck_spans(samples.T, 40) == stuck_spans(samples.T, 25) == [(100, 140)]
     assert stuck_spans(samples.T, 41) == []
     assert not stuck_spans(np.rint(0.3 + 0.08 * REST).T, 25)
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    values=arrays(float, (60, 3), elements=st.integers(-800, 800).map(lambda eighths: eighths / 8)),
-    window=st.integers(2, 60),
-    level=st.sampled_from([0.0, 1e5]),
-)
-def test_the_scatter_is_the_standard_deviation(values: Array, window: int, level: float) -> None:
-    found = window_scatter(values.T + level, np.zeros(60, dtype=bool), window)
-    expected = [np.sqrt(np.sum(np.var(values[start : start + window], axis=0, ddof=1))) for start in range(61 - window)]
-    assert found == pytest.approx(expected, rel=1e-6, abs=1e-4)
 
 
 def test_small_noise_far_down_a_long_log_is_not_lost() -> None:
@@ -104,11 +81,3 @@ def test_a_window_with_a_lost_row_is_never_still() -> None:
     columns[1, 40] = np.nan
     scatter = window_scatter(columns, lost_rows(columns, [(20, 21)]), 10)
     assert np.flatnonzero(np.isinf(scatter)).tolist() == [*range(11, 21), *range(31, 41)]
-
-
-def test_the_stillest_part_is_the_quantile_of_numpy() -> None:
-    """The scatter falls towards the end of the record, so what was kept first is not what counts."""
-    for n in (1, 3, 101, 600_000):
-        scatter = np.random.default_rng(n).exponential(size=n) * np.linspace(2.0, 1.0, n)
-        assert stillest(np.append(scatter, [np.inf, 0.0]), varying=True) == np.quantile(scatter, 0.01)
-    assert stillest(np.array([np.inf])) is None

@@ -6,13 +6,11 @@ from math import log, pi, sqrt
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from support import coloured_noise as coloured
 
 import tiltcal
-from tiltcal.core.detection import moved_rows, stuck_rows
-from tiltcal.core.noise import ChannelNoise, Kind, allan_variance, characterise, degrees_of_freedom, limits, sample_size
+from tiltcal.core.detection import stuck_rows
+from tiltcal.core.noise import ChannelNoise, allan_variance, characterise, degrees_of_freedom, limits, sample_size
 
 DT = 0.01
 """Seconds between samples."""
@@ -53,41 +51,6 @@ def test_the_published_set_of_1000_numbers() -> None:
         numbers.append(16807 * numbers[-1] % 2147483647)
     _, variance = allan_variance(np.array(numbers) / 2147483647)
     assert sqrt(variance[0]) == pytest.approx(2.922319e-1, rel=1e-6)
-
-
-@given(st.integers(64, 900), st.integers(0, 50))
-def test_every_octave_against_its_definition(rows: int, seed: int) -> None:
-    """Half of the mean squared difference of neighbouring means, of every start up to 32; half may be missing."""
-    samples = coloured.walk(rng(seed), rows, 1.0)
-    samples[rng(seed).integers(0, rows, 10)] = np.nan
-
-    def mean_of(stretch: coloured.Samples) -> float:
-        there = stretch[np.isfinite(stretch)]
-        return float(there.mean()) if 2 * len(there) >= len(stretch) else np.nan
-
-    factor, variance = allan_variance(samples)
-    for size, ours in zip(factor.tolist(), variance.tolist(), strict=True):
-        starts = range(0, rows - 2 * size + 1, max(1, size // 32))
-        means = [[mean_of(samples[s + k * size : s + (k + 1) * size]) for k in (0, 1)] for s in starts]
-        expected = np.nanmean([(later - earlier) ** 2 for earlier, later in means]) / 2.0
-        assert ours == pytest.approx(expected, rel=1e-6)
-
-
-@pytest.mark.parametrize("kind", ["white", "flicker", "walk"])
-def test_degrees_of_freedom(kind: Kind) -> None:
-    """By Greenhall and Riley's sums, in allantools, and by the scatter of 300 records."""
-    import allantools
-
-    exponent = {"white": 0, "flicker": -1, "walk": -2}[kind]
-    made = {"white": coloured.white, "flicker": coloured.flicker, "walk": coloured.walk}[kind]
-    many = np.array([allan_variance(made(rng(seed), 1024, 1.0))[1] for seed in range(300)])
-    shown = 2.0 * many.mean(axis=0) ** 2 / many.var(axis=0)
-    for factor, dof in zip(2 ** np.arange(9), shown.tolist(), strict=True):
-        ours = degrees_of_freedom(kind, 1024, float(factor))
-        greenhall = allantools.edf_greenhall(exponent, 2, int(factor), 1025, overlapping=True)
-        assert ours == pytest.approx(dof, rel=0.35)
-        if factor > 2:  # below, the approximation for many samples per average does not hold
-            assert ours == pytest.approx(greenhall, rel=0.16)
 
 
 def test_the_limits_hold_the_truth() -> None:
@@ -142,19 +105,6 @@ def test_filtered_samples_are_not_taken_for_independent() -> None:
 def test_a_vibration_is_none_of_them() -> None:
     swaying = np.sin(2.0 * pi * 0.05 * DT * np.arange(50_000))
     assert not noise_of(white(50_000, 0.1) + swaying).terms.follows
-
-
-def test_noise_is_still_and_a_turn_is_motion() -> None:
-    for made in (coloured.white, coloured.flicker, coloured.walk):
-        for seed in range(10):
-            assert moved_rows([made(rng(seed), 5000, 1.0)], [0.0]) == []
-    assert moved_rows([np.round(white(5000, 0.18))], [1.0]) == []
-    for rows, moved, within in ((5000, 3000, 48), (3_000_000, 2_000_000, 400)):  # more than blocks are kept singly
-        samples = white(rows)
-        samples[moved:] += 20.0
-        ((start, end),) = moved_rows([samples], [0.0])
-        assert start - 200 <= moved <= end + 200
-        assert end - start <= within
 
 
 def test_a_reading_that_hangs() -> None:

@@ -123,6 +123,13 @@ def test_error_names_line_and_key() -> None:
         (", y: [-0.05, 1e-4]}", "}", 12, "calibration.temperature.offset", "'y' is missing"),
         (curve, "    sensitivity: {y: [0]}\n" + curve, 12, "calibration.temperature.sensitivity", "'x' is"),
         ("  mounting:", "  nonlinearity: {y: [0.1]}\n  mounting:", 13, "calibration.nonlinearity", "'x' is missing"),
+        (
+            "  mounting:",
+            "  nonlinearity: {x: [0.6, 0], y: [0, 0]}\n  mounting:",
+            13,
+            "calibration.nonlinearity",
+            "several",
+        ),
         ("roll: 180", "rol: 180", 13, "calibration.mounting.rol", "did you mean 'roll'"),
         ("{x: 0.1, y: 0.1}", "{x: -0.1}", 15, "uncertainty.offset.x", "at least 0"),
         ("[1e-8, 0.01]]", "[2e-8, 0.01]]", 16, "uncertainty.covariance.matrix[1]", "not symmetric"),

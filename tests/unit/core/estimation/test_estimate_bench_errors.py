@@ -98,13 +98,6 @@ class TestLean:
         by_lean = radians(0.2) * (1 + cos(radians(30))) / 2
         assert sqrt(found.uncertain.sources["table"][0]) == pytest.approx(by_lean, rel=0.12)
 
-    def test_two_headings_show_it(self) -> None:
-        lean = (radians(0.5), radians(-0.3))
-        observations = plane(np.random.default_rng(3), lean, (0.0, 0.0, 180.0, 180.0))
-        found = estimate(observations, Design(("x", "y"), ("x", "y"), jig=0.0))
-        assert found.not_covered == ()
-        assert np.all(np.abs(found.coefficients.offset) < 6 * NOISE)
-
     def test_plan_counts_it_and_says_what_a_heading_brings(self) -> None:
         positions = [PlannedPosition(f"p{k}", gravity_from_tilt(tilt)) for k, tilt in enumerate(PLANE)]
         plan = predict_uncertainty(Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2), positions, NOISE)

@@ -19,7 +19,6 @@ from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.solve import budgets, solved_at, start_as_set
-from tiltcal.core.uncertain import coverage_factor
 from tiltcal.errors import EstimateError
 
 LEVEL = np.array([0.0, 0.0, 1.0])
@@ -55,30 +54,8 @@ class TestBudgetByHand:
         assert variance["adc"] == pytest.approx(by_step**2, rel=1e-5)
         assert variance["jig"] == pytest.approx(by_jig**2, rel=1e-4)
 
-    def test_two_temperatures(self) -> None:
-        """drift = (u1 - u2) / dT: noise by sqrt(2) / dT, each temperature by drift / dT."""
-        drift, spread, thermometer = 2.5, 18.5, 0.3
-        levels = [
-            Observation(f"{t}", LEVEL, np.array([1024.0 + drift * (t - 24.0)]), np.array([self.NOISE]), t, held=t < 24)
-            for t in (24.0, 24.0 - spread)
-        ]
-        found = estimate(levels, Design(("x",), (), drift=1, reference=24.0, jig=self.JIG, thermometer=thermometer))
-        shares = {source: share[1] for source, share in found.uncertain.shares.items()}
-        by_noise, by_warmth = self.NOISE * sqrt(2) / spread, sqrt(2) * drift * thermometer / spread
-        assert found.uncertainty()["temperature.offset.x.1"] == pytest.approx(np.hypot(by_noise, by_warmth), rel=1e-6)
-        assert shares["thermometer"] == pytest.approx(by_warmth**2 / (by_noise**2 + by_warmth**2), rel=1e-6)
-
-    def test_straight_up_an_angle_error_only_lowers(self) -> None:
-        """At ±90° the reading falls by S a²/2, on average S jig² for two angles, and scatters as much."""
-        found = estimate(self.pair(90.0), Design(("x",), ("x",), jig=1.0))
-        square = self.S * radians(1.0) ** 2
-        assert found.coefficients.sensitivity[0, 0] == pytest.approx(self.S + square, rel=1e-6)
-        assert found.uncertainty()["sensitivity.x.x"] == pytest.approx(
-            sqrt((self.NOISE**2 + self.STEP**2 + square**2) / 2), rel=1e-3
-        )
-
     def test_one_position_and_a_sensitivity_that_is_known_before(self) -> None:
-        """The formulas of the module: the reading and what is known share the change by their variances."""
+        """The reading and what is known before share the change by their variances."""
         t, known, jig = radians(30.0), 20.0, radians(self.JIG) * self.S * cos(radians(30.0))
         priors = {"offset.x": Prior(1024.0), "sensitivity.x.x": Prior(self.S, known)}
         design = Design(("x",), ("x",), jig=self.JIG, priors=priors)
@@ -117,13 +94,6 @@ class TestBudgetByHand:
         assert u["sensitivity.x.x"] == pytest.approx(sqrt(covariance[0, 0]), rel=0.01)
         assert u["offset.x"] == pytest.approx(sqrt(covariance[1, 1]), rel=0.01)
         assert found.coverage_factors()["sensitivity.x.x"] == pytest.approx(scipy.stats.t.ppf(0.975, 7), rel=0.001)
-
-
-class TestCoverageFactor:
-    def test_it_is_students_t(self) -> None:
-        dof = np.array([1.0, 2.0, 7.0, 30.0, np.inf])
-        expected = [*scipy.stats.t.ppf(0.975, dof[:-1]), scipy.stats.norm.ppf(0.975)]
-        np.testing.assert_allclose(coverage_factor(dof), expected, rtol=1e-9)
 
 
 class TestChiSquare:
@@ -174,23 +144,6 @@ def test_the_truth_is_in_95_percent_of_the_intervals(plan: Plan, sensors: int, s
     for name in tally.sums:
         share, error = tally.percent(name)
         assert 93.0 - 3 * error <= share <= 97.0 + 3 * error, name
-
-
-class TestJigNotStated:
-    """The jig is estimated from the residuals; gravity is turned by scipy, readings are written out."""
-
-    TILTS = ({}, {"x": 30.0}, {"x": -30.0}, {"y": 30.0}, {"y": -30.0})
-
-    def test_offsets_are_as_good_as_with_the_jig_stated(self) -> None:
-        """Six faces and a jig of 0.5°: equal weights err by some mg, the faces along an axis know it to 0.1 mg."""
-        rng = np.random.default_rng(61)
-        plan = plan_of(6, noise=1e-4, jig=0.5)
-        errors = []
-        for _ in range(12):
-            one = part(rng)
-            found = estimate(measured(rng, plan, [one])[0], design(plan, jig=None))
-            errors.append(found.coefficients.offset - one.offset)
-        assert np.sqrt(np.mean(np.square(errors))) < 3e-4
 
 
 class TestPrediction:

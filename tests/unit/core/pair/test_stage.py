@@ -37,18 +37,6 @@ def test_steps_back_across_zero_jumps_and_a_million_turns() -> None:
     assert float(np.max(np.abs(follow(theta) % 1.0 - theta / 360.0))) < 1e-9
 
 
-def test_spin_and_phase_are_as_good_as_the_noise_allows() -> None:
-    error, sigma = [], 3e-4
-    for seed in range(50):
-        taken = disk.record(seconds=80, start=70.0, misalignment=(0.0,) * 4, wander=0.0, noise=sigma, seed=seed)
-        spin = estimate_spin(taken.time, taken.readings)
-        error.append(((spin.frequency - 0.125) * 80, spin.phase - 70 / 360))
-    # The bound for a sine of known shape in four channels: 12 var / (n A² (2 pi T)²) * 2.
-    bound = sigma / 3.4 * np.sqrt(24 / (4 * 4000)) / (2 * np.pi)
-    assert 0.6 * bound < float(np.std(error, axis=0)[0]) < 1.4 * bound
-    assert abs(float(np.mean(error, axis=0)[1])) < 1e-5
-
-
 def test_the_spin_is_the_least_squares_fit_of_all_channels() -> None:
     """Against scipy's, of frequency, amplitudes, offsets and drifts; readings far from zero lose no digits."""
     taken = disk.record(seconds=40, wander=0.0, noise=1e-3, start=100.0)
@@ -72,13 +60,6 @@ def test_the_spin_of_uneven_times_gaps_and_rates_that_change() -> None:
     for time, rows in ((taken.time, gap), (taken.time, faster), (taken.time, gap & faster), (jitter, number % 10 > 0)):
         assert estimate_spin(time[rows], taken.readings[rows]).frequency == pytest.approx(0.125, abs=1e-5)
     assert estimate_spin(np.floor(taken.time), taken.readings).frequency == pytest.approx(0.125, abs=1e-3)
-
-
-@pytest.mark.parametrize("turns", [20.0, 20.25, 20.5, 20.75])
-def test_the_stronger_of_two_lines_is_the_spin_wherever_it_lies(turns: float) -> None:
-    time = np.arange(4000) / 50.0
-    spin, other = (np.sin(2 * np.pi * number * time[:, None] / 80.0 + disk.PHASES) for number in (turns, 51.0))
-    assert estimate_spin(time, spin + 0.9 * other).frequency * 80.0 == pytest.approx(turns, abs=0.01)
 
 
 def test_a_speed_that_changes_is_followed_where_rows_show_it() -> None:
