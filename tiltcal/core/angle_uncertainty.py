@@ -290,10 +290,7 @@ def uncertainty_columns(quantities: Sequence[str], *, averaged: bool = False) ->
 
 
 def with_shares(total: Array, common: Array) -> Array:
-    """Return the columns of means, shape (4 k, n): both uncertainties, then both shares of the standard one.
-
-    ``total`` and ``common``, without the noise of readings, are standard and expanded uncertainties, shape (2, k, n).
-    """
+    """Return both uncertainties of means, then both shares of the standard one, (4 k, n), from (2, k, n) each."""
     random = np.sqrt(np.maximum(total[0] ** 2 - common[0] ** 2, 0.0))
     found = np.concatenate([total[0], total[1], random, common[0]])
     round_up(found)

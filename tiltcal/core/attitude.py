@@ -149,10 +149,7 @@ def _direction(name: str) -> Vector:
 
 
 def tangent_basis(gravity: Array) -> Array:
-    """Return the two directions in which each unit vector can move, shapes (n, 3) and (n, 3, 2).
-
-    Upside down, where the shortest turn from level is not unique, it is the half turn about x.
-    """
+    """Return the two directions in which each unit vector can move, shapes (n, 3) and (n, 3, 2)."""
     x, y, z = gravity.T
     below = 1.0 + z < _UPSIDE_DOWN
     share = 1.0 / np.where(below, 1.0, 1.0 + z)

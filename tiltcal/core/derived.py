@@ -88,10 +88,7 @@ def rotation(coefficients: Coefficients, uncertain: Uncertain) -> tuple[Uncertai
 
 
 def separated(matrix: Array) -> tuple[Array, Array]:
-    """Return a sensitivity matrix as an upper triangle with a positive diagonal times a rotation, each (3, 3).
-
-    An EstimateError where it is singular, or its channels form a left-handed frame: no mounting does that.
-    """
+    """Return a sensitivity matrix as an upper triangle with a positive diagonal times a rotation, each (3, 3)."""
     # The QR decomposition of the rows in reverse order, read backwards.
     q, r = np.linalg.qr(matrix[::-1].T)
     sign = np.where(np.diag(r) < 0.0, -1.0, 1.0)

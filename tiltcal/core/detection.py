@@ -54,10 +54,7 @@ def run_bounds(mask: Mask) -> tuple[Numbers, Numbers]:
 
 
 def noise_of_positions(summaries: Sequence[SampleSummary], step: float) -> float:
-    """Return the noise that a channel has in several positions, before rounding to a ``step``, unit; 0 if none shows.
-
-    A reading that flickers between two values scatters by up to half a step however small its noise is: it shows none.
-    """
+    """Return the noise of a channel in several positions before rounding to a step, unit; 0 if none shows."""
     scatters = [summary.std**2 * (summary.n - 1) / summary.n for summary in summaries]
     if step and np.median(scatters) <= (FLICKER * step) ** 2 * _EXACT:
         return 0.0
@@ -140,10 +137,7 @@ def lost_rows(columns: Sequence[Array], stuck: Sequence[Span]) -> Mask:
 
 
 def window_scatter(columns: Sequence[Array], lost: Mask, window: int) -> Array:
-    """Return the standard deviation of all columns together in every window of so many rows, shape (n - window + 1,).
-
-    It is infinite where a window holds a lost row.
-    """
+    """Return the standard deviation of all columns together in every window of rows, infinite if one is lost."""
     scatter = np.empty(max(len(lost) - window + 1, 0))
     for start in range(0, len(scatter), _PIECE):
         rows = slice(start, min(start + _PIECE, len(scatter)) + window - 1)
@@ -213,10 +207,7 @@ def moved_rows(columns: Sequence[Array], steps: Sequence[float]) -> list[Span]:
 
 
 def jumps(means: Array, rounding: ArrayLike = 0.0) -> Mask:
-    """Return the blocks before and behind a difference of block means, shape (blocks,), that stands out: a turn.
-
-    No difference stands out below ``rounding``, the standard deviation that rounding gives.
-    """
+    """Return the blocks before and behind a difference of block means that stands out beyond rounding: a turn."""
     changes = np.diff(means)
     difference = np.abs(changes - np.nanmedian(changes))
     far = difference > JUMP * np.maximum(_SIGMA_OF_MEDIAN * np.nanmedian(difference), rounding)
@@ -232,10 +223,7 @@ def bursts(scatter: Array, rounding: ArrayLike = 0.0) -> Mask:
 
 
 def outliers(samples: Sequence[float] | Array, step: float = 0.0) -> Numbers:
-    """Return the samples of one channel at rest that stand far out of the others; none of fewer than eight.
-
-    A distance of two steps of the reading is no outlier.
-    """
+    """Return the samples of a channel at rest that stand far out of the others, by more than two steps; none of few."""
     values = np.asarray(samples, dtype=float)
     if len(values) < FEWEST_SAMPLES:
         return np.empty(0, np.intp)

@@ -89,10 +89,7 @@ class ExpectedReadings:
     def objection(
         self, position: str, positions: Mapping[str, Vector], reading: Array, temperature: float | None = None
     ) -> str | None:
-        """Return why a reading, (channels,), unit, cannot be that of ``position``, or None where it can.
-
-        ``positions`` has gravity of every position of the procedure; that of ``position`` as it was set.
-        """
+        """Return why a reading, (channels,), cannot be that of a position among others; None where it can."""
         distances = {name: self.distance(gravity, reading, temperature) for name, gravity in positions.items()}
         own, nearest = distances[position], min(distances, key=lambda name: distances[name])
         if own > MATCHED and distances[nearest] < own / 2:

@@ -128,10 +128,7 @@ def exact_sum(values: Array, mean: float | None = None) -> float:
 
 
 def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:
-    """Return the change along the least-squares line, and its standard uncertainty, in the unit of the samples.
-
-    ``times`` are seconds, not decreasing, at least three. Where all are one instant nothing can have changed.
-    """
+    """Return the change along the least-squares line through samples at some seconds, and its standard uncertainty."""
     n = len(samples)
     middle, mean = fsum(times) / n, fsum(samples) / n
     later, off = [time - middle for time in times], [sample - mean for sample in samples]
@@ -148,10 +145,7 @@ def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, floa
 
 
 def rounding_uncertainty(std: float, step: float) -> float:
-    """Return the standard uncertainty that rounding leaves in the mean of many samples (Widrow's first harmonic).
-
-    ``std`` is the standard deviation of the samples, rounding included; ``step`` is 0 where the reading is continuous.
-    """
+    """Return u of the mean of many samples by rounding (Widrow, first harmonic), from their standard deviation."""
     if step == 0.0:
         return 0.0
     noise = sqrt(max(std**2 - step**2 / 12, 0.0))
@@ -159,29 +153,20 @@ def rounding_uncertainty(std: float, step: float) -> float:
 
 
 def noise_under_rounding(scatter: float, step: float) -> float:
-    """Return the noise of readings before they were rounded, unit.
-
-    ``scatter`` is the mean variance of the rounded readings in positions that lie anyhow between two steps, unit².
-    """
+    """Return the noise before rounding, unit, from the mean variance of rounded readings in several positions."""
     noise, variance, _ = _rounded()
     return max(step * float(np.interp(scatter / step**2, variance, noise)), sqrt(max(scatter - step**2 / 12, 0.0)))
 
 
 def rounding_of_means(scatter: float, step: float, positions: int) -> float:
-    """Return the standard uncertainty that rounding leaves in the mean of a position, unit.
-
-    ``scatter`` is that of :func:`noise_under_rounding`, which a few positions show poorly.
-    """
+    """Return u of the mean of a position by rounding, unit, from the scatter of a few positions."""
     _, variance, error = _rounded()
     return step * float(np.interp(scatter / step**2 * (1.0 - _FEW_POSITIONS / sqrt(positions)), variance, error))
 
 
 @cache
 def _rounded() -> tuple[Array, Array, Array]:
-    """Return noise, the variance of readings that are rounded to 1, and the error of their mean (root mean square).
-
-    The error of a mean is a series of harmonics in the place between two steps; all places are equally probable.
-    """
+    """Return noise, the variance of readings that are rounded to 1, and the root mean square error of their mean."""
     noise, harmonic = np.linspace(0.0, 1.5, 301), np.arange(1, 1001)[:, None]
     squares = np.sum(np.exp(-((2.0 * pi * harmonic * noise) ** 2)) / (2.0 * (pi * harmonic) ** 2), axis=0)
     squares *= (1.0 / 12.0) / squares[0]  # what the harmonics beyond leave out
@@ -229,10 +214,7 @@ def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | No
 def noise_of_means(
     summaries: Sequence[SampleSummary], correlated: CorrelatedNoise | None = None
 ) -> tuple[Array, Array, Array]:
-    """Return the noise of the means of one channel's positions: variance, degrees of freedom, rounding uncertainty.
-
-    Each has the shape (positions,).
-    """
+    """Return variance, degrees of freedom and rounding uncertainty of the means of positions, (positions,) each."""
     variance = np.array([summary.noise**2 for summary in summaries])
     dof = np.array([summary.dof for summary in summaries])
     rounding = np.array([summary.quantisation for summary in summaries])
@@ -265,10 +247,7 @@ def _coarse_rounding(summaries: Sequence[SampleSummary]) -> Array | None:
 
 
 def pooled(variance: Array, dof: Array) -> tuple[Array, Array]:
-    """Improve variances of the means of several positions, and their degrees of freedom, by pooling; shape (n,) each.
-
-    Infinite degrees of freedom are known variances, and stay as they are.
-    """
+    """Improve variances of means and their degrees of freedom, (n,), by pooling those that are not known (infinite)."""
     drawn = np.isfinite(dof)
     if np.sum(drawn) < 2 or not np.any(variance[drawn] > 0.0):
         return variance, dof
@@ -332,10 +311,7 @@ def _different_values(samples: Array, enough: int) -> Array:
 
 
 def even_step(samples: Array) -> float:
-    """Return the step of a channel that takes few values at even distances, unit; 0 where it is continuous.
-
-    Samples, shape (n,), are NaN where a value is missing.
-    """
+    """Return the step of a channel that takes few values at even distances, unit; 0 where it is continuous."""
     values = _different_values(samples, _MOST_VALUES + 1)
     if not 1 < len(values) <= _MOST_VALUES or np.count_nonzero(np.isfinite(samples)) < _REPEATED * len(values):
         return 0.0
@@ -346,10 +322,7 @@ def even_step(samples: Array) -> float:
 
 
 def common_step(readings: Array) -> float:
-    """Return the step that all readings are whole numbers of, apart from an offset; 0 where they are not rounded.
-
-    Readings, shape (n, channels), are all there.
-    """
+    """Return the step that readings, (n, channels), are whole numbers of, apart from an offset; 0 if there is none."""
     step = resolution(readings.T)
     steps = (readings - readings[0]) / (step or 1.0)
     return step if np.max(np.abs(steps - np.round(steps))) < _WHOLE else 0.0

@@ -37,10 +37,7 @@ class ThermalLag:
         self._time = self._temperature = self._filtered = np.nan
 
     def __call__(self, time: Array, temperature: Array) -> Array:
-        """Return the temperatures of the element in some more rows, °C, shape (n,), from time, s, and thermometer, °C.
-
-        All are NaN where a value is missing.
-        """
+        """Return the temperatures of the element in more rows, °C, (n,), by time, s, and thermometer; else NaN."""
         if self._lag == 0.0:
             return np.array(temperature, dtype=float)
         known = np.isfinite(time) & np.isfinite(temperature)

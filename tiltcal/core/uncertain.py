@@ -114,17 +114,12 @@ class Uncertain:
         )
         return Uncertain((*self.names, *other.names), np.concatenate([self.value, other.value]), covariance, wide)
 
-    def through(
-        self, jacobian: Array, names: Sequence[str], value: Array | None = None, *, source: str = ""
-    ) -> Uncertain:
-        """Return m quantities that follow linearly from these, by derivatives of shape (m, k), and count as a source.
-
-        Without ``source`` that is the one source of these, if they have one.
-        """
+    def through(self, jacobian: Array, names: Sequence[str], *, source: str = "") -> Uncertain:
+        """Return m quantities that follow linearly, by derivatives (m, k), and count as a source, or as these do."""
         covariance, wide = (jacobian @ matrix @ jacobian.T for matrix in (self.covariance, self.wide))
         source = source or (next(iter(self.sources)) if len(self.sources) == 1 else "")
         sources = {source: np.diag(covariance)} if source else {}
-        return Uncertain(tuple(names), np.zeros(len(covariance)) if value is None else value, covariance, wide, sources)
+        return Uncertain(tuple(names), np.zeros(len(covariance)), covariance, wide, sources)
 
     def through_function(self, names: Sequence[str], function: Callable[[Array], Array]) -> Uncertain:
         """Return quantities by a function of these, from shape (k,) to (m,), that may have corners.
@@ -163,10 +158,7 @@ def widened(covariance: Array, factors: Array) -> Array:
 def weighted_sum(
     first: Uncertain, second: Uncertain, weights: tuple[float, float], shared: Collection[str]
 ) -> Uncertain:
-    """Return a weighted sum of the errors of two sets of quantities; one that only one set has is exact in the other.
-
-    What follows from the ``shared`` quantities in each set counts as common, and all else as independent.
-    """
+    """Return a weighted sum of the errors of two sets of quantities, in which the ``shared`` ones have one error."""
     names = tuple(dict.fromkeys((*first.names, *second.names)))
     common = second.named([name for name in names if name in shared])
     by_common, apart = np.zeros((len(names), len(common.names))), []
@@ -211,10 +203,7 @@ def degrees_of_freedom(factors: Array) -> Array:
 
 
 def central_differences(function: Callable[[Array], Array], at: Array, steps: Array) -> Array:
-    """Return the derivatives of a function by its parameters, from its values on both sides, shape (m, k).
-
-    A parameter whose step, shape (k,), is 0 counts as certain, and its column is 0.
-    """
+    """Return the derivatives of a function by parameters, (m, k), 0 for those whose step, (k,), is 0."""
     moves = np.diag(np.where(steps > 0.0, steps, 0.0))
     columns = [(function(at + move) - function(at - move)) / (2.0 * (move.sum() or 1.0)) for move in moves]
     return np.stack(columns, axis=1) if columns else np.zeros((len(function(at)), 0))
@@ -235,10 +224,7 @@ def _around(function: Callable[[Array], Array], at: Array, covariance: Array) ->
 
 
 def uncertain_at(coefficients: Coefficients, uncertain: Uncertain, reference: float | None) -> Uncertain:
-    """Return the errors of coefficients at another reference temperature, °C, from those at their own.
-
-    A turn of the mounting stays as it is; a coefficient that has become certain is left out.
-    """
+    """Return the errors of coefficients at another reference temperature, °C, without those that became certain."""
     thermal = coefficients.thermal
     if thermal is None or reference is None or thermal.reference == reference:
         return uncertain

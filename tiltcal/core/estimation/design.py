@@ -75,10 +75,7 @@ def _rows(
 
 
 def _positions_to_add(equations: Equations, channel: ChannelReadings, z: Array, rows: Array) -> list[str]:
-    """Return positions that would determine all coefficients of a channel, in words, the most informative first.
-
-    There is none where no few positions do. ``rows`` is what is there already, shape (rows, coefficients).
-    """
+    """Return the few positions that determine a channel beside some rows, (rows, coefficients), the best first."""
     z = z.copy()
     # A gain has no effect before the sensitivity is known; any value will do to see whether a position shows it.
     places = range(channel.coefficients.start + 1, channel.coefficients.start + 1 + len(channel.model.axes))
@@ -250,10 +247,7 @@ def _worth_adding(
     *,
     level: bool,
 ) -> tuple[tuple[str, str, float], ...]:
-    """Return positions that would make some coefficient much better known: directions that the sensor can be set to,
-
-    other temperatures, and the fixture turned round where the table's lean is stated.
-    """
+    """Return positions, temperatures and turns that would make some coefficient much better known, best first."""
     first, met = positions[0], [one.temperature for one in positions if one.temperature is not None]
     usual = met[0] if met else None
     candidates = [

@@ -168,11 +168,7 @@ class Equations:
         return moving
 
     def at(self, z: Array, bench: Bench, shortened: Array | float = 0.0) -> Linearised:
-        """Linearise about the unknowns, shape (unknowns,).
-
-        ``shortened`` is by how much the attitude angles that are left uncertain shorten gravity on average, shape
-        (settings,).
-        """
+        """Linearise about the unknowns; uncertain attitudes shorten gravity on average by a share, (settings,)."""
         shortened = np.broadcast_to(shortened, len(self.looser))
         up, by_angle, by_heading = self._directions(z, shortened)
         warmer, lean, heading = z[self.errors[THERMOMETER]], self.errors[TABLE], self.errors[HEADING]

@@ -264,10 +264,7 @@ def _wrong_position(equations: Equations, errors: Mapping[str, float], limit: fl
 
 
 def _errors_as_set(equations: Equations, start: Array) -> dict[str, float]:
-    """Return how far each position is off, degrees, by its readings near a start as set.
-
-    Those of one setting are averaged, and those of one direction at several temperatures.
-    """
+    """Return how far each position is off, degrees, by its readings near a start as set, averaged over a setting."""
     sensors, first = equations.sensors, 0
     near = equations.at(start, equations.as_set)  # a lean that the start shows is no error
     residuals = near.residual[: len(near.sigma)] * near.sigma

@@ -99,10 +99,7 @@ class FreeFit:
 
     @property
     def expanded(self) -> float:
-        """Expanded uncertainty (95 %) of the nine unknowns on average, g; infinite unless more attitudes differ.
-
-        The noise always counts in it: of many choices the one with the least misfits has them by chance.
-        """
+        """Expanded uncertainty (95 %) of the nine unknowns on average, g; infinite unless more attitudes differ."""
         if self.distinct <= UNKNOWNS:
             return inf
         inverse = np.linalg.pinv(self.jacobian * float(np.mean(np.diag(self.sensitivity))))

@@ -82,20 +82,14 @@ class Matching:
 
     @property
     def suppression(self) -> dict[str, float]:
-        """Common acceleration in the first channel over that in the sum, after p, and after p and q.
-
-        Where less is left than noise alone would leave, it is the noise that counts.
-        """
+        """Common acceleration in the first channel over that in the sum or its noise, after p, after p and q."""
         common = self.components["before"][self.pair.first].amplitude
         left = {name: self.components[f"after_{name}"][SUM] for name in ("p", "pq")}
         return {name: common / max(of.amplitude, of.u_amplitude, 1e-300) for name, of in left.items()}
 
     @property
     def gradient_gain(self) -> float:
-        """What the matched sum makes of a signal at twice the turning, over what two ideal accelerometers would.
-
-        The orthogonal channel reads a gradient with the opposite sign, so its share takes from it.
-        """
+        """What the matched sum makes of a signal at twice the turning, over what two ideal accelerometers would."""
         before = self.components["before"]
         first, second, orthogonal = (before[channel].amplitude for channel in self.pair.channels)
         weights = sum_weights(self.p, self.q)

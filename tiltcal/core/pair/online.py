@@ -86,10 +86,7 @@ class TurnStream:
         self._table = np.empty((2 + channels, 0))
 
     def push(self, theta: Array, readings: Array, whole: Mask | None = None) -> list[Turn | Notice]:
-        """Take samples, and return the turns that they end, and where the stream is held and goes on.
-
-        Angles, (n,), are in degrees, readings of shape (channels, n), NaN where one is missing or is not ``whole``.
-        """
+        """Take angles, (n,), degrees, and readings, (channels, n), NaN where missing; return turns and notices."""
         there = np.flatnonzero(np.isfinite(theta))
         angle = follow(theta[there], self._last)
         if len(angle):

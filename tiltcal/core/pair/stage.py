@@ -176,10 +176,7 @@ def estimated_angle(time: Array, readings: Sequence[Array]) -> Array:
 
 
 def estimate_spin(time: Array, readings: Array) -> Spin:
-    """Find the spin that fits all channels best; time (n,), with gaps and jitter, and readings (n, channels), finite.
-
-    Gauss's iteration begins at the strongest line of the spectrum; an EstimateError where none stands out.
-    """
+    """Find the spin that fits all channels best, from time (n,), with gaps and jitter, and readings (n, channels)."""
     span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
     if len(time) < _FEWEST_ROWS or not 0.0 < span == float(np.ptp(time)):
         raise EstimateError(
@@ -222,10 +219,7 @@ def _iterated(time: Array, readings: Array, turns: float, steps: int) -> Spin:
 
 
 def _strongest(centred: Array, readings: Array) -> float:
-    """Turns in the record of the strongest line of all channels together.
-
-    Each row counts in the nearest place of an even grid as fine as most rows are apart, so that a gap is empty places.
-    """
+    """Turns in the record of the strongest line of all channels, by a grid as fine as most rows are apart."""
     line = np.stack([np.ones(len(centred)), centred])
     level = np.linalg.solve(line @ line.T, line @ readings)
     steps = np.diff(centred)

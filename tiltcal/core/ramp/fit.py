@@ -18,14 +18,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.core.ramp.means import LAGS, TINY, RampMeans, least_squares, lowest
-from tiltcal.core.ramp.record import Leg, RampRecord, legs_of
+from tiltcal.core.ramp.record import Leg, RampRecord, averaged, legs_of, row_noise
+from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError
 
 RESOLVED = 2.0  # standard uncertainties that a lag is away from 0 where it is used
@@ -38,6 +39,18 @@ _TURNS = 3.0  # mean square of the residuals behind the turns over that of the o
 _BEHIND_TURN = 0.1  # of a leg's range, in which hysteresis gets from one side to the other
 _LOOP_TERMS = 3  # of the polynomial of a loop: a play of a cubic, and Rayleigh's loop, have three
 _ONE_SIDED, _TWO_SIDED = 1.645, 1.96  # deviations that hold 95 % of a normal variable, to one side and to both
+
+_LAGS = 14  # of either sign that are tried first
+_TINY = np.finfo(float).tiny
+_MEANS = 256  # of a record that is fitted
+_NOISE_SHARE = 0.02  # what noise of a thermometer that is later may add to a mean, in parts of the loop
+_FEWEST_MEANS = 12  # of a leg, however noisy the thermometer
+_END_WEIGHT = 4.0  # the end of a line through n points has this weight over n (its leverage)
+_LASTS = np.geomspace(1.0 / 64.0, 1.2, 8)  # how long noise lasts, in times of the record; the last as a random walk
+_RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e5, 22)])  # variance of noise that lasts over that of white noise
+_PRIOR = np.concatenate([[0.5], np.full(22, 0.5 / 22)])  # half of the weight is on white noise alone
+_WIDER = 1.2  # of the variance of noise that lasts: 1.96 deviations of a mixture of sizes hold less than 95 %
+_DISTANCES = (1, 2, 4, 8)  # of second differences, in means: a step of the thermometer may last several
 
 
 @dataclass(frozen=True)
@@ -102,7 +115,8 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
         coefficients, covariance = by_lag
         _require_one_lag(means, found_lag, order, record.step)
         if lag < 0.0:
-            u_element = float(np.sqrt(np.mean((means.temperature_in_log(lag) - means.temperature(lag)) ** 2)))
+            in_log = means.averaged(ThermalLag(lag)(record.time, record.temperature)) - reference
+            u_element = float(np.sqrt(np.mean((in_log - means.temperature(lag)) ** 2)))
     # Rounding of the thermometer does not average out at the turns.
     slopes = np.pad(coefficients[:, 1:] * np.arange(1, coefficients.shape[1]), ((0, 0), (0, 1)))
     for block, slope in zip(_blocks(slopes), slopes, strict=True):
@@ -113,7 +127,7 @@ def fit_ramp(record: RampRecord, *, reference: float, highest: int = 3) -> RampF
         covariance=covariance,
         found_lag=found_lag,
         u_lag=u_lag,
-        explained=1.0 - np.mean(loops[1] ** 2, axis=0) / np.maximum(np.mean(loops[0] ** 2, axis=0), TINY),
+        explained=1.0 - np.mean(loops[1] ** 2, axis=0) / np.maximum(np.mean(loops[0] ** 2, axis=0), _TINY),
         places=places,
         loops=loops[1] if used else loops[0],
         loop_covariance=loop_covariance,
@@ -144,10 +158,7 @@ def _lag_designs(means: RampMeans, lag: float, order: int) -> list[Array]:
 
 
 def _beside_loop(means: RampMeans, lag: float, order: int) -> tuple[Array, Array, Array]:
-    """Return polynomials for a given lag that lie between the ways, their covariance, and what the loop adds to it.
-
-    A reading is on one way or the other, half of their difference from the middle.
-    """
+    """Return polynomials for a lag that lie between the ways, their covariance, and what the loop adds to it."""
     from scipy.special import chdtri
 
     x, p, channels = means.powers(lag, order), order + 1, means.readings.shape[1]
@@ -164,9 +175,10 @@ def _beside_loop(means: RampMeans, lag: float, order: int) -> tuple[Array, Array
         half, of_half = solution[of_ways], of_solution[of_ways, of_ways]
         if half @ np.linalg.solve(of_half, half) > chdtri(len(half), _LOOP):
             loop = slice(block.start, block.start + len(half))
-            noise_on_ways = _mean_square(x, of_solution[:p, :p]) + _mean_square(x[:, : len(half)], of_half)
-            loop_square = _mean_square(x[:, : len(half)], np.outer(half, half))
-            added[loop, loop] = of_half + loop_weight(sqrt(loop_square / noise_on_ways)) * np.outer(half, half)
+            square, square_of_ways = x.T @ x, x[:, : len(half)].T @ x[:, : len(half)]
+            noise_on_ways = np.sum(square * of_solution[:p, :p]) + np.sum(square_of_ways * of_half)
+            ratio = sqrt(float(half @ square_of_ways @ half / noise_on_ways))
+            added[loop, loop] = of_half + loop_weight(ratio) * np.outer(half, half)
         else:
             noise = means.noise_covariance(x, values)
             solution, of_solution = _generalised_least_squares([x], 0, values[:, None], [noise])
@@ -174,15 +186,8 @@ def _beside_loop(means: RampMeans, lag: float, order: int) -> tuple[Array, Array
     return coefficients, covariance, added
 
 
-def _mean_square(x: Array, covariance: Array) -> float:
-    return float(np.mean(np.einsum("ij,jk,ik->i", x, covariance, x)))
-
-
 def loop_weight(ratio: float) -> float:
-    """Return what half a loop's square counts, so that 1.96 standard uncertainties hold 95 % of readings on both ways.
-
-    Of a half loop of so many standard uncertainties they must reach its end and 1.645 of these beyond.
-    """
+    """Return what half a loop squared counts, so that 1.96 standard uncertainties hold 95 % of both ways."""
     return min((((ratio + _ONE_SIDED) / _TWO_SIDED) ** 2 - 1.0) / ratio**2, 1.0)
 
 
@@ -193,10 +198,7 @@ def _blocks(polynomials: Array) -> list[slice]:
 
 
 def _with_turns(means: RampMeans, design: Array, values: Array) -> Array:
-    """Return a design with unknowns for the means behind the turns, where they are no part of its ways.
-
-    There hysteresis such as a play is on its way from one side to the other.
-    """
+    """Return a design with unknowns for the means behind the turns, where hysteresis is on its way between sides."""
     temperature = means.temperature(0.0)
     turns = temperature[np.searchsorted(means.leg, means.leg)]
     near = np.array([_BEHIND_TURN * (leg.high - leg.low) for leg in means.legs])
@@ -218,15 +220,14 @@ def _loops(means: RampMeans, places: Array, lag: float, order: int) -> Array:
 def _cost_of_hysteresis(means: RampMeans, order: int) -> float:
     """Return the sum of squares that the best hysteresis without time leaves, over the scale squared.
 
-    Two forms are tried. A play of the temperature makes, at one pace, the loop that a lag makes; only the turns differ.
-    Rayleigh's loop (1887) grows from both turns: its two ways are parabolas between them.
+    A play makes, at one pace, the loop that a lag makes; only the turns differ. Rayleigh's loop (1887) has parabolas.
     """
     element = means.temperature(0.0)
     legs = [element[means.leg == k] for k in range(len(means.legs))]
     low, high = (np.array([bound(leg) for leg in legs])[means.leg] for bound in (np.min, np.max))
     grown = means.rising * (element - low) * (high - element)
     widest = max(leg.high - leg.low for leg in means.legs) / 2.0
-    widths = np.geomspace(widest / 1000.0, widest, LAGS)
+    widths = np.geomspace(widest / 1000.0, widest, _LAGS)
     return min(
         means.cost(np.column_stack([means.powers(0.0, order), grown])),
         lowest(lambda width: means.cost(means.played(width)[:, : order + 1]), widths)[1],
@@ -246,8 +247,7 @@ def _left_out(means: RampMeans, order: int, lag_of: Callable[[int, NDArray[np.bo
 
 def _require_lag_resolved(legs: Sequence[Leg], lag: float, u: float) -> None:
     """Refuse a lag that the legs do not separate from drift."""
-    shortest = min(leg.seconds for leg in legs)
-    widest = max(leg.high - leg.low for leg in legs)
+    shortest, widest = min(leg.seconds for leg in legs), max(leg.high - leg.low for leg in legs)
     pace = float(np.mean([leg.pace for leg in legs]))
     if abs(lag) * _LEG_LAGS > shortest > u * _LEG_LAGS and abs(lag) > RESOLVED * u:
         slower = widest / (2.0 * _LEG_LAGS * abs(lag)) * 60.0
@@ -265,8 +265,7 @@ def _require_lag_resolved(legs: Sequence[Leg], lag: float, u: float) -> None:
 def _require_one_lag(means: RampMeans, lag: float, order: int, step: float) -> None:
     """Refuse a record whose residuals turn with the temperature, by more than rounding of the thermometer explains.
 
-    A second lag changes the temperature of the element by what is like the second derivative by the lag, and a start on
-    the way by what decays from there; all channels share both. What is left of them grows with the pace.
+    A second lag acts like the second derivative by the lag, a start on the way decays; both grow with the pace.
     """
     from scipy.special import chdtri
 
@@ -302,10 +301,7 @@ def _require_one_lag(means: RampMeans, lag: float, order: int, step: float) -> N
 def _generalised_least_squares(
     designs: Sequence[Array], shared: int, values: Array, noises: Sequence[Array]
 ) -> tuple[Array, Array]:
-    """Solve for the unknowns of each channel and some that all share, the last columns; return them and the covariance.
-
-    Each channel has a design of shape (means, p + shared) and a covariance of its noise, shape (means, means).
-    """
+    """Solve for the unknowns of each channel and some that all share, the last columns; with their covariance."""
     channels, p = len(designs), designs[0].shape[1] - shared
     normal, against = np.zeros((channels * p + shared,) * 2), np.zeros(channels * p + shared)
     for c, (design, noise, column) in enumerate(zip(designs, noises, values.T, strict=True)):
@@ -316,3 +312,152 @@ def _generalised_least_squares(
     size = np.sqrt(np.diag(normal))
     covariance = np.linalg.pinv(normal / np.outer(size, size), hermitian=True) / np.outer(size, size)
     return covariance @ against, covariance
+
+
+# The record in few means
+
+
+class RampMeans:
+    """A record in few means of consecutive rows, each within a leg.
+
+    Where the thermometer is ``late``, the noise of a row becomes |lag| (e_end - e_start) / t in a mean over a time t:
+    means are so long that it hides no loop.
+    """
+
+    def __init__(
+        self, record: RampRecord, legs: Sequence[Leg], reference: float, highest: int, *, late: bool = False
+    ) -> None:
+        self._record, self.reference, self._highest = record, reference, highest
+        rows, degrees = len(record.time), sum(leg.high - leg.low for leg in legs)
+        # Over a whole step of the thermometer its rounding averages out; parts of one would look like noise that lasts.
+        steps = degrees / record.step if record.step else np.inf
+        most = min(_MEANS, rows, steps)
+        if late:
+            noise = max(row_noise(record.temperature), record.step / sqrt(12.0))
+            most = min(most, max(_NOISE_SHARE * degrees / (sqrt(2.0) * noise), _FEWEST_MEANS * len(legs)))
+        counts = [int(most * (leg.end - leg.start) / rows) for leg in legs]
+        if min(counts) < 2:
+            raise EstimateError("a leg of the record has hardly any rows: let the temperature go all the way each time")
+        bounds = [np.linspace(leg.start, leg.end, n + 1).astype(int) for leg, n in zip(legs, counts, strict=True)]
+        self._starts = np.concatenate([one[:-1] for one in bounds])
+        self._powers: dict[float, Array] = {}
+        self.legs = legs
+        self.leg: NDArray[np.intp] = np.repeat(np.arange(len(legs)), counts)
+        self.rising = np.where(np.array([leg.rising for leg in legs])[self.leg], 1.0, -1.0)  # -1 on the way down
+        self.time, self.readings = self.averaged(record.time), self.averaged(record.readings)
+        # What rounding does not average out at the turns may shift the curve by so much, °C.
+        self.shift = min(_END_WEIGHT * len(legs) / steps, 1.0) * record.step / sqrt(12.0)
+        x = self.powers(0.0, highest)
+        smallest = 1e-12 * np.max(np.abs(self.readings), axis=0) + _TINY
+        # The scatter about a polynomial, by which errors of several channels are compared, unit.
+        self.scale = np.maximum(np.std(self.readings - x @ least_squares(x, self.readings), axis=0), smallest)
+
+    def averaged(self, rows: Array) -> Array:
+        return averaged(rows, self._starts)
+
+    def temperature(self, lag: float) -> Array:
+        """Return the temperature of the element from the reference, °C, shape (means,)."""
+        time, temperature = self._record.time, self._record.temperature
+        rows = ThermalLag(lag)(time, temperature) if lag >= 0.0 else temperature - lag * self._slope
+        return self.averaged(rows) - self.reference
+
+    def powers(self, lag: float, order: int) -> Array:
+        """Return the powers 0 to ``order`` of the temperature of the element, shape (means, order + 1)."""
+        if lag not in self._powers:
+            self._powers[lag] = self._powers_of(self.temperature(lag))
+        return self._powers[lag][:, : order + 1]
+
+    def _powers_of(self, element: Array) -> Array:
+        """Return the means of all powers of a temperature that changes steadily in a mean."""
+        powers, k = np.vander(element, self._highest + 1, increasing=True), np.arange(2, self._highest + 1)
+        steps = np.concatenate([np.gradient(element[self.leg == number]) for number in range(len(self.legs))])
+        powers[:, 2:] += k * (k - 1) / 24.0 * powers[:, :-2] * steps[:, None] ** 2
+        return powers
+
+    def by_lag(self, lag: float, order: int) -> Array:
+        """Return the derivative of the powers by the lag, °C^k/s, shape (means, order + 1)."""
+        step = 1e-4 * float(np.ptp(self.time))
+        return (self.powers(lag + step, order) - self.powers(lag - step, order)) / (2.0 * step)
+
+    def cost(self, x: Array, kept: NDArray[np.bool_] | slice = slice(None)) -> float:
+        """Return the sum of squares that some columns leave of the readings, over their scale squared."""
+        left = self.readings[kept] - x[kept] @ least_squares(x[kept], self.readings[kept])
+        return float(np.sum((left / self.scale) ** 2))
+
+    def lag(self, order: int, kept: NDArray[np.bool_] | slice = slice(None)) -> float:
+        """Return the lag of either sign, up to half of the longest leg, that describes some means best, s."""
+        longest = max(leg.seconds for leg in self.legs)
+        grid = np.geomspace(longest / 1000.0, longest / 2.0, _LAGS)
+        lags = np.concatenate([-grid[::-1], [0.0], grid])
+        return lowest(lambda lag: self.cost(self.powers(lag, order), kept), lags)[0]
+
+    def played(self, width: float) -> Array:
+        """Return the powers of a temperature that follows that of the thermometer with a play of some °C."""
+        temperature, behind = self._record.temperature, 1
+        low, high = temperature - width / 2.0, temperature + width / 2.0
+        low[0] = high[0] = temperature[0]
+        # A row limits the place of the row before; here it limits those of 1, 2, 4, ... rows before, until all agree.
+        while behind < len(temperature):
+            low[behind:], high[behind:] = (
+                np.clip(limit[:-behind], low[behind:], high[behind:]) for limit in (low, high)
+            )
+            behind *= 2
+        return self._powers_of(self.averaged(low) - self.reference)
+
+    def noise_covariance(self, design: Array, values: Array) -> Array:
+        """Return the covariance of the noise of one channel: white, and a process whose correlation decays with time.
+
+        It is the mean over the sizes and correlation times that the restricted likelihood (Patterson and Thompson,
+        1971) allows: an estimate of them alone would make intervals too narrow.
+        """
+        n, p = design.shape
+        x = np.linalg.qr(design)[0]
+        off = values - x @ (x.T @ values)
+        # A process that took up what lasts a few means, such as steps of the thermometer, would take up the drift too.
+        second = [off[2 * k :] - 2.0 * off[k:-k] + off[: -2 * k] for k in _DISTANCES if 2 * k < n]
+        least = min(max(float(np.mean(some**2)) / 6.0 for some in second), float(off @ off) / (n - p)) + _TINY
+        likelihood, variances = [], []
+        for _, eigenvalues, vectors in self._correlations:
+            xr, yr = vectors.T @ x, vectors.T @ values
+            weight = 1.0 / (1.0 + _RATIOS[:, None] * np.maximum(eigenvalues, 0.0))
+            normal = np.einsum("ni,rn,nj->rij", xr, weight, xr, optimize=True)
+            solution = np.linalg.solve(normal, ((weight * yr) @ xr)[:, :, None])[:, :, 0]
+            square = np.sum(weight * (yr - solution @ xr.T) ** 2, axis=1)
+            variance = np.maximum(square / (n - p), least)
+            determinant = np.linalg.slogdet(normal)[1] - np.sum(np.log(weight), axis=1)
+            likelihood.append(np.log(_PRIOR) - 0.5 * ((n - p) * np.log(variance) + square / variance + determinant))
+            variances.append(variance)
+        weights = np.exp(np.array(likelihood) - np.max(likelihood))
+        parts = weights / weights.sum() * np.array(variances)
+        covariance = float(parts.sum()) * np.eye(n)
+        for (correlation, _, _), part in zip(self._correlations, parts, strict=True):
+            covariance += _WIDER * float(part @ _RATIOS) * correlation
+        return covariance
+
+    @cached_property
+    def _correlations(self) -> list[tuple[Array, Array, Array]]:
+        """Correlations that decay with time, each with its eigenvalues and eigenvectors."""
+        distance = np.abs(self.time[:, None] - self.time) / np.ptp(self.time)
+        return [(block, *np.linalg.eigh(block)) for block in (np.exp(-distance / lasts) for lasts in _LASTS)]
+
+    @cached_property
+    def _slope(self) -> Array:
+        """The slope of the thermometer's temperature in the rows, °C/s."""
+        from scipy.interpolate import CubicSpline
+
+        return np.asarray(CubicSpline(self._record.time, self._record.temperature)(self._record.time, 1))
+
+
+def lowest(cost: Callable[[float], float], grid: Array) -> tuple[float, float]:
+    """Return where a cost is lowest, between the neighbours of the best value of a grid, and how low."""
+    from scipy.optimize import minimize_scalar
+
+    costs = [cost(value) for value in grid.tolist()]
+    best = int(np.argmin(costs))
+    low, high = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, len(grid) - 1)])
+    refined = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-5 * (high - low)})
+    return (float(refined.x), float(refined.fun)) if refined.fun < costs[best] else (float(grid[best]), costs[best])
+
+
+def least_squares(x: Array, y: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(x, y, rcond=None)[0], dtype=np.float64)

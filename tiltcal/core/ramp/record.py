@@ -45,7 +45,7 @@ def ramp_record(time: Array, temperature: Array, readings: Sequence[Array], firs
     """Return the means of the rows that have all values and whose temperature does not jump.
 
     Times in s, temperatures in °C and the readings of each channel are of shape (n,), NaN where one is missing;
-    ``first`` is the number of the first row. An EstimateError where there are too few rows, or too many jump.
+    ``first`` is the number of the first row. An EstimateError where too few rows remain.
     """
     counts, jumps = _without_jumps(time, temperature, first)
     table = np.stack([time, temperature, *readings], axis=1)
@@ -66,10 +66,7 @@ def averaged(values: Array, starts: NDArray[np.intp]) -> Array:
 
 
 def _without_jumps(time: Array, temperature: Array, first: int) -> tuple[Mask, str]:
-    """Return the rows whose temperature does not jump away from those before, and the others in words.
-
-    A thermometer that converts nothing jumps and comes back.
-    """
+    """Return the rows whose temperature does not jump away from those before and come back, and the others in words."""
     counts = np.ones(len(time), dtype=bool)
     rows = np.flatnonzero(np.isfinite(time) & np.isfinite(temperature))
     if len(rows) < _FEWEST_ROWS:
