@@ -130,7 +130,7 @@ def is_still(
 
 def lost_rows(columns: Sequence[Array], stuck: Sequence[Span]) -> Mask:
     """Return the rows in which a value is missing or stuck, shape (n,)."""
-    lost = np.logical_or.reduce([~np.isfinite(column) for column in columns])
+    lost: Mask = np.logical_or.reduce([~np.isfinite(column) for column in columns])
     for start, end in stuck:
         lost[start:end] = True
     return lost

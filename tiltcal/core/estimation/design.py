@@ -51,13 +51,15 @@ def require_determined(equations: Equations, z: Array) -> None:
     for channel in equations.channels:
         u = equations.prior_u[channel.coefficients]
         moving = u > 0.0
-        rows = _rows(equations, channel, z)
+        gravity = equations.gravity[channel.places] @ channel.orientation.T
+        rows = channel.model.read(z[channel.coefficients], gravity, channel.dt).by_coefficient
         size = np.linalg.norm(rows, axis=0)
         rows = np.vstack([rows, np.diag(np.where(size > 0, size, 1.0))[np.isfinite(u)]])  # what is stated beside them
         mixed = undetermined(rows[:, moving], np.array(channel.model.coefficients)[moving].tolist())
         if not mixed:
             continue
-        add = _positions_to_add(equations, channel, z, np.vstack([rows, np.eye(len(u))[~moving]]))
+        theta, certain = z[channel.coefficients], np.eye(len(u))[~moving]
+        add = _positions_to_add(channel, theta, gravity, np.vstack([rows, certain]))
         advice = f"add the position{'' if len(add) == 1 else 's'} {_listed(add)}"
         advice = advice if add else "add positions that differ from these"
         if len(mixed) == 1:
@@ -65,25 +67,16 @@ def require_determined(equations: Equations, z: Array) -> None:
         raise EstimateError(f"the {len(channel.dt)} positions do not separate {_listed(mixed)}: {advice}")
 
 
-def _rows(
-    equations: Equations, channel: ChannelReadings, z: Array, gravity: Array | None = None, dt: Array | None = None
-) -> Array:
-    """Return the derivatives of a channel's readings by its coefficients, in its positions or in another one."""
-    if gravity is None:
-        gravity, dt = equations.gravity[channel.places] @ channel.orientation.T, channel.dt
-    return channel.model.read(z[channel.coefficients], gravity, channel.dt if dt is None else dt).by_coefficient
-
-
-def _positions_to_add(equations: Equations, channel: ChannelReadings, z: Array, rows: Array) -> list[str]:
+def _positions_to_add(channel: ChannelReadings, theta: Array, gravity: Array, rows: Array) -> list[str]:
     """Return the few positions that determine a channel beside some rows, (rows, coefficients), the best first."""
-    z = z.copy()
-    # A gain has no effect before the sensitivity is known; any value will do to see whether a position shows it.
-    places = range(channel.coefficients.start + 1, channel.coefficients.start + 1 + len(channel.model.axes))
-    if not z[list(places)].any():
-        z[list(places)] = 1.0
+    sensitivities = slice(1, 1 + len(channel.model.axes))
+    if not theta[sensitivities].any():
+        # A gain has no effect before the sensitivity is known; any value will do to see whether a position shows it.
+        theta = theta.copy()
+        theta[sensitivities] = 1.0
     candidates = {
-        name: _rows(equations, channel, z, np.array([gravity]), np.array([dt]))
-        for name, gravity, dt in _candidates(equations, channel)
+        name: channel.model.read(theta, np.array([up]), np.array([dt])).by_coefficient
+        for name, up, dt in _candidates(channel, gravity)
     }
     add: list[str] = []
     while undetermined(rows, channel.model.coefficients) and len(add) < MOST_POSITIONS:
@@ -92,23 +85,22 @@ def _positions_to_add(equations: Equations, channel: ChannelReadings, z: Array, 
     return [] if undetermined(rows, channel.model.coefficients) else add
 
 
-def _candidates(equations: Equations, channel: ChannelReadings) -> Iterator[tuple[str, Sequence[float], float]]:
+def _candidates(channel: ChannelReadings, gravity: Array) -> Iterator[tuple[str, Sequence[float], float]]:
     """Yield positions that may be added, in words, with up in the sensor frame and °C from the reference."""
     low, high = float(channel.dt.min()), float(channel.dt.max())
-    for name, gravity in CANDIDATES.items():
-        yield name, gravity, float(channel.dt[0])
+    for name, up in CANDIDATES.items():
+        yield name, up, float(channel.dt[0])
     if not (channel.model.drift or channel.model.gain):
         return
-    directions = {tuple(up) for up in (equations.gravity[channel.places] @ channel.orientation.T).tolist()}
     for words, dt in (
         ("at another, higher temperature", high + WARMER),
         ("at another, lower temperature", low - WARMER),
         ("at a third temperature between", (low + high) / 2 + 1.0),
     ):
-        for up in directions:
-            in_words = "gravity [" + ", ".join(f"{component:.3g}" for component in up) + "]"
-            name = next((name for name, gravity in CANDIDATES.items() if np.allclose(gravity, up)), in_words)
-            yield f"{name} {words}", up, dt
+        for met in {tuple(up) for up in gravity.tolist()}:
+            in_words = "gravity [" + ", ".join(f"{component:.3g}" for component in met) + "]"
+            name = next((name for name, up in CANDIDATES.items() if np.allclose(up, met)), in_words)
+            yield f"{name} {words}", met, dt
 
 
 def _strength(rows: Array) -> tuple[int, float]:
