@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,83 +13,35 @@ import pytest
 import yaml
 from support import ROOT
 from support.command import tiltcal
+from support.export_study import (
+    G,
+    angles_apart,
+    compiled,
+    computed_in_c,
+    computed_on_an_arduino,
+    drifting,
+    random_calibration,
+    readings,
+)
 
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import Array, Coefficients, Limits, Mounting, Thermal
+from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.export.loss import largest_error
 from tiltcal.export.targets import TARGETS, Source, exported
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
 
-COMPILERS = {
-    "gcc": ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror"],
-    "avr-gcc": ["avr-gcc", "-mmcu=atmega328p", "-Os", "-std=c99", "-Wall", "-Wextra", "-Werror"],
-}
-G = 9.80665
 
-
-def random_calibration(seed: int, unit: str = "count", reach: float = 1.2) -> CalibrationRecord:
-    """Return a calibration of one to three channels with every term that there is, or without some."""
-    random = np.random.default_rng(seed)
-    channels = ("x", "y", "z")[: random.integers(1, 4)]
-    axes = channels if len(channels) != 2 or random.random() < 0.5 else ("x", "y", "z")
-    scale = 800.0 if unit == "count" else G
-    sensitivity = scale * (np.eye(len(channels), len(axes)) + 0.02 * random.normal(size=(len(channels), len(axes))))
-    thermal = mounting = bent = None
-    if random.random() < 0.7:
-        drift = random.normal(size=(len(channels), 3)) * [1e-3, 1e-5, 1e-7] * scale
-        gain = random.normal(size=(len(channels), 2)) * [1e-4, 1e-6]
-        thermal = Thermal(25.0, (-20.0, 60.0), drift, gain)
-    if random.random() < 0.4:
-        bent = random.normal(size=(len(channels), 2)) * [0.002, 0.002]
-    if len(channels) > 1 and random.random() < 0.5:
-        mounting = Mounting(*random.uniform(-0.5, 0.5, 3))
-    offset = random.normal(scale, scale / 10.0, len(channels))
-    limits = Limits(tilt=dict.fromkeys(channels, (-reach, reach)) if len(channels) < 3 else {})
-    return CalibrationRecord(
-        SensorIdentity("recorded", f"R-{seed}", unit, channels),
-        Coefficients(channels, axes, offset, sensitivity, thermal, mounting, bent),
-        limits=limits,
-    )
-
-
-def readings(record: CalibrationRecord, count: int, seed: int) -> tuple[Array, Array]:
-    """Return readings and temperatures within the calibrated range, by the forward model alone."""
-    random, coefficients = np.random.default_rng(seed), record.coefficients
-    up = random.normal(size=(count, 3))
-    up /= np.linalg.norm(up, axis=1)[:, None]
-    if len(coefficients.channels) < 3:
-        up[:, 2] = np.abs(up[:, 2])
-        up[:, 1] *= len(coefficients.channels) == 2
-        up[:, :2] *= np.sin(record.limits.tilt["x"][1])
-        up[:, 2] = np.sqrt(1.0 - up[:, 0] ** 2 - up[:, 1] ** 2)
-    temperature = random.uniform(-20.0, 60.0, count) if coefficients.thermal else np.full(count, 25.0)
-    return coefficients.predict(up, temperature), temperature
-
-
-def angles_apart(record: CalibrationRecord, gravity: Array, u: Array, celsius: Array) -> float:
-    """Return the largest difference of an angle from that of the whole calibration, degrees."""
-    true = Compensation(record.coefficients, record.limits)(u, celsius)
-    if gravity.shape[1] == 3:
-        cosine = np.sum(gravity * true.gravity, axis=1)
-        sine = np.linalg.norm(np.cross(gravity, true.gravity), axis=1)
-        return float(np.degrees(np.arctan2(sine, cosine)).max())
-    return float(np.abs(np.degrees(np.arcsin(np.clip(gravity, -1.0, 1.0))) - true.tilt).max())
-
-
-def compiled(folder: Path, program: str, compiler: str = "gcc") -> Path:
-    if shutil.which(compiler) is None:
-        pytest.skip(f"{compiler} is not installed")
-    (folder / "main.c").write_text(program)
-    binary = folder / "main"
-    subprocess.run([*COMPILERS[compiler], "main.c", "-lm", "-o", "main"], cwd=folder, check=True)
-    return binary
+def require(*programs: str) -> None:
+    for program in programs:
+        if shutil.which(program) is None:
+            pytest.skip(f"{program} is not installed")
 
 
 @pytest.mark.parametrize("target", ["python", "json", "c-fixed", "fusion", "ros", "iio", "px4"])
 def test_the_bound_is_never_exceeded(target: str) -> None:
     """Random calibrations at random attitudes and temperatures, which the bound has not seen."""
     judged = 0
-    for seed in range(150):
+    for seed in range(60):
         record = random_calibration(seed, "m/s2" if target == "px4" else "count")
         if target in ("fusion", "ros", "px4") and len(record.sensor.channels) < 3:
             continue
@@ -102,135 +53,66 @@ def test_the_bound_is_never_exceeded(target: str) -> None:
         bound = largest_error(record.coefficients, record.limits, export.formula, export.rounding, export.step)
         assert angles_apart(record, export.formula(u, celsius), u, celsius) <= bound, seed
         judged += 1
-    assert judged > 30
-
-
-MAIN = """\
-#include <stdio.h>
-{headers}
-int main(void)
-{{
-    double celsius;
-    int which;
-    while (scanf("%d %lf", &which, &celsius) == 2) {{
-        switch (which) {{
-{cases}
-        }}
-    }}
-    return 0;
-}}
-"""
-SINGLE = """\
-        case {k}: {{ float u[c{k}_CHANNELS], g[c{k}_AXES], degrees[c{k}_AXES];
-            for (int i = 0; i < c{k}_CHANNELS; ++i) if (scanf("%f", &u[i]) != 1) return 1;
-            c{k}_g(u, (float)celsius, g);
-            c{k}_degrees(u, (float)celsius, degrees);
-            for (int i = 0; i < c{k}_AXES; ++i) printf("%.9g %.9g ", (double)g[i], (double)degrees[i]);
-            printf("\\n"); break; }}
-"""
+    assert judged > 12
 
 
 def test_the_header_computes_the_tilts_of_apply(tmp_path: Path) -> None:
-    """Twenty random calibrations with all terms, compiled with gcc and run."""
+    """Twenty random calibrations with all terms; benchmarks/export.py tries ten thousand."""
+    require("gcc")
     records = [random_calibration(seed, reach=0.7) for seed in range(20)]
-    bounds, headers, cases, rows = [], [], [], []
-    for k, record in enumerate(records):
-        result = exported(Source(record, record.limits, f"c{k}"), "c")
-        (tmp_path / f"c{k}.h").write_text(result.text)
-        bounds.append(result.bound)
-        headers.append(f'#include "c{k}.h"')
-        cases.append(SINGLE.format(k=k))
-        rows.append(readings(record, 200, k))
-    binary = compiled(tmp_path, MAIN.format(headers="\n".join(headers), cases="".join(cases)))
-    lines = [
-        f"{k} {t:.6f} {' '.join(f'{value:.9g}' for value in row)}"
-        for k, (u, celsius) in enumerate(rows)
-        for row, t in zip(u, celsius, strict=True)
-    ]
-    run = subprocess.run([binary], input="\n".join(lines), capture_output=True, text=True, check=True)
-    printed = iter(run.stdout.splitlines())
-    for record, bound, (u, celsius) in zip(records, bounds, rows, strict=True):
-        table = np.array([next(printed).split() for _ in u], dtype=float)
+    headers = [exported(Source(record, record.limits, f"c{k}"), "c") for k, record in enumerate(records)]
+    rows = [readings(record, 200, k) for k, record in enumerate(records)]
+    tables = computed_in_c(tmp_path, [header.text for header in headers], rows)
+    for record, header, table, (u, celsius) in zip(records, headers, tables, rows, strict=True):
         true = Compensation(record.coefficients, record.limits)(u, celsius)
-        assert bound <= 0.002
-        assert angles_apart(record, table[:, ::2], u, celsius) <= bound
-        assert np.abs(table[:, 1::2] - true.tilt).max() <= bound
+        assert header.bound <= 0.002
+        assert angles_apart(record, table[:, ::2], u, celsius) <= header.bound
+        assert np.abs(table[:, 1::2] - true.tilt).max() <= header.bound
 
 
-def test_the_header_is_clean_for_a_small_processor(tmp_path: Path) -> None:
-    for number, fixed in enumerate([[], ["--fixed"]]):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        assert (
-            tiltcal(
-                "export",
-                ROOT / "fixtures/cross-axis.yaml",
-                "--to",
-                "c",
-                *fixed,
-                "--allow",
-                "1",
-                "-o",
-                folder / "tilt.h",
-            ).returncode
-            == 0
-        )
-        compiled(folder, '#include "tilt.h"\nint main(void) { return 0; }\n', "avr-gcc")
-
-
-AVR = """\
-#include <avr/interrupt.h>
-#include <avr/io.h>
-#include <avr/sleep.h>
-#include <stdio.h>
+LIMITS = """
 #include "tilt.h"
-static int put(char c, FILE *f) {{ (void)f; while (!(UCSR0A & (1 << UDRE0))) {{ }} UDR0 = c; return 0; }}
-static FILE serial = FDEV_SETUP_STREAM(put, NULL, _FDEV_SETUP_WRITE);
+#include <stdio.h>
 int main(void)
-{{
-    UCSR0B = 1 << TXEN0;
-    stdout = &serial;
-    for (int32_t k = 0; k < {count}; ++k) {{
-        {body}
-    }}
-    cli();
-    sleep_mode();
+{
+    const float u[3][3] = {{10.6f, 0, 0}, {0, 0, 20.0f}, {9.81f, 0, -9.81f}};
+    for (int k = 0; k < 3; ++k) {
+        float degrees[TILT_AXES], pitch, roll;
+        tilt_degrees(u[k], NAN, degrees);
+        tilt_pitch_roll(u[k], NAN, &pitch, &roll);
+        printf("%.3f %.3f %.3f\\n", (double)degrees[0], (double)pitch, (double)roll);
+    }
     return 0;
-}}
-"""
-AVR_BODY = {
-    "float": "float u[2] = {200 + 8 * k, 1900 - 9 * k}, g[2]; tilt_g(u, k % 40, g); "
-    'printf("%ld %ld\\n", (long)(g[0] * 1e6f), (long)(g[1] * 1e6f));',
-    "fixed": "int32_t u[2] = {200 + 8 * k, 1900 - 9 * k}, g[2]; tilt_g_fixed(u, (k % 40) * 100, g); "
-    'printf("%ld %ld\\n", (long)g[0], (long)g[1]);',
 }
+"""
 
 
-@pytest.mark.parametrize("kind", ["float", "fixed"])
-def test_an_arduino_computes_the_same(tmp_path: Path, kind: str) -> None:
-    """An ATmega328P under simavr, at 180 readings and 40 temperatures, of a sensor that drifts."""
-    if shutil.which("simavr") is None or shutil.which("avr-gcc") is None:
-        pytest.skip("simavr or avr-gcc is not installed (Debian: apt install simavr gcc-avr avr-libc)")
-    drift = np.array([[0.9, 4e-3], [-0.6, 2e-3]])
-    thermal = Thermal(20.0, (0.0, 40.0), drift, np.array([[2e-4], [-1e-4]]))
-    matrix = np.array([[819.0, 11.0], [-9.0, 822.0]])
-    record = random_calibration(0)
-    record = replace(
-        record,
-        sensor=SensorIdentity("recorded", "A-1", "count", ("x", "y")),
-        coefficients=Coefficients(("x", "y"), ("x", "y"), np.array([1024.0, 1021.0]), matrix, thermal),
-        limits=Limits(tilt={"x": (-1.2, 1.2), "y": (-1.2, 1.2)}),
+def test_tilts_pitch_and_roll_are_defined_as_those_of_apply(tmp_path: Path) -> None:
+    """Where gravity is beyond 2 g there is no tilt; at 45° upside down roll is 180°."""
+    require("gcc")
+    ideal = CalibrationRecord(
+        SensorIdentity("recorded", "I-1", "m/s2", ("x", "y", "z")),
+        Coefficients(("x", "y", "z"), ("x", "y", "z"), np.zeros(3), G * np.eye(3)),
     )
-    target = "c-fixed" if kind == "fixed" else "c"
-    (tmp_path / "tilt.h").write_text(exported(Source(record, record.limits), target).text)
-    elf = compiled(tmp_path, AVR.format(count=180, body=AVR_BODY[kind]), "avr-gcc")
-    command = ["simavr", "-m", "atmega328p", "-f", "16000000", str(elf)]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    numbers = re.findall(r"(-?\d+) (-?\d+)\.", run.stdout + run.stderr)
-    k = np.arange(180)
-    u = np.column_stack([200.0 + 8.0 * k, 1900.0 - 9.0 * k])
-    expected = Compensation(record.coefficients)(u, k % 40 * 1.0).gravity * 1e6
-    assert np.abs(np.array(numbers, dtype=float) - expected).max() < 3.0
+    export(tmp_path, ideal, "c")
+    (tmp_path / "out").rename(tmp_path / "tilt.h")
+    run = subprocess.run([compiled(tmp_path, LIMITS)], capture_output=True, text=True, check=True)
+    straight, beyond, turned = ([float(one) for one in line.split()] for line in run.stdout.splitlines())
+    assert straight == pytest.approx([90.0, 90.0, 0.0], abs=1e-3)
+    assert np.isnan(beyond).all()
+    assert turned == pytest.approx([45.0, 45.0, 180.0], abs=1e-3)
+
+
+def test_an_arduino_computes_the_same(tmp_path: Path) -> None:
+    """180 readings at 40 temperatures, of a sensor that drifts."""
+    require("avr-gcc", "simavr")
+    for kind, target in (("float", "c"), ("int32_t", "c-fixed")):
+        folder = tmp_path / target
+        folder.mkdir()
+        header = exported(Source(drifting(), drifting().limits), target).text
+        computed, expected = computed_on_an_arduino(folder, header, kind, 180)
+        assert computed.shape == (180, 2)
+        assert np.abs(computed - expected).max() < 3e-6, target
 
 
 def test_fusion_is_what_its_own_package_computes(tmp_path: Path) -> None:
