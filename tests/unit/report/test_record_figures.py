@@ -18,31 +18,27 @@ from tiltcal.core.rounding import bracketed
 from tiltcal.report.record_figures import PairDrawing, draw_matching
 
 
-class TestBrackets:
-    @pytest.mark.parametrize(
-        ("value", "uncertainty", "text"),
-        [
-            (3.38301, 3e-4, "3.3830(3)"),
-            (-0.0747, 2.6e-4, "-0.0747(3)"),
-            (-0.00001, 2e-4, "0.0000(2)"),
-            (1.23456, 9.6e-4, "1.235(1)"),
-            (0.99996, 1e-4, "1.0000(1)"),
-            (1234.5, 20.0, "1230(20)"),
-            (1234.5, 3.0, "1234(3)"),
-            (-0.010207148, 8.9e-7, "-0.0102071(9)"),
-            (0.5, 0.0, "0.5"),
-            (0.5, float("inf"), "0.5"),
-        ],
-    )
-    def test_by_hand(self, value: float, uncertainty: float, text: str) -> None:
+def test_one_digit_of_uncertainty_by_hand() -> None:
+    for value, uncertainty, text in (
+        (3.38301, 3e-4, "3.3830(3)"),
+        (-0.0747, 2.6e-4, "-0.0747(3)"),
+        (-0.00001, 2e-4, "0.0000(2)"),
+        (1.23456, 9.6e-4, "1.235(1)"),
+        (0.99996, 1e-4, "1.0000(1)"),
+        (1234.5, 20.0, "1230(20)"),
+        (-0.010207148, 8.9e-7, "-0.0102071(9)"),
+        (0.5, 0.0, "0.5"),
+        (0.5, float("inf"), "0.5"),
+    ):
         assert bracketed(value, uncertainty) == text
 
-    @given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e4))
-    def test_what_is_printed_is_the_value_within_its_uncertainty(self, value: float, uncertainty: float) -> None:
-        number, digit = bracketed(value, uncertainty).removesuffix(")").split("(")
-        decimals = len(number.partition(".")[2])
-        assert float(digit) * 10.0**-decimals == pytest.approx(uncertainty, rel=0.5)
-        assert abs(float(number) - value) <= 0.51 * uncertainty * 2
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e4))
+def test_what_is_printed_is_the_value_within_its_uncertainty(value: float, uncertainty: float) -> None:
+    number, digit = bracketed(value, uncertainty).removesuffix(")").split("(")
+    decimals = len(number.partition(".")[2])
+    assert float(digit) * 10.0**-decimals == pytest.approx(uncertainty, rel=0.5)
+    assert abs(float(number) - value) <= 0.51 * uncertainty * 2
 
 
 def table_1_record() -> Demodulation:
@@ -80,20 +76,12 @@ def test_a_record_of_table_1_reads_as_table_1_does() -> None:
     assert lines[4].split()[-2:] == ["0.0000(2)", "0.0000(2)"]
 
 
-class TestFigure:
-    FREQUENCY = np.linspace(0.0, 25.0, 200)
-    DENSITIES = {name: np.full(200, 1e-6) for name in ("a1", "sum after p", "sum after p and q")}  # noqa: RUF012
-
-    def test_has_every_curve_by_name(self, tmp_path: Path) -> None:
-        draw_matching(tmp_path / "six.svg", PairDrawing(self.FREQUENCY, self.DENSITIES, 0.125, "Hz"))
-        drawn = (tmp_path / "six.svg").read_text(encoding="utf-8")
-        ElementTree.fromstring(drawn)
-        for text in (*self.DENSITIES, "frequency [Hz]"):
-            assert text in drawn
-
-    def test_shows_both_estimators_beside_each_other(self, tmp_path: Path) -> None:
-        course = [(0.01 / k, 0.02 / k, 0.01, 0.02) for k in (1.0, 2.0, 3.0)]
-        draw_matching(tmp_path / "both.svg", PairDrawing(self.FREQUENCY, self.DENSITIES, 0.0025, "1/row", course, 1e-3))
-        drawn = (tmp_path / "both.svg").read_text(encoding="utf-8")
-        for text in ("p, loops", "q, recursive", "stated uncertainty", "turns"):
-            assert text in drawn
+def test_the_figure_has_every_curve_and_both_estimators(tmp_path: Path) -> None:
+    densities = {name: np.full(200, 1e-6) for name in ("a1", "sum after p", "sum after p and q")}
+    course = [(0.01 / k, 0.02 / k, 0.01, 0.02) for k in (1.0, 2.0, 3.0)]
+    drawing = PairDrawing(np.linspace(0.0, 25.0, 200), densities, 0.0025, "1/row", course, 1e-3)
+    draw_matching(tmp_path / "both.svg", drawing)
+    drawn = (tmp_path / "both.svg").read_text(encoding="utf-8")
+    ElementTree.fromstring(drawn)
+    for text in (*densities, "frequency [1/row]", "p, loops", "q, recursive", "stated uncertainty", "turns"):
+        assert text in drawn
