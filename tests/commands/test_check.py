@@ -13,9 +13,15 @@ from support.command import tiltcal
 PLANE = (FIXTURES / "plane.yaml").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
+def check(folder: Path, name: str, text: str) -> tuple[int, str]:
+    (folder / name).write_text(text, encoding="utf-8")
+    result = tiltcal("check", name, cwd=folder)
+    assert "Traceback" not in result.stderr
+    return result.returncode, result.stderr
+
+
+def test_wrong_records_are_named(tmp_path: Path) -> None:
+    for old, new, says in (
         ("degrees_of_freedom: 2", "chi_square: x", "fit.chi_square: a number is needed here"),
         ("degrees_of_freedom: 2", "degrees_of_freedom: many", "fit.degrees_of_freedom: a whole number is needed here"),
         ("degrees_of_freedom: 2", "chi_square: 3.0", ""),
@@ -24,32 +30,22 @@ PLANE = (FIXTURES / "plane.yaml").read_text(encoding="utf-8")
         ("  journal: {name: plane.journal.jsonl", f"  journal: {{name: {'a' * 300}", ""),
         ("  journal: {name: plane.journal.jsonl", '  journal: {name: "a\\0b"', "control character '\\x00'"),
         ('  ended: "2000', '  ended: "2000-13', "is no date: write it as"),
-    ],
-)
-def test_wrong_records_are_named(tmp_path: Path, old: str, new: str, says: str) -> None:
-    assert old in PLANE
-    (tmp_path / "plane.yaml").write_text(PLANE.replace(old, new, 1), encoding="utf-8")
-    result = tiltcal("check", "plane.yaml", cwd=tmp_path)
-    assert "Traceback" not in result.stderr
-    assert says in result.stderr
-    assert result.returncode == (2 if says else 0), result.stdout
+    ):
+        assert old in PLANE
+        code, said = check(tmp_path, "plane.yaml", PLANE.replace(old, new, 1))
+        assert (code, says in said) == (2 if says else 0, True), (new, said)
 
 
-@pytest.mark.parametrize(
-    ("angles", "says"),
-    [
+def test_a_mounting_has_the_ranges_of_the_option(tmp_path: Path) -> None:
+    for angles, says in (
         ("roll: 180, pitch: -90, yaw: -180", ""),
         ("roll: 200", "calibration.mounting.roll: 200 is too large; it must be at most 180"),
         ("yaw: -181", "calibration.mounting.yaw: -181 is too small; it must be at least -180"),
         ("pitch: 91", "calibration.mounting.pitch: 91 is too large; it must be at most 90"),
-    ],
-)
-def test_a_mounting_has_the_ranges_of_the_option(tmp_path: Path, angles: str, says: str) -> None:
-    text = PLANE.replace("\nuncertainty:", f"\n  mounting: {{{angles}}}\nuncertainty:", 1).partition("\nprovenance")[0]
-    (tmp_path / "plane.yaml").write_text(text, encoding="utf-8")
-    result = tiltcal("check", "plane.yaml", cwd=tmp_path)
-    assert says in result.stderr
-    assert result.returncode == (2 if says else 0), result.stderr
+    ):
+        text = PLANE.replace("\nuncertainty:", f"\n  mounting: {{{angles}}}\nuncertainty:", 1)
+        code, said = check(tmp_path, "plane.yaml", text.partition("\nprovenance")[0])
+        assert (code, says in said) == (2 if says else 0, True), (angles, said)
 
 
 def test_a_wrong_file_does_not_hide_the_others(tmp_path: Path) -> None:
@@ -79,29 +75,21 @@ sensors:
 """
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ('A, model: sca100t-d02, address: "sim:', 'A, model: sca100t-d2, address: "sim:', ":6: sensors[0]: no sensor"),
-        ('A, model: sca100t-d02, address: "sim:', 'A, model: sca100t-d02, address: "smi:', ":6: sensors[0]: address"),
+def test_wrong_bench_files_are_named(tmp_path: Path) -> None:
+    sensor = 'A, model: sca100t-d02, address: "sim:'
+    for old, new, says in (
+        (sensor, sensor.replace("d02", "d2"), ":6: sensors[0]: no sensor"),
+        (sensor, sensor.replace("sim:", "smi:"), ":6: sensors[0]: address"),
         ("thermometer: {model: sca100t-d02", "thermometer: {model: scb", ":4: thermometer: no sensor model"),
-        (
-            "0.1",
-            "\uff10.1",
-            ":3: jig: a number is needed here, found '\uff10.1'; these are other",
-        ),
+        ("0.1", "\uff10.1", ":3: jig: a number is needed here, found '\uff10.1'; these are other"),
         ("0.1", "0,1", ":3: jig: a number is needed here, found '0,1'; write the point as '.'"),
         ("0.1", "0.1°", ":3: jig: a number is needed here, found '0.1°'; write the number alone"),
         ("0.1", "0.1 deg", ":3: jig: a number is needed here, found '0.1 deg'; write the number alone"),
         ("jig", "j\u0456g", "(did you mean 'jig', with other letters than 'j\\u0456g'?)"),
-    ],
-)
-def test_wrong_bench_files_are_named(tmp_path: Path, old: str, new: str, says: str) -> None:
-    assert BENCH.count(old) == 1
-    (tmp_path / "bench.yaml").write_text(BENCH.replace(old, new), encoding="utf-8")
-    result = tiltcal("check", "bench.yaml", cwd=tmp_path)
-    assert result.returncode == 2
-    assert says in result.stderr
+    ):
+        assert BENCH.count(old) == 1
+        code, said = check(tmp_path, "bench.yaml", BENCH.replace(old, new))
+        assert (code, says in said) == (2, True), (new, said)
 
 
 def test_a_bench_that_is_measured_is_checked_with_its_lines(tmp_path: Path) -> None:

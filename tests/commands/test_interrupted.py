@@ -37,9 +37,7 @@ def test_nothing_is_imported_before_ctrl_c_is_caught() -> None:
     assert done.stdout.split() == ["tiltcal", "tiltcal.__main__"]
 
 
-@pytest.mark.parametrize(
-    "module", ["click", "tiltcal.cli.apply", "numpy", "numpy.linalg", "polars", "tiltcal.logs.apply"]
-)
+@pytest.mark.parametrize("module", ["click", "numpy.linalg", "tiltcal.logs.apply"])
 def test_ctrl_c_while_a_module_is_imported(module: str, tmp_path: Path) -> None:
     script = f"""
 import os, signal, sys
@@ -150,8 +148,7 @@ def processes_in(folder: Path) -> list[str]:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the processes of a folder are found in /proc")
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_killed_command_leaves_no_process_and_no_file(number: signal.Signals, tmp_path: Path) -> None:
+def test_a_killed_command_leaves_no_process_and_no_file(tmp_path: Path) -> None:
     """A process of its own once finished what the killed command had begun, and replaced what a later one wrote."""
     import polars as pl
 
@@ -162,8 +159,8 @@ def test_a_killed_command_leaves_no_process_and_no_file(number: signal.Signals, 
     )
     while not any("polars" in maps for maps in memory_of(process.pid)):
         time.sleep(0.01)
-    process.send_signal(number)
-    assert process.wait(60) == -number
+    process.kill()
+    assert process.wait(60) == -signal.SIGKILL
     assert processes_in(tmp_path) == []
     assert [path.name for path in tmp_path.iterdir()] == ["log.parquet"]
 

@@ -119,24 +119,15 @@ def test_stopped_in_the_middle_it_keeps_its_rows(number: int, warm: WarmStart, t
         assert f"{len(rows)} rows in" in said
 
 
-@pytest.mark.parametrize("command", [("record", "--rows", "3"), ("noise", "--samples", "300")])
-@pytest.mark.parametrize("name", ["log.nc", "log.NC4"])
-def test_nothing_is_recorded_to_netcdf(tmp_path: Path, command: tuple[str, ...], name: str) -> None:
-    refused = tiltcal(*command, *ONE, "-o", name, cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "a recording is CSV or Parquet" in refused.stderr
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_recording_never_replaces_a_log(tmp_path: Path) -> None:
+def test_what_is_refused_writes_nothing(tmp_path: Path) -> None:
+    """NetCDF, a log that is there, and a virtual night without an end."""
     (tmp_path / "log.csv").write_text("mine")
-    result = tiltcal("record", *ONE, "--rows", "3", "-o", "log.csv", cwd=tmp_path)
-    assert result.returncode == 2
-    assert (tmp_path / "log.csv").read_text() == "mine"
-
-
-def test_a_virtual_night_needs_an_end(tmp_path: Path) -> None:
-    result = tiltcal("record", *ONE, "-o", "log.csv", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "--rows" in result.stderr
-    assert not (tmp_path / "log.csv").exists()
+    for command, said in (
+        (("record", "--rows", "3", "-o", "log.nc"), "a recording is CSV or Parquet"),
+        (("noise", "--samples", "300", "-o", "log.NC4"), "a recording is CSV or Parquet"),
+        (("record", "--rows", "3", "-o", "log.csv"), "exists"),
+        (("record", "-o", "new.csv"), "--rows"),
+    ):
+        refused = tiltcal(*command, *ONE, cwd=tmp_path)
+        assert (refused.returncode, said in refused.stderr) == (2, True), refused.stderr
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("log.csv", "mine")]

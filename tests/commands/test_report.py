@@ -42,39 +42,28 @@ def page(text: str) -> Page:
     return Page(text)
 
 
-class TestPage:
-    def test_it_is_that_of_the_file(self, file: Path, page: Page) -> None:
-        assert page.facts["Calibration file"] == file.name
-        assert "{" not in page.root.find("main")[0].text
-
-    def test_headings_are_in_order(self, page: Page) -> None:
-        levels = [level for level, _ in page.headings]
-        assert levels.count(1) == 1
-        assert levels[0] == 1
-        assert all(later <= earlier + 1 for earlier, later in pairwise(levels))
-
-    def test_it_is_said_in_a_language_and_has_a_title(self, page: Page) -> None:
-        assert page.root.find("html")[0].attributes["lang"] == "en"
-        assert page.headings[0][1] in page.root.find("title")[0].text
-
-    def test_every_figure_is_told_to_who_does_not_see_it(self, file: Path, page: Page) -> None:
-        figures = [one for figure in page.root.find("figure") for one in figure.find("svg")]
-        assert bool(figures) != (file == PAIR)
-        for figure in figures:
-            assert figure.attributes["role"] == "img"
-            named = {one.attributes["id"]: one.text for one in figure.find("title", "desc")}
-            assert all(named[name] for name in figure.attributes["aria-labelledby"].split())
-
-    def test_every_id_is_there_once_and_every_reference_leads_to_one(self, file: Path, text: str) -> None:
-        ids = re.findall(r'\sid="([^"]*)"', text)
-        assert len(ids) == len(set(ids))
-        assert set(re.findall(r'(?:url\(#|xlink:href="#)([^")]*)', text)) <= set(ids) or file == PAIR
-
-    def test_nothing_is_fetched_and_nothing_runs(self, text: str, page: Page) -> None:
-        assert "://" not in text.replace("sim:", "")
-        assert "@import" not in text
-        assert not page.root.find("script", "img", "iframe", "object", "embed", "video", "audio")
-        assert [one.attributes["href"] for one in page.root.find("link")] == ["data:,"]
+def test_a_page_can_be_read_printed_and_kept(file: Path, text: str, page: Page) -> None:
+    """It has a language, a title and headings in order, tells its figures in words, and fetches and runs nothing."""
+    assert page.facts["Calibration file"] == file.name
+    assert "{" not in page.root.find("main")[0].text
+    levels = [level for level, _ in page.headings]
+    assert (levels.count(1), levels[0]) == (1, 1)
+    assert all(later <= earlier + 1 for earlier, later in pairwise(levels))
+    assert page.root.find("html")[0].attributes["lang"] == "en"
+    assert page.headings[0][1] in page.root.find("title")[0].text
+    figures = [one for figure in page.root.find("figure") for one in figure.find("svg")]
+    assert bool(figures) != (file == PAIR)
+    for figure in figures:
+        assert figure.attributes["role"] == "img"
+        named = {one.attributes["id"]: one.text for one in figure.find("title", "desc")}
+        assert all(named[name] for name in figure.attributes["aria-labelledby"].split())
+    ids = re.findall(r'\sid="([^"]*)"', text)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r'(?:url\(#|xlink:href="#)([^")]*)', text)) <= set(ids) or file == PAIR
+    assert "://" not in text.replace("sim:", "")
+    assert "@import" not in text
+    assert not page.root.find("script", "img", "iframe", "object", "embed", "video", "audio")
+    assert [one.attributes["href"] for one in page.root.find("link")] == ["data:,"]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -96,41 +85,35 @@ def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
     assert here.read_bytes() == there.read_bytes()
 
 
-@pytest.mark.parametrize(("module", "name"), [("jinja2", "Jinja2"), ("matplotlib", "matplotlib")])
 def test_without_the_extra_it_says_what_to_install(
-    module: str,
-    name: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, module, None)
     output = tmp_path / "report.html"
-    assert run(["report", str(FIXTURES / "plane.yaml"), "-o", str(output)]) == 2
-    said = capsys.readouterr().err
-    assert said == f"tiltcal: a report needs {name}, which is not installed: pip install 'tiltcal[report]'\n"
+    for module, name in (("jinja2", "Jinja2"), ("matplotlib", "matplotlib")):
+        with monkeypatch.context() as missing:
+            missing.setitem(sys.modules, module, None)
+            assert run(["report", str(FIXTURES / "plane.yaml"), "-o", str(output)]) == 2
+        said = capsys.readouterr().err
+        assert said == f"tiltcal: a report needs {name}, which is not installed: pip install 'tiltcal[report]'\n"
     assert not output.exists()
 
 
-@pytest.mark.parametrize(
-    ("files", "why"),
-    [
+def test_what_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "log.csv").write_text("time,x\n0,1024\n", encoding="utf-8")
+    output = tmp_path / "report.html"
+    output.write_text("as it was", encoding="utf-8")
+    for files, why in (
         (["log.csv"], "no calibration file is given"),
         (["nothing.yaml"], "nothing.yaml"),
         (["plane.yaml", "free.yaml"], "not two calibrations of one sensor"),
         (["twins/mavs.yaml"], "kind"),
         (["plane.yaml", "night.parquet"], "cannot read"),
         (["plane.yaml", "log.csv"], "no column 'y'"),
-    ],
-)
-def test_what_is_refused(files: list[str], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "log.csv").write_text("time,x\n0,1024\n", encoding="utf-8")
-    output = tmp_path / "report.html"
-    output.write_text("as it was", encoding="utf-8")
-    paths = [str((FIXTURES if (FIXTURES / name).exists() else tmp_path) / name) for name in files]
-    assert run(["report", *paths, "-o", str(output)]) == 2
-    assert why in capsys.readouterr().err
-    assert output.read_text(encoding="utf-8") == "as it was"
+    ):
+        paths = [str((FIXTURES if (FIXTURES / name).exists() else tmp_path) / name) for name in files]
+        assert run(["report", *paths, "-o", str(output)]) == 2
+        assert why in capsys.readouterr().err
+        assert output.read_text(encoding="utf-8") == "as it was"
 
 
 @pytest.mark.usefixtures("undrawn")

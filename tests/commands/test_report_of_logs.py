@@ -89,22 +89,16 @@ def test_other_names_of_columns_moments_and_bad_rows(bare: str, tmp_path: Path) 
     assert "time from 2026-01-17 22:00:00 UTC [s]" in text
 
 
-def test_a_log_without_an_angle_has_no_empty_figure(bare: str, tmp_path: Path) -> None:
-    path = tmp_path / "dead.csv"
-    path.write_text("x,y,temperature\n,,\n", encoding="utf-8")
-    page = report(bare, path, output=tmp_path / "r.html")
+def test_a_log_without_an_angle_has_no_empty_figure_and_one_without_time_counts_rows(bare: str, tmp_path: Path) -> None:
+    (tmp_path / "dead.csv").write_text("x,y,temperature\n,,\n", encoding="utf-8")
+    (tmp_path / "rows.csv").write_text("x,y,temperature\n" + "1030,1020,20\n" * 5, encoding="utf-8")
+    page = report(bare, tmp_path / "dead.csv", output=tmp_path / "r.html")
     said = [one.text for one in page.root.find("p")]
     assert any(text.startswith("1 row. The calibration") for text in said)
     assert "No row has an angle." in said
     assert not any("dead.csv" in one.text for one in page.root.find("figure"))
-
-
-def test_a_log_without_time_counts_its_rows(bare: str, tmp_path: Path) -> None:
-    path = tmp_path / "rows.csv"
-    path.write_text("x,y,temperature\n" + "1030,1020,20\n" * 5, encoding="utf-8")
-    output = tmp_path / "r.html"
-    report(bare, path, output=output)
-    assert re.search(r">row</text>", output.read_text(encoding="utf-8"))
+    report(bare, tmp_path / "rows.csv", output=tmp_path / "r.html")
+    assert re.search(r">row</text>", (tmp_path / "r.html").read_text(encoding="utf-8"))
 
 
 def test_the_page_does_not_grow_with_the_log(bare: str, tmp_path: Path) -> None:

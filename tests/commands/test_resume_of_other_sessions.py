@@ -54,11 +54,11 @@ def test_a_finished_verification_is_replayed(sessions: Path) -> None:
     assert "a verification, which makes no calibration file" in refused.stderr
 
 
-@pytest.mark.parametrize("command", ["check", "replay"])
-def test_an_interrupted_verification_is_named(sessions: Path, command: str) -> None:
-    done = tiltcal(command, "v-stopped.jsonl", cwd=sessions)
-    assert "continue it with: tiltcal verify CAL --resume v-stopped.jsonl" in done.stdout + done.stderr
-    assert done.returncode == (1 if command == "check" else 2)
+def test_an_interrupted_verification_is_named(sessions: Path) -> None:
+    for command, code in (("check", 1), ("replay", 2)):
+        done = tiltcal(command, "v-stopped.jsonl", cwd=sessions)
+        assert "continue it with: tiltcal verify CAL --resume v-stopped.jsonl" in done.stdout + done.stderr
+        assert done.returncode == code
 
 
 @pytest.mark.parametrize(
@@ -80,27 +80,19 @@ def test_a_sensor_that_is_still_unplugged(
     assert (tmp_path / journal).read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("journal", "arguments", "says"),
-    [
+def test_another_session_is_refused_and_left_alone(sessions: Path, tmp_path: Path) -> None:
+    shutil.copytree(sessions, tmp_path, dirs_exist_ok=True)
+    for journal, arguments, says in (
         ("v-stopped.jsonl", ["measure"], "of a verification; continue it with: tiltcal verify CAL --resume"),
         ("m-stopped.jsonl", ["verify", "S-1.yaml"], "of a measurement; continue it with: tiltcal measure --resume"),
         ("v-stopped.jsonl", ["verify", "S-9.yaml"], "of sca100t-d02 S-1, and S-9.yaml of sca100t-d02 S-9"),
         ("rotation.jsonl", ["verify", "S-1.yaml"], "of a measurement"),
-    ],
-)
-def test_another_session_is_refused_and_left_alone(
-    sessions: Path, tmp_path: Path, journal: str, arguments: list[str], says: str
-) -> None:
-    for name in ("S-1.yaml", "S-9.yaml", journal):
-        shutil.copy(sessions / name, tmp_path)
-    before = (tmp_path / journal).read_bytes()
-    done = tiltcal(*arguments, "--resume", journal, "--operator", "sim", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert says in done.stderr
-    assert (tmp_path / journal).read_bytes() == before
-    if arguments == ["measure"]:
-        assert replayed_verdict(tmp_path, journal)["passed"] is True
+    ):
+        before = (tmp_path / journal).read_bytes()
+        done = tiltcal(*arguments, "--resume", journal, "--operator", "sim", cwd=tmp_path)
+        assert (done.returncode, done.stdout, says in done.stderr) == (2, "", True), done.stderr
+        assert (tmp_path / journal).read_bytes() == before
+    assert replayed_verdict(tmp_path, "v-stopped.jsonl")["passed"] is True
 
 
 def test_a_journal_with_its_end_needs_no_sensor(

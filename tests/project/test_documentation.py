@@ -26,7 +26,6 @@ import pytest
 from support import ROOT
 from support.command import Completed
 from support.command import tiltcal as run_command
-from support.for_each import for_each
 from support.warm_start import WarmStart
 
 import tiltcal
@@ -168,15 +167,16 @@ def test_the_examples_of_docstrings_run(tmp_path: Path, monkeypatch: pytest.Monk
     assert not runner.failures, "".join(printed)
 
 
-@for_each("page", PAGES, name_of)
-def test_links_lead_somewhere(page: Path) -> None:
-    for target, heading in LINK.findall(page.read_text(encoding="utf-8")):
-        if target.startswith(("http:", "https:")):
-            continue
-        goal = page.parent / target if target else page
-        assert goal.exists(), target
-        if heading:
-            assert heading in headings_of(goal), f"{target}#{heading}"
+def test_links_lead_somewhere_and_files_that_are_named_exist() -> None:
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for target, heading in LINK.findall(text):
+            goal = page.parent / target if target else page
+            if not target.startswith(("http:", "https:")):
+                assert goal.exists(), f"{page}: {target}"
+                assert not heading or heading in headings_of(goal), f"{page}: {target}#{heading}"
+        for path in () if is_history(page) else NAMED_FILE.findall(text):
+            assert (ROOT / path).exists(), f"{page}: {path}"
 
 
 def test_every_model_is_on_the_page_that_leads_to_it() -> None:
@@ -192,23 +192,16 @@ def sensors_with_procedures() -> Iterator[tuple[str, str]]:
             yield from product(re.findall("`([^`]+)`", cells[2]), re.findall("`([^`]+)`", cells[4]))
 
 
-@for_each("model, procedure", list(sensors_with_procedures()))
-def test_a_sensor_has_the_range_for_the_procedures_beside_it(model: str, procedure: str) -> None:
-    name, _, tilt = procedure.partition(" --tilt ")
-    address = "sim:?counts_per_g=1000" if model == "sca3000-i2c" else "sim:"
-    found = tiltcal.plan(name, sensor=model, address=address, tilt=float(tilt) if tilt else None)
-    assert str(found).startswith("predicted standard uncertainty")
+def test_a_sensor_has_the_range_for_the_procedures_beside_it() -> None:
+    for model, procedure in sensors_with_procedures():
+        name, _, tilt = procedure.partition(" --tilt ")
+        address = "sim:?counts_per_g=1000" if model == "sca3000-i2c" else "sim:"
+        planned = tiltcal.plan(name, sensor=model, address=address, tilt=float(tilt) if tilt else None)
+        assert str(planned).startswith("predicted standard uncertainty"), (model, procedure)
 
 
-@for_each("page", [page for page in PAGES if not is_history(page)], name_of)
-def test_files_that_are_named_exist(page: Path) -> None:
-    for path in NAMED_FILE.findall(page.read_text(encoding="utf-8")):
-        assert (ROOT / path).exists(), path
-
-
-@for_each("folder", ["tiltcal", "drivers"])
-def test_names_in_docstrings_exist(folder: str) -> None:
-    sources = (ROOT / folder).rglob("*.py")
+def test_names_in_docstrings_exist() -> None:
+    sources = [source for folder in ("tiltcal", "drivers") for source in (ROOT / folder).rglob("*.py")]
     names = {name for source in sources for name in REFERENCE.findall(source.read_text(encoding="utf-8"))}
     assert names
     for name in sorted(names):

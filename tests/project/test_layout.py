@@ -7,7 +7,6 @@ from collections import Counter
 from pathlib import Path
 
 from support import ROOT
-from support.for_each import for_each
 
 UNIT = ROOT / "tests" / "unit"
 
@@ -20,11 +19,11 @@ def modules_beside(test: Path) -> set[str]:
     return found | {path.parent.name for place in places for path in place.glob("*/__init__.py")} - {"__init__"}
 
 
-@for_each("test", sorted(UNIT.glob("**/test_*.py")))
-def test_every_unit_test_is_named_for_its_module(test: Path) -> None:
+def test_every_unit_test_is_named_for_its_module() -> None:
     """``test_estimate.py``, and beside it ``test_estimate_jointly.py`` where one file would be too long."""
-    name = test.stem.removeprefix("test_")
-    assert any(name == module or name.startswith(f"{module}_") for module in modules_beside(test))
+    for test in UNIT.glob("**/test_*.py"):
+        name = test.stem.removeprefix("test_")
+        assert any(name == module or name.startswith(f"{module}_") for module in modules_beside(test)), test
 
 
 def test_a_class_name_exists_once() -> None:

@@ -12,7 +12,6 @@ import pytest
 from click.testing import CliRunner
 from support import ROOT
 from support.command import loaded_by
-from support.for_each import for_each
 
 import tiltcal
 from tiltcal import errors
@@ -73,25 +72,19 @@ def test_help_loads_nothing_heavy() -> None:
     assert not loaded & HEAVY
 
 
-@pytest.mark.parametrize(
-    ("command", "needed"),
-    [
+def test_a_command_loads_what_it_needs(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "fixtures" / "complete.yaml", tmp_path / "S.yaml")
+    (tmp_path / "log.csv").write_text("time,x,y,temperature\n0.0,1024,1022,20.5\n0.1,1030,1019,20.5\n")
+    for command, needed in (
         ("devices", set()),
-        ("procedures", {"numpy", "yaml"}),
         ("check S.yaml", {"numpy", "yaml"}),
         ("diff S.yaml S.yaml", {"numpy", "yaml", "scipy"}),  # for Student's t
         ("plan plane --sensor sca100t-d02 --jig 0.1", {"numpy", "yaml"}),
-        ("apply S.yaml log.csv -o tilt.csv", {"numpy", "polars", "yaml"}),
         ("apply S.yaml log.csv --uncertainty -o tilt.csv", {"numpy", "polars", "yaml"}),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_a_command_loads_what_it_needs(command: str, needed: set[str], tmp_path: Path) -> None:
-    shutil.copy(ROOT / "fixtures" / "complete.yaml", tmp_path / "S.yaml")
-    (tmp_path / "log.csv").write_text("time,x,y,temperature\n0.0,1024,1022,20.5\n0.1,1030,1019,20.5\n")
-    called = f"os.chdir({str(tmp_path)!r})\nassert run({command.split()}) == 0"
-    loaded = loaded_by(f"import os\nfrom tiltcal.cli.main import run\n{called}")
-    assert loaded & HEAVY == needed
+    ):
+        called = f"os.chdir({str(tmp_path)!r})\nassert run({command.split()}) == 0"
+        loaded = loaded_by(f"import os\nfrom tiltcal.cli.main import run\n{called}")
+        assert loaded & HEAVY == needed, command
 
 
 WITHOUT = """
@@ -132,21 +125,18 @@ def test_drivers_load_nothing_heavy() -> None:
 # Help
 
 
-@for_each("command", COMMANDS)
-def test_every_command_has_help_with_an_example(command: str) -> None:
-    result = CliRunner().invoke(group, [command, "--help"], prog_name="tiltcal")
-    assert result.exit_code == 0
-    assert f"Usage: tiltcal {command}" in result.output
-    assert re.search(rf"Examples?:\s+tiltcal\s+{command}\b", result.output)
-
-
-@for_each("command", COMMANDS)
-def test_every_option_has_help(command: str) -> None:
-    known = group.get_command(group.make_context("tiltcal", [command]), command)
-    assert known is not None
-    for parameter in known.params:
-        if parameter.param_type_name == "option":
-            assert getattr(parameter, "help", None), parameter.name
+def test_every_command_has_help_with_an_example_and_every_option_has_help() -> None:
+    """In at most 64 lines on a terminal 80 characters wide; `apply`, whose help is the longest read, in 60."""
+    for command in COMMANDS:
+        result = CliRunner().invoke(group, [command, "--help"], prog_name="tiltcal", terminal_width=78)
+        assert result.exit_code == 0
+        assert f"Usage: tiltcal {command}" in result.output
+        assert re.search(rf"Examples?:\s+tiltcal\s+{command}\b", result.output)
+        assert result.output.count("\n") <= (60 if command == "apply" else 64), command
+        known = group.get_command(group.make_context("tiltcal", [command]), command)
+        assert known is not None
+        for parameter in known.params:
+            assert parameter.param_type_name != "option" or getattr(parameter, "help", None), parameter.name
 
 
 def test_every_command_module_is_a_command() -> None:
