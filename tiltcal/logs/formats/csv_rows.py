@@ -249,7 +249,8 @@ class RowGrammar:
         for index in self.columns:
             cells = cells_of(index)
             times = cells if index == self.time else times
-            values[index], wrong = self._numbers(cells, index)
+            column, wrong = self._numbers(cells, index)
+            values[index] = column.copy()  # that of a column of times may be read-only
             for row in () if wrong is None else np.flatnonzero(wrong).tolist():
                 faults.setdefault(row, f"column {names[index]!r}: {cells[row]!r} is no number")
         for column in values.values():
