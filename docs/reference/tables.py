@@ -14,13 +14,12 @@ from msgspec.structs import fields
 from tiltcal.bench.setup import Setup
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import LimitsSection, SensorIdentity, TiltFile
-from tiltcal.files.coefficients import CoefficientsSection
+from tiltcal.files.coefficients import CoefficientsSection, UncertaintySection
 from tiltcal.files.pair import PairFile
 from tiltcal.files.procedure import ProcedureFile, Rotation
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.tables import SegmentRow, TabledRow
 from tiltcal.files.twin import DiskSection, TwinFile
-from tiltcal.files.uncertainty import UncertaintySection
 
 PAGE = Path(__file__).with_name("files.md")
 

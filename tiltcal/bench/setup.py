@@ -144,7 +144,7 @@ class Setup(Record, kw_only=True, dict=True):
             setup = document.read(cls)
             document.require_moments(setup, "started")
             for name, reference in setup.references.items():
-                document.require_moments(reference, "due", place=("references", name))
+                document.at("references", name).require_moments(reference, "due")
         except InputError as error:
             raise JournalError(
                 f"the header cannot be used: {error.message}", file=journal.path, line=1, key=error.key

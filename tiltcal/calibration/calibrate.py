@@ -19,13 +19,12 @@ from tiltcal.calibration.measurement import (
     require_no_jig,
     require_own_readings,
 )
-from tiltcal.calibration.temperature import calibrate_sweep, with_typical_temperature
+from tiltcal.calibration.temperature import calibrate_ramp, calibrate_sweep, with_typical_temperature
 from tiltcal.core.rounding import round_to
 from tiltcal.drivers.model import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.results import ProcedureRecord
 
 
 def calibrate(
@@ -39,56 +38,41 @@ def calibrate(
     settings: Mapping[str, Any] | None = None,
 ) -> list[CalibrationRecord]:
     """Calibrate the sensors of one fixture by the positions of a procedure, which they share; a record for each."""
+    determines, own = procedure.determines, settings or {}
     require_no_jig(procedure, bench.jig)
     for sensor in sensors:
         require_own_readings(sensor)
-    if procedure.determines.mounting:
-        from tiltcal.calibration.complete import mount
+        if determines.completes and sensor.base is None:
+            raise UsageError(f"{sensor.sensor.serial} needs --base, its calibration file")
+    if bench.thermometer is None and procedure.ramp is None:
+        step = max((sensor.thermometer or 0.0 for sensor in sensors), default=0.0)
+        bench = replace(bench, thermometer=step or None)
+    if determines.completes:
+        from tiltcal.calibration.complete import level, mount
 
-        found = [mount(_base(sensor), sensor.measurements, jig=bench.jig) for sensor in sensors]
-    elif procedure.determines.level:
-        bench = _with_thermometer(bench, sensors)
-        from tiltcal.calibration.complete import level
-
-        found = [level(_base(sensor), sensor.measurements, procedure, bench) for sensor in sensors]
+        bases = [(sensor.base, sensor.measurements) for sensor in sensors if sensor.base is not None]
+        if determines.mounting:
+            found = [mount(base, measurements, jig=bench.jig) for base, measurements in bases]
+        else:
+            found = [level(base, measurements, procedure, bench) for base, measurements in bases]
+        part = "mounting" if determines.mounting else "level"
+        own = {part: getattr(found[0].procedure, part).replaced(**own)} if own else {}
     elif procedure.ramp is not None:
-        from tiltcal.calibration.ramp import calibrate_ramp
-
         found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
     else:
-        bench = _with_thermometer(bench, sensors)
-        if procedure.determines.free:
+        if determines.free:
             from tiltcal.calibration.free_positions import calibrate_free
 
             found = [calibrate_free(sensor, procedure, bench) for sensor in sensors]
         else:
-            fit = calibrate_sweep if procedure.determines.cross_validated else fit_jointly
+            fit = calibrate_sweep if determines.cross_validated else fit_jointly
             found = fit(sensors, procedure, bench)
         if typical_temperature:
             found = [with_typical_temperature(record, its) for record, its in zip(found, sensors, strict=True)]
         if table:
             found = [_of_table(record, its.measurements) for record, its in zip(found, sensors, strict=True)]
-    found = [replace(record, procedure=_as_run(record.procedure, procedure, settings or {})) for record in found]
+    found = [replace(record, procedure=record.procedure.replaced(**own)) for record in found]
     return found if gravity is None else [_of_local_gravity(record, gravity) for record in found]
-
-
-def _as_run(record: ProcedureRecord, procedure: Procedure, settings: Mapping[str, Any]) -> ProcedureRecord:
-    """Return the record of a procedure with how it was run; one that completes a calibration has its own part of it."""
-    part = "mounting" if procedure.determines.mounting else "level" if procedure.determines.level else ""
-    return record.replaced(**({part: getattr(record, part).replaced(**settings)} if part else settings))
-
-
-def _base(sensor: MeasuredSensor) -> CalibrationRecord:
-    if sensor.base is None:
-        raise UsageError(f"{sensor.sensor.serial} needs --base, its calibration file")
-    return sensor.base
-
-
-def _with_thermometer(bench: BenchUncertainty, sensors: Sequence[MeasuredSensor]) -> BenchUncertainty:
-    """Return the same bench, with the step of the sensors' thermometers where no uncertainty of theirs is stated."""
-    if bench.thermometer is not None:
-        return bench
-    return replace(bench, thermometer=max((sensor.thermometer or 0.0 for sensor in sensors), default=0.0) or None)
 
 
 def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:

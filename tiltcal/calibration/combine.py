@@ -27,9 +27,9 @@ from tiltcal.core.samples import BLOCKS, pooled
 from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, selection
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, dump_calibration, tilt_record
+from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.document import parse_document
 from tiltcal.files.results import NOISE_ALONE, FileRecord, PositionRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.files.yaml_text import read_text
 
 REFUSED, NOTED = 0.001, 0.05

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees, hypot, inf, isclose, nan
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,10 @@ from tiltcal.calibration.wording import unit_of
 from tiltcal.core.attitude import LEVEL, mounting_matrix, orientation, rotation_vector
 from tiltcal.core.model import AXES, Array, referred, values
 from tiltcal.core.rounding import plus_minus
-from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, uncertain_at, weighted_sum
+from tiltcal.core.uncertain import COVERAGE, Uncertain, uncertain_at, weighted_sum
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.coefficients import TURNS
 from tiltcal.files.results import NOISE_ALONE, PositionSet
 from tiltcal.printable import in_html
 
@@ -70,8 +72,6 @@ class CoefficientChange:
         """Return the number of standard uncertainties that the difference of an unchanged coefficient stays within."""
         upper = (1.0 + confidence) / 2.0
         if self.dof == inf:
-            from statistics import NormalDist
-
             return NormalDist().inv_cdf(upper)
         from scipy.special import stdtrit
 
@@ -130,20 +130,16 @@ def changes_between(
     records = (before, after)
     old, new = (values(referred(record.coefficients, reference)) for record in records)
     errors = [uncertain_of(record, reference) for record in records]
-    stated = [
-        {*one.names, *(name for name, u in r.uncertainty.items() if not u)}
-        for one, r in zip(errors, records, strict=True)
-    ]
+    # What a file states as exact is known, too.
+    known = [{*e.names, *(n for n, u in r.uncertainty.items() if not u)} for e, r in zip(errors, records, strict=True)]
     step = weighted_sum(errors[0], errors[1], (-1.0, 1.0), shared_errors(before, after))
     u, dof = step.by_name(step.u), step.by_name(step.dof)
     least = [one.by_name(ROUNDED * one.u) for one in errors]
 
     def change(name: str, start: float, end: float, scale: float = 1.0) -> CoefficientChange:
         smallest = hypot(*(floor.get(name, 0.0) for floor in least))
-        known = all(name in names for names in stated)
-        return CoefficientChange(
-            name, start, end, scale * max(u.get(name, 0.0), smallest) if known else None, dof.get(name, inf)
-        )
+        size = scale * max(u.get(name, 0.0), smallest) if name in known[0] & known[1] else None
+        return CoefficientChange(name, start, end, size, dof.get(name, inf))
 
     found = [change(name, old[name], new[name]) for name in new if name in old]
     lags = [0.0 if r.coefficients.thermal is None else r.coefficients.thermal.lag for r in records]
@@ -153,7 +149,7 @@ def changes_between(
     first, last = (record.coefficients.mounting for record in records)
     if first is not None and last is not None and first != last:
         turn = np.degrees(rotation_vector(mounting_matrix(last) @ mounting_matrix(first).T)).tolist()
-        found += [change(f"{TURN}{axis}", 0.0, angle, degrees(1.0)) for axis, angle in zip(AXES, turn, strict=True)]
+        found += [change(name, 0.0, angle, degrees(1.0)) for name, angle in zip(TURNS, turn, strict=True)]
     return found
 
 
@@ -176,7 +172,7 @@ def shared_errors(before: CalibrationRecord, after: CalibrationRecord) -> frozen
     leans = any(record.fit.level or record.fit.mounting or record.derived.assumed for record in (before, after))
     if leans and equal >= {name for name in (*old, *new) if not name.startswith("offset.")}:
         same = before.coefficients.mounting == after.coefficients.mounting
-        return frozenset(equal | ({f"{TURN}{axis}" for axis in AXES} if same else set()))
+        return frozenset(equal | (set(TURNS) if same else set()))
     if before.fit.priors != after.fit.priors:
         return frozenset()
     return frozenset(
@@ -223,15 +219,9 @@ class Comparison:
             "threshold": min(verdict.thresholds.values(), default=None),
             "changed": list(verdict.changed) if verdict.word == "changed" else [],
             "coefficients": [
-                {
-                    "name": change.name,
-                    "before": change.before,
-                    "after": change.after,
-                    "change": change.difference,
-                    "u": change.u,
-                    "ratio": change.ratio,
-                    "threshold": verdict.thresholds.get(change.name),
-                }
+                {key: getattr(change, key) for key in ("name", "before", "after")}
+                | {"change": change.difference, "u": change.u, "ratio": change.ratio}
+                | {"threshold": verdict.thresholds.get(change.name)}
                 for change in self.changes
             ],
             "not_comparable": list(self.not_comparable),

@@ -19,29 +19,11 @@ from math import cos, degrees, hypot, inf, radians, sqrt
 
 import numpy as np
 
+from tiltcal.calibration import stated
 from tiltcal.calibration.comparison import changes, judge
 from tiltcal.calibration.joint_fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
-from tiltcal.calibration.stated import (
-    DIGITS,
-    budget_record,
-    intrinsic_record,
-    rounded_covariance,
-    stated_section,
-    uncertain_coefficients,
-)
-from tiltcal.core.attitude import (
-    UNKNOWN_ANGLE,
-    UNKNOWN_FACTOR,
-    MountingEstimate,
-    angle_derivatives,
-    heading_rotations,
-    is_locked,
-    mounting_matrix,
-    mounting_rotation,
-    rotation_vector,
-    solve_mounting,
-)
+from tiltcal.core import attitude
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.estimation.positions import Observation
@@ -50,7 +32,7 @@ from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, central_differences, selection, weighted_sum
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.coefficients import ANGLES
+from tiltcal.files.coefficients import ANGLES, TURNS
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import NOISE_ALONE, CompletingRun, LevelFit, MountingFit
 
@@ -68,43 +50,42 @@ NO_NOISE = (
 
 STEP = 1e-4  # a lean, radians, and a change of temperature, °C, by which derivatives are taken
 
-TURNS = tuple(f"{TURN}{axis}" for axis in AXES)
-
 
 def level(
     base: CalibrationRecord, measurements: Sequence[Measurement], procedure: Procedure, bench: BenchUncertainty
 ) -> CalibrationRecord:
     """Return a calibration with the offset that level positions at some headings show; the rest is the base's."""
-    why = next(filter(None, (objection_to_level(base, measurement) for measurement in measurements)), "")
-    if why:
+    for why in filter(None, (objection_to_level(base, measurement) for measurement in measurements)):
         raise EstimateError(why)
     measurements = [_with_noise(measurement, base.uncertainty.single_reading) for measurement in measurements]
     silent = any(summary.noise_unknown for measurement in measurements for summary in measurement.summaries.values())
-    stated = bench.jig is not None or bench.table is not None
+    lean_known = bench.jig is not None or bench.table is not None
     channels, before = base.coefficients.channels, base.derived.intrinsic
     renewed, change = _renewed(base, observations_of(measurements, channels), bench)
     new = renewed.named(change.names)
     offset = base.coefficients.offset + change.value
     coefficients = replace(base.coefficients, offset=np.array(list(map(round_to, offset.tolist(), new.u.tolist()))))
     notes = [note for note in base.fit.notes if note not in (NO_LEVEL, NO_NOISE)]
-    notes += ([] if stated else [NO_LEVEL]) + ([NO_NOISE] if silent else [])
-    askew = significant(procedure.alignment / sqrt(3.0), DIGITS)
+    notes += ([] if lean_known else [NO_LEVEL]) + ([NO_NOISE] if silent else [])
+    askew = significant(procedure.alignment / sqrt(3.0), stated.DIGITS)
     derived = base.derived
     if before is not None:
         mounted = bool(before.rotation_degrees)
-        derived = derived.replaced(intrinsic=intrinsic_record(coefficients, renewed.without(TURN), mounted=mounted))
+        derived = derived.replaced(
+            intrinsic=stated.intrinsic_record(coefficients, renewed.without(TURN), mounted=mounted)
+        )
     return replace(
         base,
         coefficients=coefficients,
         uncertainty=replace(
-            stated_section(new, base.uncertainty),
-            covariance=rounded_covariance(renewed),
+            stated.stated_section(new, base.uncertainty),
+            covariance=stated.rounded_covariance(renewed),
             alignment=max(askew, base.uncertainty.alignment),
         ),
         derived=derived,
         fit=base.fit.replaced(
-            uncertainty_from=base.fit.uncertainty_from if stated else NOISE_ALONE,
-            budget={**base.fit.budget, **budget_record(new)},
+            uncertainty_from=base.fit.uncertainty_from if lean_known else NOISE_ALONE,
+            budget={**base.fit.budget, **stated.budget_record(new)},
             notes=tuple(notes),
             level=_level_fit(change, offset, measurements[0].temperature, bench),
         ),
@@ -136,13 +117,13 @@ def _renewed(
     base: CalibrationRecord, seen: Sequence[Observation], bench: BenchUncertainty
 ) -> tuple[Uncertain, Uncertain]:
     """Return the errors of the offsets with all else that is uncertain, and the change of the offsets."""
-    coefficients, known = base.coefficients, uncertain_coefficients(base.uncertainty, base.coefficients)
+    coefficients, known = base.coefficients, stated.uncertain_coefficients(base.uncertainty, base.coefficients)
     up, size = np.array([observation.gravity for observation in seen]), len(known.names)
-    rotation = np.eye(3) if coefficients.mounting is None else mounting_matrix(coefficients.mounting)
+    rotation = np.eye(3) if coefficients.mounting is None else attitude.mounting_matrix(coefficients.mounting)
     warmth = np.array([observation.temperature for observation in seen], dtype=float)
     if coefficients.thermal is not None:
         warmth = np.where(np.isnan(warmth), coefficients.thermal.reference, warmth)
-    headings = heading_rotations(np.radians([observation.heading or 0.0 for observation in seen]))
+    headings = attitude.heading_rotations(np.radians([observation.heading or 0.0 for observation in seen]))
     own = [k for k, name in enumerate(known.names) if not name.startswith(TURN)]
     own_names = [known.names[k] for k in own]
 
@@ -198,11 +179,11 @@ def _level_fit(change: Uncertain, offset: Array, temperature: float | None, benc
     lean = [angle for angle in (bench.jig, bench.table) if angle is not None]
     return LevelFit(
         change={channel: round_to(step.difference, step.u or 0.0) for channel, step in by_channel.items()},
-        change_uncertainty={channel: significant(step.u or 0.0, DIGITS) for channel, step in known.items()},
+        change_uncertainty={channel: significant(step.u or 0.0, stated.DIGITS) for channel, step in known.items()},
         change_coverage_factor={channel: round(step.threshold(COVERAGE), 3) for channel, step in known.items()},
         verdict=str(judge(steps, "" if lean else NO_LEVEL)),
         temperature=None if temperature is None else round(temperature, 3),
-        jig_degrees=significant(hypot(*lean), DIGITS) if lean else None,
+        jig_degrees=significant(hypot(*lean), stated.DIGITS) if lean else None,
     )
 
 
@@ -210,8 +191,7 @@ def mount(
     base: CalibrationRecord, measurements: Sequence[Measurement], *, jig: float | None = None
 ) -> CalibrationRecord:
     """Return a calibration with the mounting that the positions show; their gravity is in the application's frame."""
-    why = next(filter(None, (missing_temperature(base, measurement) for measurement in measurements)), "")
-    if why:
+    for why in filter(None, (missing_temperature(base, measurement) for measurement in measurements)):
         raise EstimateError(why)
     seen = observations_of(measurements, base.coefficients.channels)
     up, own = np.array([one.gravity for one in seen]), replace(base.coefficients, mounting=None)
@@ -220,13 +200,15 @@ def mount(
         # Nothing is stated of the noise, and the residuals show more than the jig.
         found, side, sigma = _solved(own, seen, up, None)
 
-    start = mounting_rotation(_directions(own, seen, side), up, sigma)
-    known = uncertain_coefficients(base.uncertainty, own).without(TURN)
+    start = attitude.mounting_rotation(_directions(own, seen, side), up, sigma)
+    known = stated.uncertain_coefficients(base.uncertainty, own).without(TURN)
 
     def errors(vector: Array) -> Array:
         """Return the directions and the turn that other coefficients would give, shape (3 positions + 3,)."""
         directions = _directions(with_vector(own, known.names, vector), seen, side)
-        return np.concatenate([directions.ravel(), rotation_vector(mounting_rotation(directions, up, sigma) @ start.T)])
+        return np.concatenate(
+            [directions.ravel(), attitude.rotation_vector(attitude.mounting_rotation(directions, up, sigma) @ start.T)]
+        )
 
     slopes = central_differences(errors, vector_of(own, known.names), known.u)
     size = len(known.names)
@@ -258,16 +240,16 @@ def mount(
     return _with_angles(completed, found, joint)
 
 
-def _with_angles(base: CalibrationRecord, found: MountingEstimate, joint: Uncertain) -> CalibrationRecord:
+def _with_angles(base: CalibrationRecord, found: attitude.MountingEstimate, joint: Uncertain) -> CalibrationRecord:
     """Return a calibration with the angles of a mounting, with the digits that their uncertainty warrants."""
     mounting, before, locked = found.mounting, base.uncertainty, True
     u: dict[str, float] = {}
     turns = joint.named(TURNS)
     factors = joint.by_name(joint.factors)
     if found.u is not None:
-        angles = turns.through(angle_derivatives(mounting_matrix(mounting)), ANGLES)
+        angles = turns.through(attitude.angle_derivatives(attitude.mounting_matrix(mounting)), ANGLES)
         u = {name: degrees(value) for name, value in angles.by_name(angles.u).items()}
-        locked = is_locked(mounting.pitch, float(angles.u[ANGLES.index("pitch")]))
+        locked = attitude.is_locked(mounting.pitch, float(angles.u[ANGLES.index("pitch")]))
         # Where roll and yaw cannot be separated their sum or difference is as well known as the pitch.
         digits = dict.fromkeys(ANGLES, u["pitch"]) if locked else u
         mounting = Mounting(
@@ -275,17 +257,19 @@ def _with_angles(base: CalibrationRecord, found: MountingEstimate, joint: Uncert
         )
         factors |= {f"mounting.{name}": k for name, k in angles.by_name(angles.factors).items()}
         if locked:
-            u |= dict.fromkeys(("roll", "yaw"), degrees(UNKNOWN_ANGLE))
-            factors |= dict.fromkeys(("mounting.roll", "mounting.yaw"), UNKNOWN_FACTOR)
-    stated = {f"mounting.{name}": significant(value, 4) for name, value in u.items()}
+            u |= dict.fromkeys(("roll", "yaw"), degrees(attitude.UNKNOWN_ANGLE))
+            factors |= dict.fromkeys(("mounting.roll", "mounting.yaw"), attitude.UNKNOWN_FACTOR)
     return replace(
         base,
         coefficients=replace(base.coefficients, mounting=mounting),
         uncertainty=replace(
             before,
-            standard={**before.without_mounting().standard, **stated},
+            standard={
+                **before.without_mounting().standard,
+                **{f"mounting.{name}": significant(value, 4) for name, value in u.items()},
+            },
             coverage_factor={name: round(k, 3) for name, k in factors.items()},
-            covariance=rounded_covariance(joint),
+            covariance=stated.rounded_covariance(joint),
         ),
         derived=base.derived.replaced(gimbal_lock=base.derived.gimbal_lock or locked),
     )
@@ -293,7 +277,7 @@ def _with_angles(base: CalibrationRecord, found: MountingEstimate, joint: Uncert
 
 def _solved(
     coefficients: Coefficients, seen: Sequence[Observation], up: Array, jig: float | None
-) -> tuple[MountingEstimate, float, Array | None]:
+) -> tuple[attitude.MountingEstimate, float, Array | None]:
     """Return the mounting, the side of z (-1: two axes hang upside down), and u of each direction, radians."""
     candidates = []
     for side in (1.0,) if len(coefficients.channels) == 3 else (1.0, -1.0):
@@ -304,7 +288,7 @@ def _solved(
             moved = [_directions(coefficients, seen, side, shift) - start for shift in noise]
             square = np.sum(np.square(moved), axis=(0, 2)) / 2.0  # a direction has two angles
             sigma = np.maximum(np.hypot(radians(jig), np.sqrt(square)), 1e-6)
-        candidates.append((solve_mounting(start, up, sigma), side, sigma))
+        candidates.append((attitude.solve_mounting(start, up, sigma), side, sigma))
     return min(candidates, key=lambda candidate: float(np.sum(candidate[0].residuals ** 2)))
 
 

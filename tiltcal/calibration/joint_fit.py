@@ -20,13 +20,18 @@ from tiltcal.drivers.model import Model, deviation_within
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.results import PositionSet, ProcedureRecord
+from tiltcal.files.results import ProcedureRecord
 
 OF_BASE = "of the base calibration"  # the origin of a sensitivity that the sensor's own calibration lends
 
 NO_THERMOMETER = "the thermometer's uncertainty is not stated (--thermometer)"
 NO_NOISE = "the table states no uncertainties of its means (ux, uy, uz)"
 FEW = 3.0  # degrees of freedom below which a variance is hardly known
+
+NO_SENSITIVITY = (
+    "determines no sensitivity: name a --sensor model whose nominal one may stand in, or with --base the sensor's own "
+    "calibration"
+)
 
 LARGEST_AGREEMENT, LARGEST_AGREEMENT_REOPENED = 0.5, 0.3
 """Estimated jigs above which it is asked what happened, degrees; the second where a sensor was opened again."""
@@ -41,10 +46,10 @@ def fit_jointly(
     observed = [observed_sensor(sensor, procedure, bench) for sensor in sensors]
     calibrations = []
     for sensor, seen, estimated in zip(sensors, observed, estimate_jointly(observed), strict=True):
-        remarks = () if seen.design.assumes_sensitivity else judge_channels(sensor, estimated)
+        wiring = () if seen.design.assumes_sensitivity else judge_channels(sensor, estimated)
         found = with_hysteresis(estimated, seen)
-        notes = (*found.notes, *_remarks(found, sensor, seen.design), *remarks)
-        calibrations.append(record_of(replace(found, notes=notes), seen.design, sensor, procedure))
+        found = replace(found, notes=(*found.notes, *_remarks(found, sensor, seen.design), *wiring))
+        calibrations.append(record_of(found, seen.design, sensor, procedure))
     return calibrations
 
 
@@ -67,7 +72,7 @@ def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure
             name=procedure.name,
             title=procedure.title,
             source=procedure.source or None,
-            set={measurement.position: _set(measurement) for measurement in measurements},
+            set={measurement.position: measurement.as_set for measurement in measurements},
         ),
         positions=tuple(measurement.record(design.channels) for measurement in measurements),
     )
@@ -164,7 +169,7 @@ def design_of(
     if base is not None:
         return _with_base(design, base, whole=determines.level)
     if nominal is None:
-        raise EstimateError(no_sensitivity(procedure))
+        raise EstimateError(f"{procedure.name} {NO_SENSITIVITY}")
     own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)
     priors = {f"sensitivity.{c}.{axis}": own if axis == c else cross for c in channels for axis in design.axes}
     return replace(design, priors=priors)
@@ -197,14 +202,6 @@ def _with_base(design: Design, base: CalibrationRecord, *, whole: bool) -> Desig
     if thermal is None:
         return design
     return replace(design, drift=thermal.drift.shape[1], gain=thermal.gain.shape[1], reference=thermal.reference)
-
-
-def no_sensitivity(procedure: Procedure) -> str:
-    """Return why a procedure that determines no sensitivity cannot be evaluated, and what to do."""
-    return (
-        f"{procedure.name} determines no sensitivity: name a --sensor model whose nominal one may stand in, or with "
-        "--base the sensor's own calibration"
-    )
 
 
 def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]) -> list[Observation]:
@@ -266,11 +263,3 @@ def covered_tilts(channels: Sequence[str], directions: Sequence[Sequence[float]]
     reach = {axis: max(abs(up[AXES.index(axis)]) for up in directions) for axis in channels}
     furthest = {axis: radians(round(degrees(asin(min(g, 1.0))), 6)) for axis, g in reach.items() if g > 0.0}
     return {axis: (-angle, angle) for axis, angle in furthest.items()}
-
-
-def _set(measurement: Measurement) -> PositionSet:
-    """Return what was actually set in a position."""
-    turned = PositionSet(heading=measurement.heading, stage=measurement.stage)
-    if measurement.tilt is not None:
-        return turned.replaced(tilt={axis: float(angle) for axis, angle in measurement.tilt.items()})
-    return turned.replaced(gravity=tuple(significant(component, 9) for component in measurement.gravity))

@@ -24,7 +24,7 @@ from tiltcal.drivers.model import OF_G, Model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.results import PositionRecord
+from tiltcal.files.results import PositionRecord, PositionSet
 from tiltcal.stated_arguments import require_from_zero
 
 if TYPE_CHECKING:
@@ -59,6 +59,15 @@ class Measurement:
     when: Mapping[str, Any] = field(default_factory=dict)  # how it is found again: its time, or its rows of a log
     heading: float | None = None  # how far the fixture was turned about the vertical, degrees
     stage: float | None = None  # angle of the rotary stage, degrees; used by no estimate
+
+    @property
+    def as_set(self) -> PositionSet:
+        """What was actually set."""
+        if self.tilt is None:
+            up = tuple(significant(component, 9) for component in self.gravity)
+            return PositionSet(gravity=up, heading=self.heading, stage=self.stage)
+        tilt = {axis: float(angle) for axis, angle in self.tilt.items()}
+        return PositionSet(tilt=tilt, heading=self.heading, stage=self.stage)
 
     def record(self, channels: Sequence[str]) -> PositionRecord:
         """Return what was measured, for the calibration file, with the digits that its uncertainty warrants."""

@@ -33,7 +33,6 @@ from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_ca
 from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
 from tiltcal.files.moments import moment, to_the_second
 from tiltcal.files.results import FitRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_from_zero, require_path, require_text
 
@@ -63,17 +62,16 @@ class SensorHistory:
     @classmethod
     def of(cls, found: Sequence[DatedCalibration]) -> SensorHistory:
         """Put the calibrations of one sensor in order, copies left out; an InputError where two files contradict."""
-        kept: list[DatedCalibration] = []
-        remarks: list[str] = []
-        for calibration in sorted(found, key=attrgetter("date")):
-            before = kept[-1] if kept else None
-            if before is not None:
-                _require_consistent(before, calibration)
-                if before.date == calibration.date:
-                    remarks.append(f"{calibration.name} is a copy of {before.name}")
-                    continue
-                if moment(calibration.started, calibration.path) < before.date:
-                    remarks.append(f"the sessions of {before.name} and {calibration.name} overlap")
+        first, *rest = sorted(found, key=attrgetter("date"))
+        kept, remarks = [first], []
+        for calibration in rest:
+            before = kept[-1]
+            _require_consistent(before, calibration)
+            if before.date == calibration.date:
+                remarks.append(f"{calibration.name} is a copy of {before.name}")
+                continue
+            if moment(calibration.started, calibration.path) < before.date:
+                remarks.append(f"the sessions of {before.name} and {calibration.name} overlap")
             kept.append(calibration)
         return cls(tuple(kept), tuple(remarks))
 
@@ -126,11 +124,10 @@ class SensorHistory:
             return _between(self.calibrations[k].record, self.calibrations[k + 1].record, share, walked)
         nearest = 0 if time <= dates[0] else -1
         record, days = self.calibrations[nearest].record, abs(time - dates[nearest]) / DAY
-        uncertainty = record.uncertainty
         if days:
             errors = _with_walk(uncertain_of(record, None), self._walked(k, days, 1.0, stability))
-            uncertainty = stated_section(errors, uncertainty)
-        return _interpolated(record, record.coefficients, record.limits, uncertainty)
+            record = replace(record, uncertainty=stated_section(errors, record.uncertainty))
+        return _without_measured(record)
 
     def require_line(self, k: int) -> None:
         """Refuse a calibration, counted from 0, and the next that do not lie on a line, with a UsageError."""
@@ -259,7 +256,8 @@ def _between(
     limits = Limits(tilt, overlap(before.limits.temperature, after.limits.temperature), after.limits.reading)
     coefficients = _on_line(referred(before.coefficients, reference), after.coefficients, share)
     uncertainty = replace(stated_section(errors), single_reading=single, alignment=alignment)
-    return _interpolated(after, coefficients, limits, uncertainty)
+    between = replace(after, coefficients=coefficients, limits=limits, uncertainty=uncertainty)
+    return _without_measured(between)
 
 
 def _on_line(before: Coefficients, after: Coefficients, share: float) -> Coefficients:
@@ -298,20 +296,10 @@ def _with_walk(errors: Uncertain, walked: Mapping[str, float]) -> Uncertain:
     return weighted_sum(errors, Uncertain.errors(tuple(walked), np.diag(list(walked.values()))), (1.0, 1.0), ())
 
 
-def _interpolated(
-    nearest: CalibrationRecord, coefficients: Coefficients, limits: Limits, uncertainty: Uncertainty
-) -> CalibrationRecord:
+def _without_measured(record: CalibrationRecord) -> CalibrationRecord:
     """Return a record without what was measured for one of the calibrations alone."""
-    return CalibrationRecord(
-        nearest.sensor,
-        coefficients,
-        uncertainty,
-        limits=limits,
-        derived=nearest.derived,
-        fit=FitRecord(),
-        procedure=ProcedureRecord(),
-        provenance=Provenance(software=nearest.provenance.software),
-    )
+    provenance = Provenance(software=record.provenance.software)
+    return replace(record, fit=FitRecord(), procedure=ProcedureRecord(), positions=(), provenance=provenance)
 
 
 FEWEST_SENSORS = 3  # sensors of one model that make a distribution
@@ -352,16 +340,9 @@ class CoefficientDistribution:
 
     def as_data(self) -> dict[str, Any]:
         """Return the distribution as plain data."""
-        numbers = list(self.values.values())
-        return {
-            "name": self.name,
-            "n": len(numbers),
-            "median": self.median,
-            "spread": self.spread,
-            "range": [numbers[0], numbers[-1]],
-            "outliers": list(self.outliers),
-            "values": dict(self.values),
-        }
+        low, *_, high = self.values.values()
+        stated = {"name": self.name, "n": len(self.values), "median": self.median, "spread": self.spread}
+        return {**stated, "range": [low, high], "outliers": list(self.outliers), "values": dict(self.values)}
 
 
 @dataclass(frozen=True)
@@ -412,12 +393,8 @@ class FleetHistory:
             "interval_days": self.interval / timedelta(days=1),
             "sensors": [self._sensor(history) for history in self.histories],
             "fleets": [
-                {
-                    "model": fleet.model,
-                    "unit": fleet.unit,
-                    "reference": fleet.reference,
-                    "coefficients": [distribution.as_data() for distribution in fleet.distributions],
-                }
+                {key: getattr(fleet, key) for key in ("model", "unit", "reference")}
+                | {"coefficients": [distribution.as_data() for distribution in fleet.distributions]}
                 for fleet in self.models
             ],
             "problems": list(self.problems),

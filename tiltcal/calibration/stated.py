@@ -18,20 +18,8 @@ from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting, valu
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import ALIGNMENT, NEGLIGIBLE, NORMAL_FACTOR, READING, TURN, Uncertain, widened
 from tiltcal.errors import EstimateError
-from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.results import (
-    NOISE_ALONE,
-    DerivedCoverage,
-    DerivedRecord,
-    DerivedUncertainty,
-    FitRecord,
-    IntrinsicCoverage,
-    IntrinsicRecord,
-    IntrinsicUncertainty,
-    SuspectPosition,
-    WorstResidual,
-)
-from tiltcal.files.uncertainty import MOUNTING, TURNS, Covariance, Uncertainty
+from tiltcal.files import results
+from tiltcal.files.coefficients import ANGLES, MOUNTING, TURNS, Covariance, Uncertainty
 
 DIGITS = 4  # of an uncertainty
 MATRIX_DIGITS = 1e4  # the covariance is rounded to this part of what four digits of its two uncertainties would be
@@ -150,27 +138,27 @@ def rounded_covariance(uncertain: Uncertain) -> Covariance:
     return Covariance(parameters=known.names, matrix=printed(known.covariance), wide=wide)
 
 
-def derived_record(found: Estimate, assumed: str, *, mounted: bool) -> DerivedRecord:
+def derived_record(found: Estimate, assumed: str, *, mounted: bool) -> results.DerivedRecord:
     """Return cross-axis sensitivities, misalignments and what no mounting changes; nothing where S was ``assumed``."""
     if assumed:
-        return DerivedRecord(assumed=(f"sensitivity: {assumed}",))
+        return results.DerivedRecord(assumed=(f"sensitivity: {assumed}",))
     coefficients, uncertain = found.coefficients, found.uncertain
     crossed, u_crossed, k_crossed = _printed(cross_axis(coefficients, uncertain))
     turned, u_turned, k_turned = _printed(misalignment(coefficients, uncertain))
     whole = len(coefficients.channels) == 3 and set(coefficients.axes) == set(AXES)
-    return DerivedRecord(
+    return results.DerivedRecord(
         cross_axis_percent=crossed,
         misalignment_degrees=turned,
-        uncertainty=DerivedUncertainty(
+        uncertainty=results.DerivedUncertainty(
             cross_axis_percent=u_crossed,
             misalignment_degrees=u_turned,
-            coverage_factor=DerivedCoverage(cross_axis_percent=k_crossed, misalignment_degrees=k_turned),
+            coverage_factor=results.DerivedCoverage(cross_axis_percent=k_crossed, misalignment_degrees=k_turned),
         ),
         intrinsic=intrinsic_record(coefficients, uncertain, mounted=mounted) if whole else None,
     )
 
 
-def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
+def fit_record(found: Estimate, design: Design, noise: float) -> results.FitRecord:
     """Return how well the positions agree, and where the uncertainty comes from; ``noise`` is the largest u, unit."""
 
     def shown(estimated: float | None) -> float | None:
@@ -184,16 +172,16 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
     # The rounded ones are compared, so that a tie falls alike on every processor.
     places = [(position, channel) for position, row in residuals.items() for channel in row]
     position, channel = max(places, key=lambda place: abs(residuals[place[0]][place[1]]))
-    worst = WorstResidual(position=position, channel=channel, residual=residuals[position][channel])
+    worst = results.WorstResidual(position=position, channel=channel, residual=residuals[position][channel])
     source = "stated noise and jig" if found.estimated_noise is None else "stated jig, residuals for the noise"
     if not found.stated:
         source = "residuals"
     elif design.free:
         source = "noise alone: no position is left over"
     elif design.jig is None:
-        source = NOISE_ALONE
+        source = results.NOISE_ALONE
     judged = found.chi_square is not None and found.p is not None and found.stated
-    return FitRecord(
+    return results.FitRecord(
         residuals=residuals,
         worst=worst if found.dof else None,
         degrees_of_freedom=found.dof,
@@ -214,7 +202,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
         chi_square=significant(found.chi_square or 0.0, 4) if judged else None,
         p_value=shown(found.p) if judged else None,
         suspect_positions={
-            attitude.position: SuspectPosition(
+            attitude.position: results.SuspectPosition(
                 off_degrees=significant(float(np.linalg.norm(attitude.turn)), SHARE_DIGITS),
                 chi_square=significant(attitude.chi_square, SHARE_DIGITS),
             )
@@ -223,7 +211,7 @@ def fit_record(found: Estimate, design: Design, noise: float) -> FitRecord:
     )
 
 
-def intrinsic_record(coefficients: Coefficients, uncertain: Uncertain, *, mounted: bool) -> IntrinsicRecord:
+def intrinsic_record(coefficients: Coefficients, uncertain: Uncertain, *, mounted: bool) -> results.IntrinsicRecord:
     """Return the nine intrinsic parameters and, where positions were set (``mounted``), the rotation that is left."""
     tables, gimbal_lock, left_handed = list(_printed(intrinsic(coefficients, uncertain))), False, None
     if mounted:
@@ -236,9 +224,9 @@ def intrinsic_record(coefficients: Coefficients, uncertain: Uncertain, *, mounte
     if gimbal_lock:
         tables[2] |= {f"rotation_degrees.{angle}": round(UNKNOWN_FACTOR, 3) for angle in ("roll", "yaw")}
     shown, u, factors = (_by_kind(table) for table in tables)
-    return IntrinsicRecord(
+    return results.IntrinsicRecord(
         **shown,
-        uncertainty=IntrinsicUncertainty(**u, coverage_factor=IntrinsicCoverage(**factors)),
+        uncertainty=results.IntrinsicUncertainty(**u, coverage_factor=results.IntrinsicCoverage(**factors)),
         gimbal_lock=gimbal_lock,
         left_handed=left_handed,
     )

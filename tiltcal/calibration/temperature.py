@@ -1,8 +1,9 @@
-"""The temperature terms of a calibration: their order, the hysteresis that is left, and typical curves.
+"""The temperature terms of a calibration: from a sweep, from a ramp, and typical curves of a model.
 
-A polynomial of too high an order follows the noise; one of too low an order leaves the curve. Each order is judged by
-how well it predicts a position that was left out, with the uncertainty of that prediction. Terms of a higher order are
-0 then, with the uncertainty of the highest order that was tried: what the readings do not show may still be there.
+A polynomial of too high an order follows the noise; one of too low an order leaves the curve. Each order of a sweep is
+judged by how well it predicts a position that was left out, with the uncertainty of that prediction. Terms of a higher
+order are 0 then, with the uncertainty of the highest order that was tried: what the readings do not show may still be
+there. A ramp is a continuous record in one attitude, while the temperature goes up and down.
 
 Where a unit has no temperature run of its own, the mean curves of its model are a starting point: one part differs from
 the mean, and the file states by how much. A unit's own run always wins.
@@ -10,25 +11,35 @@ the mean, and the file states by how much. A unit's own run always wins.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import combinations
+from math import hypot, inf, radians, sqrt
+from operator import add
 
 import numpy as np
 from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
 
-from tiltcal.calibration.joint_fit import fit_jointly, observed_sensor
+from tiltcal.calibration.joint_fit import design_of, fit_jointly, observed_sensor, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.stated import rounded_covariance, uncertain_coefficients
+from tiltcal.core.detection import TEMPERATURES
+from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
 from tiltcal.core.estimation.estimate import ALIKE, Estimate, estimate_jointly
-from tiltcal.core.estimation.positions import Observation
-from tiltcal.core.model import Array, Thermal, vector_of, with_vector
-from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.estimation.positions import Design, Observation
+from tiltcal.core.model import Array, Coefficients, Thermal, vector_of, with_vector
+from tiltcal.core.ramp.fit import RESOLVED, RampFit, fit_ramp
+from tiltcal.core.ramp.record import RampRecord, row_noise
+from tiltcal.core.rounding import plus_minus, round_to, significant
+from tiltcal.core.samples import SampleSummary
+from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
 from tiltcal.core.uncertain import Uncertain, central_differences
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
-from tiltcal.files.results import CrossValidation, Hysteresis
+from tiltcal.files.results import CrossValidation, Hysteresis, RampFitRecord, RampLeg
 
 ROOM = 25.0  # reference temperature where none was measured, °C
 
@@ -43,15 +54,16 @@ def calibrate_sweep(
     if highest > order:
         widest = fit_jointly(sensors, with_order(procedure, highest), bench)
         calibrations = [_with_open_order(record, wider) for record, wider in zip(calibrations, widest, strict=True)]
-    by_order = {str(tried): significant(error, 4) for tried, (error, _) in errors.items()}
-    validation = CrossValidation(order=order, error_by_order=by_order)
-    return [
-        replace(
-            record,
-            fit=record.fit.replaced(cross_validation=validation, hysteresis=_hysteresis(record, sensor.measurements)),
-        )
-        for record, sensor in zip(calibrations, sensors, strict=True)
-    ]
+    validation = _validation(order, {tried: error for tried, (error, _) in errors.items()})
+    judged = []
+    for record, sensor in zip(calibrations, sensors, strict=True):
+        loops = _hysteresis(record, sensor.measurements)
+        judged.append(replace(record, fit=record.fit.replaced(cross_validation=validation, hysteresis=loops)))
+    return judged
+
+
+def _validation(order: int, errors: Mapping[int, float]) -> CrossValidation:
+    return CrossValidation(order=order, error_by_order={str(n): significant(error, 4) for n, error in errors.items()})
 
 
 def order_errors(
@@ -191,3 +203,246 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
         uncertainty=replace(u, standard={**u.standard, **typical}, covariance=rounded_covariance(both)),
         derived=derived.replaced(assumed=assumed),
     )
+
+
+GROUPS = 8  # parts of a leg that the file lists as positions
+NOTED = 0.05  # °C; an error of the element's temperature behind turns that is less is not worth a note
+FAR = 0.5  # g; an offset that differs by more from that of the base calibration belongs to another attitude
+
+
+def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
+    """Calibrate the drift of a sensor from its ramp; its first measurement states the attitude."""
+    if sensor.ramp is None:
+        raise EstimateError(f"{procedure.name} takes a continuous record, and there is none of {sensor.sensor.serial}")
+    record, attitude = sensor.ramp, sensor.measurements[0]
+    low, high = _range(record.temperature)
+    stated = procedure.reference
+    reference = stated if stated is not None and low <= stated <= high else round((low + high) / 2.0, 1)
+    design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
+    if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
+        raise EstimateError(
+            f"the temperature goes from {low:g} to {high:g}, and not within {TEMPERATURES[0]:g} to {TEMPERATURES[1]:g} "
+            "°C: convert counts or kelvin to °C first"
+        )
+    for channel, noise, value in zip(design.channels, record.noise, record.readings[0], strict=True):
+        if noise == 0.0:
+            raise EstimateError(
+                f"{channel} reads {value:g} in all {record.rows} rows: it is stuck, not without drift; is it connected?"
+            )
+    fit = fit_ramp(record, reference=reference, highest=procedure.determines.drift)
+    # The turns of the temperature are not reached by an element that follows them. The inverse filter amplifies the
+    # thermometer's noise, which the means average.
+    element = fit.means.temperature(fit.lag) + reference
+    limits = _range(ThermalLag(fit.lag)(record.time, record.temperature) if fit.lag >= 0.0 else element)
+    design = replace(design, drift=fit.order, reference=reference)
+    groups = _groups(fit, record, attitude)
+    estimate = _estimate(fit, design, np.array(attitude.gravity), limits, groups, bench)
+    if record.jumps:
+        estimate = replace(estimate, notes=(*estimate.notes, record.jumps))
+    made = record_of(estimate, design, replace(sensor, measurements=groups), procedure)
+    _require_attitude(made, sensor)
+    coefficients, standard = made.coefficients, made.uncertainty.standard
+    if fit.uses_lag and coefficients.thermal is not None:
+        coefficients = replace(coefficients, thermal=replace(coefficients.thermal, lag=round_to(fit.lag, fit.u_lag)))
+        standard = {**standard, "temperature.lag": significant(fit.u_lag, 4)}
+    u_temperature = _u_temperature(fit, record, bench.thermometer, sensor.thermometer)
+    reading = made.uncertainty.single_reading
+    if u_temperature:
+        reading = {**reading, "temperature": significant(u_temperature, 4)}
+    return replace(
+        made,
+        coefficients=coefficients,
+        uncertainty=replace(made.uncertainty, standard=standard, single_reading=reading),
+        limits=replace(made.limits, temperature=limits),
+        fit=made.fit.replaced(
+            cross_validation=_validation(fit.order, fit.error_by_order),
+            hysteresis=_largest_loops(fit, design.channels),
+            ramp=_ramp_record(fit, design.channels),
+        ),
+    )
+
+
+def _u_temperature(fit: RampFit, record: RampRecord, stated: float | None, own: float | None) -> float:
+    """Return u of the element's temperature in a log, °C: the inverse filter amplifies what is random in it."""
+    random = (not stated and own) or record.step / sqrt(12.0)
+    if fit.lag < 0.0:
+        noise = row_noise(record.temperature) * sqrt(record.rows / len(record.time))
+        random = max(random, noise) * (1.0 + 1.0 / LOG_SMOOTHING)
+    pace = max(leg.pace for leg in fit.means.legs) / 60.0
+    return hypot(stated or 0.0, random, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
+
+
+def _require_attitude(made: CalibrationRecord, sensor: MeasuredSensor) -> None:
+    """Refuse a record in another attitude than is stated, where a base calibration shows it."""
+    if sensor.base is None:
+        return
+    base, offsets = sensor.base.coefficients, made.coefficients.offset
+    for channel, before, after, row in zip(base.channels, base.offset, offsets, base.sensitivity, strict=True):
+        off = abs(float(after - before)) / float(np.max(np.abs(row)))
+        if off > FAR:
+            raise EstimateError(
+                f"{channel} reads {off:.2g} g away from what the base calibration expects in the attitude of the "
+                "procedure: state the true one with --segments (position,start,end,gx,gy,gz)"
+            )
+
+
+def _range(temperatures: Array) -> tuple[float, float]:
+    return round(float(temperatures.min()), 3), round(float(temperatures.max()), 3)
+
+
+def _estimate(
+    fit: RampFit,
+    design: Design,
+    gravity: Array,
+    limits: tuple[float, float],
+    groups: Sequence[Measurement],
+    bench: BenchUncertainty,
+) -> Estimate:
+    """Return the coefficients that the record shows, and those that stand in, with their covariance."""
+    channels = design.channels
+    coefficients = Coefficients(
+        channels,
+        design.axes,
+        np.zeros(len(channels)),
+        np.array([[channel == axis for axis in design.axes] for channel in channels], dtype=float),
+        Thermal(design.reference, limits, fit.coefficients[:, 1:].copy(), np.zeros((len(channels), 0))),
+        nonlinearity=np.zeros((len(channels), design.nonlinearity)) if design.nonlinearity else None,
+    )
+    stands_in = {name: prior.value for name, prior in design.priors.items()}
+    coefficients = with_vector(coefficients, list(stands_in), np.array(list(stands_in.values())))
+    offset = fit.coefficients[:, 0] - coefficients.predict(gravity[None, :])[0]
+    coefficients = replace(coefficients, offset=offset)
+    by_model = fit.means.powers(fit.lag, fit.order) @ fit.coefficients.T
+    modelled = np.array([by_model[part].mean(axis=0) for _, part in _parts(fit)])
+    return Estimate(
+        coefficients=coefficients,
+        uncertain=reduce(add, _sources(fit, design, coefficients, gravity, bench)),
+        positions=tuple(group.position for group in groups),
+        residuals=np.array([[group.summaries[c].mean for c in channels] for group in groups]) - modelled,
+        dof=max(len(fit.means.leg) - fit.order - 1, 0) * len(channels),
+        chi_square=None,
+        p=None,
+        stated=False,
+        notes=_notes(fit, design),
+    )
+
+
+def _sources(
+    fit: RampFit, design: Design, coefficients: Coefficients, gravity: Array, bench: BenchUncertainty
+) -> Iterator[Uncertain]:
+    """Yield what each source adds to the uncertainty of the coefficients: the record, and what is stated."""
+    names = [name for model in coefficients.models for name in model.coefficients]
+    column = dict(zip(names, np.eye(len(names)), strict=True))
+    offsets = np.stack([column[f"offset.{channel}"] for channel in design.channels], axis=1)
+    terms = ("offset.{}", *(f"temperature.offset.{{}}.{power}" for power in range(1, fit.order + 1)))
+    by_record = np.stack([column[term.format(channel)] for channel in design.channels for term in terms], axis=1)
+
+    def errors(source: str, by: Array, covariance: Array) -> Uncertain:
+        return Uncertain.errors([""] * len(covariance), covariance, source=source).through(by, names)
+
+    yield errors(NOISE, by_record, fit.covariance)
+    if fit.loop_covariance.any():
+        yield errors(HYSTERESIS, by_record, fit.loop_covariance)
+    readings = [
+        model.read(theta, gravity[None, :], np.zeros(1))
+        for model, theta in zip(coefficients.models, coefficients.vectors, strict=True)
+    ]
+    # An offset follows a sensitivity that stands in: the reading is what it was.
+    stands_in = [
+        prior.u * (column[name] - derivative * offset)
+        for model, reading, offset in zip(coefficients.models, readings, offsets.T, strict=True)
+        for name, derivative in zip(model.coefficients, reading.by_coefficient[0].tolist(), strict=True)
+        if (prior := design.priors.get(name)) is not None and prior.u and name in column
+    ]
+    if stands_in:
+        yield errors(PRIOR, np.stack(stands_in, axis=1), np.eye(len(stands_in)))
+    across = np.array([np.cross(gravity, reading.by_gravity[0]) for reading in readings])
+    for source, u in ((JIG, design.jig), (TABLE, design.table)):
+        if u and u < inf:
+            yield errors(source, offsets @ across, radians(u) ** 2 * np.eye(3))
+    if bench.thermometer:
+        slopes = np.pad(fit.coefficients[:, 1:] * np.arange(1, fit.order + 1), ((0, 0), (0, 1)))
+        yield errors(THERMOMETER, by_record @ slopes.reshape(-1, 1), np.eye(1) * bench.thermometer**2)
+
+
+def _parts(fit: RampFit) -> Iterator[tuple[str, NDArray[np.intp]]]:
+    """Yield the name and the means of each part of a leg that counts as a position."""
+    for number, leg in enumerate(fit.means.legs, start=1):
+        rows = np.flatnonzero(fit.means.leg == number - 1)
+        for k, part in enumerate(np.array_split(rows, min(GROUPS, len(rows))), start=1):
+            yield f"{leg.way}-{number}-{k}", part
+
+
+def _groups(fit: RampFit, record: RampRecord, attitude: Measurement) -> list[Measurement]:
+    """Return parts of the legs as positions: what they read, and at which temperature of the thermometer."""
+    means, groups = fit.means, []
+    temperatures = means.temperature(0.0) + means.reference
+    for name, part in _parts(fit):
+        n = max(round(record.rows / len(means.leg) * len(part)), 1)
+        summaries = {
+            channel: SampleSummary(float(values.mean()), float(noise), n, float(noise) / sqrt(n))
+            for channel, values, noise in zip(attitude.summaries, means.readings[part].T, record.noise, strict=True)
+        }
+        temperature = float(temperatures[part].mean())
+        groups.append(replace(attitude, position=name, temperature=temperature, summaries=summaries, when={}))
+    return groups
+
+
+def _largest_loops(fit: RampFit, channels: Sequence[str]) -> dict[str, Hysteresis]:
+    """Return the largest loop that is left, per channel."""
+    largest = {}
+    for channel, loop in zip(channels, fit.loops.T, strict=True):
+        k = int(np.argmax(np.abs(loop)))
+        at = f"at {fit.places[k] + fit.means.reference:.1f} °C"
+        largest[channel] = Hysteresis(difference=significant(float(loop[k]), 4), between=(f"down {at}", f"up {at}"))
+    return largest
+
+
+def _ramp_record(fit: RampFit, channels: Sequence[str]) -> RampFitRecord:
+    def by_channel(values: Array) -> dict[str, float]:
+        return {channel: significant(value, 3) for channel, value in zip(channels, values.tolist(), strict=True)}
+
+    legs = [
+        RampLeg(
+            way=leg.way,
+            temperature=(round(leg.low, 2), round(leg.high, 2)),
+            seconds=round(leg.seconds, 1),
+            pace=significant(leg.pace, 3),
+            polynomial=by_channel(polynomial),
+            lagged=by_channel(lagged),
+        )
+        for leg, polynomial, lagged in zip(fit.means.legs, fit.polynomial, fit.lagged, strict=True)
+    ]
+    return RampFitRecord(
+        lag=round_to(fit.found_lag, fit.u_lag),
+        u_lag=significant(fit.u_lag, 4),
+        used=fit.uses_lag,
+        explained_percent=by_channel(100.0 * fit.explained),
+        legs=tuple(legs),
+    )
+
+
+def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
+    lag = f"a thermal lag of {plus_minus(fit.found_lag, fit.u_lag)} s"
+    parts = zip(design.channels, fit.explained.tolist(), strict=True)
+    explains = " and ".join(f"{100.0 * part:.1f} % in {channel}" for channel, part in parts)
+    notes = [
+        f"{lag} is used: it makes the residuals of every leg smaller when it is fitted to the other legs, and explains "
+        f"the difference between the ways up and down ({explains})"
+        if fit.uses_lag
+        else f"{lag} is not used: it does not make the residuals of every leg smaller when it is fitted to the other "
+        f"legs, or hysteresis explains the record as well (the lag explains the difference between the ways up and "
+        f"down: {explains})"
+    ]
+    if fit.u_element >= NOTED:
+        notes.append(
+            f"behind turns the temperature in a log is off by {fit.u_element:.2g} °C, which is in the uncertainty of a "
+            "temperature"
+        )
+    if not fit.uses_lag and abs(fit.found_lag) > RESOLVED * fit.u_lag:
+        notes.append(
+            "to separate a lag from hysteresis, record legs at two paces: the effect of a lag grows with the pace"
+        )
+    if fit.loop_covariance.any():
+        notes.append("the ways up and down differ: the intervals of the drift hold the readings of both")
+    return tuple(notes)

@@ -37,17 +37,9 @@ class VerifiedPosition:
     position: str
     expected: dict[str, float]  # the tilt of each axis, degrees
     measured: dict[str, float]  # degrees; NaN where the arcsine has no angle
-    direction: float | None  # between both, of a sensor of three axes, degrees
+    error: float  # the largest, of three axes that of the direction, degrees; infinite where there is no angle
+    expanded: float  # the uncertainty (95 %) of the error from the jig and the noise, degrees
     flag: int  # that of ``apply``
-    expanded: float = 0.0  # the uncertainty (95 %) of the error from the jig and the noise, degrees
-
-    @property
-    def error(self) -> float:
-        """The largest error of the position, degrees; infinite where there is no angle."""
-        if self.direction is not None:
-            return self.direction
-        errors = [abs(self.measured[axis] - angle) for axis, angle in self.expected.items()]
-        return inf if any(isnan(error) for error in errors) else max(errors)
 
     def verdict(self, limit: float) -> str:
         """Return ``passed``, ``failed`` or ``not decided`` by a limit in degrees."""
@@ -77,6 +69,19 @@ class Verification:
 
     def as_data(self) -> dict[str, Any]:
         """Return the verification as plain data; an error that has no number is None."""
+        positions = [
+            {
+                "position": one.position,
+                "expected": one.expected,
+                "measured": {axis: _finite(angle) for axis, angle in one.measured.items()},
+                "error": _finite(one.error),
+                "expanded": one.expanded,
+                "flag": one.flag,
+                "verdict": one.verdict(self.limit),
+                "passed": one.verdict(self.limit) == PASSED,
+            }
+            for one in self.positions
+        ]
         return {
             "sensor": self.sensor.serial,
             "limit": self.limit,
@@ -84,19 +89,7 @@ class Verification:
             "verdict": self.verdict,
             "passed": self.verdict == PASSED,
             "worst": {"position": self.worst.position, "error": _finite(self.worst.error)},
-            "positions": [
-                {
-                    "position": position.position,
-                    "expected": position.expected,
-                    "measured": {axis: _finite(angle) for axis, angle in position.measured.items()},
-                    "error": _finite(position.error),
-                    "expanded": position.expanded,
-                    "flag": position.flag,
-                    "verdict": position.verdict(self.limit),
-                    "passed": position.verdict(self.limit) == PASSED,
-                }
-                for position in self.positions
-            ],
+            "positions": positions,
         }
 
     def __str__(self) -> str:
@@ -122,28 +115,23 @@ def verify_positions(
     for measurement in measurements:
         temperature = None if measurement.temperature is None else np.array([measurement.temperature])
         readings = np.array([[measurement.summaries[channel].mean for channel in coefficients.channels]])
-        result = compensation(readings, temperature)
-        up, read = dict(zip(AXES, measurement.gravity, strict=True)), result.gravity[0]
-        expected = {**tilt_from_gravity(measurement.gravity), "z": 90.0 - degrees(acos(max(-1.0, min(1.0, up["z"]))))}
-        direction, noise = None, [0.0]
+        result, up = compensation(readings, temperature), measurement.gravity
+        tilts = {**tilt_from_gravity(up), "z": 90.0 - degrees(acos(max(-1.0, min(1.0, up[2]))))}
+        expected, measured = {axis: tilts[axis] for axis in axes}, dict(zip(axes, result.tilt[0].tolist(), strict=True))
+        errors = [abs(measured[axis] - angle) for axis, angle in expected.items()]
         if whole:
-            apart = np.linalg.norm(np.cross(measurement.gravity, read))
-            direction = degrees(float(np.arctan2(apart, np.dot(measurement.gravity, read))))
+            # The direction is judged, whose error does not grow where one axis nears the vertical.
+            apart = np.linalg.norm(np.cross(up, result.gravity[0]))
+            errors = [degrees(float(np.arctan2(apart, np.dot(up, result.gravity[0]))))]
+        noise = [0.0]
         for channel in set(coefficients.channels) & set(coefficients.axes):
-            # Of three axes the direction is judged, whose error does not grow where one axis nears the vertical.
-            slope = 1.0 if whole else max(sqrt(1.0 - min(up[channel] ** 2, 1.0)), STEEP)
+            slope = 1.0 if whole else max(sqrt(1.0 - min(up[AXES.index(channel)] ** 2, 1.0)), STEEP)
             u = measurement.summaries[channel].u
             noise.append(degrees(u / abs(coefficients.own_sensitivity(channel)) / slope))
-        found.append(
-            VerifiedPosition(
-                measurement.position,
-                {axis: expected[axis] for axis in axes},
-                dict(zip(axes, result.tilt[0].tolist(), strict=True)),
-                direction,
-                int(result.flag[0]),
-                (DIRECTION if whole else ANGLE) * hypot(jig or 0.0, max(noise)),
-            )
-        )
+        error = inf if any(map(isnan, errors)) else max(errors)
+        expanded = (DIRECTION if whole else ANGLE) * hypot(jig or 0.0, max(noise))
+        flag = int(result.flag[0])
+        found.append(VerifiedPosition(measurement.position, expected, measured, error, expanded, flag))
     return tuple(found)
 
 

@@ -75,14 +75,14 @@ def check_writable(path: str | Path, *read: str | Path) -> None:
     require_apart(path, *read)
     target = Path(os.path.realpath(path))
     folder = target.parent
-    if os.path.isdir(target):
-        raise UsageError(f"cannot write {path}: it is a folder; name a file in it")
-    if not os.path.exists(folder):
-        raise UsageError(f"cannot write {path}: there is no folder {folder}; make it first")
-    if not os.path.isdir(folder):
-        raise UsageError(f"cannot write {path}: {folder} is a file, not a folder")
-    if os.path.exists(path) and not os.access(path, os.W_OK):
-        raise UsageError(f"cannot write {path}: the file is write-protected; choose another name or unprotect it")
+    for wrong, why in (
+        (os.path.isdir(target), "it is a folder; name a file in it"),
+        (not os.path.exists(folder), f"there is no folder {folder}; make it first"),
+        (not os.path.isdir(folder), f"{folder} is a file, not a folder"),
+        (os.path.exists(path) and not os.access(path, os.W_OK), "the file is write-protected; choose another name"),
+    ):
+        if wrong:
+            raise UsageError(f"cannot write {path}: {why}")
     if _is_special(path):
         return
     try:
@@ -112,7 +112,9 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
         with stream:
             yield stream
             stream.flush()
-            _keep_permissions(target, stream)
+            with suppress(OSError):  # the permissions of the file that is replaced; some file systems have none
+                at = stream.fileno() if os.chmod in os.supports_fd else stream.name
+                os.chmod(at, stat.S_IMODE(target.stat().st_mode))
             os.fsync(stream.fileno())
             if not named:
                 try:
@@ -125,7 +127,12 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
-    _sync_folder(target.parent)
+    with suppress(OSError):  # the rename; where a file system cannot, the content is safe nevertheless
+        handle = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def portable(flag: str) -> int:
@@ -167,22 +174,6 @@ def _nameless(folder: Path) -> int | None:
 def _give_name(nameless: int, path: Path) -> None:
     # A folder's descriptor has to be given for the link behind /proc to be followed; its value is ignored.
     os.link(f"/proc/self/fd/{nameless}", path, src_dir_fd=nameless)
-
-
-def _keep_permissions(target: Path, stream: BinaryIO) -> None:
-    """Copy the permissions of the file that is replaced; some file systems have none."""
-    with suppress(OSError):
-        os.chmod(stream.fileno() if os.chmod in os.supports_fd else stream.name, stat.S_IMODE(target.stat().st_mode))
-
-
-def _sync_folder(folder: Path) -> None:
-    """Write the rename to the disk; where a file system cannot, the content is safe nevertheless."""
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 def _is_special(path: str | Path) -> bool:

@@ -66,5 +66,5 @@ def bench_of(document: Document) -> BenchFile:
         if serials[number] in serials[:number]:
             raise body.error(f"the serial number {serials[number]!r} is there twice", "sensors", number)
     for name, reference in bench.references.items():
-        body.require_moments(reference, "due", place=("references", name))
+        body.at("references", name).require_moments(reference, "due")
     return bench

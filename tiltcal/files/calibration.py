@@ -16,16 +16,19 @@ from typing import Annotated
 from msgspec import Meta
 
 from tiltcal.core.model import Coefficients, Limits, values
-from tiltcal.files.coefficients import CoefficientsSection, coefficients_of, coefficients_section, in_degrees
-from tiltcal.files.document import Document, parse_document, read_document
-from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data
-from tiltcal.files.results import DerivedRecord, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
-from tiltcal.files.uncertainty import (
+from tiltcal.files.coefficients import (
+    CoefficientsSection,
     Uncertainty,
     UncertaintySection,
+    coefficients_of,
+    coefficients_section,
+    in_degrees,
     uncertainty_of,
     uncertainty_section,
 )
+from tiltcal.files.document import Document, parse_document, read_document
+from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data
+from tiltcal.files.results import DerivedRecord, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.yaml_text import yaml_text
 
 UNKNOWN_MODEL = "recorded"
@@ -118,28 +121,24 @@ def tilt_record(document: Document) -> CalibrationRecord:
     for number, leg in enumerate(file.fit.ramp.legs if file.fit.ramp else ()):
         document.require_order(leg.temperature, "fit", "ramp", "legs", number, "temperature")
     for number, position in enumerate(file.positions):
-        document.require_moments(position, "time", place=("positions", number))
+        document.at("positions", number).require_moments(position, "time")
         if position.rows and position.rows not in (position.row_ranges, *position.row_ranges):
             raise document.error("rows are two numbers [first, end]", "positions", number, "rows")
-    document.require_moments(file.provenance, "started", "ended", place=("provenance",))
+    document.at("provenance").require_moments(file.provenance, "started", "ended")
+    limits = document.at("limits")
+    limits.require_order(file.limits.temperature, "temperature")
+    # A third column of a two-channel sensor is no axis whose tilt is reported.
+    tilt = _by_name(file.limits.tilt, coefficients.axes[: len(channels)], limits, "tilt")
     return CalibrationRecord(
         sensor=file.sensor,
         coefficients=coefficients,
         uncertainty=uncertainty,
-        limits=_limits_of(file.limits, document.at("limits"), coefficients),
+        limits=Limits(
+            {axis: (radians(low), radians(high)) for axis, (low, high) in tilt.items()},
+            file.limits.temperature,
+            _by_name(file.limits.reading, channels, limits, "reading"),
+        ),
         **{name: getattr(file, name) for name in RECORDS},
-    )
-
-
-def _limits_of(section: LimitsSection, place: Document, coefficients: Coefficients) -> Limits:
-    # A third column of a two-channel sensor is no axis whose tilt is reported.
-    channels, axes = coefficients.channels, coefficients.axes[: len(coefficients.channels)]
-    place.require_order(section.temperature, "temperature")
-    tilt = _by_name(section.tilt, axes, place, "tilt")
-    return Limits(
-        tilt={axis: (radians(low), radians(high)) for axis, (low, high) in tilt.items()},
-        temperature=section.temperature,
-        reading=_by_name(section.reading, channels, place, "reading"),
     )
 
 

@@ -52,10 +52,10 @@ class Document:
         """Return a part of the document; its data are None where it is absent."""
         data = self.data
         for step in place:
-            with suppress(LookupError, TypeError):
+            try:
                 data = data[step]
-                continue
-            data = None
+            except (LookupError, TypeError):
+                data = None
         return Document(data, self.lines, self.file, (*self.place, *place))
 
     def items(self) -> list[Document]:
@@ -112,11 +112,11 @@ class Document:
             low, high = interval
             raise self.error(f"the range [{low:g}, {high:g}] is the wrong way round; write [low, high]", *place)
 
-    def require_moments(self, section: Any, *keys: str, place: Place = ()) -> None:
+    def require_moments(self, section: Any, *keys: str) -> None:
         """Refuse texts of a section that are no moments in ISO 8601."""
         for key in keys:
             if (text := getattr(section, key)) is not None:
-                with self.locating(*place, key):
+                with self.locating(key):
                     moment(text)
 
     def read(self, record: type[T]) -> T:
@@ -187,9 +187,6 @@ def _taken(data: Any, part: Document) -> Any:
 
 # ------------------------------------------------------------------------------------- what msgspec refuses at first
 
-Alternative = tuple[Any, tuple[msgspec.Meta, ...]]
-"""A type without its annotations, and these."""
-
 
 def _repaired(part: Document, kind: Any) -> Any:
     """Return the data of a part as msgspec takes them; an InputError names the first place that a type refuses."""
@@ -217,7 +214,11 @@ def _mapping(part: Document, base: Any) -> dict[str, Any]:
         fields = msgspec.structs.fields(base)
         kinds = {one.encode_name: one.type for one in fields}
         needed = {one.encode_name for one in fields if one.required}
-        part = replace(part, data=_renamed(part, kinds))
+        formerly = {_extra(getattr(kind, "__metadata__", ()), "formerly"): name for name, kind in kinds.items()}
+        for name in part.data:
+            if (present := formerly.get(name)) in part.data:
+                raise part.error(f"this is the key {present!r} by its present and its former name: leave one out", name)
+        part = replace(part, data={formerly.get(name, name): member for name, member in part.data.items()})
     part.require_keys(part.data, kinds)
     part.require_keys(part.data, [name for name in kinds if name in needed or name in part.data], complete=True)
     return {
@@ -227,23 +228,14 @@ def _mapping(part: Document, base: Any) -> dict[str, Any]:
     }
 
 
-def _renamed(part: Document, kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a section by the present names of its keys."""
-    formerly = {_extra(getattr(kind, "__metadata__", ()), "formerly"): name for name, kind in kinds.items()}
-    for name in part.data:
-        if (present := formerly.get(name)) in part.data:
-            raise part.error(f"this is the key {present!r} by its present and its former name: leave one out", name)
-    return {formerly.get(name, name): member for name, member in part.data.items()}
-
-
 def _list(part: Document, base: Any, metas: tuple[msgspec.Meta, ...]) -> list[Any]:
     kinds, count = get_args(base), len(part.data)
     least = most = None if kinds[-1] is Ellipsis else len(kinds)
     for meta in metas:
         least, most = meta.min_length or least, meta.max_length or most
     if count < (least or 0) or count > (count if most is None else most):
-        bounds = f"{least}" if least == most else f"at least {least}" if most is None else f"{least or 0} to {most}"
-        bounds = f"at most {most}" if not least else bounds
+        words = [f"at least {least}"] * (least is not None) + [f"at most {most}"] * (most is not None)
+        bounds = f"{least}" if least == most else " and ".join(words)
         raise part.error(f"a list of {bounds} values is needed here, found {count}")
     fixed = kinds[:1] * count if kinds[-1] is Ellipsis else kinds
     return [_repaired(item, kind) for item, kind in zip(part.items(), fixed, strict=True)]
@@ -266,8 +258,8 @@ def _scalar(part: Document, base: Any, metas: tuple[msgspec.Meta, ...]) -> Any:
     return number
 
 
-def _alternatives(kind: Any, metas: tuple[msgspec.Meta, ...] = ()) -> list[Alternative]:
-    """Return what a type is, without its annotations and without None."""
+def _alternatives(kind: Any, metas: tuple[msgspec.Meta, ...] = ()) -> list[tuple[Any, tuple[msgspec.Meta, ...]]]:
+    """Return what a type is without None, each with its annotations apart."""
     if hasattr(kind, "__metadata__"):
         return _alternatives(kind.__origin__, (*kind.__metadata__, *metas))
     if get_origin(kind) in (Union, UnionType):
@@ -289,15 +281,15 @@ def _extra(metas: tuple[msgspec.Meta, ...], name: str) -> Any:
 
 def _numeral(value: Any, base: Any) -> float | None:
     """Return the number that a value is, a whole one where the type is int; infinity above 200 digits; None if none."""
-    number: float | None = None
+    number: float = inf
     if isinstance(value, int | float) and not isinstance(value, bool):
         number = value
-    elif isinstance(value, str) and _WHOLE.fullmatch(value) and len(value) <= _DIGIT_LIMIT:
-        number = int(value, 0 if value[1:2] in ("o", "x") else 10)
-    elif isinstance(value, str) and (_WHOLE.fullmatch(value) or _FLOAT.fullmatch(value)):
-        number = inf if value[1:2] in ("o", "x") else float(value)
-    if number is None or not abs(number) <= sys.float_info.max:
-        return None if number is None else inf
+    elif not isinstance(value, str) or not (_WHOLE.fullmatch(value) or _FLOAT.fullmatch(value)):
+        return None
+    elif len(value) <= _DIGIT_LIMIT:
+        number = int(value, 0 if value[1:2] in ("o", "x") else 10) if _WHOLE.fullmatch(value) else float(value)
+    if not abs(number) <= sys.float_info.max:
+        return inf
     return float(number) if base is float else int(number) if number == int(number) else None
 
 

@@ -159,7 +159,7 @@ def _read(stream: BinaryIO, path: Path) -> Journal:
             break
         if end is not None:
             raise _damage("something follows the end record; nothing may", path, number)
-        crc = crc32(_body(line), written.crc)
+        crc = crc32(line[:-_ARRAY_CHECK] + b"]", written.crc)
         if line[-_ARRAY_CHECK:] != f',"{crc:08x}"]\n'.encode():
             raise _damage(_CHANGED, path, number)
         event = _event_of(line, path, number)
@@ -308,13 +308,8 @@ def _header(line: bytes, path: Path) -> tuple[dict[str, Any], Written]:
     return header, Written(crc, hashlib.sha256(line), len(line))
 
 
-def _body(line: bytes) -> bytes:
-    """Return a line without its check."""
-    return line[:-_ARRAY_CHECK] + b"]"
-
-
 def _event_of(line: bytes, path: Path, number: int) -> Event:
-    found = _loads(_body(line), path, number)
+    found = _loads(line[:-_ARRAY_CHECK] + b"]", path, number)
     if not _is_event(found):
         raise _damage("the line is no event of a journal, though its check fits", path, number)
     return Event(number, found[0], found[1], tuple(found[2:]))

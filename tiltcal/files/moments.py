@@ -19,8 +19,6 @@ def moment(text: str | date, path: str | Path | None = None) -> datetime:
         found = datetime.max
     if found.year > _LAST_YEAR:
         raise InputError(f"{str(text)!r} is no date: write it as 2026-05-01T12:00:00Z", file=path)
-    if found.tzinfo is UTC:
-        return found
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 

@@ -92,7 +92,7 @@ def pair_record(document: Document) -> PairRecord:
     matchings = tuple(_checked(entry, document.at("pairs", number)) for number, entry in enumerate(file.pairs))
     if len({matching.pair.name for matching in matchings}) < len(matchings):
         raise document.error("the same pair is there twice", "pairs")
-    document.require_moments(file.provenance, "started", "ended", place=("provenance",))
+    document.at("provenance").require_moments(file.provenance, "started", "ended")
     return PairRecord(spin=file.spin, online=file.online, matchings=matchings, provenance=file.provenance)
 
 

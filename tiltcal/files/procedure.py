@@ -295,20 +295,15 @@ def _position_of(section: PositionSection, place: Document, angle: float | None)
         raise place.error("a position has either tilt: {x: degrees, y: degrees} or gravity: [gx, gy, gz]")
     tilt = None
     if section.tilt is not None:
-        tilt = {axis: _set_angle(stated, place.at("tilt", axis), angle) for axis, stated in section.tilt.items()}
+        if angle is None and (free := [axis for axis, stated in section.tilt.items() if isinstance(stated, str)]):
+            why = "the procedure gives no angle; add 'angle: 30' to it, or write degrees here"
+            raise place.error(why, "tilt", free[0])
+        words = {"angle": angle or 0.0, "-angle": -(angle or 0.0)}
+        tilt = {axis: words[one] if isinstance(one, str) else one for axis, one in section.tilt.items()}
     prompt = _filled_in(section.prompt, place, {"angle": angle, "temperature": section.temperature})
     with place.locating("gravity" if tilt is None else "tilt"):
         gravity = normalised(section.gravity or ()) if tilt is None else gravity_from_tilt(tilt)
     return Position(section.name, prompt, gravity, tilt, section.heading, section.temperature, section.stage)
-
-
-def _set_angle(stated: float | str, place: Document, angle: float | None) -> float:
-    """Return an angle in degrees; ``angle`` and ``-angle`` are the one of the procedure."""
-    if not isinstance(stated, str):
-        return stated
-    if angle is None:
-        raise place.error("the procedure gives no angle; add 'angle: 30' to it, or write degrees here")
-    return angle if stated == "angle" else -angle
 
 
 def _filled_in(prompt: str, place: Document, values: Mapping[str, float | None]) -> str:

@@ -29,8 +29,7 @@ Table = str | Path | Sequence[Mapping[str, Any]]
 def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iterator[Document]:
     """Read a small table and yield its rows, each with its line; a blank field of CSV is an absent one.
 
-    ``file`` is what messages call it; ``keys`` are the columns, and whether each is needed. An InputError where the
-    header or a row does not fit them, or the text is neither CSV nor JSON.
+    ``file`` is what messages call it; ``keys`` are the columns, and whether each is needed.
     """
     if not isinstance(table, str | Path):
         rows: Iterable[Document] = document_of(list(table), str(file)).items()
@@ -53,7 +52,15 @@ def _csv_rows(text: str, file: str, keys: Mapping[str, bool]) -> Iterator[Docume
     rows = csv.reader(StringIO(text, newline=""), strict=True)
     try:
         header = [name.strip() for name in next(rows, [])]
-        _check_header(header, file, keys)
+        if not header:
+            raise InputError("the file is empty", file=file)
+        if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+            why = f"the header {header[0]!r} is a single column: separate the columns with commas"
+            raise InputError(why, file=file, line=1)
+        for name in header:
+            if header.count(name) > 1:
+                raise InputError(f"the column {name!r} is there twice", file=file, line=1)
+        _require_columns(Document(dict.fromkeys(header, ""), {(): 1}, file), keys)
         line = rows.line_num + 1
         for row in rows:
             if row and len(row) != len(header):
@@ -67,46 +74,27 @@ def _csv_rows(text: str, file: str, keys: Mapping[str, bool]) -> Iterator[Docume
         raise InputError(f"not CSV: {failure}", file=file, line=rows.line_num) from None
 
 
-def _check_header(header: list[str], file: str, keys: Mapping[str, bool]) -> None:
-    if not header:
-        raise InputError("the file is empty", file=file)
-    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-        why = f"the header {header[0]!r} is a single column: separate the columns with commas"
-        raise InputError(why, file=file, line=1)
-    twice = [name for name in header if header.count(name) > 1]
-    if twice:
-        raise InputError(f"the column {twice[0]!r} is there twice", file=file, line=1)
-    _require_columns(Document(dict.fromkeys(header, ""), {(): 1}, file), keys)
-
-
 @dataclass(frozen=True)
 class Segment:
-    """Rows of a log during which the sensor was held still, from 0 after the header, the end exclusive.
-
-    Up is a unit vector in the sensor frame, None where the position's name gives it by the procedure.
-    """
+    """Rows of a log during which the sensor was held still, from 0 after the header, the end exclusive."""
 
     name: str
     start: int
     end: int
-    gravity: Vector | None
+    gravity: Vector | None  # up in the sensor frame; None where the procedure's position has this name
     line: int | None
 
 
 @dataclass(frozen=True)
 class TabledPosition:
-    """One row of a table of positions.
-
-    Up is a unit vector in the sensor frame, None where the position's name gives it; means and their standard
-    uncertainties are by channel, in the sensor's unit; what the table does not state is None.
-    """
+    """One row of a table of positions; what the table does not state is None."""
 
     name: str
-    gravity: Vector | None
-    mean: dict[str, float]
-    u: dict[str, float] | None
+    gravity: Vector | None  # up in the sensor frame; None where the procedure's position has this name
+    mean: dict[str, float]  # by channel, unit
+    u: dict[str, float] | None  # standard uncertainties of the means, unit
     n: int | None
-    temperature: float | None
+    temperature: float | None  # °C
     line: int | None
 
 
@@ -151,10 +139,9 @@ class TabledRow(Direction, kw_only=True):
 
 
 def read_segments(segments: Table) -> list[Segment]:
-    """Read and check a segments file: the columns ``position,start,end`` and, all three or none, ``gx,gy,gz``.
+    """Read and check a segments file, in which a position may come more than once.
 
-    A position may come more than once: in consecutive rows they are parts of one placement that was interrupted,
-    elsewhere the sensor was put there again. An InputError names file, line and column.
+    In consecutive rows they are parts of one placement that was interrupted, elsewhere the sensor was put there again.
     """
     path = segments if isinstance(segments, str | Path) else "the segments"
     read = []
@@ -174,11 +161,7 @@ def read_segments(segments: Table) -> list[Segment]:
 
 
 def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition]:
-    """Read and check a table of positions, in the order of the file; an InputError names file, line and column.
-
-    Its columns are ``position``, a mean for each channel (``x``, ...), and optionally a direction (``gx``, ``gy``,
-    ``gz``), standard uncertainties of the means (``ux``, ...), ``n`` and ``temperature``.
-    """
+    """Read and check a table of positions, in the order of the file, with a mean for each channel."""
     absent = [f"{lead}{axis}" for axis in AXES if axis not in channels for lead in ("", "u")]
     keys = {key: needed or key in channels for key, needed in keys_of(TabledRow).items() if key not in absent}
     path = table if isinstance(table, str | Path) else "the table"

@@ -135,14 +135,12 @@ def twin_of(document: Document, seed: int | None = None) -> tuple[str | None, Tr
     section, place = body.data.get("truth"), body.at("truth")
     file = body.read(StageFile if isinstance(section, dict) and "disk" in section else TwinFile)
     truth = _stage_of(file.truth, place) if isinstance(file.truth, StageSection) else _truth_of(file.truth, place)
-    faults = tuple(_fault_of(fault, place.at("faults", n)) for n, fault in enumerate(file.truth.faults))
+    for number, fault in enumerate(file.truth.faults):
+        if fault.end <= fault.start:
+            why = f"the fault ends at {fault.end:g} s, not after its start at {fault.start:g} s"
+            raise place.error(why, "faults", number, "end")
+    faults = tuple(Fault(fault.kind, fault.start, fault.end) for fault in file.truth.faults)
     return file.model, replace(truth, faults=faults, seed=file.seed if seed is None else seed)
-
-
-def _fault_of(fault: FaultSection, place: Document) -> Fault:
-    if fault.end <= fault.start:
-        raise place.error(f"the fault ends at {fault.end:g} s, not after its start at {fault.start:g} s", "end")
-    return Fault(fault.kind, fault.start, fault.end)
 
 
 def _truth_of(section: TruthSection, place: Document) -> Truth:

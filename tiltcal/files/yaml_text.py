@@ -94,11 +94,11 @@ def parse(text: str, file: str | None = None, language: str = "YAML") -> tuple[A
         # What is missing at the end is reported for the last line, not for the one after it.
         line = None if mark is None else min(mark.line + 1, len(text.splitlines()))
         raise composer.error(f"not {language}: {problem}", line) from None
-    except yaml.reader.ReaderError as failure:
-        line = text.encode().count(b"\n", 0, failure.position) + 1
-        raise composer.error(f"not {language}: {failure.reason}", line) from None
     except (yaml.YAMLError, UnicodeError) as failure:
-        raise composer.error(f"not {language}: {failure}", None) from None
+        line = None
+        if isinstance(failure, yaml.reader.ReaderError):
+            line = text.encode().count(b"\n", 0, failure.position) + 1
+        raise composer.error(f"not {language}: {getattr(failure, 'reason', failure)}", line) from None
     if not roots:
         raise composer.error("the file is empty", None)
     return roots[0], composer.lines
@@ -189,7 +189,9 @@ def _opened(data: Any, indent: int, path: str, comments: Mapping[str, str]) -> I
             texts = [_scalar(item, f"{key}[{index}]") for index, item in enumerate(value)]
             pieces = [*(f"{text}, " for text in texts[:-1]), f"{texts[-1]}]"]
             first, *rest = _filled(pieces, f"{lead} [", " " * (indent + 2))
-        yield _with_comment(first, comments.get(key))
+        comment = comments.get(key, "")
+        commented = f"{first:<{_COMMENT_COLUMN}}  # {comment}"
+        yield commented if comment and comment.isprintable() and len(commented) <= WIDTH else first
         yield from rest
 
 
@@ -217,14 +219,12 @@ def _filled(pieces: Sequence[str], first: str, margin: str) -> Iterator[str]:
 def _fits(value: Any, lead: str, key: str) -> bool:
     """Return whether a collection fits in one line: it is shallow, and short enough."""
     members = value.values() if isinstance(value, Mapping) else value
-    inner = [member for member in members if _is_collection(member)]
-    shallow = not inner if not isinstance(value, Mapping) else not any(_is_deep(member) for member in inner)
-    return shallow and len(lead) + 1 + len(_flow(value, key)) <= WIDTH
-
-
-def _is_deep(member: Any) -> bool:
-    """Return whether a collection is a mapping, or a list of collections."""
-    return bool(member) and (isinstance(member, Mapping) or any(map(_is_collection, member)))
+    deep = [member for member in members if _is_collection(member)]
+    if isinstance(value, Mapping):
+        deep = [
+            member for member in deep if member and (isinstance(member, Mapping) or any(map(_is_collection, member)))
+        ]
+    return not deep and len(lead) + 1 + len(_flow(value, key)) <= WIDTH
 
 
 def _flow(value: Any, key: str) -> str:
@@ -256,18 +256,14 @@ def _scalar(value: Any, key: str) -> str:
     if isinstance(value, Integral):  # of numpy, too
         return int.__repr__(int(value))
     if isinstance(value, Real):
-        return _number(float(value), key)
+        if not isfinite(value):
+            raise InputError(f"{float(value)} cannot be written to a file; a number must be finite", key=key)
+        digits, exponent, power = float.__repr__(float(value)).partition("e")
+        # YAML 1.1 takes 1e-08 for a text because it has no decimal point.
+        return f"{digits}{'.0' if exponent and '.' not in digits else ''}{exponent}{power}"
     if not isinstance(value, str):
         raise InputError(f"a {type(value).__name__} cannot be written to a file", key=key)
     return value if _BARE.fullmatch(value) and value.lower() not in _READ_AS_OTHER else _quoted(value, key)
-
-
-def _number(value: float, key: str) -> str:
-    if not isfinite(value):
-        raise InputError(f"{float(value)} cannot be written to a file; a number must be finite", key=key)
-    digits, exponent, power = float.__repr__(value).partition("e")
-    # YAML 1.1 takes 1e-08 for a text because it has no decimal point.
-    return f"{digits}{'.0' if exponent and '.' not in digits else ''}{exponent}{power}"
 
 
 def _quoted(text: str, key: str) -> str:
@@ -275,10 +271,3 @@ def _quoted(text: str, key: str) -> str:
     if any("\ud800" <= character <= "\udfff" for character in text):
         raise InputError(f"the text {text!r} is not Unicode and cannot be written to a file", key=key)
     return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found.group()):04x}", json.dumps(text, ensure_ascii=False))
-
-
-def _with_comment(line: str, comment: str | None) -> str:
-    if comment is None:
-        return line
-    commented = f"{line:<{_COMMENT_COLUMN}}  # {comment}"
-    return commented if len(commented) <= WIDTH and comment.isprintable() else line

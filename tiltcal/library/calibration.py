@@ -18,6 +18,7 @@ from tiltcal.core.pair.matching import Matching
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import write_whole
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
+from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.document import read_document
 from tiltcal.files.pair import PairRecord, dump_pair
 from tiltcal.files.results import (
@@ -28,7 +29,6 @@ from tiltcal.files.results import (
     ProcedureRecord,
     Provenance,
 )
-from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete, names_arguments, takes
 from tiltcal.printable import in_html

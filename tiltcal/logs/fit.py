@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.joint_fit import no_sensitivity
+from tiltcal.calibration.joint_fit import NO_SENSITIVITY
 from tiltcal.calibration.measurement import (
     BenchUncertainty,
     MeasuredSensor,
@@ -413,7 +413,7 @@ def _identity(
             f"{unit}: name the model that reads {unit}, or leave --unit out"
         )
     if model is None and not (steps.determines.axes or steps.determines.free):
-        raise EstimateError(no_sensitivity(steps))
+        raise EstimateError(f"{steps.name} {NO_SENSITIVITY}")
     channels = tuple(model.channels) if model else steps.determines.axes or ("x", "y", "z")
     unit = str(model and model.unit) if unit is None else unit
     for what, text in (("the serial number", serial), ("the unit", unit)):

@@ -19,8 +19,8 @@ from tiltcal.calibration.wording import level_summary
 from tiltcal.core.model import Array, Mounting, vector_of, with_vector
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.procedure import find_procedure
-from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.library.calibration import Calibration
 
 COMPLETE = read_calibration(FIXTURES / "complete.yaml")

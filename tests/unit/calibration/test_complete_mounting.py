@@ -16,7 +16,7 @@ from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.core.samples import SampleSummary
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.uncertainty import Uncertainty
+from tiltcal.files.coefficients import Uncertainty
 
 LEVEL_X_Y = ((0.0, 0.0, 1.0), (0.5, 0.0, sqrt(0.75)), (0.0, 0.5, sqrt(0.75)))
 """Gravity in the application's frame: level, x up to 30°, y up to 30°."""

@@ -15,8 +15,8 @@ from tiltcal.calibration.season import DAY, DatedCalibration, SensorHistory
 from tiltcal.core.model import Coefficients
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
+from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.procedure import find_procedure
-from tiltcal.files.uncertainty import Uncertainty
 
 FOUR_DIGITS = 0.5e-3
 """Half of the last of the four digits that a file states of an uncertainty, relative to a number that begins with 1."""

@@ -45,7 +45,7 @@ def test_a_perfect_part_does_not_fail_for_its_jig() -> None:
 def test_the_limit_is_guarded_on_both_sides() -> None:
     """U = 1.96 times 0.1° = 0.196°: within 0.3 - 0.196 = 0.104 passed, beyond 0.3 + 0.196 = 0.496 failed."""
     for error, verdict in {0.10: "passed", 0.11: "not decided", 0.49: "not decided", 0.50: "failed"}.items():
-        position = VerifiedPosition("p", {"x": 10.0}, {"x": 10.0 + error}, None, 1, 1.959964 * 0.1)
+        position = VerifiedPosition("p", {"x": 10.0}, {"x": 10.0 + error}, error, 1.959964 * 0.1, 1)
         assert position.verdict(0.3) == verdict
 
 

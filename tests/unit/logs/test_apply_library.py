@@ -16,8 +16,8 @@ import tiltcal
 from tiltcal.core.model import Array, Mounting, Thermal
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.results import Provenance
-from tiltcal.files.uncertainty import Uncertainty
 from tiltcal.library.calibration import Calibration
 
 LEVEL = read_calibration(WITHOUT_PRIORS)
