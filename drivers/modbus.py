@@ -24,7 +24,7 @@ from math import isfinite
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
-from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT
+from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT, WRITE, WRITE_ONE
 from tiltcal.drivers.columns import (
     TEMPERATURE,
     TIME,
@@ -146,6 +146,12 @@ class ModbusColumns(Sensor):
         return in_words(self.read(), self._layout.channels, "{:g}", trimmed=True)
 
     def read(self) -> Reading:
+        """Read every number; the errors are those of :meth:`numbers`."""
+        numbers = self.numbers()
+        values = tuple(numbers[channel] for channel in self._layout.channels)
+        return Reading(values, numbers.get(TEMPERATURE), self._layout.step)
+
+    def numbers(self) -> dict[str, float]:
         """Read every number; a device that refuses, or sends a number that is not finite, is a DeviceFault."""
         registers: dict[int, bytes] = {}
         for request in self._layout.requests:
@@ -156,8 +162,21 @@ class ModbusColumns(Sensor):
                 raise DeviceFault(
                     f"{name} is {number}: the device has no reading, or order= and the type are not its own"
                 )
-        values = tuple(numbers[channel] for channel in self._layout.channels)
-        return Reading(values, numbers.get(TEMPERATURE), self._layout.step)
+        return numbers
+
+    def write(self, name: str, number: float) -> None:
+        """Write a number to the registers of its column; a DeviceFault where the device refuses or it does not fit."""
+        column = next(column for column in self._layout.columns if column.name == name)
+        scaled = number / column.scale
+        try:
+            data = struct.pack(f">{column.code}", scaled if column.code in "fd" else round(scaled))
+        except (struct.error, OverflowError):
+            raise DeviceFault(f"{name} = {number:g} does not fit the type of register {column.first}") from None
+        function = WRITE_ONE if column.length == 1 else WRITE
+        answer = self._link.exchange(struct.pack(">BH", function, column.first) + self._layout.arranged(data))
+        if answer != bytes([function]):
+            why = EXCEPTIONS.get(answer[-1], f"exception {answer[-1]}")
+            raise DeviceFault(f"the device refuses to write {name} to register {column.first}: {why}")
 
     def _registers(self, request: bytes) -> dict[int, bytes]:
         function, first, number = struct.unpack(">BHH", request)
@@ -229,7 +248,7 @@ class VirtualModbus(VirtualPart):
 
 def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
     """Return the registers of an address, which without a default has to name the columns."""
-    named = [_column(address, text.strip()) for text in address.text("columns", default).split(",")]
+    named = [column_of(address, text.strip()) for text in address.text("columns", default).split(",")]
     columns = [column for column in named if column.name != "-"]
     names = [column.name for column in columns]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -243,7 +262,8 @@ def layout_of(address: Address, default: str | None = None) -> RegisterLayout:
     return layout
 
 
-def _column(address: Address, text: str) -> RegisterColumn:
+def column_of(address: Address, text: str) -> RegisterColumn:
+    """Return a column from its text in an address, such as ``x@0:int16*0.001``."""
     matched = _COLUMN.fullmatch(text)
     if not matched:
         address.refuse(f"column {text!r} is not of the form name@register:type*factor (such as x@0:int16*0.001)")

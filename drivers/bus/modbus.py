@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import MutableMapping
+from collections.abc import Callable, MutableMapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,8 @@ to a request and its repetitions, which are sent a time-out apart, arrive at the
 BABBLE = 20
 """Pieces of data that are discarded before a line counts as one that is never silent."""
 
-HOLDING, INPUT, FAILED = 3, 4, 0x80
-"""Function codes that read a table, and the bit that an exception answer adds to them."""
+HOLDING, INPUT, WRITE_ONE, WRITE, FAILED = 3, 4, 6, 16, 0x80
+"""Function codes that read a table, or write one register or several, and the bit that an exception adds to them."""
 
 
 def open_modbus(address: Address, model: Device, lines: MutableMapping[str, ModbusLine] | None = None) -> ModbusLink:
@@ -125,9 +126,22 @@ class ModbusLine:
 
     def read(self, unit: int, function: int, first: int, number: int) -> Any:
         """Return the answer of a unit: pymodbus' response to this request, or an exception response."""
+        read = self._client.read_holding_registers if function == HOLDING else self._client.read_input_registers
+        request = partial(read, first, count=number, device_id=unit)
+        return self._answer(unit, function, request, lambda answer: len(answer.registers) == number)
+
+    def write(self, unit: int, function: int, first: int, words: list[int]) -> Any:
+        """Write registers and return the answer likewise."""
+        one = function == WRITE_ONE
+        request = self._client.write_register if one else self._client.write_registers
+        value = words[0] if one else words
+        return self._answer(
+            unit, function, partial(request, first, value, device_id=unit), lambda answer: answer.address == first
+        )
+
+    def _answer(self, unit: int, function: int, request: Callable[[], Any], fits: Callable[[Any], bool]) -> Any:
         from pymodbus.exceptions import ConnectionException, ModbusException
 
-        read = self._client.read_holding_registers if function == HOLDING else self._client.read_input_registers
         cause: Exception | None = None
         why = f"{1 + RETRIES} requests"
         self.open()
@@ -136,14 +150,13 @@ class ModbusLine:
                 self._await_silence()
             for _ in range(1 + RETRIES):
                 try:
-                    answer = read(first, count=number, device_id=unit)
+                    answer = request()
                 except ConnectionException:
                     raise
                 except ModbusException as error:
                     cause = error
                 else:
-                    fits = answer.isError() or len(answer.registers) == number
-                    if fits and answer.function_code & ~FAILED == function:
+                    if answer.function_code & ~FAILED == function and (answer.isError() or fits(answer)):
                         return answer
                 # Whatever answers the repetition may be the answer to this request.
                 if not self._numbered:
@@ -183,9 +196,14 @@ class ModbusLink:
         """Send a request without frame and checksum, and return the answer likewise.
 
         A request is the function code 3 or 4, the first register and the number of registers, two bytes each; an answer
-        the function code, the number of bytes and the registers, or function code + 0x80 and an exception code.
+        the function code, the number of bytes and the registers, or function code + 0x80 and an exception code. Codes
+        6 and 16 write what follows the first register, and are answered with the code alone.
         """
         function, first, number = out[0], int.from_bytes(out[1:3], "big"), int.from_bytes(out[3:5], "big")
+        if function in (WRITE_ONE, WRITE):
+            words = [int.from_bytes(out[at : at + 2], "big") for at in range(3, len(out), 2)]
+            written = self._line.write(self._unit, function, first, words)
+            return bytes([function | FAILED, written.exception_code] if written.isError() else [function])
         answer = self._line.read(self._unit, function, first, number)
         if answer.isError():
             return bytes([function | FAILED, answer.exception_code])

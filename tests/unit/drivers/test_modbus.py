@@ -70,6 +70,20 @@ def test_a_busy_unit_is_asked_again_and_for_five_seconds_at_most(code: str) -> N
     assert 3.0 <= clock.now_ns() / 1e9 <= 6.0
 
 
+def test_registers_are_written_one_or_several() -> None:
+    """Modbus Application Protocol V1.1b3, 6.6 and 6.12: functions 6 and 16; -12.5 is c148 0000 by IEEE 754."""
+    model = find_model("modbus-columns").at(parse_address("modbus:///dev/null?columns=x@100:int16*0.1,y@200:float32"))
+    script = Script("m", VirtualClock(), "06 0064 ff85 / 06", "10 00c8 c148 0000 / 10", "06 0064 0001 / 86 02")
+    unit = model.driver(script, VirtualClock())
+    unit.write("x", -12.3)
+    unit.write("y", -12.5)
+    with pytest.raises(DeviceFault, match=r"x = 4000 does not fit the type of register 100"):
+        unit.write("x", 4000.0)
+    with pytest.raises(DeviceFault, match="refuses to write x to register 100: it has no such register"):
+        unit.write("x", 0.1)
+    script.close()
+
+
 @pytest.mark.parametrize("rtu", [False, True], ids=["tcp", "rtu"])
 def test_the_registers_of_a_unit_are_read(rtu: bool) -> None:
     with (serial_line if rtu else server)(by_the_letter) as place:
