@@ -48,7 +48,8 @@ def led_by(
     try:
         session.probe()
         with ExitStack() as stack:
-            yield _operator(chosen, session, remark, stack, options or OperatorOptions())
+            operator = _operator(chosen, session, remark, stack, options or OperatorOptions())
+            yield _with_machines(operator, session, stack)
     except (KeyboardInterrupt, TiltcalError) as error:
         if not session.captured:
             raise
@@ -97,6 +98,26 @@ def _operator(
                 f"there is no operator {chosen!r}: it is {', '.join(NAMED)}, or an object that drives a rig"
             )
     return PythonObject(chosen, "position" if session.setup.steps.rotation is None else "rotation")
+
+
+def _with_machines(operator: Operator, session: Session, stack: ExitStack) -> Operator:
+    """Return an operator that moves the machines of the bench, where it has any and a position is to be set."""
+    setup = session.setup
+    machines = {name: machine for name, machine in setup.machines.items() if machine is not None}
+    if not machines or setup.steps.rotation is not None or session.finished:
+        return operator
+    from tiltcal.bench.drives import open_drive
+    from tiltcal.bench.machines import Machines, Mover
+
+    movers = [
+        Mover(name, machine, session.clock, partial(open_drive, machine, session.clock))
+        for name, machine in machines.items()
+    ]
+    thermometer = any(device.wired.thermometer for device in setup.devices)
+    moved = Machines(operator, movers, setup.steps, session.clock, thermometer=thermometer)
+    stack.callback(moved.close)
+    moved.probe()
+    return moved
 
 
 def run_session(session: Session, operator: Operator) -> SessionResult:

@@ -60,6 +60,7 @@ WORDS = {
 }
 """The answers to each question."""
 
+TIP = "tip"  # the question whether a reading follows, and the position that is asked for
 LOOK = "look"  # the answer of an operator that wants to see a reading before it is asked again
 HEARD = ("waiting", "accepted", "refused", "lost", "done", "turn", "held", "resumed")  # the events that a program gets
 KEYS = ("answer", "gravity", "temperature", "tilt")
@@ -308,6 +309,8 @@ def in_words(event: Message) -> list[str]:
             parts += [f"{name}: {why}" for name, why in event.get("unknown", {}).items()]
             parts += [f"{event['left_out']} samples left out"] if event.get("left_out") else []
             return ["   ".join(parts)]
+        case "moved":
+            return [f"  {event['why']}"]
         case "held":
             return [f"  held: {event['why']}"]
         case "resumed":

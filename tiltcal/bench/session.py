@@ -14,7 +14,7 @@ from typing import Any
 from tiltcal.bench.checks import Expectations, PositionResult, ReadingSpans, at_rail, far_off, require_few, result_of
 from tiltcal.bench.devices import VirtualBench, probe_devices
 from tiltcal.bench.journal import RecordedSession, positions_of
-from tiltcal.bench.operators import LOOK, WORDS, Operator, OperatorAnswer, understood
+from tiltcal.bench.operators import LOOK, TIP, WORDS, Operator, OperatorAnswer, understood
 from tiltcal.bench.playback import RecordedSample
 from tiltcal.bench.sensors import Recorder, Sample, SensorSet, connected
 from tiltcal.bench.settle import NEAR, SOAKS, Timed, Unsettled, Window, movement, wait_until_still
@@ -32,7 +32,6 @@ NUDGED = 0.002  # a change while sampling above this is a sensor that was touche
 NUDGED_SIGMAS = 6.0
 """And it must be this many standard uncertainties: a refusal costs the operator time, a look while settling none."""
 
-TIP = "tip"  # the question whether a reading follows, and the position that is asked for
 TIPPED = (0.2, 0.2, -0.2)
 """What a tip by hand adds to gravity, g: of any attitude it changes all components, of level by 14° in all."""
 

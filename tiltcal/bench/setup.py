@@ -19,6 +19,8 @@ from msgspec import Meta
 
 import tiltcal
 from tiltcal.bench.devices import BenchDevice
+from tiltcal.bench.drives import check_addresses
+from tiltcal.bench.machines import require_reachable
 from tiltcal.drivers.bus.clock import VIRTUAL_START
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import InputError, JournalError, UsageError
@@ -27,6 +29,7 @@ from tiltcal.files.bench import BenchFile, BenchSensor, bench_of
 from tiltcal.files.calibration import BaseFile, tilt_record
 from tiltcal.files.document import Document, document_of, read_document
 from tiltcal.files.journal import Journal
+from tiltcal.files.machine import Machine
 from tiltcal.files.moments import moment, stamp
 from tiltcal.files.procedure import Procedure, Rotation, procedure_in
 from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, plain
@@ -64,6 +67,8 @@ class Setup(Record, kw_only=True, dict=True):
     person: Annotated[Text | None, about("the name in the bench file")] = None
     sensors: Annotated[Annotated[tuple[BenchDevice, ...], Meta(min_length=1)], about("the sensors, in order")]
     thermometer: Annotated[BenchDevice | None, about("of a bench that has one")] = None
+    table: Annotated[Machine | None, about("that moves by itself, as in the bench file")] = None
+    chamber: Annotated[Machine | None, about("likewise")] = None
     references: Annotated[Mapping[Standard, Reference], about("as in the bench file")] = {}
     settings: Annotated[Settings, about("how the session measures")]
     procedure: Annotated[Mapping[str, Any], about("the procedure file in full")]
@@ -117,6 +122,8 @@ class Setup(Record, kw_only=True, dict=True):
             person=bench.operator,
             sensors=sensors,
             thermometer=thermometer,
+            table=bench.moving_table,
+            chamber=bench.chamber,
             references=bench.references,
             settings=Settings(
                 samples=samples or procedure.samples,
@@ -124,7 +131,7 @@ class Setup(Record, kw_only=True, dict=True):
                 soak=procedure.soak.seconds * scale,
                 jig=bench.jig,
                 thermometer=None if bench.thermometer is None else bench.thermometer.uncertainty,
-                table=bench.table,
+                table=bench.lean,
                 heading=bench.heading,
                 angle=procedure.angle,
                 turns=None if procedure.rotation is None else procedure.rotation.turns,
@@ -184,6 +191,11 @@ class Setup(Record, kw_only=True, dict=True):
         return all(device.simulated for device in self.devices)
 
     @property
+    def machines(self) -> dict[str, Machine | None]:
+        """What moves by itself."""
+        return {"table": self.table, "chamber": self.chamber}
+
+    @property
     def known(self) -> dict[str, BaseFile]:
         """The calibrations that sensors bring with them, by serial number."""
         return dict(self.bases) if self.base is None else {self.sensors[0].serial: BaseFile(self.base)}
@@ -224,6 +236,7 @@ class Setup(Record, kw_only=True, dict=True):
         else:
             from tiltcal.calibration.measurement import require_suitable
 
+            require_reachable(self.machines, steps.positions)
             for device in self.sensors:
                 require_suitable(steps, device.wired, device.orientation, based=device.serial in self.bases)
         if not self.typical_temperature:
@@ -414,6 +427,10 @@ def known_bench(document: Document) -> BenchFile:
             _ = BenchDevice(model=sensor.model, serial=sensor.serial, address=sensor.address).wired
     with document.locating("thermometer"):
         thermometer_of(bench)
+    for name, machine in (("table", bench.moving_table), ("chamber", bench.chamber)):
+        if machine is not None:
+            with document.locating(name):
+                check_addresses(machine)
     return bench
 
 

@@ -9,6 +9,7 @@ from msgspec import Meta
 
 from tiltcal.core.attitude import STRAIGHT, Orientation, orientation
 from tiltcal.files.document import Document
+from tiltcal.files.machine import CHAMBER_AXES, TABLE_AXES, Machine, check_machine
 from tiltcal.files.record import FromZero, Record, Text, about
 from tiltcal.files.results import Reference, Standard
 
@@ -50,9 +51,32 @@ class BenchFile(Record):
     thermometer: Annotated[BenchThermometer | None, about("the thermometer beside the sensors")] = None
     operator: Annotated[Text | None, about("the name of who stands there, for the files")] = None
     jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees; or `--jig`")] = None
-    table: Annotated[FromZero | None, about("of the table's lean in all positions, degrees; or `--table-lean`")] = None
+    table: Annotated[
+        FromZero | Machine | None,
+        about("of the table's lean in all positions, degrees; or `--table-lean`. Or a table that moves by itself"),
+    ] = None
+    chamber: Annotated[Machine | None, about("a chamber that moves by itself; its keys are those of `table`")] = None
     heading: Annotated[FromZero | None, about("of a heading, degrees; or `--heading-uncertainty`")] = None
     references: Annotated[Mapping[Standard, Reference], about("the standards, by what they are")] = {}
+
+    @property
+    def moving_table(self) -> Machine | None:
+        """The table that moves by itself."""
+        return self.table if isinstance(self.table, Machine) else None
+
+    @property
+    def lean(self) -> float | None:
+        """The standard uncertainty of the table's lean, degrees."""
+        return self.table.lean if isinstance(self.table, Machine) else self.table
+
+    def with_stated(self, *, jig: float | None, lean: float | None, heading: float | None) -> BenchFile:
+        """Return the bench with other uncertainties where they are stated, degrees."""
+        table = self.table if lean is None else lean
+        if lean is not None and isinstance(self.table, Machine):
+            table = self.table.replaced(lean=lean)
+        return self.replaced(
+            jig=self.jig if jig is None else jig, table=table, heading=self.heading if heading is None else heading
+        )
 
 
 def bench_of(document: Document) -> BenchFile:
@@ -65,6 +89,9 @@ def bench_of(document: Document) -> BenchFile:
             orientation(sensor.axes)
         if serials[number] in serials[:number]:
             raise body.error(f"the serial number {serials[number]!r} is there twice", "sensors", number)
+    for key, machine, axes in (("table", bench.moving_table, TABLE_AXES), ("chamber", bench.chamber, CHAMBER_AXES)):
+        if machine is not None:
+            check_machine(machine, body.at(key), axes)
     for name, reference in bench.references.items():
         body.at("references", name).require_moments(reference, "due")
     return bench

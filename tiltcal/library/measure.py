@@ -250,8 +250,7 @@ def _begun(
         bench = single(str(sensor), str(serial), str(address))
     else:
         bench = named if isinstance(named, BenchFile) else known_bench(read_document(named))
-    stated_of = {"jig": "--jig", "table": "--table-lean", "heading": "--heading-uncertainty"}
-    bench = bench.replaced(**{key: stated[name] for key, name in stated_of.items() if stated[name] is not None})
+    bench = bench.with_stated(jig=stated["--jig"], lean=stated["--table-lean"], heading=stated["--heading-uncertainty"])
     bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
     outputs, beside = _outputs(steps, bench, named, output)
     path = missing or (None if stated["--journal"] is None else Path(stated["--journal"]))

@@ -1,0 +1,260 @@
+"""Tables and chambers that move by themselves: a night without a person, faults, and what is left to a person."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import invalidate_caches
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.command import tiltcal
+from support.moving_machines import FaultySession, VirtualChamber, VirtualTable, serving, serving_registers
+
+from tiltcal.bench.machines import angles_of, gravity_of
+from tiltcal.drivers import find_model
+from tiltcal.files.calibration import read_calibration
+from tiltcal.files.journal import ANSWER, read_journal
+from tiltcal.files.procedure import find_procedure
+
+SENSORS = "".join(f'  - {{serial: A-{n}, model: adxl202-analog, address: "sim:?seed={n}"}}\n' for n in range(6))
+
+BENCH = """\
+tiltcal: 1
+kind: bench
+jig: 0.05
+thermometer: {{model: thermistor, address: "sim:"}}
+table:
+  kind: text
+  address: {table}
+  limits: {{x: [-95, 95], y: [-95, 95]}}
+  tolerance: 0.05
+  approach: 2
+  timeout: 30
+  start: [$H]
+  set: ["G0 X{{x:.3f}} Y{{y:.3f}}"]
+  accepted: ^ok
+  failed: error|ALARM
+  read: "?"
+  read_alone: true
+  pattern: MPos:(?P<x>[-0-9.]+),(?P<y>[-0-9.]+)
+  done: <Idle
+  stop: "!"
+chamber:
+  kind: modbus
+  address: {chamber}
+  limits: {{temperature: [-40, 90]}}
+  tolerance: 0.5
+  registers: {{temperature: {{set: "100:int16*0.1", read: "200:int16*0.1"}}}}
+sensors:
+{sensors}"""
+
+
+@contextmanager
+def machines(folder: Path, sensors: str = SENSORS) -> Iterator[VirtualTable]:
+    """A table on a socket and a chamber behind pymodbus, whose time goes on with each look at them."""
+    rng = np.random.default_rng(1)
+    table = VirtualTable(lambda: 0.1, lambda: "", rng)
+    table.repair()
+    chamber = VirtualChamber(lambda: 10.0, lambda: "", rng)
+
+    def temperature() -> float:
+        return float(chamber.line("PV").removeprefix("PV="))
+
+    def set_to(target: float) -> None:
+        chamber.line(f"SP {target}")
+
+    with serving(table.line) as place, serving_registers(temperature, set_to) as registers:
+        (folder / "bench.yaml").write_text(BENCH.format(table=place, chamber=registers, sensors=sensors))
+        yield table
+
+
+def answers(folder: Path, journal: str = "bench.journal.jsonl") -> list[dict]:
+    """What was answered to each position."""
+    events = read_journal(folder / journal).events
+    return [one.payload[0] for one in events if one.kind == ANSWER and one.payload[0]["to"] == "position"]
+
+
+def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
+    """Six sensors, nine temperatures, nobody at the keyboard; the journal is cut in the middle of a line."""
+    pytest.importorskip("pymodbus", reason="the pymodbus package is not installed")
+    options = ("--bench", "bench.yaml", "--operator", "json", "--samples", "10", "--settle", "0.05")
+    with machines(tmp_path) as table:
+        done = tiltcal("measure", "temperature-sweep", *options, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        said = [json.loads(line) for line in done.stdout.splitlines()]
+        assert not [one for one in said if "ask" in one]
+        assert [one["position"] for one in said if one.get("event") == "accepted"][-1] == "back-24"
+        waits = [one["seconds"] for one in said if one.get("event") == "waiting" and one["position"] == "up-40"]
+        assert waits[:3] == [60, 120, 180], "once a minute of the bench's clock"
+        whole = tmp_path / "whole"
+        whole.mkdir()
+        for file in tmp_path.glob("A-*.yaml"):
+            file.rename(whole / file.name)
+        journal = tmp_path / "bench.journal.jsonl"
+        data = journal.read_bytes()
+        journal.write_bytes(data[: int(0.55 * len(data))])
+        table.repair()
+        resumed = tiltcal("measure", "--resume", journal, "--operator", "json", cwd=tmp_path)
+        assert resumed.returncode == 0, resumed.stderr
+        again = [json.loads(line) for line in resumed.stdout.splitlines()]
+        assert 1 < len([one for one in again if one.get("event") == "accepted"]) < 9
+    for number in range(6):
+        calibration = read_calibration(tmp_path / f"A-{number}.yaml")
+        assert len(calibration.positions) == 9
+        truth = find_model("adxl202-analog").drawn(number)
+        for place, channel in enumerate("xy"):
+            name = f"temperature.offset.{channel}.1"
+            u = calibration.uncertainty[name]
+            assert abs(calibration.coefficients.thermal.drift[place, 0] - truth.drift[channel][0]) < 4 * u
+        assert tiltcal("diff", whole / f"A-{number}.yaml", f"A-{number}.yaml", cwd=tmp_path).returncode == 0
+
+
+@pytest.mark.parametrize(("procedure", "seed"), [("plane", 0), ("plane", 8), ("plane", 37), ("mavs", 104)])
+def test_no_wrong_position_counts_and_every_stop_can_be_resumed(procedure: str, seed: int, tmp_path: Path) -> None:
+    """Sessions that stop: a stall, a silent line, a slip while it is sampled; benchmarks/machines.py has 200."""
+    session = FaultySession(tmp_path, procedure, seed, 0.3)
+    session.run()
+    assert session.stops
+    assert session.wrong == []
+    assert tiltcal("check", session.output, cwd=tmp_path).returncode == 2, "it is written by the command alone"
+    (record,) = session.result.calibrations.values()
+    names = [position.name for position in find_procedure(procedure).positions]
+    assert [one.position for one in record.positions] == names
+
+
+RIG = """\
+class Status:
+    done, success = True, {success}
+
+class Axis:
+    def __init__(self, name):
+        self.name, self.at = name, 0.0
+
+    def set(self, value):
+        self.at = value + 0.02
+        return Status()
+
+    def read(self):
+        value = {{"value": self.at, "timestamp": 0.0}}
+        return {{self.name: value, self.name + "_setpoint": {{"value": 0.0, "timestamp": 0.0}}}}
+
+def table_x():
+    return Axis("x")
+
+def table_y():
+    return Axis("tilt")
+"""
+
+SENSOR = '  - {serial: S-1, model: sca100t-d02, address: "sim:?seed=1"}\n'
+HEADER = "tiltcal: 1\nkind: bench\njig: 0.05\nsensors:\n" + SENSOR
+QUICK = ("--bench", "bench.yaml", "--operator", "json", "--samples", "5", "--settle", "0.5")
+
+
+def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it reads back is the angle that was set; one that fails stops the session until it is mended."""
+    objects = "{x: {address: 'python:rig31:table_x'}, y: {address: 'python:rig31:table_y', reading: tilt}}"
+    (tmp_path / "bench.yaml").write_text(
+        f"{HEADER}table:\n  kind: object\n  limits: {{x: [-90, 90], y: [-90, 90]}}\n  tolerance: 0.05\n"
+        f"  timeout: 1\n  objects: {objects}\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "rig31.py").write_text(RIG.format(success=False))
+    stopped = tiltcal("measure", "plane", *QUICK, cwd=tmp_path)
+    assert stopped.returncode == 130
+    assert "x-tilt1 failed 3 times in a row: table: x has not got there" in stopped.stderr
+    assert "--resume bench.journal.jsonl" in stopped.stderr
+    (tmp_path / "rig31.py").write_text(RIG.format(success=True))
+    monkeypatch.delitem(sys.modules, "rig31")
+    invalidate_caches()
+    done = tiltcal("measure", "--resume", "bench.journal.jsonl", "--operator", "json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    told = [(one["tilt"]["x"], one["tilt"]["y"]) for one in answers(tmp_path)]
+    # Beside the axis that carries it, the other one is asin(cos 0.02° sin 30.02°) and so on.
+    assert told == [
+        pytest.approx(pair, abs=1e-3) for pair in [(30.02, 0.017), (-29.98, 0.017), (0.02, 30.02), (0.02, -29.98)]
+    ]
+
+
+def test_what_no_machine_does_is_left_to_the_operator(tmp_path: Path) -> None:
+    """A table of one axis: the other is asked for where it changes, and so is its review by a person."""
+    table = VirtualTable(lambda: 0.1, lambda: "", np.random.default_rng(1))
+    with serving(table.line) as place:
+        (tmp_path / "bench.yaml").write_text(
+            f"{HEADER}table:\n  kind: text\n  address: {place}\n  limits: {{x: [-90, 90]}}\n  tolerance: 0.05\n"
+            '  approach: 2\n  set: ["G0 X{x:.3f} Y0"]\n  read: "?"\n  accepted: ok\n  pattern: MPos:(?P<x>[-0-9.]+)\n'
+        )
+        said = '{"answer": "ready"}\n{"answer": "ready", "tilt": {"y": 30.02}}\n{"answer": "ready"}\n'
+        done = tiltcal("measure", "plane", *QUICK, cwd=tmp_path, said=said)
+    assert done.returncode == 0, done.stderr
+    asked = [one["position"] for one in map(json.loads, done.stdout.splitlines()) if "ask" in one]
+    assert asked == ["x-tilt1", "y-tilt1", "y-tilt2"]
+    assert [one["tilt"] for one in answers(tmp_path)] == [{"x": 30.0}, {"x": -30.0}, {"x": 0.0, "y": 30.02}, {"x": 0.0}]
+
+
+def test_a_chamber_alone_asks_for_the_attitude_once(tmp_path: Path) -> None:
+    """Its temperature is answered where no device of the bench is a thermometer."""
+    chamber = VirtualChamber(lambda: 5.0, lambda: "", np.random.default_rng(1))
+    with serving(chamber.line) as place:
+        (tmp_path / "bench.yaml").write_text(
+            HEADER.replace("sca100t-d02", "adxl202-analog")
+            + f"chamber:\n  kind: text\n  address: {place}\n  limits: {{temperature: [-40, 90]}}\n  tolerance: 0.5\n"
+            '  set: ["SP {temperature:.1f}"]\n  read: PV\n  pattern: PV=(?P<temperature>[-0-9.]+)\n'
+        )
+        done = tiltcal("measure", "two-temperature", *QUICK, cwd=tmp_path, said='{"answer": "ready"}\n')
+    assert done.returncode == 0, done.stderr
+    said = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len([one for one in said if "ask" in one]) == 1
+    asked = [position.temperature for position in find_procedure("two-temperature").positions]
+    assert [one["temperature"] for one in answers(tmp_path)] == pytest.approx(asked, abs=0.5)
+
+
+def test_a_position_beyond_the_limits_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    with serving(lambda line: pytest.fail("it was asked to move")) as place:
+        bench = BENCH.format(table=place, chamber="modbus:tcp://127.0.0.1:9", sensors=SENSOR)
+        (tmp_path / "bench.yaml").write_text(bench.replace("x: [-95, 95]", "x: [-31, 95]"))
+        refused = tiltcal("measure", "plane", *QUICK, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "x-tilt2 takes x of the table to -32, and its limits are -31 and 95" in refused.stderr
+    assert not list(tmp_path.glob("*.jsonl"))
+
+
+def test_a_bench_file_says_what_is_wrong_with_its_machines(tmp_path: Path) -> None:
+    right = BENCH.format(table="serial:///dev/ttyUSB0", chamber="modbus:tcp://127.0.0.1:9", sensors=SENSOR)
+    for before, after, where in (
+        ("serial:///", "spi:///", "table: address 'spi:///dev/ttyUSB0': a machine of kind text has an address such as"),
+        ("Y{y:.3f}", "", "table.set: nothing sets y: write {y} where its number belongs"),
+        ("Y{y:.3f}", "Y{z}", "table.set[0]: 'G0 X{x:.3f} Y{z}' is no template of x, y"),
+        ("(?P<y>", "(", "table.pattern: nothing reads y back: the pattern needs the group (?P<y>...)"),
+        ("error|ALARM", "error)", "table.failed: this is no regular expression"),
+        ('  read: "?"\n', "", "table: the key 'read' is missing; a machine of kind text needs it"),
+        ("kind: text", "kind: modbus", "table.set: a machine of kind modbus has no set: that is one of kind text"),
+        ("temperature: [-40", "x: [-40", "chamber.limits.x: unknown key 'x'; known here: temperature"),
+        ("[-40, 90]", "[90, -40]", "chamber.limits.temperature: the range [90, -40] is the wrong way round"),
+        ("100:int16", "100:int17", "chamber: address 'modbus:tcp://127.0.0.1:9': type 'int17' of column temperature"),
+        ("{temperature: {set", "{x: {set", "chamber.registers.x: unknown key 'x'"),
+    ):
+        assert before in right, before
+        (tmp_path / "bench.yaml").write_text(right.replace(before, after, 1))
+        checked = tiltcal("check", "bench.yaml", cwd=tmp_path)
+        assert checked.returncode == 2, after
+        assert re.fullmatch(rf"tiltcal: bench\.yaml:\d+: {re.escape(where)}.*\n", checked.stderr), checked.stderr
+
+
+def test_the_angles_of_two_axes_of_which_one_carries_the_other() -> None:
+    """Raising +X turns about -Y, raising +Y about +X; the carried axis turns with the one that carries it."""
+    rng = np.random.default_rng(2)
+    for carrier in "xy":
+        for a, b in rng.uniform(-90, 90, (20, 2)):
+            raised = {"x": Rotation.from_euler("y", -a, degrees=True), "y": Rotation.from_euler("x", b, degrees=True)}
+            carried = "y" if carrier == "x" else "x"
+            up = (raised[carrier] * raised[carried]).inv().apply([0.0, 0.0, 1.0])
+            assert gravity_of({"x": a, "y": b}, carrier) == pytest.approx(up)
+            assert angles_of(up, carrier) == pytest.approx({"x": a, "y": b})
+    assert angles_of((0.0, -0.0, -1.0), "x") == {"x": 0.0, "y": 180.0}
+    assert angles_of((-1.0, 0.0, 0.0), "x") == {"x": -90.0, "y": 0.0}
