@@ -327,7 +327,8 @@ class Machines:
         told = [WAITING]
 
         def waits(why: str, at: Angles) -> None:
-            self._person.tell({"event": "look", "position": position, "why": why, "readings": {}})
+            if self._person.watches:
+                self._person.tell({"event": "look", "position": position, "why": why, "readings": {}})
             seconds = (self._clock.now_ns() - began_ns) / 1e9
             if seconds >= told[0]:
                 told[0] = (seconds // WAITING + 1) * WAITING
