@@ -40,22 +40,14 @@ __all__ = [
 # fmt: on
 
 _HOME = {
-    "Calibration": "library.calibration",
-    "CalibrationLibrary": "library.calibration_library",
-    "PairCalibration": "library.calibration",
-    "apply_log": "library.recorded",
-    "combine": "library.calibration",
-    "compare": "library.calibration",
-    "fit": "library.recorded",
-    "match": "library.recorded",
-    "measure": "library.measure",
-    "noise": "library.recorded",
-    "open_calibrations": "library.calibration_library",
-    "open_sensor": "bench.devices",
-    "plan": "library.plan",
-    "read": "library.calibration",
+    "bench.devices": "open_sensor",
+    "library.calibration": "Calibration PairCalibration combine compare read",
+    "library.calibration_library": "CalibrationLibrary open_calibrations",
+    "library.measure": "measure",
+    "library.plan": "plan",
+    "library.recorded": "apply_log fit match noise",
 }
-"""Where each name is defined; all others are errors."""
+"""The names that each module defines; all others are errors."""
 
 
 def __getattr__(name: str) -> object:
@@ -64,7 +56,8 @@ def __getattr__(name: str) -> object:
 
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value: object = getattr(import_module(f"tiltcal.{_HOME.get(name, 'errors')}"), name)
+    home = next((module for module, names in _HOME.items() if name in names.split()), "errors")
+    value: object = getattr(import_module(f"tiltcal.{home}"), name)
     if callable(value) and not isinstance(value, type):
         from tiltcal.options import names_arguments
 

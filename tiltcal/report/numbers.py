@@ -12,7 +12,7 @@ from tiltcal.core.rounding import bracketed, round_to_place
 LABORATORY = 2
 """Digits of an uncertainty on the page (GUM, 7.2.6)."""
 
-MINUS, TIMES = "−", " × 10"
+MINUS = "−"
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _MOST_DECIMALS = 9
 """Largest number of digits before a power of ten is used."""
@@ -29,7 +29,11 @@ def measured(value: float, uncertainty: float | None, digits: int = 6) -> str:
         return signed(bracketed(value, uncertainty, LABORATORY))
     power = max(Decimal(abs(value)).adjusted(), Decimal(uncertainty).adjusted())
     mantissa = bracketed(value * 10.0**-power, uncertainty * 10.0**-power, LABORATORY)
-    return signed(mantissa) + TIMES + str(power).translate(SUPERSCRIPT)
+    return signed(mantissa) + _power_of_ten(power)
+
+
+def _power_of_ten(power: int) -> str:
+    return f" × 10{str(power).translate(SUPERSCRIPT)}"
 
 
 def plain(value: float, digits: int) -> str:
@@ -38,7 +42,7 @@ def plain(value: float, digits: int) -> str:
         return str(value)
     exact = Decimal(f"{value:.{digits - 1}e}")
     if exact and exact.adjusted() - digits < -2 * _MOST_DECIMALS:
-        return signed(f"{exact.scaleb(-exact.adjusted()):f}") + TIMES + str(exact.adjusted()).translate(SUPERSCRIPT)
+        return signed(f"{exact.scaleb(-exact.adjusted()):f}") + _power_of_ten(exact.adjusted())
     text = f"{exact:f}"
     return signed(text.rstrip("0").rstrip(".") if "." in text else text)
 
@@ -55,7 +59,7 @@ def half_width(value: float) -> str:
         return ""
     rounded = Decimal(f"{value:.{LABORATORY - 1}e}")
     if rounded.adjusted() - (LABORATORY - 1) < -_MOST_DECIMALS:
-        return f"{rounded.scaleb(-rounded.adjusted()):f}{TIMES}{str(rounded.adjusted()).translate(SUPERSCRIPT)}"
+        return f"{rounded.scaleb(-rounded.adjusted()):f}{_power_of_ten(rounded.adjusted())}"
     return f"{rounded:f}" if rounded.adjusted() < LABORATORY else f"{rounded:.0f}"
 
 

@@ -18,29 +18,15 @@ from tiltcal.files.pair import PairRecord
 from tiltcal.files.results import FileRecord, PairProvenance, PositionSet, Provenance, Reference
 from tiltcal.report.numbers import at_place, half_width, plain, signed
 
-_WORDS = {
-    "made_by": "Made by",
-    "operator": "Operator",
-    "bench.address": "Address",
+_LABELS = {
     "bench.axes": "Axes on the bench",
+    "bench.address": "Address",
     "bench.thermometer": "Thermometer",
-    "software": "Software",
     "base.name": "Calibration it builds on",
-    "base.sha256": "SHA-256 of that calibration",
     "sources": "Combined of",
-    "journal.name": "Journal",
-    "journal.sha256": "SHA-256 of the journal",
-    "log.name": "Log",
-    "log.rows": "Rows of the log",
     "log.missing": "Rows left out",
-    "log.sha256": "SHA-256 of the log",
-    "segments.name": "Segments",
-    "segments.sha256": "SHA-256 of the segments",
-    "table.name": "Table of positions",
-    "table.sha256": "SHA-256 of the table",
-    "stage_angle": "Stage angle",
 }
-
+"""What the page calls a value of the provenance where its name alone does not say it."""
 
 ALIKE = 2.0
 """Temperatures that are no further apart count as one, °C."""
@@ -117,7 +103,7 @@ def provenance_facts(provenance: Provenance | PairProvenance, source: FileRecord
     facts = [Fact("Calibrated", period(provenance))]
     for name, value in _leaves(record.plain(provenance.replaced(references={}))):
         if name not in ("started", "ended") and not (name == "made_by" and notice(provenance)):
-            label = _WORDS.get(name, name[:1].upper() + name[1:].replace("_", " ").replace(".", ": "))
+            label = _LABELS.get(name) or _label(name)
             facts.append(Fact(label, value, code=name.endswith(("sha256", "address"))))
     facts += [Fact(f"Reference: {name}", _reference(name, one)) for name, one in provenance.references.items()]
     facts += [Fact("Calibration file", source.name), Fact("SHA-256 of the file", source.sha256 or "", code=True)]
@@ -130,6 +116,19 @@ def _reference(name: str, reference: Reference) -> str:
     parts += [f"certificate {reference.certificate}"] if reference.certificate else []
     parts += [f"±{reference.uncertainty:g}{unit} (95 %)"] if reference.uncertainty is not None else []
     return ", ".join([*parts, *([f"due {reference.due}"] if reference.due else [])])
+
+
+def _label(name: str) -> str:
+    """Return a dotted name in words: ``SHA-256 of the journal``, ``Link statistics: damaged``."""
+    record_name, _, key = name.replace("_", " ").partition(".")
+    match key:
+        case "sha256":
+            return f"SHA-256 of the {record_name}"
+        case "rows":
+            return f"Rows of the {record_name}"
+        case "" | "name":
+            return record_name[:1].upper() + record_name[1:]
+    return f"{record_name[:1].upper()}{record_name[1:]}: {key}"
 
 
 def period(provenance: Provenance | PairProvenance) -> str:

@@ -40,21 +40,11 @@ KEPT = 16
 LONGEST_WORD = 24
 """Characters of a name that is not broken into lines."""
 
-SOURCES = {
-    "noise": "noise",
-    "adc": "ADC",
-    "jig": "jig",
-    "table": "table",
-    "thermometer": "thermometer",
-    "assumed": "assumed",
-}
+SOURCES = {name: name for name in ("noise", "adc", "jig", "table", "thermometer", "assumed")} | {"adc": "ADC"}
 """The sources of uncertainty: their names in a file and on the page, in the order of the bars."""
 
 ROUND = "roll"
 """An angle that wraps from 180° to -180°, so that its mean has no meaning."""
-
-_POSITIVE, _NEGATIVE = (31, 111, 139), (192, 80, 77)  # backgrounds of correlations of ±1
-_DARK = 0.6  # from which the text of a correlation is white
 
 
 class Column(NamedTuple):
@@ -195,11 +185,10 @@ def correlation_table(calibration: CalibrationRecord) -> Table | None:
 
 def _correlation(value: float) -> Html:
     """Return a correlation on a background: blue if it is positive, red if negative, darker if stronger."""
-    strength = min(abs(value), 1.0)
-    full = _POSITIVE if value > 0.0 else _NEGATIVE
-    ground = "".join(f"{round(255 + (end - 255) * strength):02x}" for end in full)
+    strength, colour = min(abs(value), 1.0), "31 111 139" if value > 0.0 else "192 80 77"
     text = at_place(value, 2).replace("0.", ".", 1) if strength >= 0.005 else "0"
-    return Html(f'<span style="background:#{ground}{";color:#fff" if strength > _DARK else ""}">{text}</span>')
+    white = ";color:#fff" if strength > 0.6 else ""
+    return Html(f'<span style="background:rgb({colour} / {strength:.2f}){white}">{text}</span>')
 
 
 class Group(NamedTuple):
