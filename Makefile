@@ -21,7 +21,7 @@ endif
 help:
 	@echo "make demo         calibrate a virtual sensor, show what that does to a recorded log, and write its report"
 	@echo "make test         run the tests"
-	@echo "make test-kernel  run the GPIO driver on Debian's kernel in QEMU, with simulated lines"
+	@echo "make test-kernel  run the GPIO driver, and Linux's drivers of our parts, on Debian's kernel in QEMU"
 	@echo "make check        lint, types, layers, and what the wheel holds"
 	@echo "make bench        measure how fast it is, beside polars and others; benchmarks/README.md has the long ones"
 	@echo "make fixtures     make the recorded sessions and golden files of the tests anew"

@@ -59,9 +59,9 @@ ADXL345 = RegisterPart(
     spi=SpiPort((3,), fastest=5_000_000, speed=1_000_000),
     identity=(0x00, (b"\xe5",)),
     # In standby: no user offsets, no interrupts, no FIFO; rate, range; then it measures. It has no reset.
-    set_up=lambda part: (
+    set_up=(
         tuple(Write(register, 0x00, kept=False) for register in (0x2D, 0x1E, 0x1F, 0x20, 0x2E, 0x38)),
-        (Write(0x2C, part.rates[part.rate], kept=False), Write(0x31, 0x08 | part.ranges[part.range].code)),
+        (Write(0x2C, 0x00, rate=1, kept=False), Write(0x31, 0x08, range=1)),
         (Write(0x2D, 0x08),),
     ),
     settling=4,
@@ -83,13 +83,9 @@ MPU6050 = RegisterPart(
     identity=(0x75, (b"\x68",)),
     reset=Write(0x6B, 0x80, seconds=0.1),
     # Awake, with the clock of the gyroscope; rate; 44 Hz filter; range.
-    set_up=lambda part: (
-        (
-            Write(0x6B, 0x01, seconds=0.03),
-            Write(0x19, part.rates[part.rate], kept=False),
-            Write(0x1A, 0x03, kept=False),
-            Write(0x1C, part.ranges[part.range].code << 3),
-        ),
+    set_up=(
+        (Write(0x6B, 0x01, seconds=0.03), Write(0x19, 0x00, rate=1, kept=False), Write(0x1A, 0x03, kept=False)),
+        (Write(0x1C, 0x00, range=0x08),),
     ),
     settling=4,
     watched=0x6B,
@@ -108,7 +104,7 @@ MPU6500 = replace(
     thermometer=Thermometer(Field(0x41, 16), zero=0, slope=333.87, reference=21.0),
     identity=(0x75, (b"\x70",)),
     # The filter of the accelerometer has a register of its own, which a reset clears; PWR_MGMT_1 is then as set up.
-    set_up=lambda part: (*MPU6050.set_up(part), (Write(0x1D, 0x03),)),
+    set_up=(*MPU6050.set_up, (Write(0x1D, 0x03),)),
     watched=0x1D,
     held={0x6B: 0x01},
     limits=Tolerances(offset=0.08, sensitivity=0.03, cross=0.02, drift=1.5e-3, gain=2.6e-4, thermometer=3.0),
@@ -144,13 +140,9 @@ ICM20948 = replace(
     begin=in_first_bank,
     reset=Write(0x06, 0x80, seconds=0.1),
     # Awake; in bank 2 rate, range and 50 Hz filter; back in bank 0.
-    set_up=lambda part: (
+    set_up=(
         (Write(0x06, 0x01, seconds=0.03),),
-        (
-            Write(0x7F, 0x20, kept=False),
-            Write(0x11, part.rates[part.rate], kept=False),
-            Write(0x14, 0x19 | part.ranges[part.range].code << 1),
-        ),
+        (Write(0x7F, 0x20, kept=False), Write(0x11, 0x00, rate=1, kept=False), Write(0x14, 0x19, range=0x02)),
         (Write(0x7F, 0x00, kept=False),),
     ),
     watched=0x06,
@@ -174,13 +166,9 @@ LIS3DH = RegisterPart(
     spi=SpiPort((3, 0), fastest=10_000_000, speed=1_000_000),
     identity=(0x0F, (b"\x33",)),
     # No high-pass filter, no FIFO; whole samples at high resolution; rate and axes. It has no reset.
-    set_up=lambda part: (
-        (
-            Write(0x21, 0x00, kept=False),
-            Write(0x24, 0x00, kept=False),
-            Write(0x23, 0x88 | part.ranges[part.range].code << 4),
-            Write(0x20, 0x07 | part.rates[part.rate] << 4),
-        ),
+    set_up=(
+        (Write(0x21, 0x00, kept=False), Write(0x24, 0x00, kept=False)),
+        (Write(0x23, 0x88, range=0x10), Write(0x20, 0x07, rate=0x10)),
     ),
     # At high resolution it needs seven sample periods to turn on.
     settling=8,
@@ -207,12 +195,7 @@ def _lsm6ds(name: str, title: str, identity: int, counts_per_degree: float) -> R
         identity=(0x0F, (bytes([identity]),)),
         reset=Write(0x12, 0x01, seconds=0.05),
         # Whole samples, counting up; rate and range.
-        set_up=lambda part: (
-            (
-                Write(0x12, 0x44, kept=False),
-                Write(0x10, part.rates[part.rate] << 4 | part.ranges[part.range].code << 2),
-            ),
-        ),
+        set_up=((Write(0x12, 0x44, kept=False), Write(0x10, 0x00, rate=0x10, range=0x04)),),
         settling=6,
         watched=0x10,
     )
@@ -230,10 +213,10 @@ MMA8451 = RegisterPart(
     addresses=(f"{I2C}0x1d",),
     identity=(0x0D, (b"\x1a",)),
     # In standby: no FIFO; range, without high-pass filter; high resolution; then rate and active.
-    set_up=lambda part: (
+    set_up=(
         (Write(0x2A, 0x00, kept=False), Write(0x09, 0x00, kept=False)),
-        (Write(0x0E, part.ranges[part.range].code), Write(0x2B, 0x02, kept=False)),
-        (Write(0x2A, 0x01 | part.rates[part.rate] << 3),),
+        (Write(0x0E, 0x00, range=1), Write(0x2B, 0x02, kept=False)),
+        (Write(0x2A, 0x01, rate=0x08),),
     ),
     settling=4,
     watched=0x2A,
@@ -254,9 +237,9 @@ BMI160 = RegisterPart(
     identity=(0x00, (b"\xd1",)),
     reset=Write(0x7E, 0xB6, seconds=0.1),
     # Normal mode, which takes 3.8 ms; rate with the narrowest filter, which a reset widens; range.
-    set_up=lambda part: (
+    set_up=(
         (Write(0x7E, 0x11, seconds=0.005, kept=False),),
-        (Write(0x40, part.rates[part.rate], seconds=0.001), Write(0x41, part.ranges[part.range].code, seconds=0.001)),
+        (Write(0x40, 0x00, rate=1, seconds=0.001), Write(0x41, 0x00, range=1, seconds=0.001)),
     ),
     settling=8,
     watched=0x40,
@@ -277,13 +260,7 @@ MSA311 = RegisterPart(
     identity=(0x01, (b"\x13",)),
     reset=Write(0x00, 0x24, seconds=0.02),
     # Normal mode; all axes and rate; range.
-    set_up=lambda part: (
-        (
-            Write(0x11, 0x00),
-            Write(0x10, part.rates[part.rate], kept=False),
-            Write(0x0F, part.ranges[part.range].code),
-        ),
-    ),
+    set_up=((Write(0x11, 0x00), Write(0x10, 0x00, rate=1, kept=False), Write(0x0F, 0x00, range=1)),),
     settling=4,
     watched=0x11,
     held={0x11: 0xC0},

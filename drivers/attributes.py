@@ -1,8 +1,8 @@
 """Accelerometers whose values are asked for by name: any that Linux has a driver for, and any object of Python.
 
 ``iio:device0?sensitivity=16384`` reads the ``raw`` values of an IIO device. Its name, scale, offset, mount matrix
-and rate are read at the first sample and whenever a position begins; a device that changes one of them is refused,
-because a calibration holds for the setting that it was measured in.
+and rate are read with each 25th sample; a device that changes one of them is refused, because a calibration holds for
+the setting that it was measured in.
 
 ``python:MODULE:FACTORY`` reads an object that ``FACTORY()`` makes: its ``acceleration`` in m/s², as the drivers of
 CircuitPython have it, or the numbers that it returns when it is called.
@@ -44,20 +44,26 @@ SETTINGS = {
 """The attributes that a setting may have, the first one that is there; of one that has none, nothing is said."""
 
 
-class IioSensor:
+COMPARED_EVERY = 25
+"""The settings are compared with each of so many samples, the first one too."""
+
+
+class IioSensor(Sensor):
     """The driver of an accelerometer of Linux."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
         self._settings: dict[str, str] = {}
+        self._samples = 0
 
     def probe(self) -> Mapping[str, str]:
         """Return the settings of the device and a reading as text."""
-        self.discard()
+        self._samples = 0
+        reading = self.read()
         said = dict(self._settings)
         if "scale" in said and (per_count := float(said["scale"])):
             said["scale"] += f" m/s² a count, sensitivity={OF_G['m/s2'] / per_count:.6g}"
-        return said | in_words(self.read(), AXES, "{:g}", trimmed=True)
+        return said | in_words(reading, AXES, "{:g}", trimmed=True)
 
     def read(self) -> Reading:
         """Return the raw values.
@@ -65,15 +71,16 @@ class IioSensor:
         BusError: the device is gone, or a value is no number.
         DeviceFault: its settings have changed.
         """
-        if not self._settings:
-            self.discard()
+        if self._samples % COMPARED_EVERY == 0:
+            self._compare()
+        self._samples += 1
         words = [self._text(f"in_accel_{axis}_raw") for axis in AXES]
         try:
             return Reading(tuple(float(int(word)) for word in words))
         except ValueError as cause:
             raise BusError(f"the device answers {words}, which are no counts") from cause
 
-    def discard(self) -> None:
+    def _compare(self) -> None:
         """Compare the settings with those of the first sample."""
         settings = self._present()
         for name, first in self._settings.items():

@@ -96,8 +96,8 @@ ADXL355 = RegisterPart(
     reset=Write(0x2F, 0x52, seconds=0.010),
     begin=load_trim,
     # FILTER and RANGE (bit 7 as after a reset) in standby; then POWER, which ends it.
-    set_up=lambda part: (
-        (Write(0x28, part.rates[part.rate]), Write(0x2C, 0x80 | part.ranges[part.range].code)),
+    set_up=(
+        (Write(0x28, 0x00, rate=1), Write(0x2C, 0x80, range=1)),
         # The turn-on time is 10 ms.
         (Write(0x2D, 0x00, seconds=0.010),),
     ),
@@ -149,13 +149,7 @@ IIS2ICLX = RegisterPart(
     # The data sheet's turn-on time is 15 ms.
     reset=Write(0x12, 0x01, seconds=0.020),
     # DEVICE_CONF, which has to be set after every reset; whole samples, counting up; rate and range.
-    set_up=lambda part: (
-        (
-            Write(0x18, 0xE2),
-            Write(0x12, 0x44),
-            Write(0x10, part.rates[part.rate] << 4 | part.ranges[part.range].code << 2),
-        ),
-    ),
+    set_up=((Write(0x18, 0xE2), Write(0x12, 0x44), Write(0x10, 0x00, rate=0x10, range=0x04)),),
     dropped=3,
     new_sample=(0x1E, 0x01),
     cleared_by=0x28,

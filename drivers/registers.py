@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import chain
 from math import ceil, inf, sqrt
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -112,12 +113,17 @@ class Range(NamedTuple):
 
 
 class Write(NamedTuple):
-    """A register that is written, how long the part needs then (s), and whether it keeps what it is told."""
+    """A register that is written, how long the part needs then (s), and whether it keeps what it is told.
+
+    rate, range: the weights of the codes of rate and range in the value, such as 0x10 of one in the upper four bits.
+    """
 
     register: int
     value: int
     seconds: float = 0.0
     kept: bool = True
+    rate: int = 0
+    range: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +142,7 @@ class RegisterPart:
     burst_bytes: of a sample on SPI: at the slowest clock they pass in a sample period; 0 where no word can be torn.
     fastest_on_i2c: samples per second that the bus carries at 100 kHz.
     identity: the first register of the part's identity, and the contents that are this part's.
-    set_up: ``set_up(part)`` returns the writes before it measures; each group is read back before the next one begins.
+    set_up: the writes before it measures; each group is read back before the next one begins.
     settling, dropped: sample periods from the last of them to a sample; samples dropped then.
     new_sample, cleared_by: status register and bit of a new sample, without which a sample is taken at any time; the
         register whose reading clears that bit, where it is not the status register.
@@ -175,7 +181,7 @@ class RegisterPart:
     fastest_on_i2c: float = inf
     identity: tuple[int, tuple[bytes, ...]] | None = None
     reset: Write | None = None
-    set_up: Callable[[RegisterPart], tuple[tuple[Write, ...], ...]] = lambda part: ()
+    set_up: tuple[tuple[Write, ...], ...] = ()
     settling: int = 0
     dropped: int = 0
     new_sample: tuple[int, int] | None = None
@@ -221,9 +227,13 @@ class RegisterPart:
         return self.ranges[self.range].rails or next(iter(self.channels.values())).rails
 
     @property
-    def writes(self) -> tuple[Write, ...]:
-        """All writes before it measures."""
-        return tuple(write for group in self.set_up(self) for write in group)
+    def writes(self) -> tuple[tuple[Write, ...], ...]:
+        """The groups of ``set_up`` with its rate and its range."""
+        rate, scale = self.rates.get(self.rate, 0), self.ranges[self.range].code
+        return tuple(
+            tuple(one._replace(value=one.value | one.rate * rate | one.range * scale) for one in group)
+            for group in self.set_up
+        )
 
     @property
     def schemes(self) -> tuple[str, ...]:
@@ -294,6 +304,7 @@ class RegisterSensor(Sensor):
         self.link = link
         self._clock = clock
         self._ready = False
+        self._writes = tuple(chain(*part.writes))
         self.remembered: Any = None
 
     def probe(self) -> Mapping[str, str]:
@@ -309,7 +320,7 @@ class RegisterSensor(Sensor):
             self._start()
         if not self._sample_comes():
             raise self._no_sample(ready)
-        if ready and (wrong := self._unlike(write for write in part.writes if write.register == part.watched)):
+        if ready and (wrong := self._unlike(write for write in self._writes if write.register == part.watched)):
             raise self._was_reset(wrong)
         registers = part.take(self)
         self._ready = True
@@ -374,7 +385,7 @@ class RegisterSensor(Sensor):
     def _start(self) -> None:
         """Begin, and write the settings."""
         self.part.begin(self)
-        for group in self.part.set_up(self.part):
+        for group in self.part.writes:
             for write in group:
                 self.write(write)
             if wrong := self._unlike(group):
@@ -415,7 +426,7 @@ class RegisterSensor(Sensor):
         )
 
     def _no_sample(self, was_ready: bool) -> DeviceFault:
-        if was_ready and (wrong := self._unlike(self.part.writes)):
+        if was_ready and (wrong := self._unlike(self._writes)):
             return self._was_reset(wrong)
         return DeviceFault(
             f"no sample came for {PERIODS * (1.0 / self.part.rate):.3g} s: the {self.part.short} does not measure; "
@@ -433,7 +444,7 @@ class VirtualRegisters(VirtualPart):
         super().__init__(truth, fixture, clock)
         self._part = part
         self.letter = part.bus.letter if part.schemes[0] == "package" and part.bus else part.schemes[0][0]
-        self._set_up = {write.register: write.value for write in part.writes if write.kept}
+        self._set_up = {write.register: write.value for write in chain(*part.writes) if write.kept}
         first, known = part.identity or (0, (b"",))
         self._after_reset = {**part.held, **dict(enumerate(known[0], first))}
         self._held = dict(self._after_reset)
@@ -477,7 +488,8 @@ class VirtualRegisters(VirtualPart):
         register, written, step = self._commands.get(out[0], (0, False, 0))
         if not written and (self.letter == "s" or len(out) == 1):
             return self._content([register + step * place for place in range(count)])
-        if self._part.reset and (register, out[-1]) == self._part.reset[:2]:
+        reset = self._part.reset
+        if reset and register == reset.register and out[-1] & reset.value == reset.value:
             self._held = dict(self._after_reset)
         else:
             self._held[register] = out[-1]

@@ -104,10 +104,29 @@ def test_an_accelerometer_of_linux_is_read_in_one_setting(device: Path) -> None:
         assert said["name"] == "lis3dh_accel"
         assert "sensitivity=1023.4" in said["scale"]
         assert said["mount matrix"].startswith("1, 0, 0")
-        assert sensor.read().values == (-120.0, 64.0, 1008.0)
+        for _ in range(24):
+            assert sensor.read().values == (-120.0, 64.0, 1008.0)
         (device / "in_accel_scale").write_text("0.019163\n")
         with pytest.raises(DeviceFault, match=r"scale of the device was 0.009582 and is 0.019163"):
-            sensor.discard()
+            sensor.read()
+
+
+def test_a_whole_session_reads_an_accelerometer_of_linux(device: Path, tmp_path: Path) -> None:
+    class Table:
+        def position(self, ask: dict) -> dict:
+            for axis, g in zip("xyz", ask["gravity"], strict=True):
+                (device / f"in_accel_{axis}_raw").write_text(f"{round(1000 * g) + 20}\n")
+            return {"answer": "ready"}
+
+    cal = library.measure(
+        "six-face", sensor="iio", address="iio:device0?sensitivity=1000", serial="I-1", operator=Table(), jig=0.1,
+        samples=30, settle=0.1, output=tmp_path / "I-1.yaml",
+    )  # fmt: skip
+    assert cal.offset["x"] == pytest.approx(20.0, abs=0.5)
+    assert cal.sensitivity["z", "z"] == pytest.approx(1000.0, abs=0.5)
+
+
+def test_what_is_no_accelerometer_of_linux_is_named(device: Path) -> None:
     for address, error, why in (
         ("iio:device7", BusError, "devices there: device0"),
         ("iio:accel", UsageError, "name a device"),
