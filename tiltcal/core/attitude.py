@@ -266,11 +266,7 @@ class MountingEstimate:
 
 
 def mounting_rotation(read: Array, known: Array, sigma: Array | None = None) -> Array:
-    """Return the rotation matrix from directions that a sensor reads to those that were set, (positions, 3).
-
-    ``sigma`` is the standard uncertainty of each direction, (positions,), radians. An EstimateError refuses directions
-    that leave it undetermined.
-    """
+    """Return the rotation matrix from directions as read to those as set, (positions, 3), by their u, (positions,)."""
     from scipy.spatial.transform import Rotation
 
     spread = np.linalg.svd(_units(known), compute_uv=False)

@@ -28,10 +28,7 @@ from tiltcal.errors import EstimateError
 
 
 def cross_axis(coefficients: Coefficients, uncertain: Uncertain) -> Uncertain:
-    """Return the cross-axis sensitivity of each channel, by its name, % (Cross-axis Compensation, eq. 1).
-
-    A column that was not determined counts as zero; a channel whose own axis was not determined is left out.
-    """
+    """Return the cross-axis sensitivity of each channel that has its own axis, % (Cross-axis Compensation, eq. 1)."""
 
     def shares(at: Coefficients) -> Array:
         return np.array([float(cross_axis_sensitivity(own, *others)) for own, others in _rows(at)])
@@ -63,10 +60,7 @@ def intrinsic(coefficients: Coefficients, uncertain: Uncertain) -> Uncertain:
 
 
 def rotation(coefficients: Coefficients, uncertain: Uncertain) -> tuple[Uncertain, bool]:
-    """Return ``rotation_degrees.roll``, ``.pitch`` and ``.yaw`` of R, and whether roll and yaw are not separated.
-
-    An EstimateError refuses channels that form a left-handed frame.
-    """
+    """Return ``rotation_degrees.roll``, ``.pitch``, ``.yaw`` of R, and whether roll and yaw are not separated."""
     angles, locked = mounting_angles(separated(_matrix(coefficients))[1])
     turned = np.array([angles.roll, angles.pitch, angles.yaw])
 

@@ -129,12 +129,10 @@ class EarthFrameCompensation:
     """Adds heading and earth velocities to the rows of a compensation, and their flags.
 
     ``magnetometer``: the heading comes from a field, and is added; else rows have one. ``declination``: added to the
-    heading, degrees. ``uncertain``: adds the uncertainty of each column, with the standard uncertainty of each
-    component of the field, ``field_noise``, in its unit. ``averaged``: rows are means, whose uncertainties have a
-    random and a common share. An EstimateError refuses a sensor that measures no x and y.
+    heading, degrees. ``uncertain``: adds the uncertainty of each column, with that of each component of the field,
+    ``field_noise``, in its unit. ``averaged``: rows are means, whose uncertainties have a random and a common share.
 
-    Sensor and magnetometer have the same axes, and a mounting turns both; velocities are in the application's frame,
-    and a mounting does not turn them.
+    Sensor and magnetometer have the same axes, and a mounting turns both, but not the velocities.
     """
 
     def __init__(
@@ -169,8 +167,7 @@ class EarthFrameCompensation:
     def __call__(self, chunk: KernelChunk, field: Array | None, heading: Array | None, velocity: Array | None) -> Array:
         """Return the columns of compensated rows, shape (columns, n), and mark their flags.
 
-        ``field``, (n, 3), is in the sensor's frame; without one it takes a ``heading``, (n,), degrees. ``velocity`` has
-        the shape (n, 3).
+        It takes a field in the sensor's frame, (n, 3), or a heading, (n,), degrees, and a velocity, (n, 3).
         """
         up, rotation = self._up(chunk), self._compensation.rotation
         turned = None if field is None else field.T if rotation is None else np.asarray(rotation @ field.T)

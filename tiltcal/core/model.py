@@ -100,11 +100,7 @@ class Coefficients:
         return float(self.sensitivity[self.channels.index(channel), self.axes.index(channel)])
 
     def predict(self, gravity: Array, temperature: Array | None = None) -> Array:
-        """Compute the readings that the model expects, shape (n, channels), in the unit of the offset.
-
-        ``gravity``, (n, 3), is up in the sensor's frame, g; ``temperature``, (n,), °C, is the reference where it is
-        left out.
-        """
+        """Compute the readings, (n, channels), for up, (n, 3), g, and temperatures, (n,), °C, else the reference."""
         columns = [AXES.index(axis) for axis in self.axes]
         readings = np.asarray(gravity, dtype=float)[:, columns] @ self.sensitivity.T
         if self.nonlinearity is not None:
@@ -138,11 +134,7 @@ def overlap(first: tuple[float, float] | None, second: tuple[float, float] | Non
 
 
 def polynomial(coefficients: Array, variable: Array) -> Array:
-    """Evaluate a polynomial without a constant term, by Horner's rule in place; the shape is that of the variable.
-
-    Element k of the coefficients multiplies variable**(k+1). With several rows of them, (..., order), the result has a
-    row for each.
-    """
+    """Evaluate a polynomial by Horner, of which element k multiplies variable**(k+1); with rows, (..., order), each."""
     shape = variable.shape if coefficients.ndim == 1 else (*coefficients.shape[:-1], variable.shape[-1])
     value = np.zeros(shape)
     for power in range(coefficients.shape[-1], 0, -1):
@@ -157,13 +149,7 @@ def nonlinearity_slope(shares: Array, a: Array) -> Array:
 
 
 def take_out_nonlinearity(signal: Array, coefficients: Coefficients) -> None:
-    """Invert B in the signal S_ii B(a) of each channel, in place, by Newton's method: S_ii a is left.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (channels, n)
-        Unit.
-    """
+    """Invert B in the signal S_ii B(a) of each channel, (channels, n), in place, by Newton: S_ii a is left."""
     if coefficients.nonlinearity is None:
         return
     for row, channel, shares in zip(signal, coefficients.channels, coefficients.nonlinearity, strict=True):
@@ -228,10 +214,7 @@ class ChannelModel:
         return theta[..., 1:first], theta[..., first:second], theta[..., second:third], theta[..., third:]
 
     def read(self, theta: Array, gravity: Array, dt: Array) -> ModelReading:
-        """Compute the reading and its derivatives by the coefficients, shape (coefficients,).
-
-        ``gravity``, (n, 3), is up in the sensor's frame, g; ``dt``, (n,), the temperature from the reference, °C.
-        """
+        """Compute the reading for up, (n, 3), g, and °C from the reference, (n,), and its derivatives."""
         sensitivity, drift, gain, shares = self.split(theta)
         columns = [AXES.index(axis) for axis in self.axes]
         along, first, scale = gravity.T[columns], 1 + len(self.axes), 1.0 + polynomial(gain, dt)

@@ -300,10 +300,7 @@ def _deviance(fit: tuple[tuple[Array, Array, float], list[int]]) -> float:
 
 
 def _squares(tau: Array, variance: Array, table: Array, first: int, terms: Sequence[int]) -> tuple[Array, Array, float]:
-    """Return the squares of all coefficients, the degrees of freedom of all octaves, and the deviance.
-
-    Non-negative least squares of the octaves from ``first`` on, weighted by the variance that the terms make.
-    """
+    """Return the squares of all coefficients, the degrees of freedom of all octaves, and the deviance, by NNLS."""
     from scipy.optimize import nnls
 
     columns = _columns(tau)

@@ -92,9 +92,8 @@ class SampleSummary:
 def summarise(samples: Sequence[float] | Array, resolution: float = 0.0) -> SampleSummary:
     """Return mean, standard deviation and the mean's standard uncertainty of at least one sample, shape (n,).
 
-    The uncertainty is what the scatter of ten block means says, because samples of a real record are correlated and
-    std/sqrt(n) does not see it; fewer than twenty samples have no blocks, and std/sqrt(n) it is. Rounding is added:
-    noise of half a step or more averages it out, a reading that never changes is uncertain by step/sqrt(12).
+    The uncertainty is what the scatter of ten block means says, because std/sqrt(n) does not see that samples of a real
+    record are correlated; of fewer than twenty samples it is std/sqrt(n). Rounding is added.
     """
     values = np.asarray(samples, dtype=float)
     n, low = len(values), float(values.min())
@@ -115,10 +114,7 @@ def summarise(samples: Sequence[float] | Array, resolution: float = 0.0) -> Samp
 
 
 def exact_sum(values: Array, mean: float | None = None) -> float:
-    """Return the sum of values, shape (n,), or of the squares of their distances from a mean.
-
-    That of few values is rounded once; many are made sums of some each first, in an order that no processor changes.
-    """
+    """Return the sum of values, (n,), or of their squared distances from a mean; of few values it is rounded once."""
     parts: list[float] = []
     for begin in range(0, len(values), _MANY):
         some = values[begin : begin + _MANY]
@@ -196,9 +192,7 @@ class CorrelatedNoise:
 def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | None:
     """Estimate the correlation of block means over all positions and channels; None where none shows.
 
-    The factor is that of a correlation somewhat above the mean, because too short a memory costs more than too long a
-    one. A memory of a third of a block hardly shows in twelve positions and takes a fifth off the uncertainty: it
-    counts before it is certain.
+    Too short a memory costs more than too long a one: one somewhat above the mean counts, and before it is certain.
     """
     shown = [summary.correlation for summary in summaries if summary.correlation is not None]
     if not shown:
@@ -283,11 +277,9 @@ def _common(variance: Array, dof: Array) -> tuple[float, float]:
 
 
 def resolution(channels: Iterable[Array]) -> float:
-    """Return the step of a recorded reading, its unit: the smallest difference between two values of a channel.
+    """Return the step of a recorded reading, its unit, 0 where all values are alike.
 
-    Nobody states the step of a log. One converter reads all channels, and one that stands still shows no step of its
-    own; so the smallest step of any channel counts. Channels, shape (n,), are NaN where a value is missing; 0 where all
-    values are alike.
+    One converter reads all channels, (n,) each, NaN where a value is missing: the smallest difference in any counts.
     """
     steps = []
     for samples in channels:
@@ -329,10 +321,7 @@ def common_step(readings: Array) -> float:
 
 
 class ReadingStep:
-    """The step of a sensor's readings: the smallest that they take within a position, else the one that is stated.
-
-    The readings of different positions show none: those of a device without noise differ by many steps.
-    """
+    """The step of a sensor: the smallest that its readings take within a position, else the one that is stated."""
 
     def __init__(self) -> None:
         self._taken = self._stated = inf

@@ -122,11 +122,7 @@ class Demodulation:
 def demodulate(
     channels: Sequence[str], angle: Array, readings: Sequence[Array] | Array, whole: Mask | None = None
 ) -> Demodulation:
-    """Return the regression over the rows of a record that are whole, all of them where these are left out.
-
-    The angle, shape (n,), is in turns that do not wrap; readings are of shape (n,) for each channel. An EstimateError
-    where the rows cannot determine the components.
-    """
+    """Return the regression over the whole rows of a record, with angles in turns, (n,), and readings, (n,) each."""
     places = np.arange(len(angle)) if whole is None else np.flatnonzero(whole)
     if not len(places):
         raise EstimateError("no row of the record has an angle and all readings")

@@ -115,10 +115,7 @@ def _component(record: Demodulation, weights: Mapping[str, float]) -> Component:
 
 
 def solve(record: Demodulation, pair: Pair) -> PairCoefficients:
-    """p and q in closed form.
-
-    An EstimateError where the record cannot determine them, or p is so near to 1 that nothing is left to divide by.
-    """
+    """p and q in closed form; an EstimateError where a record cannot determine them, or p is too near to 1."""
     first, second, orthogonal = (record.components(record.mix({channel: 1.0})) for channel in pair.channels)
     _require_signal(record, pair)
     inverse = np.linalg.inv(np.stack([first, orthogonal], axis=1))
@@ -217,12 +214,7 @@ class _Span:
 
 
 def rotation_of(channels: Sequence[str], rows: Array) -> MatchedRotation:
-    """Return what the samples of a stage give: rows of seconds, angle in degrees and readings, shape (n, 2 + channels).
-
-    A row of NaN is a break; a span of too few turns to show its phase is left out.
-
-    EstimateError: the stage has not turned enough.
-    """
+    """Return what rows of seconds, degrees and readings give, (n, 2 + channels), with a row of NaN at a break."""
     spans = [_span(channels, part) for part in split_at_breaks(rows)]
     kept = [span for span in spans if span.turns >= FEWEST_TURNS]
     if not kept:
