@@ -207,29 +207,36 @@ class WebOperator(Operator):
         while now - self._readings[0][0] > STILL_FOR:
             self._readings.popleft()
         self._guide = self._guided(readings)
+        doing = "" if "samples" in look else look["why"]
         self._state.show(
-            doing=look["why"], guide=self._guide, table=self._live(readings), samples=look.get("samples"),
+            guide=self._guide, table=self._live(readings), doing=doing, samples=look.get("samples"),
             soak=look.get("seconds"), read_ms=time.time_ns() // 1_000_000,
         )  # fmt: skip
 
     def _guided(self, readings: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return what the page draws of readings and the position that is set; None where there is no position."""
+        """Return what the page draws of readings and the position that is set; None where there is no position.
+
+        Where nothing predicts a reading, as of attitudes that nobody sets, there is no target.
+        """
         if "gravity" not in self._target:
             return None
         target = normalised(self._target["gravity"])
-        sensors, offs, tolerances = [], [], []
+        sensors: list[dict[str, Any]] = []
+        worst: dict[str, Any] | None = None
         for serial, reading in readings.items():
             axes: Mapping[str, AxisGuidance] = reading["guidance"]
             present = present_gravity(orientation(self._begin["sensors"][serial]["axes"]), axes, target)
-            sensors.append({"serial": serial, "present": present, "ok": _fits(axes)})
-            offs += [] if present is None else [_apart(present, target)]
-            tolerances += [axis["tolerance"] for axis in axes.values() if axis["tolerance"] is not None]
+            farthest = max(_shares(axes), key=lambda one: one["share"], default=None)
+            share = None if farthest is None else farthest["share"]
+            sensors.append({"serial": serial, "present": present, "ok": _fits(axes), "share": share})
+            if farthest is not None and (worst is None or share > worst["share"]):
+                worst = farthest
         oks = [one["ok"] for one in sensors]
+        aimed = all(axis["target"] is not None for one in readings.values() for axis in one["guidance"].values())
         return {
-            "target": target,
+            "target": target if aimed else None,
             "sensors": sensors,
-            "off": max(offs, default=None),
-            "tolerance": min(tolerances, default=None),
+            "worst": worst,
             "ok": None if not oks or None in oks else all(oks),
             "still": self._stillness(),
         }
@@ -274,7 +281,7 @@ class WebOperator(Operator):
         stated = question["temperature"] is None and "stage" not in question and not self._begin["headings"]
         if not stated or self._typed or question["position"] not in self._begin["attitudes"]:
             return False
-        if guide is None or guide["ok"] is not True or guide["tolerance"] > CLOSE or guide["still"] < 1.0:
+        if guide is None or guide["ok"] is not True or guide["worst"]["tolerance"] > CLOSE or guide["still"] < 1.0:
             return False
         if not self._before or any(_apart(now[serial], self._before[serial]) <= MOVED for serial in now):
             return False
@@ -347,6 +354,20 @@ def _fits(axes: Mapping[str, AxisGuidance]) -> bool | None:
         return False if axes else None
     fits = [axis["ok"] or _stands_right(axis) for axis in axes.values()]
     return True if all(fits) and any(axis["ok"] for axis in axes.values()) else None
+
+
+def _shares(axes: Mapping[str, AxisGuidance]) -> Iterator[dict[str, Any]]:
+    """Yield the axes that show how far a sensor is off, each with the share of its tolerance that this is."""
+    for channel, axis in axes.items():
+        difference, tolerance = axis["difference"], axis["tolerance"]
+        steep = abs(axis["target"] or 0.0) > STEEP
+        if difference is not None and tolerance and (not steep or axis["ok"] is False or len(axes) == 1):
+            yield {
+                "axis": channel,
+                "difference": difference,
+                "tolerance": tolerance,
+                "share": abs(difference) / tolerance,
+            }
 
 
 def _stands_right(axis: AxisGuidance) -> bool:

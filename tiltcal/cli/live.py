@@ -13,6 +13,7 @@ import click
 from tiltcal.cli import options
 from tiltcal.cli.talk import talk
 from tiltcal.errors import INTERRUPTED, HardwareError
+from tiltcal.files.moments import stamp
 
 if TYPE_CHECKING:
     from tiltcal.bench.live import LiveTilt
@@ -67,7 +68,7 @@ def command(calibration: Path, address: str, rate: float, seconds: float | None,
 def _show(serial: str, tilt: LiveTilt, *, renews: bool, as_json: bool) -> None:
     """Print a tilt, on a terminal in place of the one before."""
     if as_json:
-        click.echo(options.json_text({"time": datetime.now(UTC).isoformat(timespec="milliseconds"), **tilt.as_data()}))
+        click.echo(options.json_text({"time": stamp(datetime.now(UTC)), **tilt.as_data()}))
     elif renews:
         from shutil import get_terminal_size
 

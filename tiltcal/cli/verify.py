@@ -84,6 +84,8 @@ def command(
         stated_jig = session.setup.settings.jig
         tilts = verify_positions(judged, measurements, stated_jig)
         verification = Verification(judged.sensor, tilts, limit, stated_jig)
+        shown = {"serial": judged.sensor.serial, "file": str(calibration), "verdict": str(verification)}
+        opened.tell({"event": "results", "results": [shown]})
         opened.tell({"event": "done", "calibrations": [], "journal": str(session.files.journal)})
     if stated_jig is None:
         remark("no --jig is stated: the positions count as exact")

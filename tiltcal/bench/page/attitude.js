@@ -92,30 +92,29 @@ function tooHigh(target, present) {
   return levelAxes(target).map(([name, axis]) => [name, angle / length * dot(across, axis) * 180 / Math.PI]);
 }
 
-const BUBBLE = 26, RING = 30, EDGE = 108, FARTHEST = 60;
+const BUBBLE = 26, RING = 30, EDGE = 108, FARTHEST = 30;
 
-// Within the tolerance in proportion, beyond it by the logarithm: one degree and sixty are both seen.
-function radius(degrees, tolerance) {
-  if (degrees <= tolerance) return RING * degrees / tolerance;
-  const beyond = Math.log(degrees / tolerance) / Math.log(FARTHEST / tolerance);
-  return RING + (EDGE - RING) * Math.min(1, beyond);
+// Within the tolerance in proportion, beyond it by the logarithm: a little too far and thirty times too far are both seen.
+function radius(share) {
+  if (share <= 1) return RING * share;
+  return RING + (EDGE - RING) * Math.min(1, Math.log(share) / Math.log(FARTHEST));
 }
 
-function drawBubble(svg, target, presents, tolerance) {
+// `sensors` have the direction that is present, the share of the tolerance by which it is off, and whether that is ok.
+function drawBubble(svg, target, sensors) {
   svg.replaceChildren();
   element(svg, "circle", {class: "vial", r: EDGE + BUBBLE});
   const [[first], [second]] = levelAxes(target);
   element(svg, "path", {class: "cross", d: `M${-EDGE - 20} 0 H${EDGE + 20} M0 ${-EDGE - 20} V${EDGE + 20}`});
-  element(svg, "text", {class: "side", x: EDGE + 12, y: -8}, `+${first}`);
+  element(svg, "text", {class: "side", x: EDGE + 8, y: -8}, `+${first}`);
   element(svg, "text", {class: "side", x: 20, y: -EDGE - 4}, `+${second}`);
-  const places = presents.map((present) => {
-    const [[, right], [, up]] = tooHigh(target, present);
-    const degrees = Math.hypot(right, up), by = degrees ? radius(degrees, tolerance) / degrees : 0;
-    return {x: right * by, y: -up * by, within: degrees <= tolerance};
-  });
-  const within = places.length > 0 && places.every((place) => place.within);
+  const drawn = sensors.filter(({present, share}) => present && share !== null);
+  const within = drawn.length > 0 && sensors.every(({ok}) => ok);
   element(svg, "circle", {class: within ? "ring within" : "ring", r: RING + BUBBLE});
-  const size = places.length > 1 ? BUBBLE * 0.62 : BUBBLE;
-  for (const {x, y, within: good} of places) element(svg, "circle", {class: good ? "bubble within" : "bubble", cx: x, cy: y, r: size});
+  for (const {present, share, ok} of drawn) {
+    const [[, right], [, up]] = tooHigh(target, present);
+    const by = radius(share) / (Math.hypot(right, up) || 1), r = drawn.length > 1 ? BUBBLE * 0.62 : BUBBLE;
+    element(svg, "circle", {class: ok ? "bubble within" : "bubble", cx: right * by, cy: -up * by, r});
+  }
   element(svg, "circle", {class: "middle", r: 3});
 }

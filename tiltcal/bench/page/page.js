@@ -197,14 +197,14 @@ function show(next) {
   $("#step").textContent = next.step;
   $("#prompt").textContent = next.prompt;
   $("#conditions").textContent = next.conditions.join(" · ");
-  $("#doing").textContent = next.doing + (next.soak === null ? "" : `, ${duration(next.soak)} at least`);
+  $("#doing").textContent = next.doing + (!next.soak ? "" : `, ${duration(next.soak)} at least`);
   $("#pictures").hidden = !guide;
   $("#state").hidden = !guide && !next.doing && !next.refused;
   if (guide) showGuide(guide);
   showOff(guide, next);
   const [taken, wanted] = next.samples ?? [0, 0];
   $("#samples").hidden = !next.samples;
-  Object.assign($("#samples progress"), {value: taken, max: wanted || 1});
+  bar($("#samples .bar"), taken / (wanted || 1), false);
   $("#samples span").textContent = `${taken} of ${wanted}`;
   list($("#positions"), next.positions.map((name, i) => [name, i < next.at ? "done" : i === next.at ? "now" : ""]));
   list($("#log"), [...next.log].reverse().map(({text, kind}) => [text, kind]));
@@ -229,13 +229,17 @@ function showAnswers(question) {
 function showGuide(guide) {
   const presents = guide.sensors.map(({present}) => present).filter(Boolean);
   const mean = presents.length ? unit(presents.reduce((a, b) => plus(a, b))) : null;
-  drawBox($("#set svg"), guide.target);
+  $("#set").hidden = !guide.target;
+  $("#level").hidden = !guide.target || !guide.worst;
   drawBox($("#now svg"), mean);
   $("#now").classList.toggle("none", !mean);
-  drawBubble($("#level svg"), guide.target, presents, guide.tolerance);
-  const away = mean ? tooHigh(guide.target, mean).filter(([, by]) => Math.abs(by) > guide.tolerance / 4) : [];
+  bar($("#still .bar"), guide.still, guide.still >= 1);
+  if (!guide.target) return;
+  drawBox($("#set svg"), guide.target);
+  if (!guide.worst) return;
+  drawBubble($("#level svg"), guide.target, guide.sensors);
+  const away = mean ? tooHigh(guide.target, mean).filter(([, by]) => Math.abs(by) > guide.worst.tolerance / 4) : [];
   $("#advice").textContent = mean && !guide.ok ? away.map(([axis, by]) => `${by > 0 ? "lower" : "raise"} +${axis} by ${Math.abs(by).toFixed(by > 10 || by < -10 ? 0 : 1)}°`).join(", ") : "";
-  $("#still meter").value = guide.still;
 }
 
 function showOff(guide, next) {
@@ -243,10 +247,16 @@ function showOff(guide, next) {
   off.className = next.refused ? "refused" : guide?.ok ? "good" : "";
   off.replaceChildren();
   if (next.refused) off.textContent = `refused: ${next.refused}`;
-  else if (guide && guide.off !== null) {
-    off.textContent = guide.ok ? "ok" : `${guide.off.toFixed(guide.off < 10 ? 1 : 0)}°`;
-    make(off, "small", guide.ok ? `${guide.off.toFixed(1)}° off, ±${guide.tolerance.toFixed(1)}°` : `off, ±${guide.tolerance.toFixed(1)}°`);
+  else if (guide?.worst) {
+    const {axis, difference, tolerance} = guide.worst, said = `${difference < 0 ? "−" : "+"}${Math.abs(difference).toFixed(1)}°`;
+    off.textContent = guide.ok ? "ok" : said;
+    make(off, "small", `${axis}${guide.ok ? ` ${said}` : ""} (±${tolerance.toFixed(1)}°)`);
   }
+}
+
+function bar(place, share, full) {
+  place.className = full ? "bar full" : "bar";
+  place.firstChild.style.width = `${100 * share}%`;
 }
 
 function list(place, items) {
@@ -267,7 +277,7 @@ function showTable(table) {
   place.replaceChildren();
   const made = make(place, "table");
   const head = make(make(made, "thead"), "tr"), body = make(made, "tbody");
-  for (const name of table.head) make(head, "th", name);
+  for (const name of [...table.head, ""]) make(head, "th", name);
   for (const {cells, ok} of table.rows) {
     const row = make(body, "tr");
     for (const cell of cells) make(row, "td", cell);
@@ -285,9 +295,10 @@ function showResults(next) {
       const card = make(place, "div", "", "sensor");
       make(card, "h2", `${result.serial}  ${result.file}`);
       make(card, "div", "", "tilt").dataset.serial = result.serial;
-      for (const line of result.uncertainty) make(card, "p", line);
+      for (const line of result.uncertainty ?? []) make(card, "p", line);
       if (result.verdict) make(card, "pre", result.verdict, "verdict");
       if (result.report) Object.assign(make(card, "a", `${result.report} is written: open it`), {href: `report/${encodeURIComponent(result.serial)}`, target: "_blank"});
+      if (!result.summary) continue;
       const more = make(card, "details");
       make(more, "summary", "coefficients");
       make(more, "pre", result.summary);

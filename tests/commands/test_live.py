@@ -1,0 +1,53 @@
+"""``tiltcal live``: the calibrated tilt of a sensor as it is now."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pexpect
+import pytest
+from support import FIXTURES
+from support.command import measure, tiltcal
+from support.warm_start import WarmStart
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("calibrated")
+    assert measure(cwd=folder).returncode == 0
+    return folder / "S-1.yaml"
+
+
+def test_a_level_sensor_lies_level_within_its_uncertainty(calibrated: Path) -> None:
+    printed = tiltcal("live", calibrated, "--address", "sim:?seed=1", "--rate", "50", "--for", "0.1", "--json")
+    assert printed.returncode == 0, printed.stderr
+    for line in printed.stdout.splitlines():
+        tilt = json.loads(line)
+        assert tilt["time"].startswith("20")
+        assert (tilt["flag"], tilt["reason"]) == (1, 0)
+        for axis in "xy":
+            assert abs(tilt[f"tilt_{axis}"]) < 2 * tilt[f"U95_tilt_{axis}"] < 2.0
+    assert 2 <= len(printed.stdout.splitlines()) <= 6
+    plain = tiltcal("live", calibrated, "--address", "sim:?seed=1", "--for", "0.01").stdout
+    assert plain.startswith("S-1   tilt x ")
+    assert "° ± 0." in plain
+
+
+def test_the_sensor_has_to_be_as_it_was_calibrated(calibrated: Path) -> None:
+    volts = tiltcal("live", FIXTURES / "complete.yaml", "--address", "spi:///dev/none", "--for", "0.1")
+    assert volts.returncode == 3
+    pairs = tiltcal("live", FIXTURES / "rotation.yaml", "--address", "sim:")
+    assert pairs.returncode == 2
+
+
+def test_on_a_terminal_one_line_renews_itself_until_ctrl_c(warm: WarmStart, calibrated: Path) -> None:
+    command, *arguments = [*warm.program, "live", str(calibrated), "--address", "sim:?seed=1"]
+    for more, code in (([], 0), (["--for", "60"], 130)):
+        terminal = pexpect.spawn(command, [*arguments, *more], encoding="utf-8", timeout=20, dimensions=(24, 60))
+        for _ in range(2):
+            terminal.expect("\r\x1b\\[2KS-1   tilt x [^\r\n]{0,50}")
+        terminal.sendintr()
+        terminal.expect(pexpect.EOF)
+        terminal.close()
+        assert terminal.exitstatus == code
