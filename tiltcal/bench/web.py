@@ -35,7 +35,7 @@ MOVING = 0.3
 MOVED = 5.0
 """Free hands take a position only where its reading is farther than this from that of the position before, degrees."""
 
-CLOSE = 8.0
+CLOSE = 10.0
 """And only where a reading is expected to within this, degrees: the sensors of a jig are known better."""
 
 STEEP = 45.0
