@@ -42,9 +42,9 @@ def command(calibration: Path, matrix: bool) -> None:
 def _map_lines(record: CalibrationRecord) -> Iterator[str]:
     """Yield the lines of A and b."""
     from tiltcal.core.model import AXES
-    from tiltcal.export.affine import affine_at
+    from tiltcal.export.affine import affine_of
 
-    affine, sensor = affine_at(record.coefficients), record.sensor
+    affine, sensor = affine_of(record.coefficients), record.sensor
     axes = sensor.channels if len(affine.matrix) == 1 else AXES[: len(affine.matrix)]
     yield f"  g = A (u - b), A in g per {sensor.unit}, columns {', '.join(sensor.channels)}; b in {sensor.unit}"
     for axis, row in zip(axes, affine.matrix, strict=True):

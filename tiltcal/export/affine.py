@@ -1,4 +1,4 @@
-"""A calibration as an affine map: g = A (u - b), at one temperature.
+"""A calibration as an affine map: g = A (u - b), at its reference temperature.
 
 It is what most programs hold. Two things make a calibration more than that: a bent characteristic, and the third
 component of gravity, which a sensor of two channels does not measure. The affine map takes the slope at 0 g for the
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import Array, Coefficients, polynomial
+from tiltcal.core.model import Array, Coefficients
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Affine:
         return np.asarray((readings - self.offset) @ self.matrix.T)
 
 
-def affine_at(coefficients: Coefficients, temperature: float | None = None) -> Affine:
-    """Return the affine map of a calibration at a temperature, °C; without one, at its reference.
+def affine_of(coefficients: Coefficients) -> Affine:
+    """Return the affine map of a calibration.
 
     EstimateError: the coefficients cannot be turned round.
     """
@@ -42,10 +42,4 @@ def affine_at(coefficients: Coefficients, temperature: float | None = None) -> A
         matrix, constant = own[:, :2] @ matrix, own[:, 2]
     elif compensation.rotation is not None:
         matrix = rotation @ matrix
-    offset, thermal = coefficients.offset, coefficients.thermal
-    scale = np.ones(len(offset))
-    if thermal is not None and temperature is not None:
-        dt = np.array([temperature - thermal.reference])
-        offset = offset + polynomial(thermal.drift, dt)[:, 0]
-        scale += polynomial(thermal.gain, dt)[:, 0]
-    return Affine(matrix / scale, offset - np.linalg.solve(matrix, constant) * scale)
+    return Affine(matrix, coefficients.offset - np.linalg.solve(matrix, constant))

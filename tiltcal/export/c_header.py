@@ -12,7 +12,7 @@ import numpy as np
 
 from tiltcal.core.compensation import CLIP_LIMIT, LONGEST, SHORTEST, Compensation
 from tiltcal.core.model import NEWTON_STEPS, Array, Coefficients
-from tiltcal.export.affine import affine_at
+from tiltcal.export.affine import affine_of
 
 SINGLE = 2.0**-24
 """The largest relative error of a rounding in single precision."""
@@ -46,7 +46,7 @@ def single_precision_rounding(coefficients: Coefficients, up: Array, readings: A
 
     ``up`` and ``readings`` are those of the calibrated range, shapes (n, 3) and (n, channels).
     """
-    compensation, affine = Compensation(coefficients), affine_at(coefficients)
+    compensation, affine = Compensation(coefficients), affine_of(coefficients)
     rounding = SINGLE * (np.abs(affine.matrix) @ (np.abs(readings).max(axis=0) + np.abs(affine.offset)) + _ROUNDINGS)
     if compensation.solves_z:
         # The root of a small difference: its error grows towards the rim, where it is the root of the rounding.
@@ -70,10 +70,10 @@ def _gravity(coefficients: Coefficients, compensation: Compensation) -> Iterator
     if thermal is None:
         yield "(void)celsius;"
     else:
-        reference = _float(thermal.reference)
+        reference = float_constant(thermal.reference)
         yield f"const float dt = celsius == celsius ? celsius - {reference} : 0.0f; /* at {thermal.reference:g} °C */"
     for k, offset in enumerate(coefficients.offset):
-        line = f"u[{k}] - {_float(offset)}"
+        line = f"u[{k}] - {float_constant(offset)}"
         if thermal is not None and thermal.drift[k].any():
             line += f" - {_polynomial(thermal.drift[k])}"
         if thermal is not None and thermal.gain[k].any():
@@ -98,18 +98,18 @@ def _gravity(coefficients: Coefficients, compensation: Compensation) -> Iterator
 def _straightened(signal: str, own: float, shares: Array) -> Iterator[str]:
     """Yield the lines that take the nonlinearity out of a signal, by Newton's method."""
     powers, slopes = _polynomial(shares, "a"), _polynomial(shares * np.arange(2, 2 + len(shares)), "a")
-    yield f"{signal} /= {_float(own)};"
+    yield f"{signal} /= {float_constant(own)};"
     yield f"{{ float a = {signal};"
     yield f"  for (int step = 0; step < {NEWTON_STEPS}; ++step)"
     yield f"      a -= (a * (1.0f + {powers}) - {signal}) / (1.0f + {slopes});"
-    yield f"  {signal} = {_float(own)} * a; }}"
+    yield f"  {signal} = {float_constant(own)} * a; }}"
 
 
 def _third_component(compensation: Compensation) -> Iterator[str]:
     """Yield the lines that solve for the component that two channels do not measure, by the unit length of gravity."""
     q = compensation.coupling
     curvature, side, bound = (
-        _float(float(1.0 + q @ q)),
+        float_constant(float(1.0 + q @ q)),
         "-" if compensation.upside_down else "+",
         "> 0.0f" if compensation.upside_down else "< 0.0f",
     )
@@ -118,7 +118,7 @@ def _third_component(compensation: Compensation) -> Iterator[str]:
     yield f"float z = root < 0.0f ? 0.0f : (along {side} sqrtf(root)) / {curvature};"
     yield f"if (z {bound}) z = 0.0f;"
     if q.any():
-        yield from (f"p{k} -= {_float(q[k])} * z;" for k in range(2))
+        yield from (f"p{k} -= {float_constant(q[k])} * z;" for k in range(2))
 
 
 def _degrees(name: str, axes: int) -> Iterator[str]:
@@ -132,7 +132,7 @@ def _degrees(name: str, axes: int) -> Iterator[str]:
         yield f"        degrees[k] = fabsf(g[k]) <= {CLIP_LIMIT}f ? ({clipped}) : NAN;"
         yield "}"
         return
-    limits = f"s >= {_float(SHORTEST**2)} && s <= {_float(LONGEST**2)} ? 57.29577951f : NAN"
+    limits = f"s >= {float_constant(SHORTEST**2)} && s <= {float_constant(LONGEST**2)} ? 57.29577951f : NAN"
     yield f"/* The factor to degrees; NAN where gravity is shorter than {SHORTEST} g or longer than {LONGEST:g} g. */"
     yield f"static inline float {name}_judged(const float g[{name}_AXES])"
     yield from ("{", "    const float s = g[0] * g[0] + g[1] * g[1] + g[2] * g[2];", f"    return {limits};", "}", "")
@@ -148,7 +148,7 @@ def _degrees(name: str, axes: int) -> Iterator[str]:
 
 def _sum(row: Array, names: list[str]) -> str:
     """Return a sum of products as C."""
-    terms = [f"{_float(value)} * {name}" for value, name in zip(row, names, strict=True) if value]
+    terms = [f"{float_constant(value)} * {name}" for value, name in zip(row, names, strict=True) if value]
     return " + ".join(terms) or "0.0f"
 
 
@@ -156,11 +156,11 @@ def _polynomial(shares: Array, variable: str = "dt") -> str:
     """Return a polynomial without a constant term as C, by Horner's rule."""
     text = ""
     for value in shares[::-1]:
-        text = f"{variable} * ({_float(value)} + {text})" if text else f"{variable} * {_float(value)}"
+        text = f"{variable} * ({float_constant(value)} + {text})" if text else f"{variable} * {float_constant(value)}"
     return text
 
 
-def _float(value: float) -> str:
+def float_constant(value: float) -> str:
     """Return a number as a constant in single precision."""
     text = f"{value:.9g}"
     return (text if set(text) & set(".e") else f"{text}.0") + "f"

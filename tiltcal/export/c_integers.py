@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array, Coefficients, Thermal
 from tiltcal.errors import UsageError
-from tiltcal.export.affine import affine_at
+from tiltcal.export.affine import affine_of
 from tiltcal.export.c_header import sizes
 
 Whole = NDArray[np.int64]
@@ -49,7 +49,7 @@ class Integers:
 
         UsageError: a temperature term is too large for 64 bits.
         """
-        affine = affine_at(coefficients)
+        affine = affine_of(coefficients)
         none = np.zeros((len(affine.offset), 0))
         thermal = coefficients.thermal or Thermal(0.0, None, none, none)
         reach = float(np.max(largest + np.abs(affine.offset))) * per_unit

@@ -12,9 +12,10 @@ import numpy as np
 from tiltcal import __version__
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import Array, Coefficients, Limits, polynomial, vector_of, with_vector
+from tiltcal.core.uncertain import central_differences
 from tiltcal.errors import UsageError
-from tiltcal.export.affine import Affine, affine_at
-from tiltcal.export.c_header import header, single_precision, single_precision_rounding
+from tiltcal.export.affine import Affine, affine_of
+from tiltcal.export.c_header import float_constant, header, single_precision, single_precision_rounding
 from tiltcal.export.c_integers import Integers
 from tiltcal.export.loss import Formula, calibrated_range, largest_error
 from tiltcal.files.calibration import CalibrationRecord
@@ -54,7 +55,7 @@ class Source:
     @cached_property
     def affine(self) -> Affine:
         """The affine map at the reference temperature."""
-        return affine_at(self.coefficients)
+        return affine_of(self.coefficients)
 
     def require_three_axes(self, target: str) -> None:
         """Refuse a sensor that does not measure x, y and z, with a UsageError."""
@@ -107,7 +108,7 @@ THIRD, LAG = "the third component of gravity away from level", "thermal lag"
 
 def terms(coefficients: Coefficients) -> list[str]:
     """Return the terms of a calibration beside offsets and own sensitivities."""
-    matrix, thermal, bent = affine_at(coefficients).matrix, coefficients.thermal, coefficients.nonlinearity
+    matrix, thermal, bent = affine_of(coefficients).matrix, coefficients.thermal, coefficients.nonlinearity
     there = {
         CROSS_AXIS: bool((matrix - np.diag(np.diag(matrix))).any()),
         TEMPERATURE: thermal is not None and bool(thermal.drift.any() or thermal.gain.any()),
@@ -201,25 +202,23 @@ def _ros(source: Source) -> Export:
 
 def _px4(source: Source) -> Export:
     """PX4: (a - OFF) SCALE, m/s², each axis for itself; a file of parameters as QGroundControl loads it."""
-    metres = source.in_metres("px4")
-    lines = [
-        f"# {source.origin}",
-        "# For the accelerometer whose CAL_ACC0_ID is set. Columns: vehicle, component, name, value, type",
-    ]
-    for axis, offset, scale in zip("XYZ", metres.offset, np.diag(metres.matrix), strict=True):
-        lines += [
-            f"1\t1\tCAL_ACC0_{axis}{name}\t{_number(value)}\t9" for name, value in (("OFF", offset), ("SCALE", scale))
-        ]
-    return _of_affine(lambda bound: "\n".join(lines) + "\n", _diagonal(source.affine))
+    columns = "# For the accelerometer whose CAL_ACC0_ID is set. Columns: vehicle, component, name, value, type"
+    lines = "1\t1\tCAL_ACC0_{axis}OFF\t{offset}\t9\n1\t1\tCAL_ACC0_{axis}SCALE\t{scale}\t9"
+    return _of_autopilot(source, "px4", columns, lines)
 
 
 def _ardupilot(source: Source) -> Export:
     """ArduPilot: (a - INS_ACCOFFS) INS_ACCSCAL, m/s², each axis for itself."""
-    metres = source.in_metres("ardupilot")
-    lines = [f"# {source.origin}"]
-    for name, values in (("ACCOFFS", metres.offset), ("ACCSCAL", np.diag(metres.matrix))):
-        lines += [f"INS_{name}_{axis},{_number(value)}" for axis, value in zip("XYZ", values, strict=True)]
-    return _of_affine(lambda bound: "\n".join(lines) + "\n", _diagonal(source.affine))
+    return _of_autopilot(source, "ardupilot", "# NAME,VALUE", "INS_ACCOFFS_{axis},{offset}\nINS_ACCSCAL_{axis},{scale}")
+
+
+def _of_autopilot(source: Source, target: str, remark: str, lines: str) -> Export:
+    """Return the parameters of an autopilot, the lines of each axis made of a template."""
+    metres = source.in_metres(target)
+    axes = zip("XYZ", map(_number, metres.offset), map(_number, np.diag(metres.matrix)), strict=True)
+    parameters = [lines.format(axis=axis, offset=offset, scale=scale) for axis, offset, scale in axes]
+    text = "\n".join([f"# {source.origin}", remark, *parameters, ""])
+    return _of_affine(lambda bound: text, _diagonal(source.affine))
 
 
 def _iio(source: Source) -> Export:
@@ -309,7 +308,7 @@ def _diagonal(affine: Affine) -> Affine:
 
 def _with_temperature(coefficients: Coefficients) -> Formula:
     """Return the affine map with its temperature terms."""
-    affine, thermal = affine_at(coefficients), coefficients.thermal
+    affine, thermal = affine_of(coefficients), coefficients.thermal
     if thermal is None:
         return lambda readings, _: affine(readings)
 
@@ -329,19 +328,14 @@ def _covariance(source: Source) -> Array:
     stated = uncertainty.covariance
     if stated is not None:
         stated = stated.without_turn()
-        level, vector = np.array([[0.0, 0.0, 1.0]]), vector_of(coefficients, stated.parameters)
-        steps = np.diag(1e-6 * np.maximum(1.0, np.abs(vector)))
-        ends = [
-            [
-                with_vector(coefficients, stated.parameters, vector + side * step).predict(level)[0]
-                for side in (-1.0, 1.0)
-            ]
-            for step in steps
-        ]
-        by_coefficient = np.array(
-            [(upper - lower) / (2.0 * step.sum()) for (lower, upper), step in zip(ends, steps, strict=True)]
-        )
-        total = total + by_coefficient.T @ stated.as_array() @ by_coefficient
+        vector = vector_of(coefficients, stated.parameters)
+
+        def level(values: Array) -> Array:
+            up = np.array([[0.0, 0.0, 1.0]])
+            return np.asarray(with_vector(coefficients, stated.parameters, values).predict(up)[0])
+
+        jacobian = central_differences(level, vector, 1e-6 * np.maximum(1.0, np.abs(vector)))
+        total = total + jacobian @ stated.as_array() @ jacobian.T
     return np.asarray(source.affine.matrix @ total @ source.affine.matrix.T)
 
 
@@ -350,7 +344,7 @@ def _number(value: float) -> str:
 
 
 def _floats(row: Array) -> str:
-    return ", ".join(f"{value:.9g}" + ("" if set(f"{value:.9g}") & set(".e") else ".0") + "f" for value in row)
+    return ", ".join(map(float_constant, row))
 
 
 def _array(table: Array) -> str:
