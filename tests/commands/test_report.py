@@ -66,16 +66,6 @@ def test_a_page_can_be_read_printed_and_kept(file: Path, text: str, page: Page) 
     assert [one.attributes["href"] for one in page.root.find("link")] == ["data:,"]
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_it_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    output = tmp_path / "report.html"
-    assert run(["report", str(FIXTURES / "plane.yaml"), "-o", str(output)]) == 0
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err == f"wrote {output}\n"
-    assert Page(output.read_text(encoding="utf-8")).facts["Calibration file"] == "plane.yaml"
-
-
 def test_the_same_input_gives_the_same_bytes(tmp_path: Path) -> None:
     """In this process, and in one that orders its sets and dictionaries by other hashes."""
     here, there = tmp_path / "here.html", tmp_path / "there.html"

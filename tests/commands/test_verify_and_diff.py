@@ -54,17 +54,6 @@ def test_another_part_fails(folder: Path) -> None:
     assert verdict["worst"]["error"] > 0.5
 
 
-def test_an_interrupted_verification_is_resumed(folder: Path) -> None:
-    said = '{"answer": "ready"}\n' * 2
-    options = ("--address", "sim:?seed=1", "--operator", "json", "--journal", "v.jsonl")
-    stopped = tiltcal("verify", "S-1.yaml", *options, cwd=folder, said=said)
-    assert stopped.returncode == 130
-    assert "tiltcal verify S-1.yaml --resume v.jsonl" in stopped.stderr
-    resumed = tiltcal("verify", "S-1.yaml", "--resume", "v.jsonl", "--operator", "sim", cwd=folder)
-    assert resumed.returncode == 0, resumed.stderr
-    assert "passed" in resumed.stdout
-
-
 def test_a_procedure_that_sets_no_positions_verifies_nothing(folder: Path) -> None:
     command = ("verify", "S-1.yaml", "--address", "sim:?seed=1", "--operator", "sim", "--journal", "none.jsonl")
     for procedure in ("level", "mounting", "ramp", "free", "rotation"):

@@ -35,9 +35,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize(
-    ("command", "log"),
-    [
+def test_the_bar_ends_at_the_size_of_the_log(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[tuple[int, int | None]] = []
+
+    @contextmanager
+    def bar(_what: str) -> Iterator[Progress]:
+        yield lambda done, size: shown.append((done, size))
+
+    for command, log in (
         (("fit", "level", "rest.csv", "--base", FIXTURES / "complete.yaml", "-o", "S-1.yaml"), "rest.csv"),
         (("fit", "ramp", "rest.csv", *SENSOR), "rest.csv"),
         (("noise", "rest.csv", "--columns", "x=x,y=y", "--unit", "V"), "rest.csv"),
@@ -45,20 +50,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("match", "stage.csv", *PAIR), "stage.csv"),
         (("report", FIXTURES / "complete.yaml", "rest.csv", "-o", "page.html"), "rest.csv"),
         (("report", "pair.yaml", "stage.csv", "-o", "page.html"), "stage.csv"),
-    ],
-    ids=["fit", "fit ramp", "noise", "match", "match without an encoder", "report", "report of a pair"],
-)
-def test_the_bar_ends_at_the_size_of_the_log(
-    folder: Path, command: tuple[str | Path, ...], log: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown: list[tuple[int, int | None]] = []
-
-    @contextmanager
-    def bar(_what: str) -> Iterator[Progress]:
-        yield lambda done, size: shown.append((done, size))
-
-    monkeypatch.setattr(f"tiltcal.cli.{command[0]}.progress_bar", bar)
-    completed = tiltcal(*command, cwd=folder)
-    assert completed.returncode == 0, completed.stderr
-    size = (folder / log).stat().st_size
-    assert shown[-1] == (size, size)
+    ):
+        monkeypatch.setattr(f"tiltcal.cli.{command[0]}.progress_bar", bar)
+        completed = tiltcal(*command, cwd=folder)
+        assert completed.returncode == 0, completed.stderr
+        size = (folder / log).stat().st_size
+        assert shown[-1] == (size, size)
