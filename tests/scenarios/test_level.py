@@ -12,10 +12,8 @@ from support.command import tiltcal
 from support.json_program import lead
 
 from tiltcal.core.model import Thermal
-from tiltcal.errors import InputError
 from tiltcal.files.calibration import read_calibration
 from tiltcal.library.calibration import Calibration
-from tiltcal.library.measure import measure
 
 BASE = FIXTURES / "complete.yaml"
 TWIN = (FIXTURES / "twins" / "sca100t-d02.yaml").read_text(encoding="utf-8")
@@ -116,29 +114,3 @@ def test_a_three_axis_sensor_that_hangs_upside_down(tmp_path: Path) -> None:
     found = read_calibration(tmp_path / "x.yaml")
     assert found.coefficients.offset[2] == pytest.approx(own.coefficients.offset[2], abs=10.0)
     assert found.uncertainty["offset.z"] > 0.0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "why"),
-    [
-        (("level",), "level needs --base"),
-        (("level", "--base", str(FIXTURES / "absent.yaml")), "absent.yaml: no such file"),
-        (("plane", "--base", str(BASE)), "plane needs no --base"),
-        (("plane", "--alignment", "1"), "plane renews no offset: leave --alignment out"),
-    ],
-)
-def test_what_does_not_go_together_is_refused(arguments: tuple[str, ...], why: str, tmp_path: Path) -> None:
-    done = tiltcal(
-        *("measure", *arguments, "--sensor", "sca100t-d02", "--address", "sim:", "--serial", "SIM-42"),
-        *("--operator", "sim", "-o", "x.yaml"),
-        cwd=tmp_path,
-    )
-    assert done.returncode == 2
-    assert why in done.stderr
-
-
-def test_a_base_that_is_wrong_is_named(tmp_path: Path) -> None:
-    """As it was given, with its folder."""
-    (tmp_path / "base.yaml").write_text("tiltcal: 1\nkind: tilt\n", encoding="utf-8")
-    with pytest.raises(InputError, match=f"^{tmp_path / 'base.yaml'}:1: the key 'sensor' is missing"):
-        measure("level", base=tmp_path / "base.yaml", address="sim:", operator="sim", output=tmp_path / "again.yaml")

@@ -106,14 +106,6 @@ def test_an_option_that_there_is_not_is_named(tmp_path: Path) -> None:
             calibration.apply({}, uncertanty=True)
 
 
-def test_segments_by_time_are_refused_by_key(columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:
-    timed = [segment | {"start": pd.Timestamp("2026-05-01")} for segment in segments]
-    with pytest.raises(
-        tiltcal.InputError, match=r"the segments: \[0\].start: a number or a text is needed, not a Timestamp"
-    ):
-        tiltcal.fit("six-face", columns, segments=timed, columns=NAMED, **SENSOR)
-
-
 def test_a_frame_of_positions_is_a_table(folder: Path) -> None:
     means = np.array([OFFSET + SENSITIVITY @ up for up in FACES.values()])
     table = {
@@ -127,12 +119,6 @@ def test_a_frame_of_positions_is_a_table(folder: Path) -> None:
         found = tiltcal.fit("six-face", frame, **SENSOR)
         assert (found.offset, found.sensitivity) == (of_file.offset, of_file.sensitivity)
         assert found.uncertainty == of_file.uncertainty
-
-
-def test_another_unit_is_refused(columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:
-    data = xr.Dataset({name: ("row", values, {"units": "V"}) for name, values in columns.items()})
-    with pytest.raises(tiltcal.InputError, match="is in V, and the unit in m/s2"):
-        tiltcal.fit("six-face", data, segments=segments, columns=NAMED, **SENSOR)
 
 
 def test_apply_and_apply_log_agree(folder: Path, columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:

@@ -51,16 +51,6 @@ def require_near(part: Adxl202Part, file: dict) -> None:
             assert found["sensitivity"][channel][axis] == pytest.approx(part.sensitivity[row][column], abs=6e-4)
 
 
-def test_mavs_finds_the_four_coefficients(tmp_path: Path) -> None:
-    part = Adxl202Part()
-    file, errors = lead_through_mavs(part, tmp_path)
-
-    require_near(part, file)
-    assert file["sensor"] == {"model": "adxl202", "serial": "A-1005", "unit": "duty", "channels": ["x", "y"]}
-    assert file["provenance"]["link_statistics"]["damaged"] == 0
-    assert "0 damaged" in errors
-
-
 def test_one_damaged_sentence_in_seven_is_counted_never_used_and_replays_to_the_byte(tmp_path: Path) -> None:
     part = Adxl202Part(damage_one_in=7)
     file, errors = lead_through_mavs(part, tmp_path)

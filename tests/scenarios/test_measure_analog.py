@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support.command import tiltcal
 
@@ -36,29 +35,7 @@ def test_every_procedure_runs_on_the_virtual_bench(procedure: str, model: str, a
             assert read.coefficients.thermal.drift[row, 0] == pytest.approx(drift / 18.5, abs=3e-5)
 
 
-def test_a_twin_at_4_9_volts_from_a_file(tmp_path: Path) -> None:
-    (tmp_path / "twin.yaml").write_text(
-        "tiltcal: 1\nkind: twin\nmodel: sca100t-d02-analog\nseed: 4\ntruth:\n"
-        "  offset: {x: 2.5134, y: 2.4819}\n"
-        "  sensitivity: {x: {x: 2.0312, y: 0.0441}, y: {x: -0.0317, y: 1.9884}}\n"
-        "  noise: {x: 0.0005, y: 0.0005}\n  supply: 4.9\n  jig: 0.01\n"
-    )
-    place = ["--sensor", "sca100t-d02-analog", "--serial", "S-7", "-o", "S-7.yaml", "--operator", "sim"]
-    result = tiltcal("measure", "plane", *place, "--address", "sim:twin=twin.yaml", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    read = read_calibration(tmp_path / "S-7.yaml").coefficients
-    np.testing.assert_allclose(read.offset, (2.5134, 2.4819), atol=2e-3)
-    np.testing.assert_allclose(read.sensitivity[:, :2], ((2.0312, 0.0441), (-0.0317, 1.9884)), atol=3e-3)
-
-
 def test_probe_of_a_thermistor(tmp_path: Path) -> None:
     result = tiltcal("probe", "--sensor", "thermistor", "--address", "sim:", "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert json.loads(result.stdout)["answers"]["temperature"] == "24.00 °C"
-
-
-def test_devices_lists_a_thermometer_without_channels(tmp_path: Path) -> None:
-    listed = tiltcal("devices", "thermistor", cwd=tmp_path).stdout
-    about = listed[listed.index("thermistor  ") :].split("\n\n")[0]
-    assert "reads      the temperature in °C" in about
-    assert "nominal" not in about

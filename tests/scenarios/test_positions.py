@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.command import measure
 
 from tiltcal import Calibration
 from tiltcal.bench.journal import calibrations_of
@@ -177,20 +176,3 @@ def test_a_temperature_is_waited_for_again_after_another_one(bench: Path) -> Non
 def _seconds(stamp: str) -> float:
     hours, minutes, seconds = stamp.rstrip("Z").split("T")[1].split(":")
     return 3600 * int(hours) + 60 * int(minutes) + float(seconds)
-
-
-@pytest.mark.parametrize(
-    ("options", "why"),
-    [
-        (("-o", "/proc/S-1.yaml", "--journal", "S-1.jsonl"), "/proc/S-1.yaml"),
-        (("-o", "there/S-1.yaml"), "no folder"),
-        (("--sensor", "sca100t-d01", "--tilt", "45"), "outside the range of sca100t-d01"),
-        (("--address", "spi:///dev/spidev9.9"), "--operator sim moves virtual sensors only"),
-    ],
-)
-def test_what_cannot_be_is_said_before_the_first_prompt(options: tuple[str, ...], why: str, tmp_path: Path) -> None:
-    result = measure(*options, cwd=tmp_path)
-    assert result.returncode in (2, 3)
-    assert why in result.stderr or "spidev" in result.stderr
-    assert "1/4" not in result.stderr
-    assert list(tmp_path.iterdir()) == []

@@ -218,12 +218,6 @@ def test_options_beside_resume_change_nothing_and_a_torn_line_is_dropped(
     assert {one.n for one in read_calibration(tmp_path / "S-1.yaml").positions} == {20}
 
 
-def test_resume_of_nothing_says_so(tmp_path: Path) -> None:
-    result = tiltcal("measure", "--resume", "no.journal.jsonl", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "no.journal.jsonl: no such journal" in result.stderr
-
-
 def test_a_second_session_leaves_the_first_journal_alone(tmp_path: Path) -> None:
     assert measure(cwd=tmp_path).returncode == 0
     first = (tmp_path / JOURNAL).read_bytes()

@@ -108,19 +108,6 @@ def test_ctrl_c_says_how_to_go_on(warm: WarmStart, tmp_path: Path) -> None:
     assert terminal.exitstatus == 130
 
 
-def test_not_written_when_the_operator_says_no(warm: WarmStart, tmp_path: Path) -> None:
-    terminal = start(warm.program, tmp_path)
-    for position in ("level", "x-45", "y-45"):
-        accept(terminal, position)
-    terminal.expect("Write")
-    terminal.send("n")
-    terminal.expect("--resume")
-    terminal.expect(pexpect.EOF)
-    terminal.close()
-    assert terminal.exitstatus == 130
-    assert not (tmp_path / "S-1.yaml").exists()
-
-
 def test_input_that_ends_is_a_stop(tmp_path: Path) -> None:
     result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="zero-45", said="\n\n")
     assert result.returncode == 130
@@ -134,3 +121,10 @@ def test_back_and_redo_at_the_prompt(key: str, tmp_path: Path) -> None:
     assert result.returncode in (0, 130), result.stderr
     asked = [line.split()[1] for line in result.stderr.splitlines() if line[:3] in ("1/3", "2/3", "3/3")]
     assert asked[:3] == (["level", "x-45", "level"] if key == "b" else ["level", "x-45", "x-45"])
+
+
+def test_not_written_when_the_operator_says_no(tmp_path: Path) -> None:
+    result = measure("--operator", "terminal", "--plain", cwd=tmp_path, procedure="zero-45", said="\n" * 6 + "n\n")
+    assert result.returncode == 130
+    assert "not written: the operator declined" in result.stderr
+    assert not (tmp_path / "S-1.yaml").exists()

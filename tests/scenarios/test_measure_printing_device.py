@@ -1,8 +1,9 @@
-"""What a session checks, and says that it cannot, of a device whose offset or sensitivity nobody states."""
+"""Devices that print numbers: few digits, or an offset and a sensitivity that nobody states."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import sqrt
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ from tiltcal.errors import Stopped
 class Table:
     """Sets one position of a procedure the other way round, and what is refused once more; the last digit flickers."""
 
-    def __init__(self, wrong: str, offset: float, sensitivity: float) -> None:
-        self.wrong, self.offset, self.sensitivity = wrong, offset, sensitivity
+    def __init__(self, wrong: str, offset: float, sensitivity: float, printed: bytes = b"%.3f,%.3f\r\n") -> None:
+        self.wrong, self.offset, self.sensitivity, self.printed = wrong, offset, sensitivity, printed
         self.gravity, self.lines = (0.0, 0.0, 1.0), 0
         self.refusals: list[tuple[str, str]] = []
 
@@ -32,7 +33,7 @@ class Table:
     def line(self) -> bytes:
         self.lines += 1
         flicker = 0.001 * (self.lines % 2)
-        return b"%.3f,%.3f\r\n" % tuple(self.offset + self.sensitivity * g + flicker for g in self.gravity[:2])
+        return self.printed % tuple(self.offset + self.sensitivity * g + flicker for g in self.gravity[:2])
 
 
 def session(table: Table, options: str, folder: Path, *, stops: bool = True) -> list[str]:
@@ -71,3 +72,28 @@ def test_a_stated_sensitivity_compares_positions_with_each_other(wrong: str, ref
 def test_what_is_off_without_a_sensitivity_is_said(tmp_path: Path) -> None:
     remarks = session(Table("", 2.5, 2.0), "unit=V&offset=2.5", tmp_path, stops=False)
     assert any("C-1: no sensitivity= is stated, so that neither a wrong position" in remark for remark in remarks)
+
+
+COARSE = (2.5034, 2.0046)
+"""V, and V/g: what the device reads before it rounds to 0.01 V."""
+
+
+def test_the_rounding_of_a_device_that_states_no_step_is_in_its_uncertainty(tmp_path: Path) -> None:
+    table = Table("", *COARSE, b"%.2f,%.2f\r\n")
+    with printing(table.line, 500.0, waits=False) as port:
+        found = tiltcal.measure(
+            "plane",
+            sensor="serial-columns",
+            address=f"serial:{port}?columns=x,y&unit=V&offset=2.5&sensitivity=2",
+            serial="C-1",
+            operator=table,
+            output=tmp_path / "C-1.yaml",
+            samples=5,
+            settle=0.05,
+            jig=0.0,
+        )
+    # The device reads 3.51, 1.50 and 2.50 V; a step is the last digit that it prints, and not a difference of these.
+    assert isinstance(found, tiltcal.Calibration)
+    u = [one.u["x"] for one in found.positions if one.u is not None]
+    assert u == pytest.approx([0.01 / sqrt(12)] * 4, rel=1e-3)
+    assert abs(found.offset["x"] - COARSE[0]) < 1.96 * found.uncertainty["offset.x"]
