@@ -97,20 +97,3 @@ def test_a_level_without_the_temperature_that_counts_is_asked_for_again(tmp_path
     assert led.exit_code == 0, led.errors
     assert "changes with temperature, and level has none" in led.events("refused")[0]["why"]
     assert read_calibration(tmp_path / "again.yaml").fit.level.temperature == 12.0
-
-
-def test_a_three_axis_sensor_that_hangs_upside_down(tmp_path: Path) -> None:
-    """Its z reads -1 g where the instrument is level; the mounting of the base says so."""
-    own = read_calibration(FIXTURES / "free.yaml")
-    Calibration(own).with_mounting("roll=180").save(tmp_path / "base.yaml")
-    twin = (FIXTURES / "twins" / "sca3000.yaml").read_text(encoding="utf-8")
-    (tmp_path / "hanging.yaml").write_text(
-        twin.replace("jig: 4.0", "jig: 0.05") + "  mounting: {roll: 180.0}\n", encoding="utf-8"
-    )
-    sensor = ("--sensor", own.sensor.model, "--serial", own.sensor.serial, "--address", "sim:twin=hanging.yaml")
-    options = ("--jig", "0.05", "--samples", "20", "--operator", "sim", "-o", "x.yaml")
-    done = tiltcal("measure", "level", "--base", "base.yaml", *sensor, *options, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = read_calibration(tmp_path / "x.yaml")
-    assert found.coefficients.offset[2] == pytest.approx(own.coefficients.offset[2], abs=10.0)
-    assert found.uncertainty["offset.z"] > 0.0

@@ -166,40 +166,22 @@ def test_a_session_gives_the_same_file(
 
 def test_pairs_are_matched_from_frame_and_file_alike(tmp_path: Path) -> None:
     """Two accelerometers at 0° and 180° of a turning disk, the second 1 % larger, a third at a right angle."""
-    theta = np.arange(0.0, 360.0 * 20, 7.0)
-    up = np.sin(np.radians(theta))
-    rng = np.random.default_rng(5)
-    columns = {
-        "theta": theta,
-        "a1": up,
-        "a2": -1.01 * up,
-        "a4": np.cos(np.radians(theta)),
-    }
-    frame = pl.DataFrame(
-        {name: values + (name != "theta") * rng.normal(0, 1e-4, len(theta)) for name, values in columns.items()}
-    )
+    theta, rng = np.arange(0.0, 360.0 * 20, 7.0), np.random.default_rng(5)
+    up, across = np.sin(np.radians(theta)), np.cos(np.radians(theta))
+    columns = {"a1": up, "a2": -1.01 * up, "a4": across}
+    noisy = {name: values + rng.normal(0, 1e-4, len(theta)) for name, values in columns.items()}
+    frame = pl.DataFrame({"theta": theta, **noisy})
     frame.write_csv(tmp_path / "disk.csv")
-    result = command(
-        *("match", "disk.csv", "--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "-o", "disk.yaml"),
-        cwd=tmp_path,
-    )
-    assert result.returncode == 0, result.stderr
-    of_file = tiltcal.match(tmp_path / "disk.csv", [("a1", "a2", "a4")], phase="theta")
-    assert of_file == tiltcal.read(tmp_path / "disk.yaml")
-    assert result.stdout == f"{of_file}\n"
-    (found,) = tiltcal.match(frame, [("a1", "a2", "a4")], phase="theta").matchings
-    assert (found.p, found.q) == (of_file.matchings[0].p, of_file.matchings[0].q)
-    assert found.p == pytest.approx(1.0 - 1.01, abs=1e-4)
-    assert (
-        command(
-            *("match", "disk.csv", "--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "-o", "loops.yaml"),
-            *("--online", "--loops"),
-            cwd=tmp_path,
-        ).returncode
-        == 0
-    )
-    loops = tiltcal.match(tmp_path / "disk.csv", [("a1", "a2", "a4")], phase="theta", online=True, loops=True)
-    assert loops == tiltcal.read(tmp_path / "loops.yaml") != of_file
+    for name, how, options in (("disk", {}, ()), ("loops", {"online": True, "loops": True}, ("--online", "--loops"))):
+        pair = ("--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", "-o", f"{name}.yaml")
+        result = command("match", "disk.csv", *pair, *options, cwd=tmp_path)
+        assert result.returncode == 0, result.stderr
+        of_file = tiltcal.match(tmp_path / "disk.csv", [("a1", "a2", "a4")], phase="theta", **how)
+        assert of_file == tiltcal.read(tmp_path / f"{name}.yaml")
+        assert result.stdout == f"{of_file}\n"
+        (found,) = tiltcal.match(frame, [("a1", "a2", "a4")], phase="theta", **how).matchings
+        assert (found.p, found.q) == (of_file.matchings[0].p, of_file.matchings[0].q)
+        assert found.p == pytest.approx(1.0 - 1.01, abs=1e-4)
     with pytest.raises(tiltcal.UsageError, match="three different columns"):
         tiltcal.match(frame, [("a1", "a1", "a4")], phase="theta")
 

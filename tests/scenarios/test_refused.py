@@ -39,7 +39,6 @@ REFUSED = {
     f"measure plane {SCA100T} -o /proc/x.yaml --journal x.jsonl": "/proc/x.yaml",
     f"measure plane {SCA100T} -o there/x.yaml": "no folder",
     f"measure zero-45 {SCA100T} --sensor sca100t-d01 --tilt 45": "outside the range of sca100t-d01",
-    f"measure plane {SCA100T} --address spi:///dev/spidev9.9": "--address sim:",
     "measure --resume no.journal.jsonl": "no.journal.jsonl: no such journal",
 }
 

@@ -14,15 +14,9 @@ from tiltcal.core.samples import drift
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.model import Model
 
-LOOKS, SOAK_LOOKS = 40, 200
-"""Readings in one window: to see a movement, and to show that a slow drift is not there."""
-
-FEWEST_SAMPLES = 5
-"""Readings without which nothing can be said of a window."""
-
-NEAR = 2.0
-"""The largest distance of a sensor's own thermometer from the temperature that was asked for, °C."""
-
+LOOKS, SOAK_LOOKS = 40, 200  # readings in one window: to see a movement, and to show that a slow drift is not there
+FEWEST_SAMPLES = 5  # readings without which nothing can be said of a window
+NEAR = 2.0  # the largest distance of a sensor's own thermometer from the temperature that was asked for, °C
 LONG = 10
 """Windows that count as a long one. Over it a temperature must hold where the thermometer is not near the one asked
 for, and a reading whose noise hides a slow drift over one window."""
@@ -31,32 +25,15 @@ SOAKS = 3
 """Windows over which a soaking sensor must not drift either. A window is judged again and again while the
 sensor soaks, and by chance one of the judgements would let a slow drift pass."""
 
-JUDGEMENTS = 20
-"""Judgements of the readings in one window."""
-
-SIGMAS = 4.0
-"""A drift below this many of its own standard uncertainties is noise."""
-
-SHOWN_WITHIN = 2.0
-"""Standard uncertainties within which a slow drift must be shown to be small."""
-
-STILL = 0.0005
-"""A drift below this in one window is stillness whatever the noise, g (0.03° near level)."""
-
-STEADY = 0.002
-"""A drift below this in one window is a sensor at its temperature, g (0.11° near level)."""
-
-SOAKED = 0.001
-"""A drift below this over the soaking windows is a sensor at its temperature, g."""
-
-SHAKING = 0.1
-"""Scatter above this is a sensor in someone's hand, g."""
-
-PATIENCE = 60.0
-"""Time in which a position must become still, seconds."""
-
-OVERNIGHT = 12 * 3600.0
-"""Time in which a chamber must reach its temperature, seconds."""
+JUDGEMENTS = 20  # judgements of the readings in one window
+SIGMAS = 4.0  # a drift below this many of its own standard uncertainties is noise
+SHOWN_WITHIN = 2.0  # standard uncertainties within which a slow drift must be shown to be small
+STILL = 0.0005  # a drift below this in one window is stillness whatever the noise, g (0.03° near level)
+STEADY = 0.002  # a drift below this in one window is a sensor at its temperature, g (0.11° near level)
+SOAKED = 0.001  # a drift below this over the soaking windows is a sensor at its temperature, g
+SHAKING = 0.1  # scatter above this is a sensor in someone's hand, g
+PATIENCE = 60.0  # time in which a position must become still, seconds
+OVERNIGHT = 12 * 3600.0  # time in which a chamber must reach its temperature, seconds
 
 Timed = tuple[float, Sample]
 """A sample with its time in seconds."""

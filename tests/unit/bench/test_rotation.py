@@ -36,6 +36,10 @@ def test_both_pairs_find_the_truth_and_agree_with_a_regression() -> None:
         # 2 s / (A sqrt(n)), the amplitude being that of the first accelerometer
         amplitude = float(np.hypot(*disk.judged(used, used.readings[:, indices[0]])))
         assert matching.u_p == pytest.approx(2 * 3e-4 / amplitude / 3000**0.5, rel=0.2)
+    assert [(turn["turn"], turn["of"]) for turn in attendant.turns] == [(number, 30) for number in range(1, 31)]
+    uncertainties = [turn["u_p"]["a1_a2"] for turn in attendant.turns[2:7]]  # fewer turns do not show their phase
+    assert uncertainties == sorted(uncertainties, reverse=True)
+    assert attendant.told == []
     assert attendant.accepted["p"] == {one.pair.name: pytest.approx(one.p, abs=1e-9) for one in found.matchings}
 
 
@@ -47,15 +51,6 @@ def test_a_channel_that_is_stuck_for_a_while_is_named_and_left_out() -> None:
     assert "a2 is stuck at" in attendant.told[-1]
     assert near(found.matchings[0], disk.truth())
     assert found.left_out == 300
-
-
-def test_every_turn_is_told_with_what_is_known_by_then() -> None:
-    attendant = Attendant()
-    turned(lines(RECORD), attendant, turns=6)
-    assert [(turn["turn"], turn["of"]) for turn in attendant.turns] == [(number, 6) for number in range(1, 7)]
-    uncertainties = [turn["u_p"]["a1_a2"] for turn in attendant.turns[2:]]  # fewer turns do not show their phase
-    assert uncertainties == sorted(uncertainties, reverse=True)
-    assert attendant.told == []
 
 
 def test_it_stops_where_p_and_q_are_known_as_asked() -> None:
@@ -77,17 +72,12 @@ def test_noise_that_is_not_white_keeps_it_from_stopping_early() -> None:
     assert found.matchings[0].u_p > 5e-5
 
 
-def test_the_word_stop_ends_it_with_what_is_there() -> None:
-    found = turned(lines(RECORD), Attendant(stop_after=[40]), turns=100)
+def test_the_word_stop_ends_it_with_what_is_there_once_there_are_two_turns() -> None:
+    attendant = Attendant(stop_after=[5, 40])
+    found = turned(lines(RECORD), attendant, turns=100)
     assert found.ended == STOPPED
     assert 2.0 < found.turns < 5.0
     assert near(found.matchings[0], disk.truth())
-
-
-def test_too_early_a_stop_is_refused_and_it_goes_on() -> None:
-    attendant = Attendant(stop_after=[5])
-    found = turned(lines(RECORD), attendant, turns=4)
-    assert found.ended == ALL_TURNS
     (refused,) = attendant.told
     assert refused.startswith("refused: the stage has made ")
     assert "at least 2 are needed" in refused

@@ -44,38 +44,29 @@ def replay(path: Path) -> None:
     calibrations_of(read_journal(path))
 
 
-def first_of_each_kind(name: str) -> dict[str, int]:
-    kinds: dict[str, int] = {}
-    for number, line in enumerate(lines_of(name)[1:], start=1):
-        kinds.setdefault(line[1], number)
-    return kinds
-
-
-def wrong_events() -> Iterator[tuple[str, int, list[Any]]]:
+def wrong_events() -> Iterator[tuple[int, list[Any]]]:
     """One element of the first event of each kind replaced, left out, or doubled."""
-    for kind, number in first_of_each_kind("plane").items():
+    first: dict[str, int] = {}
+    for number, line in enumerate(lines_of("plane")[1:], start=1):
+        first.setdefault(line[1], number)
+    for number in first.values():
         event = lines_of("plane")[number]
-        yield kind, number, event[:1]
-        yield kind, number, [*event, *event]
+        yield number, event[:1]
+        yield number, [*event, *event]
         for place in range(len(event)):
-            yield kind, number, event[:place] + event[place + 1 :]
-            for wrong in WRONG:
-                yield kind, number, [*event[:place], wrong, *event[place + 1 :]]
-        if isinstance(event[2], dict):
-            for key in event[2]:
-                for wrong in WRONG:
-                    yield kind, number, [*event[:2], {**event[2], key: wrong}]
+            yield number, event[:place] + event[place + 1 :]
+            yield from ((number, [*event[:place], wrong, *event[place + 1 :]]) for wrong in WRONG)
+        for key in event[2] if isinstance(event[2], dict) else ():
+            yield from ((number, [*event[:2], {**event[2], key: wrong}]) for wrong in WRONG)
 
 
 def test_events_of_wrong_types_are_refused(tmp_path: Path) -> None:
-    tried = 0
-    for _, number, event in wrong_events():
-        lines = lines_of("plane")
+    lines, wrong = lines_of("plane"), list(wrong_events())
+    assert len(wrong) > 150
+    for number, event in wrong:
         path = written(tmp_path / "plane.journal.jsonl", [*lines[:number], event, *lines[number + 1 : number + 3]])
         with pytest.raises(TiltcalError):
             replay(path)
-        tried += 1
-    assert tried > 150
 
 
 def wrong_headers() -> Iterator[dict[str, Any]]:
@@ -102,23 +93,14 @@ def test_headers_of_wrong_types_are_refused_or_read(tmp_path: Path) -> None:
             replay(path)
 
 
-@pytest.mark.parametrize("number", ["1" * 400, "1e999", "-1e999", "NaN", "Infinity"])
+@pytest.mark.parametrize("number", ["1" * 400, "1e999", "-1e999", "NaN", "Infinity", "[" * 200_000 + "]" * 200_000])
 def test_a_number_that_no_session_has(tmp_path: Path, number: str) -> None:
-    """It stands in the header, in its settings, where a float is needed."""
+    """It stands in the header, in its settings, where a float is needed; or there are brackets without end."""
     header = json.dumps(lines_of("plane")[0], separators=(",", ":")).replace('"settle":0.006', f'"settle":{number}')
     assert number in header
-    line = header[:-1] + f',"check":"{zlib.crc32(header.encode()):08x}"}}\n'
-    path = tmp_path / "plane.journal.jsonl"
-    path.write_text(line)
-    with pytest.raises(TiltcalError, match="jsonl:1: "):
-        replay(path)
-
-
-def test_a_header_nested_two_hundred_thousand_deep(tmp_path: Path) -> None:
-    header = '{"tiltcal-journal":1,"settings":' + "[" * 200_000 + "]" * 200_000 + "}"
     path = tmp_path / "plane.journal.jsonl"
     path.write_text(header[:-1] + f',"check":"{zlib.crc32(header.encode()):08x}"}}\n')
-    with pytest.raises(TiltcalError, match="nested too deeply"):
+    with pytest.raises(TiltcalError, match=r"jsonl:1: " + ("the line is nested too deeply" if "[" in number else "")):
         replay(path)
 
 
