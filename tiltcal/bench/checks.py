@@ -79,37 +79,6 @@ class PositionResult:
         }
 
 
-def _measurement(
-    sensor: BenchDevice,
-    position: Position,
-    readings: Sequence[Reading],
-    when: Mapping[str, Any],
-    typed: float | None,
-) -> Measurement:
-    """Return one sensor's samples of a position as the estimator takes them, in the sensor's own frame.
-
-    The temperature is the one that was typed, else the mean of the thermometer, else the one that was asked for.
-    """
-    temperature = position.temperature if typed is None else typed
-    measured = [reading.temperature for reading in readings if reading.temperature is not None]
-    if typed is None and measured:
-        temperature = summarise(measured).mean
-    model = sensor.wired
-    return Measurement(
-        position.name,
-        sensor.orientation.seen(position.gravity),
-        position.tilt if sensor.orientation.straight else None,
-        temperature,
-        {
-            channel: summarise([reading.values[place] for reading in readings], model.resolution)
-            for place, channel in enumerate(model.channels)
-        },
-        when,
-        heading=position.heading,
-        stage=position.stage,
-    )
-
-
 def result_of(
     sensors: Sequence[BenchDevice],
     actual: Position,
@@ -123,7 +92,9 @@ def result_of(
 ) -> PositionResult:
     """Return what the samples of a position give at a time; of a ramp, without ``steps``, but for those at a rail.
 
-    Where a model states no step, the one that the readings show is added to ``steps``.
+    Readings stay in the sensor's own frame. The temperature is the one that was typed, else the mean of the
+    thermometer, else the one that was asked for. Where a model states no step, the one that the readings show is added
+    to ``steps``.
     """
     where = {"time": when, **({"left_out": left_out} if left_out else {})}
     measurements = {}
@@ -134,7 +105,21 @@ def result_of(
         elif not model.resolution:
             values = np.array([reading.values for reading in readings]).T
             steps[sensor.serial].add(values, min(reading.step for reading in readings))
-        measurements[sensor.serial] = _measurement(sensor, actual, readings, where, typed)
+        measured = [reading.temperature for reading in readings if reading.temperature is not None]
+        thermometer = summarise(measured).mean if measured else actual.temperature
+        measurements[sensor.serial] = Measurement(
+            actual.name,
+            sensor.orientation.seen(actual.gravity),
+            actual.tilt if sensor.orientation.straight else None,
+            thermometer if typed is None else typed,
+            {
+                channel: summarise([reading.values[place] for reading in readings], model.resolution)
+                for place, channel in enumerate(model.channels)
+            },
+            where,
+            heading=actual.heading,
+            stage=actual.stage,
+        )
     return PositionResult(actual, measurements, typed is not None, left_out, asked.temperature)
 
 
