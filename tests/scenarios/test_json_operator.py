@@ -141,7 +141,7 @@ def test_an_answer_that_will_not_do_is_refused_with_the_reason(tmp_path: Path) -
         '{"answer": "ready", "tilt": {"q": 3}}': "an angle is that of x or y",
         '{"answer": "ready", "gravity": [0, 0, 0]}': "gravity [0, 0, 0] has no direction",
         '{"answer": "ready", "angle": 30}': "unknown key 'angle' in the answer",
-        '{"answer": "ready", "tilt": {"y": ' + "9" * 400 + "}}": "not understood",
+        '{"answer": "ready", "tilt": {"y": ' + "9" * 400 + "}}": "not a number",
     }
     led = table(tmp_path, "plane", lambda ask, n: [*rubbish, *4 * [{"answer": "ready"}]][n - 1])
     assert led.exit_code == 0, led.errors

@@ -19,8 +19,6 @@ from msgspec import Meta
 
 import tiltcal
 from tiltcal.bench.devices import BenchDevice
-from tiltcal.bench.drives import check_addresses
-from tiltcal.bench.machines import require_reachable
 from tiltcal.drivers.bus.clock import VIRTUAL_START
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import InputError, JournalError, UsageError
@@ -236,7 +234,10 @@ class Setup(Record, kw_only=True, dict=True):
         else:
             from tiltcal.calibration.measurement import require_suitable
 
-            require_reachable(self.machines, steps.positions)
+            if any(self.machines.values()):
+                from tiltcal.bench.machines import require_reachable
+
+                require_reachable(self.machines, steps.positions)
             for device in self.sensors:
                 require_suitable(steps, device.wired, device.orientation, based=device.serial in self.bases)
         if not self.typical_temperature:
@@ -429,6 +430,8 @@ def known_bench(document: Document) -> BenchFile:
         thermometer_of(bench)
     for name, machine in (("table", bench.moving_table), ("chamber", bench.chamber)):
         if machine is not None:
+            from tiltcal.bench.drives import check_addresses
+
             with document.locating(name):
                 check_addresses(machine)
     return bench

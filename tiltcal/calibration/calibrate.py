@@ -19,7 +19,6 @@ from tiltcal.calibration.measurement import (
     require_no_jig,
     require_own_readings,
 )
-from tiltcal.calibration.temperature import calibrate_ramp, calibrate_sweep, with_typical_temperature
 from tiltcal.core.rounding import round_to
 from tiltcal.drivers.model import ACCELERATION
 from tiltcal.errors import EstimateError, UsageError
@@ -58,16 +57,23 @@ def calibrate(
         part = "mounting" if determines.mounting else "level"
         own = {part: getattr(found[0].procedure, part).replaced(**own)} if own else {}
     elif procedure.ramp is not None:
+        from tiltcal.calibration.temperature import calibrate_ramp
+
         found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
     else:
         if determines.free:
             from tiltcal.calibration.free_positions import calibrate_free
 
             found = [calibrate_free(sensor, procedure, bench) for sensor in sensors]
+        elif determines.cross_validated:
+            from tiltcal.calibration.temperature import calibrate_sweep
+
+            found = calibrate_sweep(sensors, procedure, bench)
         else:
-            fit = calibrate_sweep if determines.cross_validated else fit_jointly
-            found = fit(sensors, procedure, bench)
+            found = fit_jointly(sensors, procedure, bench)
         if typical_temperature:
+            from tiltcal.calibration.temperature import with_typical_temperature
+
             found = [with_typical_temperature(record, its) for record, its in zip(found, sensors, strict=True)]
         if table:
             found = [_of_table(record, its.measurements) for record, its in zip(found, sensors, strict=True)]

@@ -199,7 +199,7 @@ def test_one_sample_of_a_hundred_that_is_far_off_is_taken_again_and_counted(monk
     def change(out: bytes, answer: bytes, number: int) -> bytes:
         if out[0] == 0x10 and number == 120:
             return word((answer[1] << 3 | answer[2] >> 5) - 578)
-        return degrees(135.0) if out[0] == 0x08 and number == 300 else answer
+        return degrees(135.0) if out[0] == 0x08 and number == 400 else answer
 
     disturb(monkeypatch, change)
     found = session("plane", journal="second.jsonl")
