@@ -1,6 +1,7 @@
 """Does any damaged input end in anything but a result or one of our errors?
 
     python benchmarks/fuzz.py [--inputs 1000000] [--seed 1] [--jobs 2] [--minutes 60] [--pieces fuzz.jsonl]
+    python benchmarks/fuzz.py --inputs 100000 --only calibration,pair,procedure,bench,twin --batch 20
 
 Every reader, driver parser and command gets files and words that were good and are damaged: bytes changed, words put in
 place of others, values of another type in one place of a structure, journals with checks that are right. Readers and
@@ -40,6 +41,8 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no round after so long")
     parser.add_argument("--pieces", type=Path, default=Path("fuzz.jsonl"))
+    parser.add_argument("--only", default=",".join(TARGETS), help="targets, with commas between them")
+    parser.add_argument("--batch", type=int, default=1, help="so many times the share of each target in a round")
     parser.add_argument("--again", metavar="TARGET:NUMBER", help="try this input alone, in this process")
     options = parser.parse_args()
     if options.again:
@@ -48,9 +51,10 @@ def main() -> int:
         print(end, detail, sep="\n")
         return 1 if end == FAILED else 0
     kept = [json.loads(line) for line in options.pieces.read_text().splitlines()] if options.pieces.exists() else []
-    kept = [one for one in kept if one["seed"] == options.seed]
+    shares = {name: options.batch * TARGETS[name].share for name in options.only.split(",")}
+    kept = [one for one in kept if one["seed"] == options.seed and one["shares"] == shares]
     done = {one["round"] for one in kept}
-    rounds = -(-options.inputs // sum(target.share for target in TARGETS.values()))
+    rounds = -(-options.inputs // sum(shares.values()))
     waiting = iter([number for number in range(rounds) if number not in done])
     until = time.monotonic() + 60.0 * options.minutes
 
@@ -58,28 +62,28 @@ def main() -> int:
 
         def work(_: int) -> None:
             while time.monotonic() < until and (number := next(waiting, None)) is not None:
-                kept.append(one_round(options.seed, number))
+                kept.append(one_round(options.seed, number, shares))
                 print(json.dumps(kept[-1]), file=stream, flush=True)
 
         list(pool.map(work, range(options.jobs)))
     return table(kept)
 
 
-def one_round(seed: int, number: int) -> dict[str, object]:
+def one_round(seed: int, number: int, shares: dict[str, int]) -> dict[str, object]:
     """Try the share of every target, and return how the inputs ended."""
-    ends: dict[str, Counter[str]] = {name: Counter() for name in TARGETS}
+    ends: dict[str, Counter[str]] = {name: Counter() for name in shares}
     failures = []
-    for name, target in TARGETS.items():
-        for k, end, detail in attempts(name, seed, range(number * target.share, (number + 1) * target.share)):
+    for name, share in shares.items():
+        for k, end, detail in attempts(name, seed, range(number * share, (number + 1) * share)):
             ends[name][end] += 1
             if end == FAILED:
                 failures.append((name, k, detail))
-    return {"seed": seed, "round": number, "ends": ends, "failures": failures}
+    return {"seed": seed, "shares": shares, "round": number, "ends": ends, "failures": failures}
 
 
 def table(kept: list[dict]) -> int:
     """Print how all inputs ended, and return 1 where one failed."""
-    ends: dict[str, Counter[str]] = {name: Counter() for name in TARGETS}
+    ends: dict[str, Counter[str]] = {name: Counter() for one in kept for name in one["ends"]}
     for one in kept:
         for name, counted in one["ends"].items():
             ends[name].update(counted)

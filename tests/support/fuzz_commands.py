@@ -11,24 +11,8 @@ from random import Random
 
 from support import FIXTURES
 from support.command import tiltcal
-from support.damage import (
-    WORDS,
-    damaged_bytes,
-    damaged_journal,
-    damaged_table,
-    damaged_yaml,
-)
-from support.fuzz_inputs import (
-    CALIBRATIONS,
-    JOURNALS,
-    LOG,
-    SEGMENTS,
-    golden,
-    netcdf_log,
-    parquet_log,
-    shipped,
-    target,
-)
+from support.damage import WORDS, damaged_bytes, damaged_journal, damaged_table, damaged_yaml
+from support.fuzz_inputs import CALIBRATIONS, JOURNALS, LOG, SEGMENTS, golden, netcdf_log, parquet_log, shipped, target
 from tiltcal.errors import TiltcalError
 
 

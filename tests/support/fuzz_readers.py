@@ -9,15 +9,7 @@ from pathlib import Path
 from random import Random
 
 from support.damage import damaged_bytes, damaged_journal, damaged_json, damaged_table, damaged_text, damaged_yaml
-from support.fuzz_inputs import (
-    BENCH,
-    CALIBRATIONS,
-    JOURNALS,
-    VCD,
-    golden,
-    shipped,
-    target,
-)
+from support.fuzz_inputs import BENCH, CALIBRATIONS, JOURNALS, VCD, golden, shipped, target
 from tiltcal.drivers import models
 from tiltcal.drivers.model import Model
 from tiltcal.errors import TiltcalError

@@ -102,27 +102,6 @@ def test_two_sessions_give_what_one_joint_session_gives(with_base: bool, model: 
     assert found.fit.chi_square == pytest.approx(joint.fit.chi_square, rel=0.01)
 
 
-def test_an_offset_of_another_temperature_is_converted_by_the_drift() -> None:
-    """At 14 °C: o(24) = o(14) + 10 k, and u² = u(14)² + 100 u(k)², weighed with the run's own offset, by hand."""
-    scale = calibrated(ZERO_45, measured(ZERO_45, 1, at=14.0))
-    drift = calibrated(TWO, measured(TWO, 2), SCALE.record)
-    found = combine([scale, drift])
-    names = ("offset.x", "temperature.offset.x.1")
-    stated = drift.uncertainty.covariance
-    places = [stated.parameters.index(name) for name in names]
-    p = np.array(stated.matrix)[np.ix_(places, places)]
-    # Two unknowns, three statements: o and k of the run, and o - 10 k of the vise.
-    a = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, -10.0]])
-    w = np.zeros((3, 3))
-    w[:2, :2], w[2, 2] = np.linalg.inv(p), 1.0 / scale.uncertainty["offset.x"] ** 2
-    stated_values = [drift.offset["x"], drift.coefficients.thermal.drift[0, 0], scale.offset["x"]]
-    cov = np.linalg.inv(a.T @ w @ a)
-    by_hand = cov @ a.T @ w @ stated_values
-    assert found.offset["x"] == pytest.approx(by_hand[0], abs=0.01 * sqrt(cov[0, 0]))
-    assert found.uncertainty["offset.x"] == pytest.approx(sqrt(cov[0, 0]), rel=0.01)
-    assert found.uncertainty["temperature.offset.x.1"] == pytest.approx(sqrt(cov[1, 1]), rel=0.01)
-
-
 def shifted(record: CalibrationRecord, by: Sequence[float]) -> Calibration:
     """The calibration that readings give which are larger by a constant on each channel."""
     shift = dict(zip(record.sensor.channels, by, strict=True))
@@ -157,25 +136,6 @@ def test_sound_sessions_are_seldom_refused(ratio: float, told: str) -> None:
     noted = [note for note in combine([SCALE, moved]).fit.notes if "once in 20 combinations" in note]
     assert bool(noted) == (told == "noted")
     assert all(f"(E_n {ratio / 1.96:.1f})" in note and "offset.y" not in note for note in noted)
-
-
-def test_intervals_of_sessions_with_other_axes_hold_95_percent() -> None:
-    """Turned in one plane, and on six faces: 60 pairs from a sensor whose coefficients are stated here."""
-    true = replace(
-        TRUTH, axes=("x", "y", "z"), sensitivity=np.hstack([TRUTH.sensitivity, [[9.0], [-4.0]]]), thermal=None
-    )
-    plane, faces = find_procedure("zero-45"), find_procedure("six-face")
-    hits = []
-    for seed in range(60):
-        pair = []
-        for number, procedure in enumerate((plane, faces)):
-            drawn = measured(procedure, 2 * seed + number, at=24.0, truth=true)
-            pair.append(calibrated(procedure, drawn, model=STATED))
-        found = combine(pair)
-        for name, value in values(true).items():
-            width = found.uncertainty.coverage_factor[name] * found.uncertainty[name]
-            hits.append(abs(values(found.coefficients)[name] - value) <= width)
-    assert 0.92 < np.mean(hits) < 0.985
 
 
 def test_positions_of_one_journal_count_once() -> None:

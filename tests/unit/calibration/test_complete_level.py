@@ -145,15 +145,6 @@ def test_the_change_is_told_and_judged() -> None:
     assert NO_LEVEL in unsaid.fit.notes
 
 
-def test_a_second_level_takes_the_place_of_the_first() -> None:
-    first = levelled(COMPLETE, np.array([1030.0, 1010.0]))
-    second = levelled(first, np.array([1020.0, 1012.0]), alignment=0.0)
-    assert len(second.positions) == len(first.positions) == len(COMPLETE.positions) + 1
-    assert second.uncertainty.alignment == first.uncertainty.alignment
-    assert second.uncertainty["offset.x"] == pytest.approx(first.uncertainty["offset.x"], rel=1e-3)
-    assert second.fit.level.change["x"] == pytest.approx(-10.0, abs=1e-2)
-
-
 def test_noise_that_a_table_does_not_state_is_that_of_readings_of_the_base() -> None:
     """A base that reads with a noise of 0.4 counts: 0.1 counts in the mean of 16; an exact level adds nothing."""
     coefficients = replace(COMPLETE.coefficients, thermal=None)

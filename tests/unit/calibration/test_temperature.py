@@ -91,11 +91,6 @@ def test_hysteresis_is_reported() -> None:
     assert sorted(name.split("-")[0] for name in loop.between) in (["down", "up"], ["back", "down"])
 
 
-def test_means_without_an_uncertainty_choose_an_order_too() -> None:
-    """A table may leave it out; the orders are then compared by how far off they foretell."""
-    assert order_of(calibrated(unstated(sweep((0.2, 0.02), seed=5)))) == 2
-
-
 def test_too_few_temperatures_to_leave_one_out() -> None:
     with pytest.raises(EstimateError, match="add"):
         calibrated(sweep((0.2,), 1)[:2])

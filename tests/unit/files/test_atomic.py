@@ -98,12 +98,13 @@ def test_bad_places_are_named_with_the_reason(tmp_path: Path) -> None:
     check_writable(tmp_path / "new.yaml")
     assert os.listdir(tmp_path) == []
     (tmp_path / "file").touch()
-    with pytest.raises(UsageError, match="it is a folder"):
-        check_writable(tmp_path)
-    with pytest.raises(UsageError, match=r"there is no folder .*absent"):
-        check_writable(tmp_path / "absent" / "c.yaml")
-    with pytest.raises(UsageError, match="is a file, not a folder"):
-        check_writable(tmp_path / "file" / "c.yaml")
+    for place, why in (
+        (tmp_path, "it is a folder"),
+        (tmp_path / "absent" / "c.yaml", "there is no folder"),
+        (tmp_path / "file" / "c.yaml", "is a file, not a folder"),
+    ):
+        with pytest.raises(UsageError, match=why):
+            check_writable(place)
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="this system has no /proc")

@@ -20,7 +20,7 @@ from tiltcal.files import yaml_text as yaml_module
 from tiltcal.files.calibration import tilt_record
 from tiltcal.files.document import document_of, parse_document, read_document
 from tiltcal.files.record import AboveZero, ByAxis, Finite, FromZero, Record, Text
-from tiltcal.files.yaml_text import NODE_LIMIT, WIDTH, yaml_text
+from tiltcal.files.yaml_text import NODE_LIMIT, yaml_text
 from tiltcal.stated_arguments import CONTROL
 
 
@@ -99,10 +99,26 @@ def test_number_is_read_by_the_core_schema_of_yaml_1_2() -> None:
 
 
 def test_what_is_no_number_is_refused_and_shown() -> None:
-    for written in ("12:30", "1_000", "yes", "1,5", "0b11", "[1]", "{a: 1}", "+0x1d", "१", "nan", "inf"):
+    for written in (
+        "12:30",
+        "1_000",
+        "yes",
+        "1,5",
+        "0b11",
+        "[1]",
+        "{a: 1}",
+        "+0x1d",
+        "१",
+        "nan",
+        "inf",
+        "-.Inf",
+        ".NaN",
+    ):
         error = told(f"number: {written}")
         assert (error.file, error.line, error.key) == ("f.yaml", 1, "number"), written
         assert "a number is needed here, found" in error.message, written
+    for written in ("1e999", "-1e999", "9" * 500, "0x" + "f" * 300):
+        assert "too large a number" in told(f"number: {written}").message, written
 
 
 def test_a_text_that_looks_like_a_number_gets_an_advice() -> None:
@@ -113,11 +129,6 @@ def test_a_text_that_looks_like_a_number_gets_an_advice() -> None:
         (".nan", "it must be finite"),
     ):
         assert advice in told(f"number: {written}").message
-
-
-def test_a_number_is_finite() -> None:
-    for written in (".nan", ".NaN", ".inf", "-.Inf", "1e999", "-1e999", "9" * 500, "0x" + "f" * 300):
-        told(f"number: {written}")
 
 
 def test_serial_numbers_keep_their_zeros_and_words_stay_words() -> None:
@@ -300,24 +311,6 @@ def test_what_is_written_reads_back_equal(written: dict[str, Any]) -> None:
 @example({"tiny": 1e-8, "serial": "0042", "time": "12:30", "words": ["yes", "off", "null", "1_000", "2026-01-02"]})
 def test_what_is_written_reads_back_equal_under_yaml_1_1_too(written: dict[str, Any]) -> None:
     assert yaml.safe_load(yaml_text(written)) == written
-
-
-def test_keys_of_one_letter_are_written_alike() -> None:
-    """PyYAML, which reads YAML 1.1, takes neither for a truth value; YAML 1.2 has no such words."""
-    text = yaml_text({"mean": {"x": 1, "y": 2, "n": 3}})
-    assert text == "mean: {x: 1, y: 2, n: 3}\n"
-    assert yaml.safe_load(text) == {"mean": {"x": 1, "y": 2, "n": 3}}
-
-
-@given(
-    st.dictionaries(
-        st.from_regex(r"[a-z]{1,10}", fullmatch=True),
-        st.lists(st.floats(-1e6, 1e6), max_size=30) | st.text("ab, ", max_size=400),
-    )
-)
-def test_lines_keep_to_the_width_unless_a_word_is_longer(written: dict[str, Any]) -> None:
-    for line in yaml_text(written).splitlines():
-        assert len(line) <= WIDTH or " " not in line.strip('" ').partition(": ")[2].strip('"')
 
 
 def test_plain_data_may_be_as_deep_as_a_file_and_no_deeper() -> None:

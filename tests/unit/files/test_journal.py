@@ -151,18 +151,6 @@ def test_a_link_in_place_of_the_journal_is_not_followed(path: Path) -> None:
     assert os.listdir(path.parent) == [path.name]
 
 
-def test_a_file_system_without_links_has_journals_too(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def no_link(source: Path, target: Path) -> None:
-        raise OSError(errno.EPERM, "Operation not permitted")
-
-    monkeypatch.setattr("os.link", no_link)
-    whole = captured(path)
-    with pytest.raises(UsageError, match="exists"):
-        captured(path)
-    assert path.read_bytes() == whole
-    assert os.listdir(path.parent) == [path.name]
-
-
 def test_what_another_process_wrote_since_it_was_read_is_not_cut_off(path: Path) -> None:
     whole = captured(path, finished=False)
     path.write_bytes(b"".join(whole.splitlines(keepends=True)[:3]))

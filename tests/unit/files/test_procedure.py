@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from math import cos, radians, sin
+from math import cos, radians
 from pathlib import Path
 
 import pytest
 import yaml
 
-from tiltcal.core.pair.model import Pair
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.document import document_of
 from tiltcal.files.procedure import (
@@ -96,14 +95,6 @@ def test_signs_are_the_physical_ones() -> None:
     assert position["z-tilt1"].tilt is None
 
 
-def test_free_angle_goes_into_positions_and_prompts() -> None:
-    procedure = find_procedure("plane", 12.5)
-    assert procedure.angle == 12.5
-    assert procedure.positions[1].tilt == {"x": -12.5}
-    assert procedure.positions[1].gravity[0] == pytest.approx(-sin(radians(12.5)))
-    assert "12.5°" in procedure.positions[1].prompt
-
-
 def test_angle_is_refused_out_of_range_and_where_none_is_free() -> None:
     for angle in (0.0, -30.0, 90.5, float("nan")):
         with pytest.raises(UsageError, match="at most 90"):
@@ -179,15 +170,6 @@ def test_what_is_wrong_with_positions_is_told_with_line_and_key(own: Path) -> No
 
 
 # A stage that turns.
-
-
-def test_the_shipped_one_is_the_two_pairs_of_the_source() -> None:
-    procedure = find_procedure("rotation")
-    assert procedure.positions == ()
-    assert procedure.rotation is not None
-    assert procedure.rotation.pairs == (Pair("a1", "a2", "a4"), Pair("a3", "a4", "a1"))
-    assert (procedure.rotation.phase, procedure.rotation.turns) == ("theta", 100)
-    assert procedure.rotation.channels == ("a1", "a2", "a4", "a3")
 
 
 def test_a_users_own_is_read_and_comes_again_from_its_record(turning: Path) -> None:

@@ -65,11 +65,6 @@ def test_everything_is_read(tmp_path: Path) -> None:
     )
 
 
-def test_the_least_that_a_truth_needs(tmp_path: Path) -> None:
-    text = "tiltcal: 1\nkind: twin\ntruth: {offset: {x: 2.5}, sensitivity: {x: {x: 2}}}\n"
-    assert read(tmp_path, text) == (None, Truth(("x",), {"x": 2.5}, {"x": {"x": 2.0}}))
-
-
 DISK = """\
 tiltcal: 1
 kind: twin
