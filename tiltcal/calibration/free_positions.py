@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations, compress
 from math import acos, cos, degrees, radians, sqrt
@@ -13,9 +12,9 @@ from tiltcal.calibration.joint_fit import design_of, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, judge_channels
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate
 from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
-from tiltcal.core.model import AXES, Array, Coefficients
+from tiltcal.core.model import AXES, Coefficients
 from tiltcal.core.rounding import significant
-from tiltcal.core.samples import SampleSummary, noise_of_means
+from tiltcal.core.samples import noise_of_means
 from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
@@ -52,7 +51,11 @@ def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     # Sway within a hold looks like noise with a memory; it does not change the length of gravity.
     noise = [noise_of_means(channel) for channel in zip(*summaries, strict=True)]
     u = np.sqrt([variance + rounding**2 for variance, _, rounding in noise]).T
-    seen = fit_free(mean, u, _sway(summaries))
+    # Motion is what the samples scatter by more than noise explains.
+    std = np.array([[summary.std for summary in row] for row in summaries])
+    slow = float(np.sum([[summary.n * summary.noise**2 for summary in row] for row in summaries]))
+    sway = std * sqrt(max(1.0 - float(np.sum(std**2)) / slow, 0.0)) if slow else 0.0 * std
+    seen = fit_free(mean, u, sway)
     names = [measurement.position for measurement in sensor.measurements]
     off = {name: significant(1e3 * float(misfit), 3) for name, misfit in zip(names, seen.misfit, strict=True)}
     if len(seen.disagreeing):
@@ -84,25 +87,17 @@ def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
         notes.append(f"left out, because the length of gravity does not agree with the other attitudes: {named}")
     found = replace(found, notes=tuple(notes))
     record = record_of(found, design, replace(sensor, measurements=list(compress(placed, seen.kept))), procedure)
-    fit = record.fit.replaced(
-        distinct_attitudes=seen.distinct,
-        left_out_mg=left_out,
-        misfit_rms_mg=significant(1e3 * seen.rms, 3),
-        warning=_warning(record, seen),
-    )
     return replace(
         record,
         derived=record.derived.replaced(mounting=UNDETERMINED),
-        fit=fit,
+        fit=record.fit.replaced(
+            distinct_attitudes=seen.distinct,
+            left_out_mg=left_out,
+            misfit_rms_mg=significant(1e3 * seen.rms, 3),
+            warning=_warning(record, seen),
+        ),
         positions=tuple(measurement.record(AXES) for measurement in placed),
     )
-
-
-def _sway(summaries: Sequence[Sequence[SampleSummary]]) -> Array:
-    """Return the standard deviation of the readings that is motion, more than noise explains, (positions, 3), unit."""
-    std = np.array([[summary.std for summary in row] for row in summaries])
-    slow = float(np.sum([[summary.n * summary.noise**2 for summary in row] for row in summaries]))
-    return std * sqrt(max(1.0 - float(np.sum(std**2)) / slow, 0.0)) if slow else 0.0 * std
 
 
 def _warning(calibration: CalibrationRecord, seen: FreeFit) -> str | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from math import degrees, radians
 
@@ -74,10 +73,14 @@ def uncertain_coefficients(uncertainty: Uncertainty, coefficients: Coefficients)
     scale = np.array([radians(1.0) if name.startswith(TURN) else 1.0 for name in names])
     scales = np.outer(scale, scale)
     found = Uncertain(names, np.zeros(len(names)), covariance * scales, wide * scales)
-    angles = {angle: radians(u) for angle in ANGLES if (u := uncertainty.get(f"mounting.{angle}")) is not None}
-    if not names or coefficients.mounting is None or not angles or any(name.startswith(TURN) for name in names):
+    angles, mounting = [radians(uncertainty.get(f"mounting.{angle}", 0.0)) for angle in ANGLES], coefficients.mounting
+    silent = not any(f"{MOUNTING}{angle}" in uncertainty for angle in ANGLES)
+    if not names or mounting is None or silent or any(name.startswith(TURN) for name in names):
         return found
-    return found.beside(_turn(coefficients.mounting, angles))
+    # A turn about the application's axes, from uncorrelated angles.
+    roll = mounting_matrix(Mounting(0.0, mounting.pitch, mounting.yaw))[:, 0]
+    axes = np.column_stack([roll, mounting_matrix(Mounting(0.0, 0.0, mounting.yaw))[:, 1], [0.0, 0.0, 1.0]])
+    return found.beside(Uncertain.errors(ANGLES, np.diag(np.square(angles))).through(axes, TURNS))
 
 
 def length_tolerance(uncertainty: Uncertainty, coefficients: Coefficients, limits: Limits) -> float:
@@ -86,14 +89,6 @@ def length_tolerance(uncertainty: Uncertainty, coefficients: Coefficients, limit
         return LENGTH_TOLERANCE
     stated, _ = stated_uncertainty(uncertainty, coefficients)
     return max(LENGTH_TOLERANCE, length_half_width(coefficients, limits, stated))
-
-
-def _turn(mounting: Mounting, u: Mapping[str, float]) -> Uncertain:
-    """Return the mounting's turn about the application's axes, from uncorrelated angles, radians."""
-    roll = mounting_matrix(Mounting(0.0, mounting.pitch, mounting.yaw))[:, 0]
-    axes = np.column_stack([roll, mounting_matrix(Mounting(0.0, 0.0, mounting.yaw))[:, 1], [0.0, 0.0, 1.0]])
-    angles = np.diag([u.get(angle, 0.0) ** 2 for angle in ANGLES])
-    return Uncertain.errors(ANGLES, angles).through(axes, TURNS)
 
 
 def rounded(found: Estimate) -> Coefficients:
@@ -217,28 +212,23 @@ def intrinsic_record(coefficients: Coefficients, uncertain: Uncertain, *, mounte
     if mounted:
         try:
             turned, gimbal_lock = rotation(coefficients, uncertain)
+            tables = [{**table, **more} for table, more in zip(tables, _printed(turned), strict=True)]
         except EstimateError as failure:
             left_handed = str(failure)
-        else:
-            tables = [{**table, **more} for table, more in zip(tables, _printed(turned), strict=True)]
     if gimbal_lock:
         tables[2] |= {f"rotation_degrees.{angle}": round(UNKNOWN_FACTOR, 3) for angle in ("roll", "yaw")}
-    shown, u, factors = (_by_kind(table) for table in tables)
+    by_kind: list[dict[str, dict[str, float]]] = [{}, {}, {}]
+    for kinds, table in zip(by_kind, tables, strict=True):
+        for name, number in table.items():
+            kind, _, rest = name.partition(".")
+            kinds.setdefault(kind, {})[rest] = number
+    shown, u, factors = by_kind
     return results.IntrinsicRecord(
         **shown,
         uncertainty=results.IntrinsicUncertainty(**u, coverage_factor=results.IntrinsicCoverage(**factors)),
         gimbal_lock=gimbal_lock,
         left_handed=left_handed,
     )
-
-
-def _by_kind(named: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """Return numbers by the first part of their dotted names, and then by the rest."""
-    tables: dict[str, dict[str, float]] = {}
-    for name, number in named.items():
-        kind, _, rest = name.partition(".")
-        tables.setdefault(kind, {})[rest] = number
-    return tables
 
 
 def _printed(found: Uncertain) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:

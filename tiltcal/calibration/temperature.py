@@ -240,12 +240,26 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     if record.jumps:
         estimate = replace(estimate, notes=(*estimate.notes, record.jumps))
     made = record_of(estimate, design, replace(sensor, measurements=groups), procedure)
-    _require_attitude(made, sensor)
+    base = made.coefficients if sensor.base is None else sensor.base.coefficients
+    for channel, change, row in zip(
+        base.channels, made.coefficients.offset - base.offset, base.sensitivity, strict=True
+    ):
+        if (off := abs(float(change)) / float(np.max(np.abs(row)))) > FAR:
+            raise EstimateError(
+                f"{channel} reads {off:.2g} g away from what the base calibration expects in the attitude of the "
+                "procedure: state the true one with --segments (position,start,end,gx,gy,gz)"
+            )
     coefficients, standard = made.coefficients, made.uncertainty.standard
     if fit.uses_lag and coefficients.thermal is not None:
         coefficients = replace(coefficients, thermal=replace(coefficients.thermal, lag=round_to(fit.lag, fit.u_lag)))
         standard = {**standard, "temperature.lag": significant(fit.u_lag, 4)}
-    u_temperature = _u_temperature(fit, record, bench.thermometer, sensor.thermometer)
+    # The inverse filter amplifies what is random in the temperature of a log.
+    random = (not bench.thermometer and sensor.thermometer) or record.step / sqrt(12.0)
+    if fit.lag < 0.0:
+        noise = row_noise(record.temperature) * sqrt(record.rows / len(record.time))
+        random = max(random, noise) * (1.0 + 1.0 / LOG_SMOOTHING)
+    pace = max(leg.pace for leg in fit.means.legs) / 60.0
+    u_temperature = hypot(bench.thermometer or 0.0, random, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
     reading = made.uncertainty.single_reading
     if u_temperature:
         reading = {**reading, "temperature": significant(u_temperature, 4)}
@@ -260,30 +274,6 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
             ramp=_ramp_record(fit, design.channels),
         ),
     )
-
-
-def _u_temperature(fit: RampFit, record: RampRecord, stated: float | None, own: float | None) -> float:
-    """Return u of the element's temperature in a log, °C: the inverse filter amplifies what is random in it."""
-    random = (not stated and own) or record.step / sqrt(12.0)
-    if fit.lag < 0.0:
-        noise = row_noise(record.temperature) * sqrt(record.rows / len(record.time))
-        random = max(random, noise) * (1.0 + 1.0 / LOG_SMOOTHING)
-    pace = max(leg.pace for leg in fit.means.legs) / 60.0
-    return hypot(stated or 0.0, random, fit.u_lag * pace if fit.uses_lag else 0.0, fit.u_element)
-
-
-def _require_attitude(made: CalibrationRecord, sensor: MeasuredSensor) -> None:
-    """Refuse a record in another attitude than is stated, where a base calibration shows it."""
-    if sensor.base is None:
-        return
-    base, offsets = sensor.base.coefficients, made.coefficients.offset
-    for channel, before, after, row in zip(base.channels, base.offset, offsets, base.sensitivity, strict=True):
-        off = abs(float(after - before)) / float(np.max(np.abs(row)))
-        if off > FAR:
-            raise EstimateError(
-                f"{channel} reads {off:.2g} g away from what the base calibration expects in the attitude of the "
-                "procedure: state the true one with --segments (position,start,end,gx,gy,gz)"
-            )
 
 
 def _range(temperatures: Array) -> tuple[float, float]:

@@ -56,31 +56,27 @@ def mounting_fit_lines(fit: MountingFit) -> Iterator[str]:
 
 def level_summary(calibration: CalibrationRecord) -> str:
     """Return by how much the offsets have changed, and whether that is more than their uncertainty."""
-    return "\n".join(_level_lines(calibration))
-
-
-def _level_lines(calibration: CalibrationRecord) -> Iterator[str]:
     sensor, coefficients, found = calibration.sensor, calibration.coefficients, calibration.fit.level
     if found is None:
-        return
+        return ""
     at = "" if found.temperature is None else f" at {found.temperature:g} °C"
-    yield f"{sensor.model} {sensor.serial}, level{at}  (± standard uncertainty, k = 1)"
+    lines = [f"{sensor.model} {sensor.serial}, level{at}  (± standard uncertainty, k = 1)"]
     for row, channel in enumerate(coefficients.channels):
         offset, change = float(coefficients.offset[row]), found.change[channel]
         column = coefficients.axes.index(channel) if channel in coefficients.axes else row
         angle = degrees(asin(max(-1.0, min(change / float(coefficients.sensitivity[row, column]), 1.0))))
-        yield (
+        lines.append(
             f"  offset {channel}  {plus_minus(offset, calibration.uncertainty.get(f'offset.{channel}', 0.0))} "
             f"{sensor.unit}; was {offset - change:.6g}, changed by "
             f"{plus_minus(change, found.change_uncertainty.get(channel, 0.0), signed=True)} ({angle:+.3f}°)"
         )
-    yield f"  {found.verdict}"
-    askew = calibration.uncertainty.alignment
-    if askew:
-        yield (
+    lines.append(f"  {found.verdict}")
+    if askew := calibration.uncertainty.alignment:
+        lines.append(
             f"  the sensor may sit up to {askew * sqrt(3.0):.2g}° askew since its calibration (--alignment): nothing "
             f"at level, ±{2.0 * askew * sin(radians(30.0)):.2g}° (95 %) where the other axis is tilted by 30°"
         )
+    return "\n".join(lines)
 
 
 def mounting_lines(calibration: CalibrationRecord) -> Iterator[str]:
@@ -162,8 +158,7 @@ def objections(calibration: CalibrationRecord) -> list[str]:
     if fit.suspect_positions:
         named = [f"{position} ({suspect.off_degrees:g}°)" for position, suspect in fit.suspect_positions.items()]
         found.append(f"further off than the stated jig allows, the worst first: {', '.join(named)}")
-    found += [note for note in fit.notes if NOT_FOLLOWED in note]
-    return found + _objections_to_mounting(fit.mounting)
+    return [*found, *(note for note in fit.notes if NOT_FOLLOWED in note), *_objections_to_mounting(fit.mounting)]
 
 
 def remarks_on_chance(fit: FitRecord) -> Iterator[str]:
@@ -203,13 +198,13 @@ def looks_bent(calibration: CalibrationRecord) -> bool:
     return explained > LOOKS_LIKE * whole > 0.0
 
 
-def _objections_to_mounting(fit: MountingFit | None) -> list[str]:
-    if fit is None or fit.p_value is None or fit.p_value >= INCREDIBLE:
-        return []
-    return [
-        f"mounting: chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom is not credible: "
-        "the jig is worse than stated, a position was not the one that is named, or a sensor of two axes stands on edge"
-    ]
+def _objections_to_mounting(fit: MountingFit | None) -> Iterator[str]:
+    if fit is not None and fit.p_value is not None and fit.p_value < INCREDIBLE:
+        yield (
+            f"mounting: chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom is not "
+            "credible: the jig is worse than stated, a position was not the one that is named, or a sensor of two axes "
+            "stands on edge"
+        )
 
 
 def _probability(fit: FitRecord) -> float | None:
