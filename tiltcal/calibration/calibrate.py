@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from tiltcal.calibration.joint_fit import fit_jointly
+from tiltcal.calibration.fit import calibrate_free, fit_jointly
 from tiltcal.calibration.measurement import (
     BenchUncertainty,
     MeasuredSensor,
@@ -62,8 +62,6 @@ def calibrate(
         found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
     else:
         if determines.free:
-            from tiltcal.calibration.free_positions import calibrate_free
-
             found = [calibrate_free(sensor, procedure, bench) for sensor in sensors]
         elif determines.cross_validated:
             from tiltcal.calibration.temperature import calibrate_sweep

@@ -21,7 +21,7 @@ import numpy as np
 
 from tiltcal.calibration import stated
 from tiltcal.calibration.comparison import changes, judge
-from tiltcal.calibration.joint_fit import observations_of
+from tiltcal.calibration.fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
 from tiltcal.core import attitude
 from tiltcal.core.compensation import Compensation

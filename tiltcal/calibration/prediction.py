@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.joint_fit import covered_tilts, design_of
+from tiltcal.calibration.fit import covered_tilts, design_of
 from tiltcal.calibration.measurement import BenchUncertainty, require_tilt
 from tiltcal.calibration.record import half_widths, tilt_lines
 from tiltcal.calibration.schedule import better_order, least_seconds, way

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tiltcal.bench.setup import stage_channels
-from tiltcal.calibration.joint_fit import along_gravity
+from tiltcal.calibration.fit import along_gravity
 from tiltcal.calibration.measurement import require_no_jig, require_suitable
 from tiltcal.calibration.prediction import PredictedMounting, PredictedUncertainty, predict, predict_mounting
 from tiltcal.calibration.record import bases_of

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.joint_fit import NO_SENSITIVITY
+from tiltcal.calibration.fit import NO_SENSITIVITY
 from tiltcal.calibration.measurement import (
     BenchUncertainty,
     MeasuredSensor,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiltcal.calibration.joint_fit import fit_jointly
+from tiltcal.calibration.fit import fit_jointly
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.wording import verdict
 from tiltcal.core.samples import SampleSummary
