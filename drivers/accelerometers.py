@@ -54,7 +54,6 @@ ADXL345 = RegisterPart(
     rates={3200 * 0.5**n: 15 - n for n in range(10)},
     rate=100.0,
     addresses=(f"{I2C}0x53", SPI),
-    read=lambda register: register | 0x80,
     several={"s": 0x40},
     spi=SpiPort((3,), fastest=5_000_000, speed=1_000_000),
     identity=(0x00, (b"\xe5",)),

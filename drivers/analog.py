@@ -1,28 +1,13 @@
 """Analog sensors behind a converter: SCA100T and ADXL202 (through an RC filter), and thermistors; with virtual parts.
 
 The sensors are ratiometric: offset and sensitivity are shares of the supply. Readings and coefficients are therefore in
-volts *referred to a supply of 5 V*, ``5 * Vout / Vdd``, and do not depend on the present supply. The address states
-where it is connected::
+volts *referred to a supply of 5 V*, ``5 * Vout / Vdd``, and do not depend on the present supply, which is measured at
+an input, stated, or the converter's reference. An SCA100T has X at pin 11 (OUT_1) and Y at pin 5 (OUT_2).
 
-    ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&supply=2     measured at input 2, with each sample
-    ads1115+i2c:///dev/i2c-1?address=0x48&x=0&y=1&vdd=4.98     stated
-    mcp3208+spi:///dev/spidev0.1?x=0&y=1&vref=5.0              the converter's reference pin is the sensor's supply
+A thermistor is in a divider: a thermometer for sensors without one. Its curve is that of Steinhart and Hart (K, Ω), or
+that of a ``beta`` in K with ``r0`` Ω at ``t0`` °C, which is the same one with c = 0::
 
-An SCA100T has X at pin 11 (OUT_1) and Y at pin 5 (OUT_2); ``x`` and ``y`` name the inputs that they are wired to.
-
-A thermistor is in a divider: a thermometer for sensors without one::
-
-    ads1115+i2c:///dev/i2c-1?address=0x48&channel=3&supply=2&beta=3950&r0=10000&t0=25&fixed=10000
-    mcp3208+spi:///dev/spidev0.1?channel=3&vref=5.0&a=1.129e-3&b=2.341e-4&c=8.775e-8&fixed=10000&to=supply
-
-``channel`` is its input, ``fixed`` the divider's other resistor in Ω, and ``to`` the potential at its other end:
-``ground`` (the default) or ``supply``. Its curve is that of Steinhart and Hart, temperature in K, resistance in Ω::
-
-    1/T = a + b ln R + c (ln R)³
-
-or that of a ``beta`` in K, with ``r0`` Ω at ``t0`` °C (default 25 °C), which is the same curve with c = 0::
-
-    1/T = 1/T0 + ln(R / R0) / beta
+    1/T = a + b ln R + c (ln R)³    1/T = 1/T0 + ln(R / R0) / beta
 
 Sources: SCA100T Series data sheet, Murata doc. 8261800 Rev. B2; ADXL202/210 data sheet Rev. B and ADXL202E data sheet
 Rev. A, Analog Devices; A Solid State Tilt Meter for Current Meter Attitude Determination; Steinhart and Hart,
@@ -43,10 +28,10 @@ from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.converters import (
     NOMINAL,
-    FrontEnd,
+    Converter,
     Supply,
     Wiring,
-    find_front_end,
+    find_converter,
     require_apart,
     take_input,
     take_supply,
@@ -73,15 +58,15 @@ class Wired:
     """What is wired to the inputs of a converter: the facts of :class:`TiltPart` or :class:`Divider`."""
 
     part: TiltPart | Divider
-    front_end: FrontEnd
+    converter: Converter
     numbers: tuple[int, ...]
     supply: Supply
 
     def facts(self, configure: Any) -> dict[str, Any]:
         """Return the facts of a model that do not depend on the part."""
         return {
-            "schemes": self.front_end.schemes,
-            "spi": self.front_end.spi,
+            "schemes": self.converter.schemes,
+            "spi": self.converter.spi,
             "driver": partial(AnalogSensor, self),
             "twin": self.virtual,
             "configure": configure,
@@ -89,7 +74,7 @@ class Wired:
 
     def virtual(self, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
         """Return a virtual converter with the part at its inputs."""
-        return self.front_end.twin(Wiring(truth, fixture, clock, self.supply, self._share))
+        return self.converter.virtual(Wiring(truth, fixture, clock, self.supply, self._share))
 
     def _share(self, wiring: Wiring, number: int) -> float:
         """Return the voltage at an input as a share of the supply; that of an input without a wire is 0."""
@@ -101,7 +86,7 @@ class AnalogSensor(Sensor):
 
     def __init__(self, wired: Wired, link: Link, clock: Clock) -> None:
         self._wired = wired
-        self._converter = wired.front_end.driver(link, clock)
+        self._measure = partial(wired.converter.volts, link, clock)
         self._supply = 0.0
         """Of the last sample, V."""
 
@@ -114,11 +99,11 @@ class AnalogSensor(Sensor):
         }
         if reading.temperature is not None:
             said["temperature"] = f"{reading.temperature:.2f} °C"
-        return {**said, "supply": wired.supply.said(self._supply), "converter": wired.front_end.description}
+        return {**said, "supply": wired.supply.said(self._supply), "converter": wired.converter.description}
 
     def read(self) -> Reading:
         """Take one sample."""
-        shares, self._supply = self._wired.supply.shares(self._converter, self._wired.numbers)
+        shares, self._supply = self._wired.supply.shares(self._measure, self._wired.numbers)
         return self._wired.part.reading(shares)
 
 
@@ -166,9 +151,9 @@ class TiltPart:
 
     def at(self, address: Address) -> Model:
         """Return the model of the part as it is connected at an address."""
-        front_end = find_front_end(address)
-        numbers = {channel: take_input(address, channel, front_end, place) for place, channel in enumerate(CHANNELS)}
-        supply = take_supply(address, front_end, *self.supply)
+        converter = find_converter(address)
+        numbers = {channel: take_input(address, channel, converter, place) for place, channel in enumerate(CHANNELS)}
+        supply = take_supply(address, converter, *self.supply)
         require_apart(address, {**numbers, "supply": supply.number})
         return Model(
             name=f"{self.digital.name}-analog",
@@ -186,7 +171,7 @@ class TiltPart:
             cross_axis_limit=self.digital.cross_axis_limit,
             nonlinearity=self.digital.nonlinearity,
             rails=(LOWEST_SANE, HIGHEST_SANE),
-            resolution=front_end.step * NOMINAL / supply.volts,
+            resolution=converter.full_scale / converter.steps * NOMINAL / supply.volts,
             interval=self.interval,
             not_modelled=(
                 *self.not_modelled,
@@ -196,8 +181,8 @@ class TiltPart:
                 "an input without a wire, which floats on the real part: it reads 0 V",
             ),
             default_truth=self.draw,
-            options=(*CHANNELS, "supply", "vdd", *front_end.options),
-            **Wired(self, front_end, tuple(numbers.values()), supply).facts(self.at),
+            options=(*CHANNELS, "supply", "vdd", *converter.options),
+            **Wired(self, converter, tuple(numbers.values()), supply).facts(self.at),
         )
 
     def draw(self, seed: int) -> Truth:
@@ -341,13 +326,13 @@ def _curve(address: Address) -> Curve:
 
 def thermistor_at(address: Address) -> Model:
     """Return the thermistor as it is connected at an address."""
-    front_end = find_front_end(address)
+    converter = find_converter(address)
     tied = address.text("to", "ground")
     if tied not in ("ground", "supply"):
         address.refuse(f"option to={tied} is neither ground nor supply")
     fixed = address.number("fixed", 10_000.0 if address.simulated else None, low=1.0)
-    number = take_input(address, "channel", front_end, 3)
-    supply = take_supply(address, front_end, *THERMISTOR_SUPPLY)
+    number = take_input(address, "channel", converter, 3)
+    supply = take_supply(address, converter, *THERMISTOR_SUPPLY)
     require_apart(address, {"channel": number, "supply": supply.number})
     return Model(
         name="thermistor",
@@ -373,8 +358,8 @@ def thermistor_at(address: Address) -> Model:
             "converter: offset, gain error, nonlinearity, noise, charge taken from the divider",
         ),
         default_truth=lambda seed: Truth((), {}, {}, seed=seed, jig=JIG, time_constant=TIME_CONSTANT),
-        options=("channel", *THERMISTOR_OPTIONS, "supply", "vdd", *front_end.options),
-        **Wired(Divider(_curve(address), fixed, tied == "ground"), front_end, (number,), supply).facts(thermistor_at),
+        options=("channel", *THERMISTOR_OPTIONS, "supply", "vdd", *converter.options),
+        **Wired(Divider(_curve(address), fixed, tied == "ground"), converter, (number,), supply).facts(thermistor_at),
     )
 
 

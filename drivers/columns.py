@@ -1,16 +1,10 @@
 """Any device that prints numbers on a line: ``serial-columns``.
 
-The address names the numbers::
-
-    serial:///dev/ttyUSB0?columns=x,y,temperature&unit=V&offset=2.5&sensitivity=2
-    serial:socket://192.168.1.7:4000?columns=-,-,x,y,z&separator=semicolon&unit=g
-
-``columns`` names the numbers in the order they are printed: x, y, z, temperature (°C), and ``-`` or nothing for one
-that is skipped; ``time``, the clock of the device, is skipped too. Any other name of letters and digits is a reading
-that is not a tilt, such as the accelerometers a1 to a4 of a rotary stage and its angle ``theta``. ``sensitivity``
-(unit/g) and ``offset`` (unit at 0 g) are the nominal values; with them, tiltcal detects a wrong position and a
-movement. The units g, mg and m/s2 imply them. With a sensitivity alone, positions are compared with each other; without
-one the device is calibrated without these checks, and the session says so.
+``columns=`` of the address names them in the order they are printed: x, y, z, temperature (°C), and ``-`` or nothing
+for one that is skipped; ``time``, the clock of the device, is skipped too. Any other name of letters and digits is a
+reading that is not a tilt. With ``sensitivity`` (unit/g) and ``offset`` (unit at 0 g), which the units g, mg and m/s2
+imply, a wrong position and a movement are detected; with a sensitivity alone positions are compared with each other,
+and without one the device is calibrated without these checks, as the session says.
 """
 
 from __future__ import annotations

@@ -24,17 +24,18 @@ DS21298.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from math import inf
-from typing import Protocol
+from typing import ClassVar
 
 from tiltcal.drivers.bus import SpiPort
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link, check_data_line, require_length
-from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
+from tiltcal.drivers.virtual import HeldPose, Truth, VirtualChip, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 SCHEMES = ("ads1115+i2c", "mcp3208+spi")
@@ -44,33 +45,35 @@ NOMINAL = 5.0
 """Nominal supply of analog sensors, V."""
 
 
-class Converter(Protocol):
-    """The driver of a converter."""
+class Converter(ABC):
+    """A converter with the settings of an address; it keeps nothing from one conversion to the next.
 
-    def volts(self, number: int) -> float:
-        """Measure one input against ground, V; a converter that misbehaves is a HardwareError."""
-
-
-@dataclass(frozen=True)
-class FrontEnd:
-    """A converter with the settings of an address.
-
-    name, description: the part of the scheme before ``+``; the converter and its settings, for the operator.
-    full_scale, step: V; a larger voltage reads as full scale.
+    name, inputs, steps: the part of the scheme before ``+``; how many it has; of the full scale.
+    full_scale: V; a larger voltage reads as full scale.
     reference: voltage at its reference pin, V, if it has one; a sensor with the same supply is then ratiometric.
-    driver, twin: ``driver(link, clock)`` returns the :class:`Converter`, ``twin(wiring)`` a link that answers as it.
+    description: the converter and its settings, for the operator.
     """
 
-    name: str
-    description: str
-    inputs: int
-    full_scale: float
-    step: float
-    reference: float | None
+    name: ClassVar[str]
+    inputs: ClassVar[int]
+    steps: ClassVar[int]
     options: tuple[str, ...]
-    spi: SpiPort | None
-    driver: Callable[[Link, Clock], Converter]
-    twin: Callable[[Wiring], Link]
+    spi: ClassVar[SpiPort | None] = None
+    full_scale: float
+    reference: float | None = None
+    description: str
+
+    @abstractmethod
+    def __init__(self, address: Address) -> None:
+        """Take the settings of an address."""
+
+    @abstractmethod
+    def volts(self, link: Link, clock: Clock, number: int) -> float:
+        """Measure one input against ground, V; a converter that misbehaves is a HardwareError."""
+
+    @abstractmethod
+    def virtual(self, wiring: Wiring) -> Link:
+        """Return a virtual one with this wiring."""
 
     @property
     def schemes(self) -> tuple[str, ...]:
@@ -78,20 +81,21 @@ class FrontEnd:
         return tuple(sorted(SCHEMES, key=lambda scheme: not scheme.startswith(f"{self.name}+")))
 
 
-def find_front_end(address: Address) -> FrontEnd:
+def find_converter(address: Address) -> Converter:
     """Return the converter of an address; ``sim:`` selects one with ``adc=``."""
-    front_ends = {"ads1115": ads1115_front_end, "mcp3208": mcp3208_front_end}
     name = address.text("adc", "ads1115") if address.simulated else address.scheme.partition("+")[0]
-    if name not in front_ends:
+    kinds: dict[str, type[Converter]] = {"ads1115": Ads1115, "mcp3208": Mcp3208}
+    if name not in kinds:
         known = " or ".join(f"{scheme}:" for scheme in SCHEMES)
         address.refuse(f"{name!r} is not a known converter (analog sensors are connected by {known})")
-    front_end = front_ends[name](address)
-    return replace(front_end, options=(*front_end.options, "adc")) if address.simulated else front_end
+    converter = kinds[name](address)
+    converter.options += ("adc",) if address.simulated else ()
+    return converter
 
 
-def take_input(address: Address, option: str, front_end: FrontEnd, default: int) -> int:
+def take_input(address: Address, option: str, converter: Converter, default: int) -> int:
     """Return the converter input of an option; only a virtual sensor has a default."""
-    return address.integer(option, default if address.simulated else None, low=0, high=front_end.inputs - 1)
+    return address.integer(option, default if address.simulated else None, low=0, high=converter.inputs - 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +115,7 @@ class Supply:
     full_scale: float = inf
     reference: float | None = None
 
-    def shares(self, converter: Converter, numbers: Sequence[int]) -> tuple[tuple[float, ...], float]:
+    def shares(self, measure: Callable[[int], float], numbers: Sequence[int]) -> tuple[tuple[float, ...], float]:
         """Measure inputs as shares of the supply, and the supply, V.
 
         The conversions follow each other, so a change of the supply between them would look like tilt. A measured
@@ -119,10 +123,10 @@ class Supply:
         than one sample remains.
         """
         if self.number is None:
-            return tuple(converter.volts(number) / self.volts for number in numbers), self.volts
-        before = self._checked(converter.volts(self.number))
-        volts = [converter.volts(number) for number in numbers]
-        after = self._checked(converter.volts(self.number))
+            return tuple(measure(number) / self.volts for number in numbers), self.volts
+        before = self._checked(measure(self.number))
+        volts = [measure(number) for number in numbers]
+        after = self._checked(measure(self.number))
         slope = (after - before) / (len(numbers) + 1)
         shares = tuple(volt / (before + slope * place) for place, volt in enumerate(volts, start=1))
         return shares, (before + after) / 2.0
@@ -147,31 +151,31 @@ class Supply:
         return volts
 
 
-def take_supply(address: Address, front_end: FrontEnd, low: float, high: float) -> Supply:
+def take_supply(address: Address, converter: Converter, low: float, high: float) -> Supply:
     """Return the supply of an address: ``supply=N`` if it is measured, ``vdd=VOLTS`` if it is stated; allowed, V.
 
     A converter whose reference pin is the sensor's supply needs neither.
     """
     if "supply" in address.options and "vdd" in address.options:
         address.refuse("options 'supply' and 'vdd' exclude each other: the supply is either measured or stated")
-    supply = partial(Supply, low=low, high=high, full_scale=front_end.full_scale)
+    supply = partial(Supply, low=low, high=high, full_scale=converter.full_scale)
     if "vdd" in address.options:
-        return supply(None, address.number("vdd", low=low, high=high), reference=front_end.reference)
-    if "supply" in address.options or (front_end.reference is None and address.simulated):
-        number = take_input(address, "supply", front_end, 2)
-        if front_end.full_scale <= low:
-            address.refuse(f"{front_end.description} cannot measure a supply of {low:g} V or more")
-        return supply(number, min(NOMINAL, high), reference=front_end.reference)
-    if front_end.reference is None:
+        return supply(None, address.number("vdd", low=low, high=high), reference=converter.reference)
+    if "supply" in address.options or (converter.reference is None and address.simulated):
+        number = take_input(address, "supply", converter, 2)
+        if converter.full_scale <= low:
+            address.refuse(f"{converter.description} cannot measure a supply of {low:g} V or more")
+        return supply(number, min(NOMINAL, high), reference=converter.reference)
+    if converter.reference is None:
         address.refuse(
             "the supply of the sensor is unknown: wire it to an input and add supply=N, or state it with vdd=VOLTS"
         )
-    if not low <= front_end.reference <= high:
+    if not low <= converter.reference <= high:
         address.refuse(
-            f"the sensor needs a supply of {low:g} to {high:g} V, so the reference of {front_end.reference:g} V is "
+            f"the sensor needs a supply of {low:g} to {high:g} V, so the reference of {converter.reference:g} V is "
             "not its supply: wire that to an input and add supply=N, or state it with vdd=VOLTS"
         )
-    return supply(None, front_end.reference)
+    return supply(None, converter.reference)
 
 
 def require_apart(address: Address, wiring: dict[str, int | None]) -> None:
@@ -215,9 +219,6 @@ class VirtualConverter(VirtualPart):
         super().__init__(wiring.truth, wiring.fixture, wiring.clock)
         self._wiring = wiring
 
-    def _silent(self) -> bool:
-        return self._fault().kind == "silent"
-
 
 # --- TI ADS1115 ---
 
@@ -241,35 +242,47 @@ POLLS = 20
 _SINGLE_ENDED, _SINGLE_SHOT, _COMPARATOR_OFF = 0b100, 0x0100, 0b00011
 
 
-class Ads1115:
-    """The driver of an ADS1115, with one single-shot conversion per input: full scale in V, conversions per second."""
+class Ads1115(Converter):
+    """An ADS1115, with one single-shot conversion per input: options ``range`` (V) and ``rate`` (per second)."""
 
-    def __init__(self, link: Link, clock: Clock, full_scale: float = 6.144, rate: int = 128) -> None:
-        self._link = link
-        self._clock = clock
-        self._full_scale = full_scale
-        self._rate = rate
+    name, inputs, steps = "ads1115", 4, 32768
+    options: tuple[str, ...] = ("range", "rate")
 
-    def volts(self, number: int) -> float:
-        """Convert one input against ground, V."""
-        config = ads1115_config(number, self._full_scale, self._rate)
-        self._link.exchange(bytes([CONFIG]) + config.to_bytes(2, "big"))
-        self._clock.sleep((1.0 + TOLERANCE) / self._rate)
-        self._wait_until_done(config)
-        code = int.from_bytes(self._register(CONVERSION), "big", signed=True)
+    def __init__(self, address: Address) -> None:
+        if "address" in address.options and not address.simulated and address.integer("address") not in ADDRESSES:
+            known = ", ".join(map(hex, ADDRESSES))
+            address.refuse(f"an ADS1115 is at one of {known}, not at {address.text('address')}")
+        self.full_scale = address.choice("range", {f"{volts:g}": volts for volts in RANGES}, RANGES[0])
+        self.rate = address.choice("rate", {str(rate): rate for rate in RATES}, 128)
+        self.description = f"ADS1115, ±{self.full_scale:g} V, {self.rate} conversions per second"
+
+    def virtual(self, wiring: Wiring) -> Link:
+        return VirtualAds1115(wiring)
+
+    def config(self, number: int) -> int:
+        """Return the config register that starts one conversion of an input, 0 to 3, against ground."""
+        scale, rate = RANGES.index(self.full_scale) << 9, RATES.index(self.rate) << 5
+        return START | (_SINGLE_ENDED | number) << 12 | scale | _SINGLE_SHOT | rate | _COMPARATOR_OFF
+
+    def volts(self, link: Link, clock: Clock, number: int) -> float:
+        config = self.config(number)
+        link.exchange(bytes([CONFIG]) + config.to_bytes(2, "big"))
+        clock.sleep((1.0 + TOLERANCE) / self.rate)
+        self._wait_until_done(link, clock, config)
+        code = int.from_bytes(_register(link, CONVERSION), "big", signed=True)
         if code in (-0x8000, 0x7FFF):
-            larger = [full_scale for full_scale in RANGES if full_scale > self._full_scale]
+            larger = [full_scale for full_scale in RANGES if full_scale > self.full_scale]
             advice = f"take a larger one (range={min(larger):g})" if larger else "its inputs may not exceed its supply"
             raise DeviceFault(
-                f"input {number} is at or beyond ±{self._full_scale:g} V, the full scale of the ADS1115: {advice}, and "
+                f"input {number} is at or beyond ±{self.full_scale:g} V, the full scale of the ADS1115: {advice}, and "
                 "check the wiring"
             )
-        return code * self._full_scale / 32768
+        return code * self.full_scale / 32768
 
-    def _wait_until_done(self, config: int) -> None:
+    def _wait_until_done(self, link: Link, clock: Clock, config: int) -> None:
         """Wait until the conversion of this config is done; another config is a dead bus, a reset or another device."""
         for _ in range(POLLS):
-            answer = self._register(CONFIG)
+            answer = _register(link, CONFIG)
             check_data_line(answer, "config register")
             held = int.from_bytes(answer, "big")
             if held & ~DONE == RESET & ~DONE != config & ~DONE:
@@ -281,56 +294,15 @@ class Ads1115:
                 )
             if held & DONE:
                 return
-            self._clock.sleep(0.1 / self._rate)
+            clock.sleep(0.1 / self.rate)
         raise BusError(
-            f"the ADS1115 is still busy after {(1.0 + TOLERANCE + 0.1 * POLLS) / self._rate * 1e3:.3g} ms "
-            f"with a conversion that takes {1e3 / self._rate:.3g} ms: switch its supply off and on"
+            f"the ADS1115 is still busy after {(1.0 + TOLERANCE + 0.1 * POLLS) / self.rate * 1e3:.3g} ms "
+            f"with a conversion that takes {1e3 / self.rate:.3g} ms: switch its supply off and on"
         )
 
-    def _register(self, pointer: int) -> bytes:
-        return require_length(self._link.exchange(bytes([pointer]), 2), 2)
 
-
-def ads1115_config(number: int, full_scale: float, rate: int) -> int:
-    """Return the config register that starts one single-shot conversion of an input, 0 to 3, against ground."""
-    return (
-        START
-        | (_SINGLE_ENDED | number) << 12
-        | RANGES.index(full_scale) << 9
-        | _SINGLE_SHOT
-        | RATES.index(rate) << 5
-        | _COMPARATOR_OFF
-    )
-
-
-def ads1115_front_end(address: Address) -> FrontEnd:
-    """Return the ADS1115 with the ``range=`` (V) and ``rate=`` (conversions per second) of an address."""
-    if "address" in address.options and not address.simulated and address.integer("address") not in ADDRESSES:
-        address.refuse(
-            f"an ADS1115 is at {_listed([hex(known) for known in ADDRESSES])}, not at {address.text('address')}"
-        )
-    full_scale, rate = address.number("range", RANGES[0]), address.integer("rate", 128)
-    if full_scale not in RANGES:
-        address.refuse(f"option range={address.text('range')} is not a full scale of an ADS1115 ({_listed(RANGES)} V)")
-    if rate not in RATES:
-        address.refuse(f"option rate={address.text('rate')} is not a rate of an ADS1115 ({_listed(RATES)} per second)")
-    return FrontEnd(
-        name="ads1115",
-        description=f"ADS1115, ±{full_scale:g} V, {rate} conversions per second",
-        inputs=4,
-        full_scale=full_scale,
-        step=full_scale / 32768,
-        reference=None,
-        options=("range", "rate"),
-        spi=None,
-        driver=partial(Ads1115, full_scale=full_scale, rate=rate),
-        twin=VirtualAds1115,
-    )
-
-
-def _listed(choices: tuple[float, ...] | list[str]) -> str:
-    *first, last = (str(choice) for choice in choices)
-    return f"{', '.join(first)} or {last}"
+def _register(link: Link, pointer: int) -> bytes:
+    return require_length(link.exchange(bytes([pointer]), 2), 2)
 
 
 ADS1115_BIT_SECONDS = 1.0 / 100_000
@@ -349,7 +321,7 @@ class VirtualAds1115(VirtualConverter):
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Write, then read the register of the pointer; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        if self._silent():
+        if self._fault().kind == "silent":
             raise BusError("no device acknowledges, a fault that the virtual sensor's truth sets")
         # Each byte has a ninth bit for its acknowledge, and each direction begins with the device's address.
         self._clock.sleep(9 * (1 + len(out)) * ADS1115_BIT_SECONDS)
@@ -387,64 +359,41 @@ PORT = SpiPort(modes=(0, 3), fastest=2_000_000, speed=1_000_000)
 """20 clocks a sample: 100,000 samples a second at a supply of 5 V are 2 MHz, 50,000 at 2.7 V are 1 MHz."""
 
 
-class Mcp3208:
-    """The driver of an MCP3208 with this voltage at its reference pin, V."""
+class Mcp3208(Converter):
+    """An MCP3208 with the option ``vref``, the voltage at its reference pin."""
 
-    def __init__(self, link: Link, clock: Clock, reference: float) -> None:
-        self._link = link
-        self._reference = reference
+    name, inputs, steps, spi = "mcp3208", 8, CODES, PORT
+    options: tuple[str, ...] = ("vref",)
 
-    def volts(self, number: int) -> float:
-        """Convert one input, 0 to 7, against ground, V."""
+    def __init__(self, address: Address) -> None:
+        # From 0.25 V up to the part's own supply, which may be 5.5 V.
+        self.full_scale = address.number("vref", 5.0 if address.simulated else None, low=0.25, high=5.5)
+        self.reference = self.full_scale
+        self.description = f"MCP3208, reference {self.full_scale:g} V"
+
+    def virtual(self, wiring: Wiring) -> Link:
+        return VirtualMcp3208(wiring)
+
+    def volts(self, link: Link, clock: Clock, number: int) -> float:
         command = bytes([0b110 | number >> 2, (number & 0b11) << 6, 0])
-        answer = require_length(self._link.exchange(command), len(command), "frame")
+        answer = require_length(link.exchange(command), len(command), "frame")
         # The bit before the result is 0, so a working part never sends only ones; zeros may be an input at ground.
         check_data_line(answer, f"answer for input {number}")
         # The bits before the lowest 12 have no meaning.
-        return ((answer[1] & 0x0F) << 8 | answer[2]) * self._reference / CODES
+        return ((answer[1] & 0x0F) << 8 | answer[2]) * self.full_scale / CODES
 
 
-def mcp3208_front_end(address: Address) -> FrontEnd:
-    """Return the MCP3208 with the ``vref=`` of an address, the voltage at its reference pin."""
-    # From 0.25 V up to the part's own supply, which may be 5.5 V.
-    reference = address.number("vref", 5.0 if address.simulated else None, low=0.25, high=5.5)
-    return FrontEnd(
-        name="mcp3208",
-        description=f"MCP3208, reference {reference:g} V",
-        inputs=8,
-        full_scale=reference,
-        step=reference / CODES,
-        reference=reference,
-        options=("vref",),
-        spi=PORT,
-        driver=partial(Mcp3208, reference=reference),
-        twin=VirtualMcp3208,
-    )
+class VirtualMcp3208(VirtualConverter, VirtualChip):
+    """An MCP3208 on the SPI bus at 1 MHz, without state between frames."""
 
+    letter, bit_seconds = "s", 1.0 / 1_000_000
 
-MCP3208_BIT_SECONDS = 1.0 / 1_000_000
-COMMAND_BITS, SAMPLING_BITS = 5, 1
-"""Start, single-ended, and three bits of the input's number; and the clocks between these and the null bit."""
-
-
-class VirtualMcp3208(VirtualConverter):
-    """An MCP3208 on the SPI bus at 1 MHz, bit by bit, without state between frames."""
-
-    letter = "s"
-
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Answer one frame; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        length = 8 * len(out)
-        bits = "1" * length if self._silent() else self._answered(f"{int.from_bytes(out, 'big'):0{length}b}")
-        self._clock.sleep(length * MCP3208_BIT_SECONDS)
-        return int(bits, 2).to_bytes(len(out), "big")
-
-    def _answered(self, bits: str) -> str:
-        """Return the answer bits; they are random while the part does not drive the line."""
-        floating = f"{int(uniform(self._truth.seed, 'filler', self._clock.now_ns()) * 2**48):048b}"
-        command = bits[bits.find("1") :][:COMMAND_BITS]
-        if len(command) < COMMAND_BITS or command[:2] != "11":
-            return floating[: len(bits)]
-        code = round(self._wiring.volts(int(command[2:], 2)) / self._wiring.reference * CODES)
-        behind = bits.find("1") + COMMAND_BITS + SAMPLING_BITS
-        return f"{floating[:behind]}0{min(max(code, 0), CODES - 1):012b}".ljust(len(bits), "0")[: len(bits)]
+    def _answered(self, out: bytes, count: int) -> bytes:
+        # The line floats but for the null bit and the result.
+        answer = bytearray(self._filler() for _ in out)
+        if len(out) == 3 and out[0] >> 1 == 0b11:
+            number = (out[0] & 1) << 2 | out[1] >> 6
+            code = round(self._wiring.volts(number) / self._wiring.reference * CODES)
+            code = min(max(code, 0), CODES - 1)
+            answer[1:] = bytes([answer[1] & 0xE0 | code >> 8, code & 0xFF])
+        return bytes(answer)

@@ -3,13 +3,11 @@
 The address says which registers hold which number::
 
     modbus:///dev/ttyUSB0?unit=1&columns=x@0:int16*0.001,y@1:int16*0.001,temperature@4:int16*0.1
-    modbus:tcp://192.168.1.7:502?unit=3&table=input&order=cdab&columns=x@100:float32,y@102:float32&measured_in=g
 
-A column is a name, the first register (counted from 0, as it is sent: a manual's 40001 and 30001 are 0), a type
-(``int16`` where none is named) and a factor. ``order`` says how the bytes of a number lie in its registers, written as
-a number of four bytes A to D: ``abcd`` as the protocol has it, ``cdab`` with the lower register first, ``badc`` and
-``dcba`` with the bytes of each register swapped. Names, offset and sensitivity are those of ``serial-columns``;
-``unit`` is the device's number on the line, and ``measured_in`` the unit of its numbers.
+A column is a name, the first register (counted from 0, as it is sent), a type (``int16`` where none is named) and a
+factor. ``order`` says how the bytes of a number lie in its registers, written as a number of four bytes A to D:
+``abcd`` as the protocol has it, ``cdab`` with the lower register first, ``badc`` and ``dcba`` with the bytes of each
+register swapped.
 """
 
 from __future__ import annotations

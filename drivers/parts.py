@@ -86,10 +86,9 @@ ADXL355 = RegisterPart(
     range="2g",
     rate=125.0,
     addresses=(SPI, f"{I2C}0x1d"),
-    read=lambda register: register << 1 | 1,
-    write=lambda register: register << 1,
+    shift=1,
+    reading=0b01,
     spi=SpiPort((0,), fastest=10_000_000, speed=1_000_000, slowest=100_000),
-    burst_bytes=16,
     # At 100 kHz, reading a sample takes 2 ms.
     fastest_on_i2c=500.0,
     identity=(0x00, (bytes.fromhex("AD1DED"),)),
@@ -144,7 +143,6 @@ IIS2ICLX = RegisterPart(
     rate=104.0,
     addresses=(SPI, f"{I2C}0x6a"),
     spi=SpiPort((0, 3), fastest=10_000_000, speed=1_000_000),
-    burst_bytes=12,
     identity=(0x0F, (b"\x6b",)),
     # The data sheet's turn-on time is 15 ms.
     reset=Write(0x12, 0x01, seconds=0.020),
@@ -248,8 +246,8 @@ def at_any_range(part: RegisterPart, address: Address) -> RegisterPart:
     rate = address.number("rate", part.rate, low=1.0, high=10_000.0)
     measured = address.choice("thermometer", {"no": False, "yes": True}, part.thermometer is not None)
     part = _with_thermometer(part) if measured else replace(part, thermometer=None, bursts=(SCA3000.bursts))
-    pointer = address.choice("pointer", {"register": part.pointer, "command": part.read}, part.pointer)
-    return replace(part, ranges={"": Range(0, counts, OVERLOAD)}, rate=rate, pointer=pointer)
+    by_command = address.choice("pointer", {"register": False, "command": True}, False)
+    return replace(part, ranges={"": Range(0, counts, OVERLOAD)}, rate=rate, by_command=by_command)
 
 
 def _with_thermometer(part: RegisterPart) -> RegisterPart:
@@ -268,12 +266,12 @@ SCA3000 = RegisterPart(
     # The slowest normal one of the known parts, the E04's.
     rate=100.0,
     addresses=(f"{I2C}0x1d&counts_per_g=1333",),
-    read=lambda register: register << 2,
-    write=lambda register: register << 2 | 0b10,
+    shift=2,
+    reading=0b00,
+    writing=0b10,
     count=-1,
     # No source states the fastest clock; 4 MHz has been used, and 500 kHz suits the other parts of the maker.
     spi=SpiPort((0,), fastest=None, speed=500_000),
-    burst_bytes=6,
     # The values of real parts are unknown.
     held={REVID: 0x21},
     memory_fault=(STATUS, CHECKSUM_ERROR),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import chain
 from math import ceil, inf, sqrt
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -20,14 +20,11 @@ from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link, check_data_line, require_length
 from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, typical_nonlinearity
-from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart
+from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualChip
 from tiltcal.errors import BusError, DeviceFault
 
 Registers = Mapping[int, int]
 """Contents by register."""
-
-Command = Callable[[int], int]
-"""Converts a register to the first byte of a transaction."""
 
 R = TypeVar("R")
 
@@ -43,7 +40,6 @@ ANY_PART = Tolerances(offset=0.1, sensitivity=0.1)
 NEAR_RATE = 0.01
 """A rate is one of the part's if it is within this share of it."""
 
-HIGHEST_REGISTER = 0x7F
 BIT_SECONDS = {"s": 1 / 500_000, "i": 1 / 100_000}
 """Of the virtual parts, by the letter of the bus."""
 
@@ -136,10 +132,10 @@ class RegisterPart:
     ranges, rates: by the word of the option ``range``, such as ``2g``; code by samples per second.
     range, rate: without an option of the address.
     addresses: an example for each of its buses, the preferred one first; the virtual part has that one.
-    read, write, pointer: the first byte of an SPI frame that reads or writes a register, and that on I2C.
-    several: bits of that byte, by the letter of the bus, without which a burst repeats its first register.
+    shift, reading, writing: the first byte of an SPI frame is the register, shifted, with the bits that read or write.
+    by_command: whether that byte takes the place of the register on I2C.
+    several: bits of the first byte, by the letter of the bus, without which a burst repeats its first register.
     count: -1 where the address counts down in a burst.
-    burst_bytes: of a sample on SPI: at the slowest clock they pass in a sample period; 0 where no word can be torn.
     fastest_on_i2c: samples per second that the bus carries at 100 kHz.
     identity: the first register of the part's identity, and the contents that are this part's.
     set_up: the writes before it measures; each group is read back before the next one begins.
@@ -171,13 +167,13 @@ class RegisterPart:
     range: str = "2g"
     rate: float
     addresses: tuple[str, ...]
-    read: Command = lambda register: register | 0x80
-    write: Command = int
-    pointer: Command = int
+    shift: int = 0
+    reading: int = 0x80
+    writing: int = 0x00
+    by_command: bool = False
     several: Mapping[str, int] = field(default_factory=dict)
     count: int = 1
     spi: SpiPort = ANY_PORT
-    burst_bytes: int = 0
     fastest_on_i2c: float = inf
     identity: tuple[int, tuple[bytes, ...]] | None = None
     reset: Write | None = None
@@ -254,6 +250,7 @@ class RegisterPart:
         """Return the sensor model of the part."""
         offset, sensitivity = self.spread or map(deviation_within, (self.limits.offset, self.limits.sensitivity))
         low, high = self.word_rails
+        longest = max(count for _, count in self.bursts)
         density = self.counts_per_g * self.noise_density
         noise = density * sqrt(self.rate * self.corner) if density else self.noise_counts
         return Model(
@@ -279,7 +276,7 @@ class RegisterPart:
             not_modelled=self.not_modelled,
             default_truth=partial(self.limits.draw, tuple(self.channels), self.counts_per_g, noise),
             # A burst must end before the next word is due, or it mixes bytes of two words.
-            spi=replace(self.spi, slowest=max(self.spi.slowest, ceil(8 * (1 + self.burst_bytes) * self.rate)))
+            spi=replace(self.spi, slowest=max(self.spi.slowest, ceil(8 * (1 + longest) * self.rate)))
             if "spi" in self.schemes
             else None,
             options=self.options,
@@ -332,11 +329,12 @@ class RegisterSensor(Sensor):
 
         BusError: the transaction failed, or its answer has another length.
         """
-        several = self.part.several.get(self.link.letter, 0) if count > 1 else 0
+        command = self._command(first, self.part.reading)
+        command |= self.part.several.get(self.link.letter, 0) if count > 1 else 0
         if self.link.letter == "i":
-            data = require_length(self.link.exchange(bytes([self.part.pointer(first) | several]), count), count)
+            data = require_length(self.link.exchange(bytes([command]), count), count)
         else:
-            frame = bytes([self.part.read(first) | several, *bytes(count)])
+            frame = bytes([command, *bytes(count)])
             data = require_length(self.link.exchange(frame), len(frame))[1:]
         return dict(zip(range(first, first + self.part.count * count, self.part.count), data, strict=True))
 
@@ -354,9 +352,13 @@ class RegisterSensor(Sensor):
 
     def write(self, write: Write) -> None:
         """Set a register."""
-        command = self.part.pointer if self.link.letter == "i" else self.part.write
-        self.link.exchange(bytes([command(write.register), write.value]))
+        self.link.exchange(bytes([self._command(write.register, self.part.writing), write.value]))
         self._clock.sleep(write.seconds)
+
+    def _command(self, register: int, access: int) -> int:
+        """Return the first byte of a transaction."""
+        plain = self.link.letter == "i" and not self.part.by_command
+        return register if plain else register << self.part.shift | access
 
     def reset(self) -> None:
         """Reset the part, where it has a reset."""
@@ -434,7 +436,7 @@ class RegisterSensor(Sensor):
         )
 
 
-class VirtualRegisters(VirtualPart):
+class VirtualRegisters(VirtualChip):
     """The virtual part of a row, in its state after power-up; it measures once its registers hold what is set up.
 
     truth: in counts of the range that the driver sets.
@@ -444,56 +446,31 @@ class VirtualRegisters(VirtualPart):
         super().__init__(truth, fixture, clock)
         self._part = part
         self.letter = part.bus.letter if part.schemes[0] == "package" and part.bus else part.schemes[0][0]
+        self.bit_seconds = BIT_SECONDS[self.letter]
         self._set_up = {write.register: write.value for write in chain(*part.writes) if write.kept}
         first, known = part.identity or (0, (b"",))
         self._after_reset = {**part.held, **dict(enumerate(known[0], first))}
         self._held = dict(self._after_reset)
         self._taken = -1
 
-    @cached_property
-    def _commands(self) -> Mapping[int, tuple[int, bool, int]]:
-        """Register, whether it is written, and the step of a burst, by the first byte of a transaction.
-
-        On I2C its length says whether it is written.
-        """
-        part = self._part
-        reading, writing = (part.read, part.write) if self.letter == "s" else (part.pointer,) * 2
-        several = part.several.get(self.letter, 0)
-        commands: dict[int, tuple[int, bool, int]] = {}
-        # The lowest of several registers with the same first byte is meant.
-        for register in range(HIGHEST_REGISTER, -1, -1):
-            commands[writing(register) & 0xFF] = (register, True, part.count)
-            commands[reading(register) & 0xFF] = (register, False, 0 if several else part.count)
-            commands[(reading(register) | several) & 0xFF] = (register, False, part.count)
-        return commands
-
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Answer one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        silent = self._fault().kind == "silent"
-        if self.letter == "i":
-            if silent:
-                raise BusError("no device acknowledges, a fault that the virtual sensor's truth sets")
-            answer = self._answered(out, count)
-        elif silent:
-            answer = b"\xff" * len(out)
-        else:
-            # It is unknown what the part sends during the command byte, so it is random here.
-            answer = bytes([self._filler()]) + self._answered(out, len(out) - 1)
-        # On I2C each byte has an acknowledge; write and read each begin with an address byte.
-        bits = 9 * (1 + len(out) + (1 + count if count else 0)) if self.letter == "i" else 8 * len(out)
-        self._clock.sleep(bits * BIT_SECONDS[self.letter])
-        return answer
-
     def _answered(self, out: bytes, count: int) -> bytes:
-        register, written, step = self._commands.get(out[0], (0, False, 0))
-        if not written and (self.letter == "s" or len(out) == 1):
-            return self._content([register + step * place for place in range(count)])
+        """Return the bytes that the part drives; on I2C the length of a transaction says whether it writes."""
+        part, on_spi = self._part, self.letter == "s"
+        several, access = part.several.get(self.letter, 0), part.reading | part.writing
+        plain = out[0] & ~several
+        register = (plain & ~access) >> part.shift if on_spi or part.by_command else plain
+        # It is unknown what the part sends during the command byte of SPI, so it is random here.
+        head = bytes([self._filler()]) if on_spi else b""
+        if plain & access != part.writing if on_spi else len(out) == 1:
+            step = part.count if not several or out[0] & several else 0
+            length = len(out) - 1 if on_spi else count
+            return head + self._content([register + step * place for place in range(length)])
         reset = self._part.reset
         if reset and register == reset.register and out[-1] & reset.value == reset.value:
             self._held = dict(self._after_reset)
         else:
             self._held[register] = out[-1]
-        return bytes(count)
+        return head + bytes(len(out) - 1 if on_spi else 0)
 
     def _content(self, asked: Sequence[int]) -> bytes:
         """Return registers of one moment."""

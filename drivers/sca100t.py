@@ -35,7 +35,7 @@ from tiltcal.drivers.virtual import (
     Tolerances,
     Truth,
     Vector,
-    VirtualPart,
+    VirtualChip,
     normal,
     part_errors,
     uniform,
@@ -225,15 +225,14 @@ def decode_temperature(frame: bytes) -> float:
 
 RELOAD_NS = 150_000
 """Time between two conversions, which number the noise."""
-BIT_SECONDS = 1.0 / 500_000
 SATURATION = 25e-3
 """Typical time to 95 % of the deflection of a self-test, s."""
 
 
-class VirtualSca100t(VirtualPart):
+class VirtualSca100t(VirtualChip):
     """An SCA100T on the SPI bus at 500 kHz; its state is the self-test that is in progress."""
 
-    letter = "s"
+    letter, bit_seconds = "s", 1.0 / 500_000
 
     ELEMENTS: ClassVar[Mapping[int | None, str]] = {RDAX: "x", RDAY: "y"}
     """The sensing element behind each command."""
@@ -244,11 +243,8 @@ class VirtualSca100t(VirtualPart):
         """The element that the self-test pushes."""
         self._since_ns = 0
 
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Answer one frame; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        driven = b"" if self._fault().kind == "silent" else self._driven(out)
-        self._clock.sleep(8 * len(out) * BIT_SECONDS)
-        return (driven + b"\xff" * len(out))[: len(out)]
+    def _answered(self, out: bytes, count: int) -> bytes:
+        return (self._driven(out) + b"\xff" * len(out))[: len(out)]
 
     def _driven(self, out: bytes) -> bytes:
         """Return the bytes that the part drives; none for an invalid command, where the line floats."""

@@ -34,7 +34,7 @@ from tiltcal.drivers.model import (
     typical_nonlinearity,
 )
 from tiltcal.drivers.registers import choose_range
-from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart, uniform
+from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualChip, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 ACC_X, ACC_Y, ACC_Z = (bytes.fromhex(frame) for frame in ("040000F7", "080000FD", "0C0000FB"))
@@ -351,16 +351,15 @@ class Scl3300(Sensor):
 POWER, MODE_CHANGE, MEMORY = 0x10, 0x02, 0x08
 """Bits of STATUS."""
 WORDS_PER_SECOND = 2000.0
-BIT_SECONDS = 1.0 / 2_000_000
 
 
-class VirtualScl3300(VirtualPart):
+class VirtualScl3300(VirtualChip):
     """A part on the SPI bus at 2 MHz, in its state after power-up.
 
     measuring: what the driver is going to set; the truth is in counts of this mode.
     """
 
-    letter = "s"
+    letter, bit_seconds = "s", 1.0 / 2_000_000
 
     def __init__(
         self, part: Scl3300Part, measuring: MeasuringRange, truth: Truth, fixture: HeldPose, clock: Clock
@@ -372,18 +371,13 @@ class VirtualScl3300(VirtualPart):
         self._identity = {(WHOAMI, 0): part.identity, (SERIAL1, 1): serial & 0xFFFF, (SERIAL2, 1): serial >> 16}
         self._reset()
 
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Answer the frame before this one; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        fault = self._fault()
-        if fault.kind == "silent":
-            answer = b"\xff" * len(out)
-        else:
-            if fault.kind == "parity":
-                self._raise(MEMORY)
-            answer = self._answer()
-            self._take(out)
-        self._clock.sleep(8 * len(out) * BIT_SECONDS)
-        return answer[: len(out)]
+    def _answered(self, out: bytes, count: int) -> bytes:
+        """Answer the frame before this one."""
+        if self._fault().kind == "parity":
+            self._raise(MEMORY)
+        answer = self._answer()[: len(out)]
+        self._take(out)
+        return answer
 
     def _reset(self) -> None:
         """Take the state after power-up: mode 1, bank 0, the flag of the supply set."""

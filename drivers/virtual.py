@@ -365,6 +365,27 @@ class VirtualPart(ABC):
         return int(uniform(self._truth.seed, "filler", self._clock.now_ns()) * 256)
 
 
+class VirtualChip(VirtualPart):
+    """A chip on SPI or I2C; a transaction takes the time of its bits."""
+
+    bit_seconds: float
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Answer one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        silent = self._fault().kind == "silent"
+        if silent and self.letter == "i":
+            raise BusError("no device acknowledges, a fault that the virtual sensor's truth sets")
+        answer = b"\xff" * len(out) if silent else self._answered(out, count)
+        # On I2C each byte has an acknowledge; write and read each begin with an address byte.
+        bits = 9 * (1 + len(out) + (1 + count if count else 0)) if self.letter == "i" else 8 * len(out)
+        self._clock.sleep(bits * self.bit_seconds)
+        return answer
+
+    @abstractmethod
+    def _answered(self, out: bytes, count: int) -> bytes:
+        """Return the bytes of an answer."""
+
+
 class VirtualLine(VirtualPart):
     """A virtual device on a line of its own: serial, or captured edge by edge."""
 

@@ -19,7 +19,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.converters import RATES, Ads1115, ads1115_config
+from tiltcal.drivers.converters import RATES, Ads1115
 from tiltcal.drivers.model import Model
 
 SHEETS = yaml.load(Path(__file__).with_name("data_sheets.yaml").read_text(encoding="utf-8"), yaml.BaseLoader)
@@ -114,7 +114,8 @@ def test_an_address_that_cannot_be_is_refused_with_the_reason(sheet: dict[str, A
 
 @for_each("rate", RATES)
 def test_it_waits_for_a_converter_that_is_10_percent_slow(rate: int) -> None:
-    word, clock = f"{ads1115_config(0, 6.144, rate):04X}", VirtualClock()
+    converter, clock = Ads1115(parse_address(f"sim:rate={rate}")), VirtualClock()
+    word = f"{converter.config(0):04X}"
     script = Script("i", clock, f"01 {word} /", f"01 / {word}", "00 / 00 00")
-    Ads1115(script, clock, 6.144, rate).volts(0)
+    converter.volts(script, clock, 0)
     assert script.times[1] - script.times[0] >= 1.1 / rate - 1e-9
