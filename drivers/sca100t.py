@@ -34,9 +34,7 @@ from tiltcal.drivers.virtual import (
     Polynomial,
     Tolerances,
     Truth,
-    Vector,
     VirtualChip,
-    normal,
     part_errors,
     uniform,
 )
@@ -267,18 +265,15 @@ class VirtualSca100t(VirtualChip):
         if self._fault().kind == "parity":
             conversion = self._clock.now_ns() // RELOAD_NS
             return int(uniform(self._truth.seed, f"parity {element}", conversion) * LOWEST_SANE_WORD)
-        up, celsius, now = self._state()
-        reading, noise = self._element(element, up, celsius)
+        reading = self._element(element, self._clock.now_ns() // RELOAD_NS)
         if element == self._pushed and self._clock.now_ns() - self._since_ns >= SATURATION * 1e9:
             # A push moves the element past the rail; of one that points down the driver takes no self-test.
             reading += 0.75 * FULL_SCALE
-        if noise:
-            reading += noise * normal(self._truth.seed, f"noise {element}", round(now * 1e9) // RELOAD_NS)
         return min(max(round(reading), 0), FULL_SCALE)
 
-    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float]:
-        """Return what an element reads and the deviation of its noise, count."""
-        return self._truth.reading(element, up, celsius), self._truth.noise.get(element, 0.0)
+    def _element(self, element: str, number: int) -> float:
+        """Return what an element reads in a conversion, count."""
+        return self._truth.sample(element, self._fixture, self._clock, number)
 
 
 class VirtualSca61t(VirtualSca100t):
@@ -290,9 +285,9 @@ class VirtualSca61t(VirtualSca100t):
 class VirtualSca103t(VirtualSca100t):
     """An SCA103T: each element holds half of the difference about its middle, one with either sign."""
 
-    def _element(self, element: str, up: Vector, celsius: float) -> tuple[float, float]:
-        half = self._truth.reading("x", up, celsius) / 2.0
-        return ZERO + (half if element == "x" else -half), self._truth.noise.get("x", 0.0) / sqrt(2.0)
+    def _element(self, element: str, number: int) -> float:
+        half = super()._element("x", number) / 2.0
+        return ZERO + (half if element == "x" else -half)
 
 
 def _recentred(coefficients: Polynomial, centre: float) -> Polynomial:

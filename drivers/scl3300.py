@@ -123,9 +123,14 @@ def flags_in_words(status: int) -> str:
 
 
 class MeasuringRange(NamedTuple):
-    """One of the part's modes: settling after it was set (s), -3 dB of its first-order filter (Hz), noise (g)."""
+    """One of the part's modes.
+
+    word: of the option ``range``, beside ``mode1`` to ``mode4``.
+    bandwidth, settling, noise: -3 dB of its first-order filter (Hz); after it was set (s); g.
+    """
 
     mode: int
+    word: str
     extent: str
     counts_per_g: float
     bandwidth: float
@@ -137,12 +142,9 @@ class MeasuringRange(NamedTuple):
 
 
 class Scl3300Part(NamedTuple):
-    """The constants of one part.
+    """The constants of one part: what WHOAMI says, and its ranges, mode 1 first.
 
-    identity: data of WHOAMI.
-    ranges: mode 1 first.
-    words: mode number by the word of the option ``range``, beside ``mode1`` to ``mode4``.
-    offset_limit, sensitivity_limit: largest error of either sign, g and relative.
+    sensitivity_limit: largest relative error of either sign.
     nonlinearity: typical square and cube of the response; empty where no source states them.
     """
 
@@ -150,8 +152,6 @@ class Scl3300Part(NamedTuple):
     kind: str
     identity: int
     ranges: tuple[MeasuringRange, ...]
-    words: Mapping[str, int]
-    offset_limit: float
     sensitivity_limit: float
     nonlinearity: tuple[float, ...] = ()
 
@@ -191,11 +191,7 @@ class Scl3300(Sensor):
         return Reading((float(x.signed), float(y.signed), float(z.signed)), -273.0 + temperature.signed / 18.9)
 
     def link_statistics(self) -> Mapping[str, int]:
-        """Return the counts of samples and of unusable frames.
-
-        These are: answers with a wrong CRC; requests that arrived damaged at the part; answers to another request;
-        samples of a saturated signal path; resets that were noticed.
-        """
+        """Return the counts of samples, and of what made frames unusable."""
         return dict(self._counts)
 
     def _answers_to(self, requests: Sequence[bytes]) -> list[Answer]:
@@ -259,8 +255,7 @@ class Scl3300(Sensor):
     def _ask(self, requests: Sequence[bytes], fetch: bytes, *, checked: bool = True) -> tuple[Answer, list[Answer]]:
         """Send requests and a frame that fetches the last answer; return the answer to the frame before, and theirs.
 
-        Answers that are damaged or belong to another request are counted; ``checked`` refuses wires that are stuck or
-        shorted.
+        ``checked`` refuses wires that are stuck or shorted.
         """
         first, *raw = [self._exchange(request) for request in (*requests, fetch)]
         if checked:
@@ -439,14 +434,12 @@ _SCL3300 = Scl3300Part(
     identity=0xC1,
     # The noise is 17 µg/√Hz over the filter's noise bandwidth.
     ranges=(
-        MeasuringRange(1, "±1.2 g", 6000.0, 40.0, 25e-3, 135e-6),
-        MeasuringRange(2, "±2.4 g", 3000.0, 70.0, 15e-3, 178e-6),
-        MeasuringRange(3, "inclination", 12000.0, 10.0, 100e-3, 80e-6),
-        MeasuringRange(4, "inclination, low noise", 12000.0, 10.0, 100e-3, 80e-6),
+        MeasuringRange(1, "1.2g", "±1.2 g", 6000.0, 40.0, 25e-3, 135e-6),
+        MeasuringRange(2, "2.4g", "±2.4 g", 3000.0, 70.0, 15e-3, 178e-6),
+        MeasuringRange(3, "inclination", "inclination", 12000.0, 10.0, 100e-3, 80e-6),
+        MeasuringRange(4, "low-noise", "inclination, low noise", 12000.0, 10.0, 100e-3, 80e-6),
     ),
-    words={"1.2g": 1, "2.4g": 2, "inclination": 3, "low-noise": 4},
-    # Its own limits were not found; the sibling's offset, and a sensitivity that separates the two.
-    offset_limit=0.020,
+    # Its own limits were not found: one that separates it from its sibling.
     sensitivity_limit=0.02,
 )
 _SCA3300 = Scl3300Part(
@@ -454,13 +447,11 @@ _SCA3300 = Scl3300Part(
     kind="accelerometer",
     identity=0x51,
     ranges=(
-        MeasuringRange(1, "±3 g", 2700.0, 70.0, 15e-3, 0.5e-3),
-        MeasuringRange(2, "±6 g", 1350.0, 70.0, 15e-3, 0.7e-3),
-        MeasuringRange(3, "±1.5 g", 5400.0, 70.0, 15e-3, 0.4e-3),
-        MeasuringRange(4, "±1.5 g, 10 Hz", 5400.0, 10.0, 100e-3, 0.15e-3),
+        MeasuringRange(1, "3g", "±3 g", 2700.0, 70.0, 15e-3, 0.5e-3),
+        MeasuringRange(2, "6g", "±6 g", 1350.0, 70.0, 15e-3, 0.7e-3),
+        MeasuringRange(3, "1.5g", "±1.5 g", 5400.0, 70.0, 15e-3, 0.4e-3),
+        MeasuringRange(4, "1.5g-10hz", "±1.5 g, 10 Hz", 5400.0, 10.0, 100e-3, 0.15e-3),
     ),
-    words={"3g": 1, "6g": 2, "1.5g": 3, "1.5g-10hz": 4},
-    offset_limit=0.020,
     sensitivity_limit=0.007,
     nonlinearity=typical_nonlinearity(0.001, 1.0),
 )
@@ -468,17 +459,17 @@ _SCA3300 = Scl3300Part(
 
 def _model(name: str, part: Scl3300Part, address: Address) -> Model:
     """Return the model in the mode of the address."""
-    words = {**part.words, **{f"mode{number}": number for number in (1, 2, 3, 4)}}
-    measuring = part.ranges[choose_range(address, words, 1) - 1]
+    words = {one.word: one for one in part.ranges} | {f"mode{one.mode}": one for one in part.ranges}
+    measuring = choose_range(address, words, part.ranges[0])
     noise = measuring.counts_per_g * measuring.noise
     return Model(
         name=name,
         title=f"Murata {part.name} three-axis {part.kind}, {measuring.extent}, SPI",
         channels=("x", "y", "z"),
         schemes=("spi",),
-        addresses=("spi:///dev/spidev0.0", f"spi:///dev/spidev0.0?range={list(part.words)[-1]}"),
+        addresses=("spi:///dev/spidev0.0", f"spi:///dev/spidev0.0?range={part.ranges[-1].word}"),
         sensitivity=measuring.counts_per_g,
-        offset_spread=deviation_within(part.offset_limit),
+        offset_spread=deviation_within(_LIMITS.offset),
         sensitivity_spread=deviation_within(part.sensitivity_limit),
         nonlinearity=part.nonlinearity,
         rails=(-32768.0, 32767.0),

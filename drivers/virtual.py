@@ -334,27 +334,14 @@ class VirtualPart(ABC):
             )
         return fault
 
-    def _state(self) -> tuple[Vector, float, float]:
-        """Return up (g), the temperature of the element (°C) and the session time (s) of the present sample.
-
-        A stuck part stays level and at the temperature of the start, with the noise of the beginning of its fault.
-        """
-        fault = self._fault()
-        if fault.kind == "stuck":
-            return LEVEL, self._truth.ambient, fault.start
-        return self._fixture.gravity, self._fixture.temperature(self._truth.lag), self._clock.now_ns() / 1e9
-
     def _word(self, channel: str, rate: float, low: int, high: int, scale: float = 1.0) -> int:
         """Return a channel with the noise of the present conversion, rounded and clipped, count.
 
         ``scale`` is the counts of the measuring range that is set, to those of the truth.
         """
-        gravity, temperature, now = self._state()
-        reading = self._truth.reading(channel, gravity, temperature)
-        noise = self._truth.noise.get(channel, 0.0)
-        if noise:
-            reading += noise * normal(self._truth.seed, f"noise {channel}", int(now * rate))
-        return min(max(round(scale * reading), low), high)
+        self._fault()
+        number = int(self._clock.now_ns() / 1e9 * rate)
+        return min(max(round(scale * self._truth.sample(channel, self._fixture, self._clock, number)), low), high)
 
     def _celsius(self) -> float:
         """Return what the part's own thermometer measures now, °C."""

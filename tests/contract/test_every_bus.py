@@ -108,19 +108,6 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Stub:
     return stub
 
 
-def test_the_part_sets_mode_and_clock_of_spi_where_the_address_does_not(bus: Stub) -> None:
-    link = opened(SPI)
-    assert (bus.path, bus.mode, bus.max_speed_hz, link.letter) == ("/dev/spidev0.0", 0, 500_000, "s")
-    assert link.exchange(b"\x10\x00\x00") == b"\xef\xff\xff"
-    opened(f"{SPI}?mode=3&speed=125000")
-    assert (bus.mode, bus.max_speed_hz) == (3, 125_000)
-    model = find_model("sca3000-d01")
-    # Seven bytes are 56 bits, and the D01 has a new word each 4 ms: at least 14,000 Hz.
-    open_link(parse_address(f"{SPI}?speed=14000"), model)
-    with pytest.raises(BusError, match=r"13999 Hz is too slow for sca3000-d01: .* at least speed=14000"):
-        open_link(parse_address(f"{SPI}?speed=13999"), model)
-
-
 def test_an_exchange_on_i2c_is_one_transaction(bus: Stub) -> None:
     link = opened(I2C)
     for out, count, answer in ((b"\x09", 6, bytes(range(6))), (b"\x01\xc1", 0, b""), (b"", 2, b"\0\1"), (b"", 0, b"")):
@@ -272,6 +259,9 @@ def test_a_wrong_address_is_refused_before_the_bus_is_touched(bus: Stub) -> None
     for address, why in REFUSED:
         with pytest.raises(UsageError, match=why):
             opened(address)
+    # Seven bytes are 56 bits, and the D01 has a new word each 4 ms: at least 14,000 Hz.
+    with pytest.raises(BusError, match=r"13999 Hz is too slow for sca3000-d01: .* at least speed=14000"):
+        open_link(parse_address(f"{SPI}?speed=13999"), find_model("sca3000-d01"))
 
 
 def test_only_handlers_that_open_a_line_and_nothing_else_are_used(tmp_path: Path) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from math import hypot, radians, sin
-from statistics import fmean
-
 import pytest
 from support.scripted_link import Script
 
@@ -90,20 +87,3 @@ def test_virtual_parts_test_themselves() -> None:
     clock.sleep(1.0)
     assert D02.driver(twin, clock).read().values[0] >= 0.95 * 2047
     assert D02.driver(twin, clock).probe()["x"] == "1024 count", "a self-test that was left running is ended"
-
-
-def test_drawn_parts_bend_and_drift_as_the_population_does() -> None:
-    parts = [D01.default_truth(seed) for seed in range(300)]
-    for part in parts[:100]:
-        row = part.sensitivity["x"]
-        assert hypot(row["y"], row["z"]) <= 0.04 * row["x"]
-        quadratic, cubic = part.nonlinearity["x"]
-        # ±0.11° over ±30°, as the data sheet has it.
-        assert abs(quadratic) * 0.5**2 + abs(cubic) * 0.5**3 <= sin(radians(0.11))
-    for t in (-25.0, 85.0):
-        # Mean offset of the population, degrees: the data sheet's curve.
-        hot, cold = (-0.0000006 * c**3 + 0.0001 * c**2 - 0.0039 * c + 0.0522 for c in (t, 25.0))
-        drifts = [(part.reading("x", (0, 0, 0), t) - part.offset["x"]) / D01.sensitivity for part in parts]
-        # The slopes are even within ±0.008 °/°C, so the mean of 300 is known to 0.0046 / 17 °/°C.
-        assert fmean(drifts) == pytest.approx(radians(hot - cold), abs=radians(0.0014 * abs(t - 25.0)))
-        assert max(abs(one - radians(hot - cold)) for one in drifts) <= radians(0.86)
