@@ -66,7 +66,6 @@ from tiltcal.logs.positions import (
     intervals_of_table,
     placed,
     require_positions,
-    unplaced,
 )
 from tiltcal.logs.still import WINDOWS, Judge, choice_table, find_still, judge_of
 from tiltcal.logs.streams import sha256_of
@@ -243,7 +242,8 @@ class FitSource:
                 intervals = intervals_of(record, sensor.channels, segments, self.rails, file=file, soak=soak)
             times = [interval.times for interval in intervals if interval.times is not None]
             provenance = self._provenance(record, origin, times)
-        return FitPositions(unplaced(intervals) if free else placed(intervals, procedure, file=self._name), provenance)
+        found = [interval.measurement for interval in intervals]
+        return FitPositions(found if free else placed(intervals, procedure, file=self._name), provenance)
 
     def _found(
         self,
@@ -260,10 +260,11 @@ class FitSource:
         segments = chosen.segments
         intervals = intervals_of(record, sensor.channels, segments, self.rails, file=record.name, soak=soak)
         for interval, (x, y, z) in zip(intervals, chosen.directions.tolist(), strict=True):
-            rows = interval.where["rows"]
+            measured = interval.measurement
+            rows = measured.when["rows"]
             first, last = (rows[0][0], rows[-1][1]) if isinstance(rows[0], tuple) else rows
-            n = interval.summaries[sensor.channels[0]].n
-            say(f"  {interval.name}: {n} of rows {first} to {last - 1}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
+            n = measured.summaries[sensor.channels[0]].n
+            say(f"  {measured.position}: {n} of rows {first} to {last - 1}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
         return intervals, SegmentsRecord(
             found="standard deviation in a window below a threshold",
             window_rows=chosen.window,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from difflib import get_close_matches
 from itertools import groupby
@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.measurement import Measurement, at_rail
-from tiltcal.core.attitude import Vector
 from tiltcal.core.detection import (
     LEFT_OUT,
     TEMPERATURE_JUMP,
@@ -28,13 +27,16 @@ from tiltcal.core.model import AXES, Array
 from tiltcal.core.samples import SampleSummary, resolution, summarise
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
-from tiltcal.files.procedure import Position, Procedure
+from tiltcal.files.procedure import Procedure
 from tiltcal.files.tables import Segment, TabledPosition
 from tiltcal.logs.columns import TEMPERATURE, TIME
 from tiltcal.logs.numbers import RecordedColumns
 
 FEWEST_ROWS = 2
 """Samples that a segment needs for a standard deviation."""
+
+UP = (0.0, 0.0, 1.0)
+"""Stands for a direction that nothing has said yet."""
 
 TO_THE_END = maxsize
 """The end of a segment that has the rest of the log."""
@@ -51,21 +53,15 @@ Rails = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class StaticInterval:
-    """The readings of a sensor while it was held in one attitude.
+    """The readings of a sensor while it was held in one attitude, as a measurement whose direction is not yet known.
 
-    ``name`` is another one for each interval, ``position`` that of the file, the same where the sensor was put there
-    again; ``gravity`` is up in the sensor frame, None where the file does not say it. ``warming`` is by how much the
-    temperature rose, °C; ``where`` says how it is found again; ``times`` are those of its first and last row, s.
+    ``stated`` is what the file says of it: its name, the same where the sensor was put there again, and perhaps up.
+    ``warming`` is by how much the temperature rose, °C; ``times`` are those of its first and last row, s.
     """
 
-    name: str
-    position: str
-    gravity: Vector | None
-    summaries: Mapping[str, SampleSummary]
-    temperature: float | None
-    line: int | None
+    measurement: Measurement
+    stated: Segment | TabledPosition
     warming: float = 0.0
-    where: Mapping[str, Any] = field(default_factory=dict)
     times: tuple[float, float] | None = None
 
 
@@ -101,19 +97,12 @@ def intervals_of(
 def intervals_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterval]:
     """Return what a table of positions states of each."""
     step = 10.0 ** -max(_digits(mean) for position in positions for mean in position.mean.values())
-    names = _distinct([position.name for position in positions])
-    return [
-        StaticInterval(
-            name,
-            position.name,
-            position.gravity,
-            _tabled(position, step),
-            position.temperature,
-            position.line,
-            where={} if position.line is None else {"line": position.line},
-        )
-        for position, name in zip(positions, names, strict=True)
-    ]
+    intervals = []
+    for position, name in zip(positions, _distinct([position.name for position in positions]), strict=True):
+        where = {} if position.line is None else {"line": position.line}
+        measured = Measurement(name, UP, None, position.temperature, _tabled(position, step), where)
+        intervals.append(StaticInterval(measured, position))
+    return intervals
 
 
 def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: str) -> list[Measurement]:
@@ -127,7 +116,19 @@ def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: s
         for interval in intervals:
             _require_steady(interval, procedure, file)
         _require_temperatures(intervals, file)
-    measurements = [_placed(interval, known) for interval in intervals]
+    measurements = []
+    for interval in intervals:
+        stated, measured = interval.stated, interval.measurement
+        position = known.get(stated.name)
+        if position is not None:
+            measured = replace(measured, heading=position.heading)
+        if stated.gravity is not None:
+            measured = replace(measured, gravity=stated.gravity)
+        elif position is not None:
+            measured = replace(measured, gravity=position.gravity, tilt=position.tilt, stage=position.stage)
+            if measured.temperature is None:
+                measured = replace(measured, temperature=position.temperature)
+        measurements.append(measured)
     for axis, channel in enumerate(AXES):
         read = [measurement for measurement in measurements if channel in measurement.summaries]
         reach = [measurement.gravity[axis] for measurement in read]
@@ -136,14 +137,6 @@ def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: s
             why = f"{channel} reads {means.pop():g} in every position: it is stuck; is it connected?"
             raise InputError(why, file=file)
     return measurements
-
-
-def unplaced(intervals: Sequence[StaticInterval]) -> list[Measurement]:
-    """Return measurements in free positions, whose directions a fit will find."""
-    return [
-        Measurement(interval.name, (0.0, 0.0, 1.0), None, interval.temperature, interval.summaries, interval.where)
-        for interval in intervals
-    ]
 
 
 def require_positions(named: Iterable[Segment] | Iterable[TabledPosition], procedure: Procedure, *, file: str) -> None:
@@ -192,20 +185,24 @@ class _LogInterval:
             beyond = values[~((low < values) & (values < high))]
             if len(beyond):
                 raise self._refusal(at_rail(channel, f"{beyond[0]:.6g} in {len(beyond)} of its rows", (low, high)))
-        temperatures = self._temperatures()
-        times = self._finite(TIME)
-        first = self.parts[0]
+        temperatures, times = self._temperatures(), self._finite(TIME)
         rows = tuple((part.start, part.end) for part in self.parts)
+        where: dict[str, Any] = {"rows": rows if len(rows) > 1 else rows[0]}
+        if left_out:
+            where["left_out"] = left_out
+        if len(times):
+            where["time"] = stamp_of(float(times[-1]))
         return StaticInterval(
-            name,
-            first.name,
-            first.gravity,
-            {channel: summarise(values, step) for channel, values in samples.items()},
-            summarise(temperatures).mean if len(temperatures) else None,
-            first.line,
+            Measurement(
+                name,
+                UP,
+                None,
+                summarise(temperatures).mean if len(temperatures) else None,
+                {channel: summarise(values, step) for channel, values in samples.items()},
+                where,
+            ),
+            self.parts[0],
             self._warming(rise(temperatures), soak, previous),
-            {"rows": rows if len(rows) > 1 else rows[0], **({"left_out": left_out} if left_out else {})}
-            | ({"time": stamp_of(float(times[-1]))} if len(times) else {}),
             (float(times[0]), float(times[-1])) if len(times) else None,
         )
 
@@ -268,48 +265,29 @@ class _LogInterval:
         return InputError(f"segment {part.name}: {why}", file=self.file, line=part.line)
 
 
-def _placed(interval: StaticInterval, known: Mapping[str, Position]) -> Measurement:
-    """Return what was measured in the direction that the file states, or in that of the procedure's position."""
-    if interval.gravity is None:
-        position = known[interval.position]
-    else:
-        heading = known[interval.position].heading if interval.position in known else None
-        position = Position(interval.position, "", interval.gravity, heading=heading)
-    return Measurement(
-        interval.name,
-        position.gravity,
-        position.tilt,
-        position.temperature if interval.temperature is None else interval.temperature,
-        interval.summaries,
-        interval.where,
-        position.heading,
-        position.stage,
-    )
-
-
 def _require_steady(interval: StaticInterval, procedure: Procedure, file: str) -> None:
     """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
     allowed, seconds = procedure.soak.drift, procedure.soak.thermometer or SOAKS * procedure.soak.seconds
     if abs(interval.warming) > allowed:
         raise InputError(
-            f"segment {interval.name}: the temperature drifts by {interval.warming:+.2f} °C up to its end, more than "
-            f"the {allowed:g} °C that {procedure.name} allows in {seconds:g} s: thermometer and sensor are apart while "
-            "they change; take rows where both stand still, or go slower",
+            f"segment {interval.measurement.position}: the temperature drifts by {interval.warming:+.2f} °C up to its "
+            f"end, more than the {allowed:g} °C that {procedure.name} allows in {seconds:g} s: thermometer and sensor "
+            "are apart while they change; take rows where both stand still, or go slower",
             file=file,
-            line=interval.line,
+            line=interval.stated.line,
         )
 
 
 def _require_temperatures(intervals: Sequence[StaticInterval], file: str) -> None:
     """Refuse intervals of which only some have a temperature: the procedure's is no stand-in for one that was lost."""
-    measured = [interval for interval in intervals if interval.temperature is not None]
-    silent = next((interval for interval in intervals if interval.temperature is None), None)
-    if measured and silent is not None:
+    warm = [interval for interval in intervals if interval.measurement.temperature is not None]
+    silent = next((interval for interval in intervals if interval.measurement.temperature is None), None)
+    if warm and silent is not None:
         raise InputError(
-            f"segment {silent.name}: there is no temperature in its rows, and {measured[0].name} has one; choose rows "
-            "that have it, or fill it in",
+            f"segment {silent.measurement.position}: there is no temperature in its rows, and "
+            f"{warm[0].measurement.position} has one; choose rows that have it, or fill it in",
             file=file,
-            line=silent.line,
+            line=silent.stated.line,
         )
 
 
@@ -318,16 +296,16 @@ def _require_not_stuck(intervals: Sequence[StaticInterval], step: float, file: s
 
     The noise is that of all segments before rounding: a converter that is coarser than the noise stands still, too.
     """
-    for channel in intervals[0].summaries:
-        noise = noise_of_positions([interval.summaries[channel] for interval in intervals], step)
-        for interval in intervals:
-            summary = interval.summaries[channel]
+    for channel in intervals[0].measurement.summaries:
+        summaries = [interval.measurement.summaries[channel] for interval in intervals]
+        noise = noise_of_positions(summaries, step)
+        for interval, summary in zip(intervals, summaries, strict=True):
             if summary.std == 0.0 and not identical_by_chance(summary.n, noise, step):
                 raise InputError(
-                    f"segment {interval.position}: all samples of {channel} are identical, and elsewhere they scatter "
-                    f"by {noise:.3g}: it was stuck, not still; choose other rows",
+                    f"segment {interval.stated.name}: all samples of {channel} are identical, and elsewhere they "
+                    f"scatter by {noise:.3g}: it was stuck, not still; choose other rows",
                     file=file,
-                    line=interval.line,
+                    line=interval.stated.line,
                 )
 
 

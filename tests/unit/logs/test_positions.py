@@ -29,13 +29,13 @@ def test_mean_scatter_and_uncertainty_are_those_of_all_samples() -> None:
     found = intervals(values, [segment(15, 4003), segment(4103, 8994), segment(8994, 9000, "up")])[0]
     whole = np.concatenate([values[:, 15:4003], values[:, 4103:8994]], axis=1)
     for channel, samples in zip(("x", "y"), whole, strict=False):
-        summary, size = found.summaries[channel], whole.shape[1] // 10
+        summary, size = found.measurement.summaries[channel], whole.shape[1] // 10
         means = samples[: 10 * size].reshape(10, size).mean(axis=1)
         assert summary.n == whole.shape[1]
         assert summary.mean == pytest.approx(samples.mean(), rel=1e-13)
         assert summary.std == pytest.approx(samples.std(ddof=1), rel=1e-12)
         assert summary.noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
-    assert found.temperature == pytest.approx(whole[2].mean(), rel=1e-13)
+    assert found.measurement.temperature == pytest.approx(whole[2].mean(), rel=1e-13)
 
 
 def test_samples_far_off_are_left_out() -> None:
@@ -43,18 +43,18 @@ def test_samples_far_off_are_left_out() -> None:
     values[0, [7, 1234, 4990]] += 50.0
     (found,) = intervals(values, [segment(0, 5000)])
     kept = np.delete(values, [7, 1234, 4990], axis=1)
-    assert found.where["left_out"] == 3
-    assert found.summaries["y"].mean == pytest.approx(kept[1].mean(), rel=1e-12)
-    assert found.summaries["x"].std == pytest.approx(kept[0].std(ddof=1), rel=1e-12)
+    assert found.measurement.when["left_out"] == 3
+    assert found.measurement.summaries["y"].mean == pytest.approx(kept[1].mean(), rel=1e-12)
+    assert found.measurement.summaries["x"].std == pytest.approx(kept[0].std(ddof=1), rel=1e-12)
 
 
 def test_a_log_that_is_one_position_need_not_say_how_long_it_is() -> None:
     values = np.random.default_rng(3).normal(0.0, 1.0, (2, 30_720))
     (found,) = intervals(values, [segment(0, TO_THE_END)])
     means = values[0].reshape(10, 3072).mean(axis=1)
-    assert found.where["rows"] == (0, 30_720)
-    assert found.summaries["x"].mean == pytest.approx(values[0].mean(), rel=1e-12)
-    assert found.summaries["x"].noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
+    assert found.measurement.when["rows"] == (0, 30_720)
+    assert found.measurement.summaries["x"].mean == pytest.approx(values[0].mean(), rel=1e-12)
+    assert found.measurement.summaries["x"].noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
 
 
 def test_the_rise_is_that_of_the_line_less_its_scatter() -> None:
