@@ -36,7 +36,7 @@ from tiltcal.logs.columns import (
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
-from tiltcal.logs.means import Means
+from tiltcal.logs.means import BlockOfMeans, Means
 from tiltcal.logs.options import ApplyOptions, require_consistent
 from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of
 from tiltcal.stated_arguments import require_path
@@ -194,8 +194,8 @@ class CompensatedLog:
             table: Table = self._table(block)
             if self._field_length is not None:
                 table = self._field_length.flagged(table, block.readings(self._vectors["magnetometer"]))
-            if means is not None:
-                table = means.added(block, table)
+            if isinstance(block, BlockOfMeans):
+                table = block.marked(table)
             self.summary.add(table, len(block.faults) + block.bad_rows)
             yield block, table
         for sensor in self.prepared.sensors:

@@ -157,7 +157,6 @@ class TableFrame:
             name = TIME
         self._index = name if isinstance(name, str) and name not in frame.columns else None
         self._given = frame
-        self._stating = frame.to_native()  # attributes of pandas, metadata of pyarrow
         self._frame = frame if self._index is None else nw.from_native(frame.to_native().reset_index(names=name))
         self.named = {str(name): name for name in self._frame.columns}  # a pandas frame may have numbers for names
 
@@ -193,20 +192,17 @@ class TableFrame:
         if self._index is not None:
             made = nw.maybe_set_index(made, self._index)
             made.to_native().index.name = self._index_name
-        table = TableFrame(made)
-        table._stating = self._stating
-        return table
+        return TableFrame(made)
 
     def with_columns(self, table: Table, reading: str, units: Units) -> Any:
         import narwhals.stable.v2 as nw
 
         kind = self._given.implementation
         added = [nw.new_series(name, np.ascontiguousarray(values), backend=kind) for name, values in table.items()]
-        made = self._given.with_columns(*added).to_native()
+        made, given = self._given.with_columns(*added).to_native(), self._given.to_native()
         if hasattr(made, "attrs"):
-            made.attrs = dict(self._stating.attrs)
-        metadata = getattr(getattr(self._stating, "schema", None), "metadata", None)
-        return made if metadata is None else made.replace_schema_metadata(metadata)
+            made.attrs = dict(given.attrs)
+        return made
 
 
 class ArrayFrame:

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.earth_frame import FIELD_TOLERANCE, full_circle
-from tiltcal.core.flags import FAIL, GRAVITY_LENGTH, NO_DIRECTION, RAIL, SUSPECT, Bytes, Reasons, mark_columns
+from tiltcal.core.flags import FAIL, GRAVITY_LENGTH, NO_DIRECTION, RAIL, SUSPECT, Bytes, Mask, Reasons, mark_columns
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.cf_attributes import COUNT
@@ -42,11 +42,23 @@ class BlockOfMeans(LogBlock):
     differ so much that the mean of their directions is 5 % shorter than they are.
     """
 
-    counts: NDArray[np.int64]
+    sensors: Sequence[PreparedSensor]
     rows: NDArray[np.int64]
     flags: Bytes
     reasons: Reasons
-    apart: NDArray[np.bool_]
+    apart: Mask
+
+    def marked(self, table: Table) -> Table:
+        """Return the columns of these means: the count, and the flags of readings and of headings apart too."""
+        marked = dict(table)
+        for sensor, flags, reasons in zip(self.sensors, self.flags.T, self.reasons.T, strict=True):
+            judged = {name: table[name] for name in (f"{sensor.lead}flag", f"{sensor.lead}reason")}
+            marked |= mark_columns(judged, reasons > 0, flags, reasons)
+            lost = (flags == FAIL) & (reasons & GRAVITY_LENGTH > 0)
+            for name in table if lost.any() else ():
+                if name.startswith(tuple(sensor.lead + kind for kind in _FROM_TILT)):
+                    marked[name] = np.where(lost, np.nan, table[name])
+        return {COUNT: self.rows, **mark_columns(marked, self.apart, SUSPECT, NO_DIRECTION)}
 
 
 @dataclass(frozen=True)
@@ -61,7 +73,7 @@ class Means:
     heading: int | None = None
 
     def blocks(self, blocks: Iterable[LogBlock]) -> Iterator[BlockOfMeans]:
-        """Yield the means of the rows of blocks with all their columns; the last mean may be of fewer rows."""
+        """Yield the means of the rows of blocks with types; the last mean may be of fewer rows."""
         pending: LogBlock | None = None
         bad = done = 0
         for block in blocks:
@@ -77,19 +89,6 @@ class Means:
         if pending is not None:
             yield self._means(pending, self._groups(pending, done), bad)
 
-    def added(self, block: LogBlock, table: Table) -> Table:
-        """Return the columns of a block of means: the count, and its flags, of readings and of headings apart too."""
-        block = cast("BlockOfMeans", block)
-        marked = dict(table)
-        for sensor, flags, reasons in zip(self.sensors, block.flags.T, block.reasons.T, strict=True):
-            judged = {name: table[name] for name in (f"{sensor.lead}flag", f"{sensor.lead}reason")}
-            marked |= mark_columns(judged, reasons > 0, flags, reasons)
-            lost = (flags == FAIL) & (reasons & GRAVITY_LENGTH > 0)
-            for name in table if lost.any() else ():
-                if name.startswith(tuple(sensor.lead + kind for kind in _FROM_TILT)):
-                    marked[name] = np.where(lost, np.nan, table[name])
-        return {COUNT: block.rows, **mark_columns(marked, block.apart, SUSPECT, NO_DIRECTION)}
-
     def _groups(self, block: LogBlock, done: int) -> NDArray[np.int64]:
         """Return the number of each row's group, ascending; ``done`` rows are before these."""
         if self.size.rows is not None:
@@ -102,12 +101,9 @@ class Means:
         # Whole microseconds are exact where seconds are not; a border within half of one is where the row is.
         micros = np.rint(np.where(timed, time, time[place]) * 1e6) + 0.5
         step = np.floor(micros / (float(self.size.seconds or 1.0) * 1e6))
-        changed = np.flatnonzero(step[1:] != step[:-1]) + 1
         # NaN differs from NaN: rows before the first time are one group.
-        changed = changed[np.isfinite(step[changed - 1]) | np.isfinite(step[changed])]
-        groups = np.zeros(len(time), np.int64)
-        groups[changed] = 1
-        return np.cumsum(groups)
+        changed = (step[1:] != step[:-1]) & (np.isfinite(step[1:]) | np.isfinite(step[:-1]))
+        return np.concatenate([[0], np.cumsum(changed)])
 
     def _means(self, block: LogBlock, groups: NDArray[np.int64], bad: int) -> BlockOfMeans:
         starts = np.flatnonzero(np.diff(groups, prepend=groups[0] - 1))
@@ -116,34 +112,37 @@ class Means:
         counts = np.empty((len(starts), len(self.sensors)), np.int64)
         flags, reasons = np.empty(counts.shape, np.uint8), np.empty(counts.shape, np.uint16)
         judged = self.judged(block)
-        used_for: dict[int, NDArray[np.bool_]] = {}
+        used_for: dict[int | None, Mask] = {}
         for number, sensor in enumerate(self.sensors):
             used, counts[:, number] = _counted(complete[number], starts)
             reason = np.where(used, judged[f"{sensor.lead}reason"], 0).astype(np.uint16) & (RAIL | GRAVITY_LENGTH)
             reasons[:, number] = np.bitwise_or.reduceat(reason, starts)
             flags[:, number] = np.maximum.reduceat(np.where(reason, judged[f"{sensor.lead}flag"], 0), starts)
-            used_for |= dict.fromkeys(
-                [*sensor.columns, *([] if sensor.thermometer is None else [sensor.thermometer])], used
-            )
-        values = {}
+            used_for |= dict.fromkeys((*sensor.columns, sensor.thermometer), used)
+        values = {index: _mean(column, used_for.get(index, shared), starts) for index, column in block.values.items()}
         apart = np.zeros(len(starts), bool)
-        for index, column in block.values.items():
-            if index == self.heading:
-                east, north = (_mean(part(np.radians(column)), shared, starts) for part in (np.sin, np.cos))
-                values[index] = full_circle(np.degrees(np.arctan2(east, north)), 360.0)
-                apart = np.hypot(east, north) < 1.0 - FIELD_TOLERANCE
-            else:
-                values[index] = _mean(column, used_for.get(index, shared), starts)
+        if self.heading is not None:
+            headings = np.radians(block.values[self.heading])
+            east, north = _mean(np.sin(headings), shared, starts), _mean(np.cos(headings), shared, starts)
+            values[self.heading] = full_circle(np.degrees(np.arctan2(east, north)), 360.0)
+            apart = np.hypot(east, north) < 1.0 - FIELD_TOLERANCE
         for number, sensor in enumerate(self.sensors):
             for index in sensor.columns:
                 values[index][counts[:, number] == 0] = np.nan
-        frame = None if block.frame is None else self._frame(block.frame, groups, shared, values)
         return BlockOfMeans(
-            values, frame=frame, counts=counts, rows=rows, flags=flags, reasons=reasons, apart=apart, bad_rows=bad
+            values=values,
+            frame=self._frame(block.framed(), groups, shared, values),
+            counts=counts,
+            bad_rows=bad,
+            sensors=self.sensors,
+            rows=rows,
+            flags=flags,
+            reasons=reasons,
+            apart=apart,
         )
 
     def _frame(
-        self, frame: pl.DataFrame, groups: NDArray[np.int64], used: NDArray[np.bool_], values: dict[int, Array]
+        self, frame: pl.DataFrame, groups: NDArray[np.int64], used: Mask, values: dict[int, Array]
     ) -> pl.DataFrame:
         """Return the columns of the means, with their types; whole numbers become decimal."""
         import polars as pl
@@ -166,7 +165,7 @@ class Means:
         return means.with_columns(**exact)
 
 
-def _counted(complete: NDArray[np.bool_], starts: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+def _counted(complete: Mask, starts: NDArray[np.intp]) -> tuple[Mask, NDArray[np.int64]]:
     """Return which rows belong into the mean of each group, and how many of them count.
 
     Of a group without a row that counts, all rows are taken: its readings are missing, and its time is there.
@@ -175,7 +174,7 @@ def _counted(complete: NDArray[np.bool_], starts: NDArray[np.intp]) -> tuple[NDA
     return complete | np.repeat(counts == 0, np.diff(starts, append=len(complete))), counts
 
 
-def _mean(column: Array, used: NDArray[np.bool_], starts: NDArray[np.intp]) -> Array:
+def _mean(column: Array, used: Mask, starts: NDArray[np.intp]) -> Array:
     """Return the mean of each group without what is missing."""
     taken = used & np.isfinite(column)
     total = np.add.reduceat(np.where(taken, column, 0.0), starts)
@@ -186,11 +185,9 @@ def _mean(column: Array, used: NDArray[np.bool_], starts: NDArray[np.intp]) -> A
 
 def _joined(first: LogBlock, second: LogBlock) -> LogBlock:
     values = {index: np.concatenate([column, second.values[index]]) for index, column in first.values.items()}
-    if first.frame is None or second.frame is None:
-        return LogBlock(values)
-    return LogBlock(values, frame=first.frame.vstack(second.frame))
+    return LogBlock(values, frame=first.framed().vstack(second.framed()))
 
 
 def _part(block: LogBlock, start: int, end: int) -> LogBlock:
     values = {index: column[start:end] for index, column in block.values.items()}
-    return LogBlock(values, frame=None if block.frame is None else block.frame[start:end])
+    return LogBlock(values, frame=block.framed()[start:end])

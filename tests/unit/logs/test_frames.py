@@ -109,15 +109,14 @@ def test_its_own_columns_stay(kind: str) -> None:
 class TestNotes:
     """What a frame states about itself stays, as the serial number does by which a folder is searched."""
 
-    @pytest.mark.parametrize("how", [{}, {"average": 2}])
-    def test_they_stay(self, how: dict[str, int], calibration: Calibration) -> None:
+    def test_they_stay(self, calibration: Calibration) -> None:
         frame = pd.DataFrame(READINGS)
         frame.attrs["serial"] = "S-1"
-        assert calibration.apply(frame, **how).attrs == {"serial": "S-1"}
+        assert calibration.apply(frame).attrs == {"serial": "S-1"}
         table = pa.table(READINGS).replace_schema_metadata({"serial": "S-1"})
-        assert calibration.apply(table, **how).schema.metadata == {b"serial": b"S-1"}
+        assert calibration.apply(table).schema.metadata == {b"serial": b"S-1"}
         data = xarray.Dataset({name: ("row", column) for name, column in READINGS.items()}, attrs={"serial": "S-1"})
-        assert calibration.apply(data, **how).attrs == {"serial": "S-1"}
+        assert calibration.apply(data, average=2).attrs == {"serial": "S-1"}
 
 
 def test_coordinates_of_a_dataset_stay_coordinates_of_its_means(calibration: Calibration) -> None:
