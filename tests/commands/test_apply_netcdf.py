@@ -121,18 +121,6 @@ def test_what_is_added_says_what_it_is() -> None:
         assert "mavs.yaml" in second
 
 
-def test_order_stays_over_many_blocks() -> None:
-    rows = 200_000
-    x = 1024 + 400 * np.sin(np.arange(rows) / 1e4)
-    log = xarray.Dataset({"x": ("n", x), "y": ("n", np.full(rows, 1024)), "temperature": ("n", np.full(rows, 15.0))})
-    log.to_netcdf("many.nc", engine="h5netcdf", encoding={"x": {"chunksizes": (30_001,), "zlib": True}})
-    apply(CAL, "many.nc", "-o", "out.nc")
-    log.to_dataframe().to_csv("many.csv", index=False)
-    apply(CAL, "many.csv", "-o", "out.csv")
-    with xarray.open_dataset("out.nc") as found:
-        np.testing.assert_array_equal(found["tilt_x"].values, pl.read_csv("out.csv")["tilt_x"].to_numpy())
-
-
 @pytest.mark.parametrize(
     ("log", "output"), [("log.nc", "-"), ("log.nc", "out.csv"), ("log.nc", "out.parquet"), ("log.csv", "out.nc")]
 )

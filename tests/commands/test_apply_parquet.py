@@ -24,7 +24,7 @@ from support import FIXTURES
 from support.warm_start import WarmStart
 
 from tiltcal.cli.apply import command
-from tiltcal.errors import InputError, TiltcalError, UsageError
+from tiltcal.errors import InputError, TiltcalError
 from tiltcal.logs.formats import open_log
 
 WARM = """\
@@ -236,11 +236,6 @@ class TestRefusals:
         LOG.with_columns(y=pl.lit(None, kind)).write_parquet("in.parquet")
         said = refused(apply("cal.yaml", "in.parquet"), InputError)
         assert said == f"in.parquet: column 'y' holds {called}, not numbers: name another, or make numbers of it"
-
-    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
-    def test_a_full_disk(self) -> None:
-        os.symlink("/dev/full", "full.parquet")
-        assert "No space left" in refused(apply("cal.yaml", "log.parquet", "-o", "full.parquet"), UsageError)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")

@@ -63,10 +63,6 @@ class TestColumns:
         assert tilted["u_tilt_x"] == pytest.approx(expected, rel=1e-3)
         assert tilted["U95_tilt_x"] == pytest.approx(1.96 * expected, rel=2e-3)
 
-    def test_the_noise_of_the_log_takes_the_place_of_the_files(self) -> None:
-        level, _ = rows(apply("cal.yaml", "log.csv", "--uncertainty", "--reading-noise", "0.0004").stdout)
-        assert level["u_tilt_x"] == pytest.approx(degrees(hypot(0.003, 0.0004) / 2), rel=1e-3)
-
     def test_correlations_of_the_file_count(self) -> None:
         """Offset and sensitivity that err together by 0.003 and 0.002 cancel in part at -30°."""
         Path("joint.yaml").write_text(
@@ -77,14 +73,6 @@ class TestColumns:
         for row, error in zip(found, (0.003 - 0.5 * 0.002, 0.003 + 0.5 * 0.002), strict=True):
             expected = degrees(hypot(error, 0.004) / 2 / cos(radians(30)))
             assert row["u_tilt_x"] == pytest.approx(expected, rel=1e-3)
-
-    def test_the_coverage_factor_of_the_file_counts(self) -> None:
-        factors = (
-            "  coverage_factor: {offset.x: 4.303, offset.y: 4.303, sensitivity.x.x: 4.303, sensitivity.y.y: 4.303}\n"
-        )
-        Path("few.yaml").write_text(SILENT + KNOWN + factors)
-        level, _ = rows(apply("few.yaml", "log.csv", "--uncertainty", "--reading-noise", "0").stdout)
-        assert level["U95_tilt_x"] == pytest.approx(4.303 * degrees(0.003 / 2), rel=2e-3)
 
     def test_rows_without_an_angle_to_use_have_none(self) -> None:
         found = rows(apply("cal.yaml", "-", "--uncertainty", stdin="x,y\n,2.5\n4.9,2.5\n4.502,2.5\n").stdout)

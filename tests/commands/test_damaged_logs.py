@@ -72,16 +72,6 @@ def test_rows_that_are_only_declared_take_no_memory(tmp_path: Path) -> None:
         assert len(next(log.rows([0, 1, 2]))) <= 1 << 21
 
 
-def test_an_error_while_writing(tmp_path: Path) -> None:
-    netcdf(tmp_path / "log.nc")
-    with h5py.File(tmp_path / "log.nc", "r+") as file:
-        file.create_group("flag")  # a name that the result needs, and no variable
-    done = tiltcal("apply", CAL, "log.nc", "-o", "out.nc", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.startswith("tiltcal: log.nc: nothing can be added to this file")
-    assert not (tmp_path / "out.nc").exists()
-
-
 def test_every_kind_of_column_to_csv(tmp_path: Path) -> None:
     """What polars cannot write as text is written in words, or refused."""
     readings = pl.DataFrame({"x": [1024.0, 1024.0], "y": [1024.0, 1024.0]})

@@ -114,18 +114,6 @@ class TestMatch:
         ]
         assert (as_json(result)["p"], as_json(result)["q"]) == pytest.approx(disk.truth(), abs=2e-4)
 
-    def test_missing_values_are_counted_and_left_out(self, tmp_path: Path) -> None:
-        path = small(tmp_path)
-        lines = path.read_text().splitlines()
-        for row in range(5, 1500, 10):
-            cells = lines[row].split(",")
-            cells[3] = ""
-            lines[row] = ",".join(cells)
-        path.write_text("\n".join(lines) + "\n")
-        result = match(path, *PAIR, "--phase", "theta", "--json")
-        assert "150 of 1600 rows have a missing value and are left out" in result.stderr
-        assert as_json(result)["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
-
 
 class TestTimes:
     """The column ``time`` as the recorder writes it, and as others do."""
@@ -231,14 +219,6 @@ class TestLiveStream:
         assert "let the stream run for longer" in said
         assert not (tmp_path / "p.yaml").exists()
 
-    @pytest.mark.parametrize(("rate", "rows_a_turn"), [(0.5, 4), (0.75, 6)])
-    def test_too_few_rows_a_turn_are_told(self, tmp_path: Path, rate: float, rows_a_turn: int) -> None:
-        path = disk.record(seconds=800, rate=rate).write(tmp_path / "few.csv")
-        said = refused(match(path, *PAIR, "--phase", "theta", "--online"), EstimateError)
-        assert "more than 45°" in said
-        found = as_json(match(path, *PAIR, "--phase", "theta", "--json"))
-        assert found["p"] == pytest.approx(disk.truth()[0], abs=1e-4), rows_a_turn
-
 
 class TestRefusals:
     @pytest.mark.parametrize("how", [(), ("--online",)], ids=["offline", "online"])
@@ -256,16 +236,6 @@ class TestRefusals:
         path = small(tmp_path, **options)
         assert said in refused(match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml"), EstimateError)
         assert not (tmp_path / "p.yaml").exists()
-
-    def test_a_speed_that_changes_takes_the_stage_angle(self, tmp_path: Path) -> None:
-        slow, fast = (disk.record(seconds=80, rate=20, spin=spin) for spin in (0.1, 0.2))
-        time = np.concatenate([slow.time, 80.0 + fast.time])
-        theta, readings = (
-            np.concatenate([getattr(one, name) for one in (slow, fast)]) for name in ("theta", "readings")
-        )
-        path = disk.Record(time, theta, readings).write(tmp_path / "two-speeds.csv")
-        said = refused(match(path, *PAIR), EstimateError)
-        assert said.endswith("without --phase the stage must turn at one speed")
 
     def test_a_channel_that_is_missing(self, tmp_path: Path) -> None:
         path = small(tmp_path)

@@ -93,14 +93,6 @@ class TestOfALog:
         result = noise(log, "--sensor", "sca100t-d02", "--target", "0.005")
         assert f"measure --samples {advice['samples']}:" in result.stdout
 
-    def test_a_calibration_says_what_a_degree_is(self, tmp_path: Path) -> None:
-        (tmp_path / "S-1.yaml").write_text(CALIBRATION)
-        log = written(tmp_path / "log.csv", counts())
-        found = as_json(log, "--calibration", tmp_path / "S-1.yaml")
-        assert found["sensitivity"]["source"] == "calibration of S-1"
-        first = found["channels"]["y"]["averages"][0]
-        assert first["std_degrees"] == pytest.approx(degrees(first["std"] / 700), rel=0.01)
-
     def test_a_figure(self, tmp_path: Path) -> None:
         log = written(tmp_path / "log.csv", counts(4000))
         result = noise(log, "--sensor", "sca100t-d02", "--figure", tmp_path / "a.svg")
@@ -135,13 +127,6 @@ class TestWhatIsWrongWithALog:
         assert found["samples"] == 3500
         assert found["seconds"] == pytest.approx(40.0)
         assert "1 gap in its times, 500 rows long" in noise(path).stderr
-
-    def test_missing_values(self, tmp_path: Path) -> None:
-        samples = counts(4000)
-        samples[::100, 0] = np.nan
-        found = as_json(written(tmp_path / "l.csv", samples))
-        assert found["missing"] == {"x": 40}
-        assert found["channels"]["x"]["noise_density"]["value"] == pytest.approx(0.6 * sqrt(0.02), rel=0.06)
 
     def test_bad_rows(self, tmp_path: Path) -> None:
         path = written(tmp_path / "l.csv", counts(1000))

@@ -92,17 +92,3 @@ def test_talk_that_cannot_be_written_changes_no_exit_code_of_apply(disk: str | N
 def test_results_that_nobody_reads_change_no_exit_code_of_apply(tmp_path: Path) -> None:
     command = ("apply", FIXTURES / "plane.yaml", *logs_of(tmp_path), "-o", "tilt", "--json")
     assert code_of(*command, folder=tmp_path, out=True) == 2
-
-
-def test_talk_about_a_fit_that_nobody_reads_stops_no_fit(tmp_path: Path) -> None:
-    """2000 counts among 1650 are said to be left out before the file is written."""
-    lines = ["x,y"]
-    for x, y in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
-        lines += [f"{1024 + 819 * x + k % 3},{1024 + 819 * y + k % 3 - 1}" for k in range(40)]
-    (tmp_path / "log.csv").write_text("\n".join(lines).replace("1024,1023", "1500,1023", 1) + "\n")
-    gravity = ((0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0))
-    rows = [f"p{k},{40 * k},{40 * k + 40},{x},{y},{z}" for k, (x, y, z) in enumerate(gravity)]
-    (tmp_path / "segments.csv").write_text("\n".join(["position,start,end,gx,gy,gz", *rows]) + "\n")
-    command = ("fit", "plane", "log.csv", "--segments", "segments.csv", "--sensor", "sca100t-d02", "--serial", "S-1")
-    assert code_of(*command, "-o", "S-1.yaml", folder=tmp_path, err=True) == 0
-    assert (tmp_path / "S-1.yaml").exists()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import resource
 import subprocess
 import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.operators import PythonObject
 from tiltcal.bench.setup import Setup
 from tiltcal.cli.main import run
-from tiltcal.drivers.bus.clock import SystemClock
 from tiltcal.errors import Stopped, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.calibration import BaseFile
@@ -224,31 +222,6 @@ def test_a_journal_of_somebody_else_writes_nowhere_but_beside_it(name: str, tmp_
     assert not written.exists()
     measure(resume="inside/J.jsonl", output="here.yaml")
     assert Path("here.yaml").read_bytes() == whole
-
-
-def test_a_clock_that_went_back_is_taken_from_the_journal() -> None:
-    """A Raspberry Pi without a clock wakes in the past: a pause is then no time, and time goes on from there."""
-    clock = SystemClock(time.time_ns() + 86_400_000_000_000)
-    clock.seek(3_600_000_000_000)
-    first = clock.now_ns()
-    clock.sleep(0.002)
-    assert 3_600_000_000_000 <= first < 3_600_000_000_000 + 10_000_000_000
-    assert clock.now_ns() - first >= 2_000_000
-
-
-def test_headings_and_stage_angles_are_shown_and_recorded() -> None:
-    Path("own.yaml").write_text(
-        "tiltcal: 1\nkind: procedure\nname: own\ntitle: Two headings on a stage\ndetermines: {axes: []}\npositions:\n"
-        "  - {name: first, tilt: {x: 0, y: 0}, heading: 0, stage: 12.5, prompt: Lay it down.}\n"
-        "  - {name: second, tilt: {x: 0, y: 0}, heading: 180, stage: 192.5, prompt: Turn it round.}\n"
-    )
-    rig = Rig()
-    found = measure("own.yaml", operator=rig, output="S-1.yaml", **SENSOR)  # type: ignore[arg-type]
-    assert isinstance(found, Calibration)
-    assert [(one["heading"], one["stage"]) for one in rig.told if "ask" in one] == [(0, 12.5), (180, 192.5)]
-    written = tiltcal.read("S-1.yaml")
-    assert isinstance(written, Calibration)
-    assert [(one.heading, one.stage) for one in written.procedure.set.values()] == [(0, 12.5), (180, 192.5)]
 
 
 def test_a_base_states_the_sensitivity_of_a_device_of_any_kind() -> None:

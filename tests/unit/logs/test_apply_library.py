@@ -64,16 +64,6 @@ def test_between_two_the_offset_lies_on_the_line_and_outside_the_nearest_holds(t
     assert found["reason"].tolist() == [64, 0, 0, 0, 0, 64]
 
 
-def test_a_reading_at_the_rail_of_the_model_stays_there(tmp_path: Path) -> None:
-    """Without rails in the file those of the SCA100T-D02 hold: 100 counts lower on the line it would seem inside."""
-    records = [calibrated(0, (1000, 1000)), calibrated(100, (1100, 1000))]
-    rail = Calibration(records[0]).limits.reading["x"][1]
-    records = [replace(one, limits=replace(one.limits, reading={})) for one in records]
-    library = tiltcal.open_calibrations(kept(tmp_path, *records))
-    found = library.apply({"time": seconds([90.0]), "x": np.array([rail]), "y": np.array([1000.0])})
-    assert (found["flag"].tolist(), found["reason"][0] & 4) == ([4], 4)
-
-
 def changed(record: CalibrationRecord, days: float, **coefficients: Any) -> CalibrationRecord:
     ended = record.provenance.replaced(started=stamp(days - 0.01), ended=stamp(days))
     return replace(record, coefficients=replace(record.coefficients, **coefficients), provenance=ended)

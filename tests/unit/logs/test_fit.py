@@ -77,24 +77,6 @@ def test_a_sample_far_off_is_left_out_and_counted(base: Path) -> None:
         tiltcal.fit("reversal", **readings, base=base, **SENSOR)
 
 
-def test_a_missing_sample_is_left_out_and_counted_as_one_far_off(base: Path) -> None:
-    readings = recorded("reversal", (2.56, 2.38))
-    without = {name: list(np.delete(column, 100)) for name, column in readings["data"].items()}
-    rows = [
-        (one["position"], *(one[end] - (one[end] > 100) for end in ("start", "end"))) for one in readings["segments"]
-    ]
-    segments = [dict(zip(("position", "start", "end"), row, strict=True)) for row in rows]
-    shorter = tiltcal.fit("reversal", without, segments=segments, base=base, **SENSOR)
-    readings["data"]["x"][100] = np.nan
-    found = tiltcal.fit("reversal", **readings, base=base, **SENSOR)
-    assert [one.left_out for one in found.positions][:3] == [None, 1, None]
-    assert found.offset == pytest.approx(shorter.offset, abs=1e-12)
-    assert [one.n for one in found.positions][:3] == [80, 79, 80]
-    readings["data"]["y"][100:104] = readings["data"]["x"][110] = np.nan
-    with pytest.raises(tiltcal.InputError, match="5 of its 80 samples are far off or missing: x has no number"):
-        tiltcal.fit("reversal", **readings, base=base, **SENSOR)
-
-
 def test_a_temperature_that_a_thermometer_fails_with_is_left_out(base: Path) -> None:
     """85 °C once in 80 moves the mean of a position by 0.8 °C."""
     readings = recorded("two-temperature", (2.5, 2.4), drift=0.002)

@@ -83,16 +83,6 @@ def test_the_file_has_the_lag_and_what_each_leg_says_of_it(calibration, tmp_path
     assert {one.position.rsplit("-", 1)[0] for one in found.positions} == {"up-1", "down-2", "up-3", "down-4"}
 
 
-def test_curve_and_range_are_those_of_the_sensor(calibration):
-    """At 1 °C/min the element is 2 °C behind; it turns 120 s ln 2 later, 2 °C ln 2 below the chamber's turn."""
-    drift, offset = calibration.coefficients.thermal.drift, calibration.offset
-    assert drift[0, :2] == pytest.approx([2.0, 0.02], rel=0.02)
-    assert drift[1, 0] == pytest.approx(-3.0, rel=0.01)
-    assert offset["x"] == pytest.approx(1024.0, abs=0.2)
-    assert calibration.uncertainty["temperature.offset.y.1"] < 0.01
-    assert calibration.limits.temperature == (pytest.approx(5.0, abs=0.01), pytest.approx(43.61, abs=0.05))
-
-
 def test_the_error_that_all_temperatures_share_is_not_amplified_by_a_thermometer_that_is_later():
     """An offset of 0.2 °C; the inverse filter takes the slope of it, which is none: 2.2 °C were stated."""
     found = fitted(log_of(CHAMBER, late()), thermometer=0.2)
@@ -107,16 +97,6 @@ def test_apply_takes_the_loop_out_of_the_log(calibration, record):
     means = [np.abs(tilt.reshape(-1, 20).mean(axis=1)) for tilt in (with_lag, without)]
     assert means[0].max() < 0.05
     assert means[1].max() > 0.4
-
-
-def test_temperatures_that_jump_are_left_out_and_named(record, calibration):
-    """One row of 200 reads 85 °C, as a DS18B20 does that converts nothing: such a record was refused for its noise."""
-    failed = record["temperature"].copy()
-    failed[150::200] = 85.0
-    found = fitted(record | {"temperature": failed})
-    assert any("left out: 12, the first in row 150, 85 °C beside 14.9" in note for note in found.record.fit.notes)
-    drift, u = found.coefficients.thermal.drift, found.uncertainty["temperature.offset.x.1"]
-    assert drift[0, 0] == pytest.approx(calibration.coefficients.thermal.drift[0, 0], abs=u)
 
 
 def test_the_step_of_a_thermometer_that_is_not_stated_is_in_the_uncertainty_of_a_temperature(record, base):

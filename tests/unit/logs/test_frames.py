@@ -91,21 +91,6 @@ def test_remarks_are_those_of_the_command(tmp_path: Path) -> None:
     assert [text.split(":")[0] for text in of_frame] == ["note"] * 2
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_its_own_columns_stay(kind: str) -> None:
-    made = KINDS[kind][1]
-    found = read(CAL).apply(made(log()), columns="temperature=T")
-    given = made(log())
-    for name in ("x", "y", "T"):
-        np.testing.assert_array_equal(array(found, name), array(given, name))
-    if kind == "pandas":
-        assert found.index.tolist() == given.index.tolist()
-    if kind == "xarray":
-        assert found["site"] == "shed"
-        assert found["tilt_x"].attrs["units"] == "degree"
-        assert found["flag"].attrs["standard_name"] == "quality_flag"
-
-
 class TestNotes:
     """What a frame states about itself stays, as the serial number does by which a folder is searched."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from datetime import UTC, date, datetime, time
 from io import BytesIO
 from pathlib import Path
@@ -17,7 +16,6 @@ import xarray
 
 from tiltcal.errors import InputError
 from tiltcal.logs.formats.csv import CsvReader
-from tiltcal.logs.formats.netcdf import NetcdfReader
 from tiltcal.logs.formats.parquet import ParquetReader
 from tiltcal.logs.frames import FrameReader
 from tiltcal.logs.log import LogSource
@@ -79,26 +77,6 @@ def test_a_date_in_parquet_is_its_midnight(tmp_path: Path) -> None:
 def test_a_time_of_day_in_parquet_is_refused_with_its_row(tmp_path: Path, times: list[object], found: str) -> None:
     with pytest.raises(InputError, match=f"^log.parquet: row 1: column 'time' holds '{found}', neither"):
         parquet(tmp_path, times)
-
-
-def netcdf(folder: Path, times: Sequence[object]) -> list[float]:
-    path = folder / "log.nc"
-    data = {"time": ("row", np.array(times)), "x": ("row", np.zeros(len(times)))}
-    xarray.Dataset(data).to_netcdf(path, engine="h5netcdf")
-    with path.open("rb") as stream:
-        reader = NetcdfReader(LogSource(stream, str(path), "log.nc"))
-        with closing(reader):
-            where = [reader.names.index(name) for name in data]
-            rows = reader.rows(where, where[0], needs_time=True)
-            return [time for block in rows for time in block.values[where[0]]]
-
-
-@pytest.mark.parametrize(
-    "times",
-    [["2026-05-01T12:00:00Z", "2026-05-01 12:00:01", "noon"], [b"2026-05-01T12:00:00Z", b"2026-05-01 12:00:01", b""]],
-)
-def test_netcdf_may_have_its_times_as_text(times: list[object], tmp_path: Path) -> None:
-    assert netcdf(tmp_path, times) == pytest.approx([NOON, NOON + 1.0, np.nan], nan_ok=True)
 
 
 def frame_times(frame: object) -> list[float]:

@@ -6,13 +6,11 @@ from io import BytesIO
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tiltcal.errors import InputError
 from tiltcal.logs.columns import locate_columns
 from tiltcal.logs.formats.csv import CsvReader
-from tiltcal.logs.formats.csv_rows import Dialect, between_commas, dialect_of
+from tiltcal.logs.formats.csv_rows import Dialect, dialect_of
 from tiltcal.logs.log import LogSource
 
 NUMBERED = CsvReader(LogSource(BytesIO(b"4,5,6\n7,8,9\n"), "log.txt", "log.txt"))
@@ -53,17 +51,6 @@ def test_a_first_line_of_numbers_is_a_row(line: str, columns: tuple[str, ...] | 
     dialect = dialect_of(line)
     assert dialect.has_header == (columns is None)
     assert columns is None or dialect.names == columns
-
-
-@given(
-    rows=st.lists(st.lists(st.integers(-99, 99), min_size=3, max_size=3), min_size=1, max_size=20),
-    gaps=st.lists(st.sampled_from([" ", "\t", "   ", " \t "]), min_size=1, max_size=5),
-)
-def test_blanks_are_commas(rows: list[list[int]], gaps: list[str]) -> None:
-    text = "".join(
-        gaps[0] + gaps[number % len(gaps)].join(map(str, row)) + gaps[-1] + "\n" for number, row in enumerate(rows)
-    )
-    assert between_commas(text.encode()).decode() == "".join(",".join(map(str, row)) + "\n" for row in rows)
 
 
 @pytest.mark.parametrize("block", [1, 3, 1 << 20])

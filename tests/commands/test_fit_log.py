@@ -1,0 +1,272 @@
+"""``tiltcal fit`` of a recorded log by its segments: times, coarse readings, stuck channels, temperatures, remarks."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Mapping
+from math import cos, radians, sin, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+import xarray
+from support.command import tiltcal
+
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
+
+NOON = 1777636800  # date -u -d 2026-05-01T12:00:00Z +%s
+SCA100T = ("--sensor", "sca100t-d02")
+
+
+def fitted(
+    folder: Path, procedure: str, columns: Mapping[str, Any], segments: Mapping[str, tuple[int, int]], *options: str
+) -> subprocess.CompletedProcess[str]:
+    """Write a log with these columns, or take the one that is named, and fit it into S-1.yaml."""
+    if isinstance(columns, Mapping):
+        pl.DataFrame(dict(columns)).write_csv(folder / "log.csv")
+    rows = [f"{name},{start},{end}\n" for name, (start, end) in segments.items()]
+    (folder / "segments.csv").write_text("position,start,end\n" + "".join(rows))
+    log = "log.csv" if isinstance(columns, Mapping) else columns
+    return tiltcal(
+        *("fit", procedure, log, "--segments", "segments.csv", "--serial", "S-1", "-o", "S-1.yaml", *options),
+        cwd=folder,
+    )
+
+
+def calibrated(folder: Path, *arguments: Any) -> CalibrationRecord:
+    result = fitted(folder, *arguments)
+    assert result.returncode == 0, result.stderr
+    return read_calibration(folder / "S-1.yaml")
+
+
+def refused(folder: Path, *arguments: Any) -> str:
+    result = fitted(folder, *arguments)
+    assert (result.returncode, (folder / "S-1.yaml").exists()) == (2, False)
+    return result.stderr
+
+
+def spans(names: Any, rows: int) -> dict[str, tuple[int, int]]:
+    """Segments of so many rows, one after the other."""
+    return {name: (number * rows, (number + 1) * rows) for number, name in enumerate(names)}
+
+
+class TestTimes:
+    """An ideal sensor of 1 V/g in four positions of 20 rows."""
+
+    PLACES = {"x-tilt1": (30, 0), "x-tilt2": (-30, 0), "y-tilt1": (0, 30), "y-tilt2": (0, -30)}  # noqa: RUF012
+    VOLTS = ("--unit", "V", "--jig", "0.1")
+
+    def readings(self) -> dict[str, Any]:
+        angles = np.repeat(list(self.PLACES.values()), 20, axis=0)
+        x, y = (np.sin(np.radians(angles)) + np.random.default_rng(3).normal(0.0, 1e-3, angles.shape)).T
+        return {"x": x, "y": y}
+
+    @pytest.mark.parametrize(("name", "options"), [("time", ()), ("when", ("--columns", "time=when"))])
+    @pytest.mark.parametrize("written", ["2026-05-01T12:{:02}:{:02}Z", "seconds"])
+    def test_positions_have_that_of_their_last_row(
+        self, tmp_path: Path, written: str, name: str, options: tuple[str, ...]
+    ) -> None:
+        times = [NOON + k if written == "seconds" else written.format(*divmod(k, 60)) for k in range(80)]
+        log = {name: times, **self.readings()}
+        found = calibrated(tmp_path, "plane", log, spans(self.PLACES, 20), *self.VOLTS, *options)
+        ends = ["12:00:19", "12:00:39", "12:00:59", "12:01:19"]
+        assert [position.time for position in found.positions] == [f"2026-05-01T{end}.000Z" for end in ends]
+        assert found.provenance.started == "2026-05-01T12:00:00.000Z"
+        assert found.provenance.ended == "2026-05-01T12:01:19.000Z"
+
+    @pytest.mark.parametrize("time", ["{}", "{}.5", "after {} s", ""])
+    def test_without_dates_there_is_none(self, tmp_path: Path, time: str) -> None:
+        log = {"time": [time.format(k) for k in range(80)], **self.readings()}
+        found = calibrated(tmp_path, "plane", log, spans(self.PLACES, 20), *self.VOLTS)
+        assert {position.time for position in found.positions} == {None}
+        assert (found.provenance.started, found.provenance.ended) == (None, None)
+
+    def test_a_variable_that_is_no_time_of_the_rows_is_left_alone(self, tmp_path: Path) -> None:
+        for time in (
+            ("row", np.arange(80), {"units": "months since 2026-01-01"}),
+            ("row", np.zeros(80, bool)),
+            ("other", np.zeros(3)),
+            ((), 5.0),
+        ):
+            log = xarray.Dataset({name: ("row", column) for name, column in self.readings().items()} | {"time": time})
+            log.to_netcdf(tmp_path / "log.nc", engine="h5netcdf")
+            found = calibrated(tmp_path, "plane", "log.nc", spans(self.PLACES, 20), *self.VOLTS)
+            assert found.provenance.ended is None
+
+
+class TestCoarseReadings:
+    """An ideal sensor of 100 count/g with odd offsets on six faces, 100 samples each."""
+
+    FACES = ("x-up", "x-down", "y-up", "y-down", "z-up", "z-down")
+    OPTIONS = ("--unit", "count", "--jig", "0")
+
+    def readings(self, noise: float, seed: int = 4, scale: float = 100.0) -> np.ndarray:
+        """Shape (faces, samples, 3)."""
+        up = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
+        still = np.array([7.31, -3.83, 11.27]) + scale * up
+        return still[:, None, :] + np.random.default_rng(seed).normal(0.0, noise, (6, 100, 3))
+
+    def columns(self, readings: np.ndarray) -> dict[str, Any]:
+        return dict(zip("xyz", readings.reshape(-1, 3).T, strict=True))
+
+    def of(self, folder: Path, readings: np.ndarray) -> CalibrationRecord:
+        return calibrated(folder, "six-face", self.columns(readings), spans(self.FACES, 100), *self.OPTIONS)
+
+    def test_a_channel_that_stands_at_a_rounded_value_is_uncertain_by_the_rounding(self, tmp_path: Path) -> None:
+        """One count, rectangular: 1/sqrt(12) a reading. Four faces read alike and share theirs: the offset is the mean
+        of one of them and the two others."""
+        coarse = self.readings(noise=1.0)
+        coarse[:, :, 1] = 100.0 * np.array([[0], [0], [1], [-1], [0], [0]]) - 4.0
+        found = self.of(tmp_path, np.round(coarse))
+        assert found.uncertainty["offset.y"] == pytest.approx(1.0 / sqrt(12) / sqrt(3), rel=0.01)
+
+    def test_noise_of_a_step_averages_it_out(self, tmp_path: Path) -> None:
+        """What is left is noise and rounding of single samples over the root of all of them."""
+        found = self.of(tmp_path, np.round(self.readings(noise=1.0)))
+        assert found.uncertainty["offset.y"] == pytest.approx(sqrt((1.0 + 1 / 12) / 600), rel=0.15)
+
+    def test_a_converter_ten_times_coarser_than_the_noise(self, tmp_path: Path) -> None:
+        """Most faces read one value in all channels: they are quantised, not stuck, and the rounding counts."""
+        found = self.of(tmp_path, np.round(self.readings(noise=0.1, seed=5, scale=103.37)))
+        assert 0.7 / sqrt(12) / sqrt(3) < found.uncertainty["offset.x"] < 1.1 / sqrt(12) / sqrt(3)
+        assert abs(found.coefficients.offset[0] - 7.31) < 2 * found.uncertainty["offset.x"]
+
+    def test_a_channel_that_is_stuck_in_one_face_or_in_all(self, tmp_path: Path) -> None:
+        data = self.readings(noise=0.5)
+        data[2, :, 0] = data[1, -1, 0]
+        said = refused(tmp_path, "six-face", self.columns(data), spans(self.FACES, 100), *self.OPTIONS)
+        assert "segments.csv:4: segment y-up: all samples of x are identical, and elsewhere they scatter" in said
+        data = self.readings(noise=0.5)
+        data[:, :, 2] = 37.0
+        said = refused(tmp_path, "six-face", self.columns(data), spans(self.FACES, 100), *self.OPTIONS)
+        assert "z reads 37 in every position: it is stuck; is it connected?" in said
+
+
+class TestRemarks:
+    """What is said against a record: an ideal sensor on ``cross-axis``, with +x set wrong."""
+
+    TILTS = {"x-tilt1": (30, 0), "x-tilt2": (-30, 0), "y-tilt1": (0, 30), "y-tilt2": (0, -30)}  # noqa: RUF012
+
+    def said(self, folder: Path, wrong: float, places: tuple[str, ...]) -> str:
+        up = []
+        for name in places:
+            x, y = (radians(angle) for angle in self.TILTS.get(name, (0.0, 0.0)))
+            x += radians(wrong) if name == "x-tilt1" else 0.0
+            up.append([sin(x), sin(y), -1.0 if name == "z-tilt2" else cos(x) if x else cos(y)])
+        readings = np.repeat(up, 50, axis=0) + np.random.default_rng(1).normal(0, 1e-4, (50 * len(up), 3))
+        log = dict(zip("xyz", readings.T, strict=True))
+        result = fitted(folder, "cross-axis", log, spans(places, 50), "--unit", "g", "--jig", "0.05")
+        assert result.returncode == 0, result.stderr
+        return result.stdout
+
+    def test_an_angle_that_was_set_wrong_is_named(self, tmp_path: Path) -> None:
+        said = self.said(tmp_path, 4.0, (*self.TILTS, "z-tilt1", "z-tilt2"))
+        assert "not credible: noise, jig or thermometer are worse than stated" in said
+        assert "the worst first: x-tilt1 (" in said
+
+    def test_four_positions_for_four_unknowns_are_warned_of(self, tmp_path: Path) -> None:
+        said = self.said(tmp_path, 0.0, ("x-tilt1", "x-tilt2", "y-tilt1", "z-tilt2"))
+        assert "no degree of freedom is left: the positions fit whatever was read, and nothing checks them" in said
+
+
+def test_the_lean_of_a_table_turns_with_the_heading_and_the_offset_does_not(tmp_path: Path) -> None:
+    """By hand: the offset is the mean of the four headings, and uncertain by what noise and jig leave of a mean."""
+    lean_x, lean_y = sin(radians(0.5)), sin(radians(-0.3))
+    turns = np.radians([0, 90, 180, 270])  # to the left: the sensor feels the table turn to the right
+    means = [np.cos(turns) * lean_x + np.sin(turns) * lean_y, np.cos(turns) * lean_y - np.sin(turns) * lean_x]
+    readings = np.array([[1030.0], [1019.0]]) + 819.0 * np.repeat(means, 100, axis=1)
+    readings += np.random.default_rng(11).normal(0, 0.5, readings.shape)
+    segments = spans([f"heading-{heading}" for heading in (0, 90, 180, 270)], 100)
+    log = dict(zip("xy", readings, strict=True))
+    found = calibrated(tmp_path, "reversal", log, segments, *SCA100T, "--jig", "0.02")
+    u = sqrt((0.5 / 10.0) ** 2 + (819.0 * radians(0.02)) ** 2) / sqrt(4.0)
+    for channel, offset, by_hand in zip("xy", found.coefficients.offset, readings.mean(axis=1), strict=True):
+        assert offset == pytest.approx(by_hand, abs=0.001)
+        assert found.uncertainty[f"offset.{channel}"] == pytest.approx(u, rel=0.05)
+    # Without the headings half a degree of lean would be the jig's fault, and chi-square would be tens of thousands.
+    assert found.fit.p_value > 0.01
+    assert found.fit.degrees_of_freedom == 4
+
+
+class TestTemperaturePoint:
+    """A log of ``two-temperature`` in which the second point may not have been waited for."""
+
+    def arguments(self, cooling: float, *options: str) -> tuple[Any, ...]:
+        """The cold point cools by so many degrees while it is recorded; both thermometers scatter by 0.05 °C."""
+        draw, way = np.random.default_rng(6), (np.arange(100) - 50) / 49
+        warmth = np.where(way < 0, 24.0, 5.0 - cooling * (way - 0.5))
+        log = {axis: 1024.0 + 0.3 * (warmth - 24.0) + draw.normal(0.0, 0.5, 100) for axis in "xy"}
+        log["temperature"] = warmth + draw.normal(0.0, 0.05, 100)
+        return "two-temperature", log, spans(("level-warm", "level-cold"), 50), *SCA100T, *options
+
+    def test_the_thermometer_that_was_stated_counts(self, tmp_path: Path) -> None:
+        """By hand: 0.3 count/°C over 19 °C, both ends uncertain by 0.4 °C."""
+        u = []
+        for told in ("0", "0.4"):
+            found = calibrated(tmp_path, *self.arguments(0.0, "--thermometer", told, "--jig", "0"))
+            u.append(found.uncertainty["temperature.offset.x.1"])
+            drift = found.coefficients.thermal.drift[0][0]  # type: ignore[union-attr]
+        assert sqrt(u[1] ** 2 - u[0] ** 2) == pytest.approx(drift * 0.4 * sqrt(2) / 19.0, rel=0.02)
+
+    def test_one_that_was_heated_too_fast_is_refused_with_its_line(self, tmp_path: Path) -> None:
+        said = refused(tmp_path, *self.arguments(2.0))
+        assert "segments.csv:3: segment level-cold: the temperature drifts by -1.9" in said
+
+    def test_one_without_a_temperature_does_not_take_the_procedures(self, tmp_path: Path) -> None:
+        procedure, log, *rest = self.arguments(0.0)
+        log["temperature"] = [24.0] * 50 + [None] * 50
+        said = refused(tmp_path, procedure, log, *rest)
+        assert "segments.csv:3: segment level-cold: there is no temperature in its rows" in said
+
+    def test_ten_minutes_after_a_leg_of_1_degree_a_minute_a_late_thermometer_is_refused(self, tmp_path: Path) -> None:
+        """A thermometer that is 5 min late is still 0.7 °C behind; its last minute looks still."""
+        time = np.arange(0.0, 4200.0, 2.0)
+        leg = np.clip(time - 900.0, 0.0, 1110.0)
+        chamber = 24.0 - leg / 60.0
+        behind = 5.0 * (1.0 - np.exp(-leg / 300.0)) * np.exp(-np.maximum(time - 2010.0, 0.0) / 300.0)
+        draw = np.random.default_rng(3)
+        log = {"time": time, "x": 1024.0 + 0.3 * (chamber - 24.0), "y": 1024.0 - 0.3 * (chamber - 24.0)}
+        log = {name: column + draw.normal(0.0, 0.5 * (name != "time"), len(time)) for name, column in log.items()}
+        log["temperature"] = chamber + behind + draw.normal(0.0, 0.02, len(time))
+        for end in (2610, 4200):  # 10 min and 36 min after the leg
+            segments = {"level-warm": (400, 440), "level-cold": ((end - 60) // 2, end // 2)}
+            result = fitted(tmp_path, "two-temperature", log, segments, *SCA100T)
+            assert result.returncode == (2 if end == 2610 else 0)
+            assert ("segment level-cold: the temperature drifts by -" in result.stderr) is (end == 2610)
+
+    @pytest.mark.parametrize(
+        ("seconds", "written"),
+        [(5, "{:.4f}"), *((seconds, how) for seconds in (20, 60) for how in ("{:.4f}", "second {:.0f}", ""))],
+    )
+    def test_a_short_segment_of_a_ramp_is_refused_as_a_long_one_is(
+        self, tmp_path: Path, seconds: int, written: str
+    ) -> None:
+        """0.5 °C/min; the times are in seconds, in a form of the user's own, or not there."""
+        time, draw = np.arange(2400.0), np.random.default_rng(3)
+        log = {axis: 1024.0 + sign * 0.02 * time + draw.normal(0.0, 0.5, 2400) for axis, sign in (("x", 1), ("y", -1))}
+        log["temperature"] = 24.0 - time * 0.5 / 60.0 + draw.normal(0.0, 0.02, 2400)
+        if written:
+            log["time"] = [written.format(one) for one in time]
+        segments = {"level-warm": (300 - seconds, 300), "level-cold": (2300 - seconds, 2300)}
+        said = refused(tmp_path, "two-temperature", log, segments, *SCA100T)
+        assert "segments.csv:2: segment level-warm: the temperature drifts by -" in said
+
+
+def test_a_sweep_has_the_order_that_shows_and_its_hysteresis(tmp_path: Path) -> None:
+    """A straight drift, and x is 0.8 count higher on the way up at 15 °C."""
+    names = ("down-24", "down-15", "down-5.5", "up-15", "up-24", "up-32", "up-40", "back-32", "back-24")
+    warmth = np.repeat([float(name.split("-")[1]) for name in names], 100)
+    draw = np.random.default_rng(8)
+    log = {axis: 1024.0 + 0.2 * (warmth - 24.0) + draw.normal(0.0, 0.5, 900) for axis in "xy"}
+    log["x"][300:400] += 0.8
+    found = calibrated(tmp_path, "temperature-sweep", {**log, "temperature": warmth}, spans(names, 100), *SCA100T)
+    thermal = found.coefficients.thermal
+    assert thermal is not None
+    assert found.fit.cross_validation.order == 1
+    assert not thermal.drift[:, 1:].any()
+    assert found.uncertainty["temperature.offset.x.3"] > 0.0
+    loop = found.fit.hysteresis["x"]
+    assert loop.between == ("down-15", "up-15")
+    assert loop.difference == pytest.approx(0.8, abs=3 * 0.05 * sqrt(2))
