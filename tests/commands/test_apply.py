@@ -15,21 +15,12 @@ from math import asin, degrees
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 from support import FIXTURES
+from support.applied import PLAIN, apply, refused
 from support.command import TILTCAL
 
-from tiltcal.cli.apply import command
-from tiltcal.errors import InputError, TiltcalError, UsageError
+from tiltcal.errors import InputError, UsageError
 
-PLAIN = """\
-tiltcal: 1
-kind: tilt
-sensor: {model: bench-built, serial: S-1, unit: V, channels: [x, y]}
-calibration:
-  offset: {x: 2.5, y: 2.5}
-  sensitivity: {x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}
-"""
 WARM = (
     PLAIN
     + """\
@@ -63,19 +54,8 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def apply(*arguments: str, stdin: bytes | None = None) -> Result:
-    return CliRunner().invoke(command, list(arguments), input=stdin)
-
-
 def rows(text: str) -> list[dict[str, str]]:
     return list(csv.DictReader(text.splitlines()))
-
-
-def refused(result: Result, kind: type[TiltcalError]) -> str:
-    assert isinstance(result.exception, kind), result.exception
-    assert result.exception.exit_code == 2
-    assert result.stdout == ""
-    return str(result.exception)
 
 
 @pytest.mark.usefixtures("bench")

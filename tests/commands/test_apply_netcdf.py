@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from click.testing import CliRunner, Result
 from support import FIXTURES
+from support.applied import apply, refused
 
-from tiltcal.cli.apply import command
-from tiltcal.errors import InputError, TiltcalError, UsageError
+from tiltcal.errors import InputError, UsageError
 
 xarray = pytest.importorskip("xarray")
 h5netcdf = pytest.importorskip("h5netcdf")
@@ -44,19 +43,6 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     packed = {"dtype": "i2", "scale_factor": 0.01, "_FillValue": np.int16(-999)}
     log.to_netcdf("log.nc", engine="h5netcdf", unlimited_dims=["time"], encoding={"temperature": packed})
     return tmp_path
-
-
-def apply(*arguments: str) -> Result:
-    result = CliRunner().invoke(command, list(arguments))
-    if result.exception is not None and not isinstance(result.exception, TiltcalError):
-        raise result.exception
-    return result
-
-
-def refused(result: Result, kind: type[TiltcalError]) -> str:
-    assert isinstance(result.exception, kind), result.exception
-    assert result.exception.exit_code == 2
-    return str(result.exception)
 
 
 def raw(path: str) -> dict[str, tuple[bytes, dict[str, object]]]:

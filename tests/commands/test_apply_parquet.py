@@ -16,15 +16,14 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 from support import FIXTURES
+from support.applied import apply, refused
 from support.warm_start import WarmStart
 
-from tiltcal.cli.apply import command
-from tiltcal.errors import InputError, TiltcalError
+from tiltcal.errors import InputError
 from tiltcal.logs.formats import open_log
 
 WARM = """\
@@ -53,26 +52,12 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def apply(*arguments: str, stdin: bytes | None = None) -> Result:
-    result = CliRunner().invoke(command, list(arguments), input=stdin)
-    if result.exception is not None and not isinstance(result.exception, TiltcalError):
-        raise result.exception
-    return result
-
-
 def applied(log: pl.DataFrame, *arguments: str) -> pl.DataFrame:
     """What comes out, as Parquet."""
     log.write_parquet("in.parquet")
     result = apply("cal.yaml", "in.parquet", "-o", "out.parquet", *arguments)
     assert result.exit_code == 0, result.exception
     return pl.read_parquet("out.parquet")
-
-
-def refused(result: Result, kind: type[TiltcalError]) -> str:
-    assert isinstance(result.exception, kind), result.exception
-    assert result.exception.exit_code == 2
-    assert result.stdout == ""
-    return str(result.exception)
 
 
 class TestOutput:

@@ -2,28 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-from math import cos, degrees, hypot, isnan, nan, radians
+from math import cos, degrees, hypot, isnan, radians
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from support.applied import PLAIN, apply, rows
 from support.simulated_bench import XYZ
 
-from tiltcal.cli.apply import command
 from tiltcal.errors import InputError
 
-SILENT = """\
-tiltcal: 1
-kind: tilt
-sensor: {model: bench-built, serial: S-1, unit: V, channels: [x, y]}
-calibration:
-  offset: {x: 2.5, y: 2.5}
-  sensitivity: {x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}
-"""
 ALONE = """\
 uncertainty:
   offset: {x: 0.003, y: 0.003}
@@ -37,16 +27,8 @@ LOG = "x,y\n2.5,2.5\n3.5,2.5\n"
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "log.csv").write_text(LOG)
-    (tmp_path / "cal.yaml").write_text(SILENT + KNOWN)
+    (tmp_path / "cal.yaml").write_text(PLAIN + KNOWN)
     return tmp_path
-
-
-def apply(*arguments: str, stdin: str | None = None) -> Result:
-    return CliRunner().invoke(command, list(arguments), input=stdin)
-
-
-def rows(text: str) -> list[dict[str, float]]:
-    return [{name: float(cell or nan) for name, cell in row.items()} for row in csv.DictReader(text.splitlines())]
 
 
 class TestColumns:
@@ -66,7 +48,7 @@ class TestColumns:
     def test_correlations_of_the_file_count(self) -> None:
         """Offset and sensitivity that err together by 0.003 and 0.002 cancel in part at -30°."""
         Path("joint.yaml").write_text(
-            SILENT + KNOWN + "  covariance:\n    parameters: [offset.x, sensitivity.x.x]\n"
+            PLAIN + KNOWN + "  covariance:\n    parameters: [offset.x, sensitivity.x.x]\n"
             "    matrix: [[9.0e-6, 6.0e-6], [6.0e-6, 4.0e-6]]\n"
         )
         found = rows(apply("joint.yaml", "-", "--uncertainty", stdin="x,y\n1.5,2.5\n3.5,2.5\n").stdout)
@@ -88,7 +70,7 @@ class TestSummary:
 
 class TestWhatTheFileDoesNotSay:
     def test_no_uncertainty_at_all_is_refused_with_what_to_do(self) -> None:
-        for silent in (SILENT, SILENT + "uncertainty: {}\n"):
+        for silent in (PLAIN, PLAIN + "uncertainty: {}\n"):
             Path("silent.yaml").write_text(silent)
             result = apply("silent.yaml", "log.csv", "--uncertainty", "-o", "out.csv")
             assert isinstance(result.exception, InputError)
@@ -97,13 +79,13 @@ class TestWhatTheFileDoesNotSay:
             assert not Path("out.csv").exists()
 
     def test_what_counts_as_exact_is_named(self) -> None:
-        Path("half.yaml").write_text(SILENT + "uncertainty: {offset: {x: 0.003, y: 0.003}}\n")
+        Path("half.yaml").write_text(PLAIN + "uncertainty: {offset: {x: 0.003, y: 0.003}}\n")
         said = apply("half.yaml", "log.csv", "--uncertainty").stderr
         assert "no uncertainty is stated of sensitivity.x.x, sensitivity.x.y" in said
         assert "--reading-noise" in said
 
     def test_a_coefficient_that_is_not_there_is_named(self) -> None:
-        Path("odd.yaml").write_text(SILENT + "uncertainty: {covariance: {parameters: [offset.q], matrix: [[1.0]]}}\n")
+        Path("odd.yaml").write_text(PLAIN + "uncertainty: {covariance: {parameters: [offset.q], matrix: [[1.0]]}}\n")
         result = apply("odd.yaml", "log.csv", "--uncertainty")
         assert isinstance(result.exception, InputError)
         assert "'offset.q'" in str(result.exception)

@@ -18,12 +18,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from support import accelerometer_disk as disk
+from support.applied import refused
 from support.pair_files import read_pair
 from support.warm_start import WarmStart
 
 from tiltcal.cli.apply import command as apply_command
 from tiltcal.cli.match import command as match_command
-from tiltcal.errors import EstimateError, InputError, TiltcalError, UsageError
+from tiltcal.errors import EstimateError, InputError, UsageError
 
 PAIR = ("--pair", "a1,a2", "--orthogonal", "a4")
 BOTH = (*PAIR, "--pair", "a3,a4", "--orthogonal", "a1")
@@ -48,13 +49,6 @@ def as_json(result: Result) -> dict[str, object]:
     assert result.exit_code == 0, result.output
     loaded: dict[str, object] = json.loads(result.stdout)
     return loaded
-
-
-def refused(result: Result, kind: type[TiltcalError]) -> str:
-    assert isinstance(result.exception, kind), result.exception
-    assert result.exception.exit_code == 2
-    assert result.stdout == ""
-    return str(result.exception)
 
 
 def small(tmp_path: Path, name: str = "small.csv", **options: float) -> Path:

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from support import coloured_noise as coloured
+from support.applied import refused
 from support.recordings import RECORDINGS, needs
 from support.warm_start import WarmStart, wait_until_grown
 
 from tiltcal.cli.noise import command
-from tiltcal.errors import InputError, TiltcalError, UsageError
+from tiltcal.errors import InputError, UsageError
 
 SCA100T_D02 = 819.0
 """count/g"""
@@ -41,13 +42,6 @@ def as_json(*arguments: str | Path) -> dict[str, Any]:
     assert result.exit_code == 0, (result.output, result.exception)
     loaded: dict[str, Any] = json.loads(result.stdout)
     return loaded
-
-
-def refused(result: Result, kind: type[TiltcalError]) -> str:
-    assert isinstance(result.exception, kind), (result.exception, result.output)
-    assert result.exception.exit_code == 2
-    assert result.stdout == ""
-    return str(result.exception)
 
 
 def counts(n: int = 20_000, seed: int = 1) -> coloured.Samples:
