@@ -52,8 +52,9 @@ STUCK = 25
 SAME_DIRECTION_COSINE = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
 
-NEAR = 0.35
-"""An attitude within this of the gravity of a position, g, is in it; positions are at least twice as far apart."""
+NEAR, CLOSEST = 0.35, 0.15
+"""An attitude this near to a position, g, and within a third of the way to the next one, is in it; positions that are
+closer to each other than the second number are not told apart."""
 
 
 @dataclass(frozen=True)
@@ -160,16 +161,16 @@ def judge_of(positions: Mapping[str, Vector], channels: Sequence[str]) -> Judge 
     gravity = np.array([*positions.values()])[:, axes]
     apart = [float(np.linalg.norm(one - other)) for one, other in combinations(gravity, 2)]
     design = np.column_stack([np.ones(len(gravity)), gravity])
-    fits = np.linalg.matrix_rank(design) == design.shape[1] < len(design)
-    if not fits or min(apart) < 2.0 * NEAR:
+    if not np.linalg.matrix_rank(design) == design.shape[1] < len(design) or min(apart) < CLOSEST:
         return None
+    limit = min(NEAR, min(apart) / 3.0)
     middle, half = (gravity.max(axis=0) + gravity.min(axis=0)) / 2.0, np.ptp(gravity, axis=0) / 2.0
 
     def judge(means: Array, u: Array) -> PositionFit:
         reach = np.maximum(np.ptp(means, axis=0) / 2.0, 1e-300)
         up = middle + half * (means - (means.max(axis=0) + means.min(axis=0)) / 2.0) / reach
         distance = np.linalg.norm(up[:, None] - gravity, axis=2)
-        nearest, near = distance.argmin(axis=1), distance.min(axis=1) < NEAR
+        nearest, near = distance.argmin(axis=1), distance.min(axis=1) < limit
         attitudes = np.zeros((len(up), 3))
         attitudes[:, axes] = up
         names = tuple(name if there else "" for name, there in zip(np.array([*positions])[nearest], near, strict=True))

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tiltcal.errors import EstimateError
-from tiltcal.logs.still import STUCK, StaticDetection, choice_table, mean_of
+from tiltcal.logs.still import STUCK, PositionFit, StaticDetection, choice_table, judge_of, mean_of
 from tiltcal.logs.still import find_still as find_in_columns
 
 Array = NDArray[np.float64]
@@ -157,3 +157,18 @@ def test_segments_and_the_table_that_is_shown() -> None:
     table = choice_table(chosen, tried, "g")
     assert f"up to {chosen.threshold:.4g} g" in table
     assert [line[0] for line in table.splitlines()[2:]].count("*") == 1
+
+
+def test_the_positions_of_two_axes_are_told_by_the_extreme_readings() -> None:
+    """Level readings of 1000 and 1020 counts, 800 count/g, and tilts of 30°; one attitude leans towards none."""
+    positions = {"x+": (0.5, 0, 0.87), "x-": (-0.5, 0, 0.87), "y+": (0, 0.5, 0.87), "y-": (0, -0.5, 0.87)}
+    judge = judge_of(positions, "xy")
+    assert judge is not None
+    means = np.array([[1000, 1420], [600, 1020], [1200, 1220], [1400, 1020], [1001, 620], [1402, 1022]], float)
+    found = judge(means, np.full(means.shape, 0.5))
+    assert isinstance(found, PositionFit)
+    assert found.names == ("y+", "x-", "", "x+", "y-", "x+")
+    assert (found.absent, found.distinct, found.dof) == ((), 5, 2)
+    assert judge(means[1:], np.full((5, 2), 0.5)).expanded == inf
+    assert judge_of({"level": (0, 0, 1), "x": (0.7, 0, 0.7), "y": (0, 0.7, 0.7)}, "xy") is None  # nothing is left over
+    assert judge_of({**positions, "turned": (0.5, 0.05, 0.86)}, "xy") is None
