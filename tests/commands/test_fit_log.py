@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 import pytest
 import xarray
+from scipy.spatial.transform import Rotation
 from support.command import tiltcal
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
@@ -270,3 +271,65 @@ def test_a_sweep_has_the_order_that_shows_and_its_hysteresis(tmp_path: Path) -> 
     loop = found.fit.hysteresis["x"]
     assert loop.between == ("down-15", "up-15")
     assert loop.difference == pytest.approx(0.8, abs=3 * 0.05 * sqrt(2))
+
+
+class TestMounting:
+    """How a calibrated sensor of 2 V/g sits in its application."""
+
+    BASE = (
+        "tiltcal: 1\nkind: tilt\nsensor: {model: recorded, serial: S-1, unit: V, channels: [x, y, z]}\ncalibration:\n"
+        "  offset: {x: 2.5, y: 2.4, z: 2.6}\n  sensitivity:\n    x: {x: 2.0, y: 0.0, z: 0.0}\n"
+        "    y: {x: 0.0, y: 2.0, z: 0.0}\n    z: {x: 0.0, y: 0.0, z: 2.0}\nuncertainty: {}\n"
+    )
+    UP = np.array([[0, 0, 1], [0.5, 0, 0.75**0.5], [-0.5, 0, 0.75**0.5], [0, 0.5, 0.75**0.5], [0, -0.5, 0.75**0.5]])
+    NAMES = ("level", "x-up", "x-down", "y-up", "y-down")
+
+    def arguments(self, folder: Path, names: tuple[str, ...], rotation: Rotation, *options: str) -> tuple[Any, ...]:
+        """A log of the sensor in these positions; a' = Rz(-yaw) Ry(-pitch) Rx(-roll) a leads to the application."""
+        (folder / "base.yaml").write_text(self.BASE)
+        seen = np.repeat(rotation.inv().apply(self.UP[: len(names)]), 20, axis=0)
+        readings = np.array([2.5, 2.4, 2.6]) + 2.0 * seen + np.random.default_rng(3).normal(0.0, 1e-4, seen.shape)
+        return "mounting", dict(zip("xyz", readings.T, strict=True)), spans(names, 20), *options
+
+    @pytest.mark.parametrize("angles", [(12.0, -25.0, 40.0), (170.0, 40.0, -120.0)])
+    def test_the_rotation_that_the_log_was_made_with(self, angles: tuple[float, float, float], tmp_path: Path) -> None:
+        about = [Rotation.from_rotvec(-radians(angle) * axis) for angle, axis in zip(angles, np.eye(3), strict=True)]
+        rotation = about[2] * about[1] * about[0]
+        found = calibrated(
+            tmp_path, *self.arguments(tmp_path, self.NAMES, rotation, "--base", "base.yaml", "--jig", "0.01")
+        )
+        mounting = found.coefficients.mounting
+        assert mounting is not None
+        assert np.degrees([mounting.roll, mounting.pitch, mounting.yaw]) == pytest.approx(angles, abs=0.02)
+        assert found.coefficients.offset == pytest.approx([2.5, 2.4, 2.6], abs=0.0)
+        assert found.provenance.made_by == "fit of a recorded log"
+
+    def test_positions_that_were_exchanged_are_not_credible(self, tmp_path: Path) -> None:
+        for names in (self.NAMES, ("level", "y-up", "x-down", "x-up", "y-down")):
+            options = ("--base", "base.yaml", "--jig", "0.1")
+            result = fitted(tmp_path, *self.arguments(tmp_path, names, Rotation.identity(), *options))
+            assert result.returncode == 0, result.stderr
+            assert ("not credible: the jig is worse than stated" in result.stdout) is (names != self.NAMES)
+        checked = tiltcal("check", "S-1.yaml", cwd=tmp_path)
+        assert checked.returncode == 1
+        assert "mounting: chi-square " in checked.stdout
+
+    @pytest.mark.parametrize(
+        ("count", "options", "said"),
+        [
+            (1, ("--base", "base.yaml"), "about"),
+            (5, ("--unit", "V"), "mounting needs --base"),
+            (5, ("--base", "base.yaml", "--unit", "count"), "--unit count contradicts the --base, which has V"),
+        ],
+    )
+    def test_refused_with_the_reason(self, count: int, options: tuple[str, ...], said: str, tmp_path: Path) -> None:
+        """One position leaves the turn about gravity undetermined."""
+        arguments = self.arguments(tmp_path, self.NAMES[:count], Rotation.identity(), *options)
+        assert said in refused(tmp_path, *arguments)
+
+
+def test_a_nominal_sensitivity_in_another_unit_stands_in_for_nothing(tmp_path: Path) -> None:
+    log = {"x": [2.5, 2.51] * 20, "y": [2.4, 2.41] * 20}
+    segments = spans(("level-warm", "level-cold"), 20)
+    said = refused(tmp_path, "two-temperature", log, segments, *SCA100T, "--unit", "V")
+    assert "nominal sensitivity of sca100t-d02, which is per g in count and not in V" in said
