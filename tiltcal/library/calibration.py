@@ -310,8 +310,9 @@ class PairCalibration(SavedCalibration):
 
         Parameters
         ----------
-        frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
-            A column for each accelerometer by its name in the pairs, and for the stage angle in degrees.
+        frame
+            As :meth:`Calibration.apply` takes it: a column for each accelerometer by its name in the pairs, and for the
+            stage angle in degrees.
         columns : mapping of str to str, or str
             The column of each of them, such as ``{"a1": "Q1"}``; without it, the column of its name.
         **options
@@ -324,10 +325,8 @@ class PairCalibration(SavedCalibration):
 
         Raises
         ------
-        UsageError
-            The frame is of no known kind, or has a column of a name that the result needs; or an option is for tilt.
-        InputError
-            A column is not there or holds no numbers.
+        UsageError, InputError
+            As :meth:`Calibration.apply`; or an option is for tilt.
         """
         from tiltcal.logs.apply import apply_frame
 

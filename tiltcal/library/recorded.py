@@ -50,10 +50,9 @@ def apply_log(
 
     Raises
     ------
-    UsageError
-        A file cannot be opened or written, or the log has a column of a name that the result needs.
-    InputError
-        The calibration or the log is wrong, or a column is not there; the message names file and line.
+    UsageError, InputError
+        A file cannot be opened or written, or the log has a column of a name that the result needs; the calibration or
+        the log is wrong, or a column is not there: the message names file and line.
 
     Notes
     -----
@@ -91,12 +90,9 @@ def fit(
 
     Raises
     ------
-    UsageError
-        What is asked for contradicts itself, or cannot be done.
-    InputError
-        A file is wrong; the message names file and line.
-    EstimateError
-        The positions cannot determine the coefficients.
+    UsageError, InputError, EstimateError
+        What is asked for contradicts itself; a file is wrong, and the message names file and line; the positions cannot
+        determine the coefficients.
     """
     return Calibration(fit_recorded(procedure, data, complete(FitOptions, options), progress))
 
@@ -137,12 +133,9 @@ def match(
 
     Raises
     ------
-    UsageError
-        The pairs are not pairs.
-    InputError
-        A column is missing or has no values, or a row cannot be parsed.
-    EstimateError
-        The stage does not turn as it must.
+    UsageError, InputError, EstimateError
+        The pairs are not pairs; a column is missing or has no values, or a row cannot be parsed; the stage does not
+        turn as it must.
 
     Examples
     --------
@@ -198,12 +191,9 @@ def noise(
 
     Raises
     ------
-    UsageError
-        What is stated of the sensor contradicts itself, or a target is given and nothing states the scale.
-    InputError
-        A column is missing, a row cannot be parsed, or a reading is stuck.
-    EstimateError
-        The log is too short.
+    UsageError, InputError, EstimateError
+        What is stated of the sensor contradicts itself, or a target is given and nothing states the scale; a column is
+        missing, a row cannot be parsed, or a reading is stuck; the log is too short.
 
     Examples
     --------
