@@ -107,6 +107,21 @@ def test_what_is_added_says_what_it_is() -> None:
         assert "mavs.yaml" in second
 
 
+def test_the_matched_sum_of_a_pair_has_the_unit_of_its_readings() -> None:
+    turn = np.arange(4000) * 0.02
+    readings = {"a1": np.sin(turn), "a2": -np.sin(turn), "a3": np.cos(turn), "a4": -np.cos(turn)}
+    log = xarray.Dataset({name: ("time", column, {"units": "m s-2"}) for name, column in readings.items()})
+    log["theta"] = ("time", np.degrees(turn), {"units": "degree"})
+    log.to_netcdf("disk.nc", engine="h5netcdf")
+    assert apply(str(FIXTURES / "rotation.yaml"), "disk.nc", "-o", "out.nc").exit_code == 0
+    with xarray.open_dataset("out.nc", decode_times=False) as found:
+        added = {name: found[name].attrs for name in set(found.variables) - set(log.variables)}
+    assert {attributes.get("units") for name, attributes in added.items() if name not in ("flag", "reason")} == {
+        "m s-2"
+    }
+    assert "twice the turning" in added["gradient_sin"]["long_name"]
+
+
 @pytest.mark.parametrize(
     ("log", "output"), [("log.nc", "-"), ("log.nc", "out.csv"), ("log.nc", "out.parquet"), ("log.csv", "out.nc")]
 )

@@ -355,9 +355,7 @@ def _judge(procedure: Procedure, channels: Sequence[str]) -> Judge | None:
     if len(procedure.positions) == 1:
         return None
     gravity = {position.name: position.gravity for position in procedure.positions}
-    judge = (
-        judge_of(gravity, channels) if procedure.determines.axes and len(gravity) == len(procedure.positions) else None
-    )
+    judge = judge_of(gravity, channels) if procedure.determines.axes else None
     if judge is None:
         raise UsageError(
             "say with --segments which rows were taken in which position (or that LOG is a --table of positions): the "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile, gettempdir
@@ -48,19 +49,18 @@ def read_columns(log: LogReader, where: Mapping[str, int], *, needs_time: bool =
     ``needs_time``, and the InputError of the log, are those of :meth:`LogReader.rows`.
     """
     blocks: list[list[Array]] = [[] for _ in where]
-    files: list[IO[bytes]] = []
     rows = faulty = 0
-    for block in log.rows(sorted(set(where.values())), where.get(TIME), needs_time=needs_time):
-        rows, faulty = rows + len(block), faulty + len(block.faults)
-        for column, kept in zip(where.values(), blocks, strict=True):
-            kept.append(block.values[column])
-        if 8 * rows * len(where) > _MEMORY:
-            _to_files(blocks, files)
-    if files:
-        _to_files(blocks, files)
-        columns = [np.asarray(np.memmap(file, dtype=np.float64, mode="r")) for file in files]
-    else:
-        columns = [np.concatenate([np.empty(0), *kept]) for kept in blocks]
+    with ExitStack() as opened:
+        files: list[IO[bytes]] = []
+        for block in log.rows(sorted(set(where.values())), where.get(TIME), needs_time=needs_time):
+            rows, faulty = rows + len(block), faulty + len(block.faults)
+            for column, kept in zip(where.values(), blocks, strict=True):
+                kept.append(block.values[column])
+            if files or 8 * rows * len(where) > _MEMORY:
+                files = files or [opened.enter_context(TemporaryFile()) for _ in where]
+                _to_files(blocks, files)
+        columns = [np.asarray(np.memmap(file, dtype=np.float64, mode="r")) for file in files]  # a map outlives its file
+    columns = columns or [np.concatenate([np.empty(0), *kept]) for kept in blocks]
     by_role = dict(zip(where, columns, strict=True))
     return RecordedColumns(by_role, log.name, log.sha256 if log.source.digest else None, faulty)
 
@@ -85,11 +85,9 @@ def read_readings(
         return read_columns(reader, where, needs_time=needs_time)
 
 
-def _to_files(blocks: Sequence[list[Array]], files: list[IO[bytes]]) -> None:
-    """Move the blocks of each column behind those in its file, which has no name and is opened by the first call."""
+def _to_files(blocks: Sequence[list[Array]], files: Sequence[IO[bytes]]) -> None:
+    """Move the blocks of each column behind those in its file."""
     try:
-        while len(files) < len(blocks):
-            files.append(TemporaryFile())  # noqa: SIM115 (a map of it outlives this)
         for kept, file in zip(blocks, files, strict=True):
             file.writelines(np.ascontiguousarray(block, dtype=np.float64).data for block in kept)
             file.flush()
