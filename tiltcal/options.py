@@ -40,8 +40,8 @@ class Option:
         What it is where it is left out.
     check : callable or None
         Raises UsageError for a value that cannot be one; called with the name of the option and the value.
-    name : str
-        Of the option where it differs from that of the argument.
+    name, short : str
+        Of the option where it differs from that of the argument, and its letter, such as ``-o``.
     """
 
     help: str
@@ -50,6 +50,7 @@ class Option:
     default: Any = None
     check: Callable[[str, Any], None] | None = None
     name: str = ""
+    short: str = ""
 
 
 def options_of(declaration: type) -> dict[str, tuple[Option, Any]]:

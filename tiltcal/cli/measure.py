@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from tiltcal.bench.options import MeasureOptions
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 
@@ -15,45 +16,17 @@ from tiltcal.cli.talk import remark
     "-o S-0042.yaml"
 )
 @click.argument("procedure", required=False)
-@options.file_option("--bench", metavar="FILE", help="Measure the sensors of a bench file together.")
-@click.option("--sensor", metavar="MODEL", help="The sensor's model; `tiltcal devices` lists them.")
-@click.option("--address", help="Its address, such as spi:///dev/spidev0.0, or sim: for its virtual twin.")
-@click.option("--serial", help="Its serial number, for the calibration file.")
-@options.file_option("-o", "--output", help="The calibration file to write; with --bench a folder.")
+@options.declared(MeasureOptions)
 @click.option(
     "--operator",
     type=options.OPERATORS,
     default="terminal",
     show_default=True,
+    cls=options.Grouped,
+    group="Positions",
     help="Who sets the positions: a person at the terminal or at a page in a browser, a program that reads and writes "
     "JSON Lines, or the virtual jig.",
 )
-@options.hands_free
-@options.listen
-@options.samples
-@options.above_zero(
-    "--settle",
-    metavar="SECONDS",
-    help="How long a reading must be still before it is sampled; overrides the procedure.",
-)
-@options.jig
-@options.table_lean
-@options.heading
-@options.tilt
-@click.option("--turns", type=int, help="Largest number of turns of the stage; overrides the procedure.")
-@options.alignment
-@options.file_option("--base", metavar="CAL", help=options.BASE + " A file names model and serial number as well.")
-@click.option(
-    "--typical-temperature",
-    is_flag=True,
-    help="Use the mean temperature curves of the data sheet for a unit without its own; the file states this.",
-)
-@click.option(
-    "--closing", is_flag=True, help="Visit the first position again at the end, to show what has changed meanwhile."
-)
-@options.file_option("--journal", help="The journal of the session [beside the output].")
-@options.resume
-@options.plain
 def command(procedure: str | None, operator: str, **settings: Any) -> None:
     """Measure the positions of PROCEDURE, write the calibration file, and print its coefficients.
 

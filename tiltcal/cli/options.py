@@ -21,12 +21,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 FILE = click.Path(path_type=Path)
 OPERATORS = click.Choice(["terminal", "web", "json", "sim"])
 
-BASE = (
-    "The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, and "
-    "procedures that determine no sensitivity use its own."
-)
-
-
 HEADINGS = {
     "Sensor": "--sensor --address --serial --bench --calibration --base --unit",
     "Data": "--columns --pair --orthogonal --phase --skip-bad-rows",
@@ -107,12 +101,12 @@ class Grouped(click.Option):
         self.group = group
 
 
-def declared(declaration: type) -> Callable[[F], F]:
-    """Give a command the options of a declaration, in its order."""
+def declared(declaration: type, names: str = "") -> Callable[[F], F]:
+    """Give a command the options of a declaration, in its order; all or those that are named."""
 
     def with_options(command: F) -> F:
         for name, (option, kind) in reversed(options_of(declaration).items()):
-            if option.metavar is None:
+            if option.metavar is None or (names and name not in names.split()):
                 continue
             kinds = get_args(kind) or (kind,)
             how: dict[str, Any] = {"metavar": option.metavar, "default": option.default, "type": click.UNPROCESSED}
@@ -121,7 +115,7 @@ def declared(declaration: type) -> Callable[[F], F]:
             elif str not in kinds and {int, float} & set(kinds):
                 how["type"] = Number(option.check)
             how |= {"cls": Grouped, "group": option.group, "help": option.help}
-            click.option(flag_of(name, option), name, **how)(command)
+            click.option(*filter(None, (option.short, flag_of(name, option), name)), **how)(command)
         return command
 
     return with_options
@@ -133,30 +127,6 @@ above_zero = partial(click.option, type=Number(require_above_zero))
 degrees = partial(at_least_zero, metavar="DEGREES")
 """Options that take a path, a number from 0, a number above 0, an angle in degrees."""
 
-jig = degrees("--jig", help="Standard uncertainty of a set angle; without it, it is estimated from the residuals.")
-table_lean = degrees("--table-lean", help="Standard uncertainty of the lean of the table that all positions share.")
-heading = degrees("--heading-uncertainty", "heading", help="Standard uncertainty of a heading.")
-alignment = click.option(
-    "--alignment",
-    type=float,
-    metavar="DEGREES",
-    help="With level: by how much at most the sensor may sit askew since its calibration, about each axis [2]; 0 if it "
-    "was not unplugged.",
-)
-tilt = click.option("--tilt", type=float, metavar="DEGREES", help="The angle of a procedure with a free angle.")
-samples = click.option("--samples", type=count(2, "samples"), help="Samples per position; overrides the procedure.")
-resume = file_option("--resume", metavar="JOURNAL", help="Continue an interrupted session.")
-hands_free = click.option(
-    "--hands-free",
-    is_flag=True,
-    help="With --operator web: take the next position as soon as the readings show that it is set and still.",
-)
-listen = click.option(
-    "--listen",
-    metavar="HOST:PORT",
-    help="With --operator web: serve the page to other machines too, such as at 0.0.0.0:8016; prints a token.",
-)
-plain = click.option("--plain", is_flag=True, help="Plain lines: no live reading, no single keys.")
 as_json = click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from tiltcal.bench.options import MeasureOptions
 from tiltcal.cli import options
 
 
@@ -22,9 +23,7 @@ from tiltcal.cli import options
 @options.at_least_zero("--thermometer", metavar="CELSIUS", help="Standard uncertainty of a temperature.")
 @options.degrees("--table-lean", help="Standard uncertainty of the table's lean.")
 @options.at_least_zero("--noise", help="Standard deviation of one sample, in the sensor's unit.")
-@options.samples
-@options.tilt
-@click.option("--closing", is_flag=True, help="Visit the first position again at the end.")
+@options.declared(MeasureOptions, "samples tilt closing")
 @options.as_json
 def command(procedure: str, as_json: bool, **design: Any) -> None:
     """Predict the standard uncertainty of every coefficient of PROCEDURE.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tiltcal.bench.options import MeasureOptions
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
@@ -29,20 +30,19 @@ if TYPE_CHECKING:
     "--limit", default=0.5, show_default=True, metavar="DEGREES", help="The largest tilt error that passes."
 )
 @options.degrees("--jig", help="Standard uncertainty of a set angle. Not stated, the positions count as exact.")
-@options.tilt
+@options.declared(MeasureOptions, "tilt samples settle resume journal plain hands_free listen")
 @click.option(
-    "--operator", type=options.OPERATORS, default="terminal", show_default=True, help="Who sets the positions."
+    "--operator",
+    type=options.OPERATORS,
+    default="terminal",
+    show_default=True,
+    cls=options.Grouped,
+    group="Positions",
+    help="Who sets the positions.",
 )
-@options.hands_free
-@options.listen
-@options.samples
-@options.above_zero("--settle", metavar="SECONDS", help="How long a reading must be still; overrides the procedure.")
-@options.file_option("--journal", help="The journal of the session [beside the calibration].")
-@options.resume
-@options.plain
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session, as with --operator json.")
 def command(
-    calibration: Path, procedure: str, limit: float, operator: str, resume: Path | None, plain: bool, as_json: bool,
+    calibration: Path, procedure: str, limit: float, operator: str, resume: str | None, plain: bool, as_json: bool,
     hands_free: bool, listen: str | None, **stated: Any,
 ) -> int:  # fmt: skip
     """Measure positions that CALIBRATION was not fitted to, and compare tilts.
@@ -63,12 +63,13 @@ def command(
     if resume is not None:
         named = {"--procedure": None if options.left_at_default("procedure") else procedure}
         named |= {f"--{name}": value for name, value in stated.items()}
-        session = resumed(resume, None, named, remark, verifies=True)
+        session = resumed(Path(resume), None, named, remark, verifies=True)
         operator = session.setup.operator if options.left_at_default("operator") else operator
     elif stated["address"] is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
     else:
-        path = stated["journal"] or free_journal(calibration.with_name(f"{calibration.stem}.verify.yaml"), remark)
+        beside = calibration.with_name(f"{calibration.stem}.verify.yaml")
+        path = Path(stated["journal"]) if stated["journal"] else free_journal(beside, remark)
         bench = single(judged.sensor.model, judged.sensor.serial, stated["address"], stated["jig"])
         steps, settings = _positions(procedure, stated["tilt"]), {name: stated[name] for name in ("samples", "settle")}
         setup = Setup.begin(steps, bench, [None], path, operator=operator, **settings)

@@ -8,10 +8,11 @@ from contextlib import suppress
 from math import hypot
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import Any, Unpack
 
 from tiltcal.bench.journal import SessionResult
 from tiltcal.bench.measure import OperatorOptions, led_by, run_session
+from tiltcal.bench.options import MeasureOptions, unheard
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
 from tiltcal.calibration.complete import NO_LEVEL
@@ -29,48 +30,13 @@ from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.library.calibration import Calibration, PairCalibration
-from tiltcal.stated_arguments import (
-    of_python,
-    require_above_zero,
-    require_boolean,
-    require_from_zero,
-    require_name,
-    require_path,
-    require_whole,
-)
+from tiltcal.options import complete, flag_of, options_of, takes
+from tiltcal.stated_arguments import of_python, require_name
 
 
-def unheard(remark: str) -> None:
-    """Drop a remark."""
-
-
+@takes(MeasureOptions)
 def measure(
-    procedure: str | Path | None = None,
-    *,
-    operator: object = None,
-    sensor: str | None = None,
-    address: str | None = None,
-    serial: str | None = None,
-    output: str | Path | None = None,
-    bench: str | Path | BenchFile | None = None,
-    samples: int | None = None,
-    settle: float | None = None,
-    jig: float | None = None,
-    table_lean: float | None = None,
-    heading: float | None = None,
-    tilt: float | None = None,
-    turns: int | None = None,
-    alignment: float | None = None,
-    base: str | Path | None = None,
-    typical_temperature: bool = False,
-    closing: bool = False,
-    journal: str | Path | None = None,
-    resume: str | Path | None = None,
-    plain: bool = False,
-    hands_free: bool = False,
-    listen: str | None = None,
-    remark: Callable[[str], None] = unheard,
-    result: Callable[[str], None] | None = None,
+    procedure: str | Path | None = None, *, operator: object = None, **options: Unpack[MeasureOptions]
 ) -> Calibration | Any:
     """Take sensors through a procedure, and write their calibration files.
 
@@ -86,52 +52,7 @@ def measure(
         ``position(ask)`` returns an answer such as ``{"answer": "ready", "tilt": {"y": 30.02}}``; for a turning stage
         ``rotation(ask)``. By name: ``"terminal"``, ``"web"``, ``"json"``, ``"sim"``. None: as the journal says, or a
         terminal.
-    sensor, address, serial : str
-        Model, address and serial number of one sensor.
-    output : str or Path
-        The calibration file; with ``bench`` the folder.
-    bench : str, Path or BenchFile, optional
-        Several sensors at once, in place of the three above.
-    samples : int, optional
-        Samples per position, in place of the procedure's.
-    settle : float, optional
-        Seconds that a reading must hold still, in place of the procedure's.
-    jig : float, optional
-        Standard uncertainty of a set angle, degrees.
-    table_lean : float, optional
-        Standard uncertainty of the lean of the table that all positions share, degrees per axis.
-    heading : float, optional
-        Standard uncertainty of a heading, degrees.
-    tilt : float, optional
-        The angle that the procedure leaves free, degrees.
-    turns : int, optional
-        The most turns of a stage, in place of the procedure's.
-    alignment : float, optional
-        With ``level``: by how much at most the sensor may sit askew since its calibration, degrees about each axis.
-    base : str or Path, optional
-        The sensor's own calibration file, or a folder with SERIAL.yaml of each: a mounting or a new level completes it,
-        and its sensitivity stands in where the procedure determines none. A file names model and serial number as well.
-    typical_temperature : bool
-        Whether the data sheet's mean temperature curves stand in for a temperature run.
-    closing : bool
-        Whether the first position is visited once more at the end, which shows what has changed meanwhile.
-    journal : str or Path, optional
-        Where the session is captured; by default beside the output.
-    resume : str or Path, optional
-        The journal of an interrupted session, to go on with. All but the operator is as at its start, and what else is
-        stated is remarked and changes nothing; with ``output`` the calibration goes there, which it must where the
-        journal names a file outside its own folder.
-    plain : bool
-        Whether the terminal prints lines only.
-    hands_free : bool
-        Whether the operator ``web`` takes the next position as soon as the readings show that it is set and still.
-    listen : str, optional
-        HOST:PORT at which the page of ``web`` is served to other machines too, with a token that is remarked.
-    remark : callable
-        Gets each remark on the session, one line of text.
-    result : callable, optional
-        Gets the coefficients of each calibration with their uncertainties, lines of text; not with the operator
-        ``json``, whose program reads the files.
+    **options
 
     Returns
     -------
@@ -147,20 +68,13 @@ def measure(
     Stopped
         The operator stopped; the message says how to go on.
     """
-    yes_or_no = {"--typical-temperature": typical_temperature, "--closing": closing, "--plain": plain}
-    for option, value in {**yes_or_no, "--hands-free": hands_free}.items():
-        require_boolean(option, value)
-    for option, file in (("--base", base), ("--journal", journal), ("--resume", resume), ("-o", output)):
-        if file is not None:
-            require_path(option, file)
-    require_from_zero("--heading-uncertainty", of_python(heading))
-    stated = {
-        "PROCEDURE": procedure, "--sensor": sensor, "--address": address, "--serial": serial, "--bench": bench,
-        "--samples": of_python(samples), "--settle": of_python(settle), "--jig": of_python(jig),
-        "--table-lean": of_python(table_lean), "--heading-uncertainty": of_python(heading), "--tilt": of_python(tilt),
-        "--turns": of_python(turns), "--alignment": of_python(alignment), "--base": base,
-        "--typical-temperature": of_python(typical_temperature), "--closing": of_python(closing), "--journal": journal,
-    }  # fmt: skip
+    given = complete(MeasureOptions, options)
+    remark, result, output, resume = given["remark"], given["result"], given["output"], given["resume"]
+    stated = {"PROCEDURE": procedure} | {
+        flag_of(name, option): of_python(given[name])  # type: ignore[literal-required]
+        for name, (option, _) in options_of(MeasureOptions).items()
+        if name not in ("output", "resume", "plain", "hands_free", "listen", "remark", "result")
+    }
     named = None if output is None else Path(output)
     if resume is not None and os.path.exists(resume):
         session = resumed(Path(resume), named, stated, remark)
@@ -168,8 +82,8 @@ def measure(
         missing = None if resume is None else Path(resume)
         session = _begun(stated, named, operator, missing, remark)
     operator = operator or session.setup.operator
-    options = OperatorOptions(bool(plain), listen, bool(hands_free))
-    with led_by(operator, session, "measure", remark, options) as opened:
+    operating = OperatorOptions(bool(given["plain"]), given["listen"], bool(given["hands_free"]))
+    with led_by(operator, session, "measure", remark, operating) as opened:
         outcome = run_session(session, opened)
         paths = {session.files.outputs[serial]: text for serial, text in outcome.texts().items()}
         for path, text in paths.items():
@@ -311,8 +225,6 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
 def _require_settings(procedure: Procedure, stated: Mapping[str, Any]) -> None:
     """Refuse settings that the procedure does not have, or with which no session can measure."""
     require_no_jig(procedure, stated["--jig"])
-    require_whole("--samples", stated["--samples"], 2, "samples")
-    require_above_zero("--settle", stated["--settle"])
     if procedure.rotation is None:
         return
     for option in ("--samples", "--settle", "--jig"):

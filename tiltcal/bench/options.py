@@ -1,0 +1,110 @@
+"""The options of a session at the bench: of the command, the library and the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, TypedDict
+
+from tiltcal.options import Option
+from tiltcal.stated_arguments import (
+    of_python,
+    require_above_zero,
+    require_boolean,
+    require_from_zero,
+    require_path,
+    require_whole,
+)
+
+_SENSOR, _RESULT, _POSITIONS, _KNOWN = "Sensor", "Result", "Positions", "Known of the bench"
+
+
+def unheard(line: str) -> None:
+    """Drop a remark."""
+
+
+def _require_path_or_none(option: str, value: object) -> None:
+    if value is not None:
+        require_path(option, value)
+
+
+def _require_samples(option: str, value: object) -> None:
+    require_whole(option, of_python(value), 2, "samples")
+
+
+def _require_seconds(option: str, value: object) -> None:
+    require_above_zero(option, of_python(value))
+
+
+def _require_uncertainty(option: str, value: object) -> None:
+    require_from_zero(option, of_python(value))
+
+
+def _u(of: str, name: str = "") -> Option:
+    return Option(f"Standard uncertainty of {of}.", "DEGREES", _KNOWN, check=_require_uncertainty, name=name)
+
+
+_file = partial(Option, check=_require_path_or_none)
+_flag = partial(Option, metavar="", group=_POSITIONS, default=False, check=require_boolean)
+_Path = str | Path | None
+
+
+class MeasureOptions(TypedDict, total=False):
+    """What is stated of a session."""
+
+    sensor: Annotated[str | None, Option("The sensor's model; `tiltcal devices` lists them.", "MODEL", _SENSOR)]
+    address: Annotated[
+        str | None, Option("Its address, such as spi:///dev/spidev0.0; sim: is its virtual twin.", "ADDRESS", _SENSOR)
+    ]
+    serial: Annotated[str | None, Option("Its serial number, for the calibration file.", "S", _SENSOR)]
+    bench: Annotated[Any, Option("A bench file: measure its sensors together, in place of the above.", "FILE", _SENSOR)]
+    base: Annotated[
+        _Path,
+        _file(
+            "The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, "
+            "and procedures that determine no sensitivity use its own. A file names model and serial number as well.",
+            "CAL",
+            _SENSOR,
+        ),
+    ]
+    output: Annotated[_Path, _file("The calibration file; with --bench a folder.", "PATH", _RESULT, short="-o")]
+    journal: Annotated[_Path, _file("The journal of the session [beside the calibration file].", "PATH", _RESULT)]
+    tilt: Annotated[float | None, Option("The angle of a procedure with a free angle.", "DEGREES", _POSITIONS)]
+    samples: Annotated[
+        int | None,
+        Option("Samples per position, in place of the procedure's.", "N", _POSITIONS, check=_require_samples),
+    ]
+    settle: Annotated[
+        float | None,
+        Option("How long a reading must be still before it is sampled.", "SECONDS", _POSITIONS, check=_require_seconds),
+    ]
+    closing: Annotated[bool, _flag("Visit the first position again at the end, to show what changed meanwhile.")]
+    turns: Annotated[int | None, Option("The most turns of a stage, in place of the procedure's.", "N", _POSITIONS)]
+    resume: Annotated[
+        _Path, _file("Continue an interrupted session; of what else is stated -o counts.", "JOURNAL", _POSITIONS)
+    ]
+    plain: Annotated[bool, _flag("Plain lines: no live reading, no single keys.")]
+    hands_free: Annotated[bool, _flag("With --operator web: take the next position as soon as it is set and still.")]
+    listen: Annotated[
+        str | None,
+        Option("With --operator web: serve the page to other machines too; prints a token.", "HOST:PORT", _POSITIONS),
+    ]
+    jig: Annotated[float | None, _u("a set angle; without it, it is estimated from the residuals")]
+    table_lean: Annotated[float | None, _u("the lean of the table that all positions share")]
+    heading: Annotated[float | None, _u("a heading", name="heading-uncertainty")]
+    alignment: Annotated[
+        float | None,
+        Option(
+            "With level: by how much at most the sensor may sit askew since its calibration, about each axis [2]; 0 if "
+            "it was not unplugged.",
+            "DEGREES",
+            _KNOWN,
+        ),
+    ]
+    typical_temperature: Annotated[bool, _flag("Use the mean temperature curves of the data sheet.", group=_KNOWN)]
+    remark: Annotated[Callable[[str], None], Option("Gets each remark, a line of text.", default=unheard)]
+    result: Annotated[
+        Callable[[str], None] | None,
+        Option("Gets the coefficients of each calibration, lines of text; not with the operator json."),
+    ]
