@@ -8,7 +8,7 @@ from typing import get_overloads, get_type_hints
 import pytest
 
 import tiltcal
-from tiltcal.bench.options import MeasureOptions
+from tiltcal.bench.options import MeasureOptions, PlanOptions
 from tiltcal.errors import UsageError
 from tiltcal.logs.options import ApplyOptions, FitOptions
 from tiltcal.options import complete, options_of
@@ -22,6 +22,7 @@ from tiltcal.options import complete, options_of
         (tiltcal.CalibrationLibrary.apply, ApplyOptions),
         (tiltcal.fit, FitOptions),
         (tiltcal.measure, MeasureOptions),
+        (tiltcal.plan, PlanOptions),
     ],
 )
 def test_signature_and_documentation_are_those_of_the_declaration(function: object, declaration: type) -> None:

@@ -60,7 +60,7 @@ OTHERS: list[tuple[str, str, Any, str]] = [
     ("fit", "sensor", 5, "sensor takes a text, not 5"),
     ("fit", "serial", "", "the serial number is '': write a text"),
     ("plan", "address", 5, "address takes a text, not 5"),
-    ("plan", "base", 5, "a file is named by a text or a Path, not 5"),
+    ("plan", "base", 5, "base is named by a text or a Path, not 5"),
     ("noise", "unit", 5, "unit takes a text, not 5"),
     ("noise", "averages", 5, "averages takes several sizes, such as [5, 50], not 5"),
     ("noise", "averages", [0], "averages takes a number of samples from 1 to"),

@@ -1,4 +1,4 @@
-"""The options of a session at the bench: of the command, the library and the reference."""
+"""The options of a session at the bench and of its plan: of the commands, the library and the reference."""
 
 from __future__ import annotations
 
@@ -48,6 +48,11 @@ def _u(of: str, name: str = "") -> Option:
 _file = partial(Option, check=_require_path_or_none)
 _flag = partial(Option, metavar="", group=_POSITIONS, default=False, check=require_boolean)
 _Path = str | Path | None
+_Tilt = Annotated[float | None, Option("The angle of a procedure with a free angle.", "DEGREES", _POSITIONS)]
+_Samples = Annotated[
+    int | None, Option("Samples per position, in place of the procedure's.", "N", _POSITIONS, check=_require_samples)
+]
+_Lean = Annotated[float | None, _u("the lean of the table that all positions share")]
 
 
 class MeasureOptions(TypedDict, total=False):
@@ -70,11 +75,8 @@ class MeasureOptions(TypedDict, total=False):
     ]
     output: Annotated[_Path, _file("The calibration file; with --bench a folder.", "PATH", _RESULT, short="-o")]
     journal: Annotated[_Path, _file("The journal of the session [beside the calibration file].", "PATH", _RESULT)]
-    tilt: Annotated[float | None, Option("The angle of a procedure with a free angle.", "DEGREES", _POSITIONS)]
-    samples: Annotated[
-        int | None,
-        Option("Samples per position, in place of the procedure's.", "N", _POSITIONS, check=_require_samples),
-    ]
+    tilt: _Tilt
+    samples: _Samples
     settle: Annotated[
         float | None,
         Option("How long a reading must be still before it is sampled.", "SECONDS", _POSITIONS, check=_require_seconds),
@@ -91,7 +93,7 @@ class MeasureOptions(TypedDict, total=False):
         Option("With --operator web: serve the page to other machines too; prints a token.", "HOST:PORT", _POSITIONS),
     ]
     jig: Annotated[float | None, _u("a set angle; without it, it is estimated from the residuals")]
-    table_lean: Annotated[float | None, _u("the lean of the table that all positions share")]
+    table_lean: _Lean
     heading: Annotated[float | None, _u("a heading", name="heading-uncertainty")]
     alignment: Annotated[
         float | None,
@@ -107,4 +109,35 @@ class MeasureOptions(TypedDict, total=False):
     result: Annotated[
         Callable[[str], None] | None,
         Option("Gets the coefficients of each calibration, lines of text; not with the operator json."),
+    ]
+
+
+class PlanOptions(TypedDict, total=False):
+    """What is stated of a session that is predicted."""
+
+    sensor: Annotated[str | None, Option("The sensor's model [that of the base].", "MODEL", _SENSOR)]
+    address: Annotated[
+        str | None, Option("Its address, if an option of it changes the model, as counts_per_g.", "ADDRESS", _SENSOR)
+    ]
+    base: Annotated[
+        _Path,
+        _file("Its calibration, for level and for procedures that determine no sensitivity.", "CAL", _SENSOR),
+    ]
+    tilt: _Tilt
+    samples: _Samples
+    closing: Annotated[bool, _flag("Visit the first position again at the end.")]
+    jig: Annotated[float | None, _u("a set angle")]
+    thermometer: Annotated[
+        float | None,
+        Option("Standard uncertainty of a temperature.", "CELSIUS", _KNOWN, check=_require_uncertainty),
+    ]
+    table_lean: _Lean
+    noise: Annotated[
+        float | None,
+        Option(
+            "Standard deviation of one sample, in the sensor's unit [that of the model].",
+            "UNIT",
+            _KNOWN,
+            check=_require_uncertainty,
+        ),
     ]

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
+from tiltcal.bench.options import PlanOptions
 from tiltcal.bench.setup import stage_channels
 from tiltcal.calibration.fit import along_gravity
 from tiltcal.calibration.measurement import require_no_jig, require_suitable
@@ -20,8 +21,8 @@ from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.options import complete, takes
 from tiltcal.printable import in_html
-from tiltcal.stated_arguments import require_boolean, require_from_zero, require_whole
 
 _NOT_PREDICTED = (
     "nothing can be predicted before the stage turns: p and q will have a standard uncertainty of 2 s / (A sqrt(n)), "
@@ -61,19 +62,9 @@ class PlannedRotation:
     _repr_html_ = in_html
 
 
+@takes(PlanOptions)
 def plan(
-    procedure: str | Path,
-    *,
-    sensor: str | None = None,
-    address: str | None = None,
-    jig: float | None = None,
-    thermometer: float | None = None,
-    table_lean: float | None = None,
-    noise: float | None = None,
-    samples: int | None = None,
-    tilt: float | None = None,
-    closing: bool = False,
-    base: str | Path | None = None,
+    procedure: str | Path, **options: Unpack[PlanOptions]
 ) -> PredictedUncertainty | PredictedMounting | PlannedRotation:
     """Predict how well a procedure will determine every coefficient, before anybody starts.
 
@@ -81,26 +72,7 @@ def plan(
     ----------
     procedure : str or Path
         Its name, or the path of your own.
-    sensor : str, optional
-        The sensor's model; without it that of the ``base``.
-    address : str, optional
-        Its address, where that settles facts of the model, such as ``counts_per_g``.
-    jig : float, optional
-        Standard uncertainty of a set angle, degrees.
-    thermometer : float, optional
-        Standard uncertainty of a temperature, °C.
-    table_lean : float, optional
-        Standard uncertainty of the lean of the table that all positions share, degrees.
-    noise : float, optional
-        Standard deviation of one sample, in the sensor's unit; without it that of the model's virtual twin.
-    samples : int, optional
-        Per position, in place of the procedure's.
-    tilt : float, optional
-        The angle that the procedure leaves free, degrees.
-    closing : bool
-        Whether the first position is visited once more at the end.
-    base : str or Path, optional
-        The sensor's own calibration file, where the procedure takes one.
+    **options
 
     Returns
     -------
@@ -118,13 +90,12 @@ def plan(
     --------
     >>> print(tiltcal.plan("zero-45", sensor="sca100t-d02", jig=0.1))
     """
-    require_boolean("--closing", closing)
+    stated = complete(PlanOptions, options)
+    jig, noise, samples, base = stated["jig"], stated["noise"], stated["samples"], stated["base"]
     own = None if base is None else read_calibration(base)
-    model = _model(sensor, address, own)
-    steps = find_procedure(procedure, tilt).with_closing(closing)
+    model = _model(stated["sensor"], stated["address"], own)
+    steps = find_procedure(procedure, stated["tilt"]).with_closing(stated["closing"])
     require_no_jig(steps, jig)
-    require_whole("--samples", samples, 2, "samples")
-    require_from_zero("--noise", noise)
     if own is not None or steps.determines.level:
         bases_of(steps, base, [] if own is None else [own.sensor.serial])
     if steps.rotation is not None:
@@ -133,9 +104,8 @@ def plan(
     require_suitable(steps, model, based=own is not None)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
-    known = partial(
-        predict, jig=jig, thermometer=thermometer, table_lean=table_lean, noise=noise, samples=samples, base=own
-    )
+    uncertain: dict[str, Any] = {"jig": jig, "thermometer": stated["thermometer"], "table_lean": stated["table_lean"]}
+    known = partial(predict, **uncertain, noise=noise, samples=samples, base=own)
     found = known(steps, model)
     if steps.closes or steps.determines.free or steps.ramp is not None or len(steps.positions) < 2:
         return found
