@@ -104,8 +104,10 @@ def plan(
     require_suitable(steps, model, based=own is not None)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
-    uncertain: dict[str, Any] = {"jig": jig, "thermometer": stated["thermometer"], "table_lean": stated["table_lean"]}
-    known = partial(predict, **uncertain, noise=noise, samples=samples, base=own)
+    known = partial(
+        predict, jig=jig, thermometer=stated["thermometer"], table_lean=stated["table_lean"], noise=noise,
+        samples=samples, base=own,
+    )  # fmt: skip
     found = known(steps, model)
     if steps.closes or steps.determines.free or steps.ramp is not None or len(steps.positions) < 2:
         return found
