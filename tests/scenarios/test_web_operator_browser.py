@@ -51,7 +51,7 @@ def test_keys_touch_a_reload_and_a_killed_browser(tmp_path: Path) -> None:
             tab.until(button("accept"))
             tab.key("Enter")
             ready(tab, "x-tilt2")
-            tab.size(400, 800, phone=True)
+            tab.be_a_phone(400, 800)
             tab.tap("[data-answer=ready]")
             tab.until(button("accept"))
             assert tab.value("document.documentElement.scrollWidth") == 400
@@ -91,16 +91,10 @@ def test_free_hands_take_what_follows_and_a_person_writes(tmp_path: Path, monkey
         tab.key("Enter")
         tab.until("document.querySelectorAll('.tilt b').length >= 6")
         assert len(list(tmp_path.glob("A-*.yaml"))) == 6
-        assert chromium.complaints == []
-
-
-def test_a_page_that_lost_its_session_takes_nothing_and_says_so(tmp_path: Path) -> None:
-    with browser() as chromium:
-        with session("cross-axis", **bench(tmp_path)) as (page, _):
-            tab = chromium.open(f"http://{page.host}/")
-            ready(tab, "x-tilt1")
+        tab.until(button("finish"))
+        tab.key("f")
         tab.until("document.querySelector('#link').textContent === 'the session has ended'")
-        assert tab.value("document.querySelectorAll('#answers button').length") == 0
+        assert chromium.complaints == []
 
 
 def accepted(folder: Path) -> list[dict[str, Any]]:

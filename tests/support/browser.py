@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import shutil
@@ -11,7 +10,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -23,21 +21,50 @@ PATIENCE = 30.0
 """Seconds for which a state of the page is waited for."""
 
 
+class Browser:
+    """A running Chromium; ``complaints`` are what its pages wrote to their console, and errors."""
+
+    def __init__(self, into: int, out_of: int) -> None:
+        self._into, self._out_of, self._rest, self._last = into, out_of, b"", 0
+        self.complaints: list[str] = []
+
+    def call(self, method: str, session: str | None = None, /, **params: Any) -> Any:
+        """Carry out one command, and return its result."""
+        self._last += 1
+        message = {"id": self._last, "method": method, "params": params, **({"sessionId": session} if session else {})}
+        os.write(self._into, json.dumps(message).encode() + b"\0")
+        while True:
+            while b"\0" not in self._rest:
+                arrived = os.read(self._out_of, 1 << 16)
+                assert arrived, "the browser has ended"
+                self._rest += arrived
+            line, _, self._rest = self._rest.partition(b"\0")
+            said = json.loads(line)
+            if said.get("id") == self._last:
+                assert "error" not in said, said
+                return said["result"]
+            if said.get("method") in ("Runtime.consoleAPICalled", "Runtime.exceptionThrown"):
+                self.complaints.append(json.dumps(said["params"])[:500])
+
+    def open(self, url: str) -> Tab:
+        """Open a page in a window of its own."""
+        target = self.call("Target.createTarget", url=url, newWindow=True)["targetId"]
+        return Tab(self, self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"])
+
+
 class Tab:
     """One tab: what it shows, and what a person does to it."""
 
-    def __init__(self, browser: Browser, target: str) -> None:
-        self._browser, self.target = browser, target
-        attached = browser.call("Target.attachToTarget", targetId=target, flatten=True)
-        self.session = attached["sessionId"]
+    def __init__(self, browser: Browser, session: str) -> None:
+        self._browser, self._session = browser, session
         self("Runtime.enable")
 
     def __call__(self, method: str, **params: Any) -> Any:
-        return self._browser.call(method, self.session, **params)
+        return self._browser.call(method, self._session, **params)
 
     def value(self, expression: str) -> Any:
-        """Return the value of an expression of JavaScript, also of a promise."""
-        done = self("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        """Return the value of an expression of JavaScript."""
+        done = self("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in done, done
         return done["result"].get("value")
 
@@ -49,10 +76,8 @@ class Tab:
 
     def key(self, key: str) -> None:
         """Press a key."""
-        text = "\r" if key == "Enter" else key
-        code = 13 if key == "Enter" else ord(key.upper())
-        named = {"key": key, "windowsVirtualKeyCode": code}
-        self("Input.dispatchKeyEvent", type="keyDown", text=text, **named)
+        named = {"key": key, "windowsVirtualKeyCode": 13 if key == "Enter" else ord(key.upper())}
+        self("Input.dispatchKeyEvent", type="keyDown", text="\r" if key == "Enter" else key, **named)
         self("Input.dispatchKeyEvent", type="keyUp", **named)
 
     def tap(self, selector: str) -> None:
@@ -63,57 +88,10 @@ class Tab:
         self("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
         self("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
-    def size(self, width: int, height: int, *, phone: bool = False) -> None:
-        """Give the tab another size; a phone has two pixels a point and is touched."""
-        scale = 2 if phone else 1
-        self("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=phone)
-        self("Emulation.setTouchEmulationEnabled", enabled=phone)
-
-    def dark(self, on: bool) -> None:
-        """Have the tab believe that its user likes it dark."""
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if on else "light"}
-        self("Emulation.setEmulatedMedia", features=[scheme])
-
-    def picture(self, path: Path) -> None:
-        """Write what is seen as PNG."""
-        path.write_bytes(base64.b64decode(self("Page.captureScreenshot", format="png")["data"]))
-
-    def close(self) -> None:
-        self._browser.call("Target.closeTarget", targetId=self.target)
-
-
-class Browser:
-    """A running Chromium; ``complaints`` are what its pages wrote to their console, and errors."""
-
-    def __init__(self, process: subprocess.Popen[bytes], into: int, out_of: int) -> None:
-        self.process, self._into, self._out_of = process, into, out_of
-        self._rest, self._last = b"", 0
-        self.complaints: list[str] = []
-
-    def call(self, method: str, session: str | None = None, /, **params: Any) -> Any:
-        """Carry out one command, and return its result."""
-        self._last += 1
-        message = {"id": self._last, "method": method, "params": params, **({"sessionId": session} if session else {})}
-        os.write(self._into, json.dumps(message).encode() + b"\0")
-        while True:
-            said = self._next()
-            if said.get("id") == self._last:
-                assert "error" not in said, said
-                return said["result"]
-            if said.get("method") in ("Runtime.consoleAPICalled", "Runtime.exceptionThrown"):
-                self.complaints.append(json.dumps(said["params"])[:500])
-
-    def _next(self) -> dict[str, Any]:
-        while b"\0" not in self._rest:
-            arrived = os.read(self._out_of, 1 << 16)
-            assert arrived, "the browser has ended"
-            self._rest += arrived
-        line, _, self._rest = self._rest.partition(b"\0")
-        return json.loads(line)
-
-    def open(self, url: str) -> Tab:
-        """Open a page in a window of its own."""
-        return Tab(self, self.call("Target.createTarget", url=url, newWindow=True)["targetId"])
+    def be_a_phone(self, width: int, height: int) -> None:
+        """Give the tab the size of a phone, which has two pixels a point and is touched."""
+        self("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=2, mobile=True)
+        self("Emulation.setTouchEmulationEnabled", enabled=True)
 
 
 @contextmanager
@@ -128,15 +106,14 @@ def browser() -> Iterator[Browser]:
         os.dup2(second, 4)
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        command = [str(CHROMIUM), *QUIET, f"--user-data-dir={profile}", "--remote-debugging-pipe", "about:blank"]
         process = subprocess.Popen(
-            [str(CHROMIUM), *QUIET, f"--user-data-dir={profile}", "--remote-debugging-pipe", "about:blank"],
-            preexec_fn=three_and_four, close_fds=False, start_new_session=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            command, preexec_fn=three_and_four, close_fds=False, start_new_session=True, stderr=subprocess.DEVNULL
+        )
         os.close(to_child)
         os.close(from_child)
         try:
-            yield Browser(process, into, out_of)
+            yield Browser(into, out_of)
         finally:
             os.killpg(process.pid, 9)
             process.wait()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from http.client import HTTPConnection
 from typing import Any
 from urllib.parse import urlsplit
@@ -13,7 +13,6 @@ from urllib.parse import urlsplit
 import tiltcal
 
 State = dict[str, Any]
-Answer = tuple[int, Mapping[str, str], bytes]
 
 
 class WebClient:
@@ -27,38 +26,29 @@ class WebClient:
     ) -> tuple[int, Mapping[str, str], bytes]:
         """Return status, headers and body of a request; headers that are empty are left out."""
         usual = {"Host": self.host, "Origin": f"http://{self.host}", "Cookie": self.cookie, **headers}
-        body = content if content is None or isinstance(content, str) else json.dumps(content)
-        connection = HTTPConnection(self.host, timeout=20)
-        try:
+        body = content if isinstance(content, str) else json.dumps(content)
+        with closing(HTTPConnection(self.host, timeout=20)) as connection:
+            sent = {name: value for name, value in usual.items() if value}
             connection.putrequest(method, path, skip_host=True)
-            for name, value in {**usual, "Content-Length": str(len(body or ""))}.items():
-                if value:
-                    connection.putheader(name, value)
-            connection.endheaders(body.encode() if body else None)
+            for name, value in {**sent, "Content-Length": str(len(body))}.items():
+                connection.putheader(name, value)
+            connection.endheaders(body.encode())
             answer = connection.getresponse()
             return answer.status, answer.headers, b"" if path == "/events" else answer.read()
-        finally:
-            connection.close()
 
     def states(self) -> Iterator[State]:
         """Yield the states of one stream; closing the generator ends the connection."""
-        connection = HTTPConnection(self.host, timeout=20)
-        try:
+        with closing(HTTPConnection(self.host, timeout=20)) as connection:
             connection.request("GET", "/events", headers={"Cookie": self.cookie} if self.cookie else {})
             answer = connection.getresponse()
             while line := answer.readline():
                 if line.startswith(b"data: "):
                     yield json.loads(line[6:])
-        finally:
-            connection.close()
 
     def until(self, shows: Callable[[State], object]) -> State:
         """Wait for a state that shows something, and return it."""
-        states = self.states()
-        try:
+        with closing(self.states()) as states:  # type: ignore[type-var]
             return next(state for state in states if shows(state))
-        finally:
-            states.close()  # type: ignore[attr-defined]
 
     def asked(self, kind: str, position: str = "") -> State:
         """Wait for a question, and return it."""
@@ -71,20 +61,20 @@ class WebClient:
 
 
 @contextmanager
-def session(*procedure: str, **options: Any) -> Iterator[tuple[WebClient, list[object]]]:
-    """Yield a client of a session that runs in a thread, and what it gives or raises; it has to end by itself."""
+def session(procedure: str, **options: Any) -> Iterator[tuple[WebClient, list[object]]]:
+    """Yield a client of a session in a thread, and what it gives or raises; one that asks is stopped at the end."""
     outcome: list[object] = []
-    said: list[str] = []
+    urls: list[str] = []
     begun = threading.Event()
 
     def remark(text: str) -> None:
-        said.append(text)
         if "page of this session" in text:
+            urls.append(text.split()[-1])
             begun.set()
 
     def run() -> None:
         try:
-            outcome.append(tiltcal.measure(*procedure, operator="web", remark=remark, **options))
+            outcome.append(tiltcal.measure(procedure, operator="web", remark=remark, **options))
         except tiltcal.TiltcalError as error:
             outcome.append(error)
         begun.set()
@@ -92,8 +82,7 @@ def session(*procedure: str, **options: Any) -> Iterator[tuple[WebClient, list[o
     thread = threading.Thread(target=run)
     thread.start()
     begun.wait()
-    (url,) = [text.split()[-1] for text in said if "page of this session" in text] or [""]
-    client = WebClient(url)
+    client = WebClient(urls[0])
     try:
         yield client, outcome
     finally:

@@ -15,7 +15,6 @@ import secrets
 import socket
 from collections.abc import Mapping
 from contextlib import suppress
-from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler
 from importlib.resources import files
 from ipaddress import ip_address
@@ -24,6 +23,8 @@ from threading import Condition, Thread
 from time import sleep
 from typing import Any
 from urllib.parse import urlsplit
+
+import msgspec
 
 from tiltcal.errors import UsageError
 
@@ -36,7 +37,6 @@ PAGE = {
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
     "/attitude.js": ("attitude.js", "text/javascript; charset=utf-8"),
 }
-"""The files of the page, by path."""
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -46,13 +46,7 @@ HEADERS = {
 }
 REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 
-STRANGE_HOST = (
-    "this name does not lead to the page: call it by the address that tiltcal printed, or start it with "
-    "--listen NAME:PORT\n"
-)
-EVERYWHERE = ("0.0.0.0", "::")
-"""What listens at every address of the machine."""
-
+STRANGE = "not from the page, or not to its address: call it as tiltcal printed it, or start with --listen NAME:PORT"
 LONGEST_ANSWER = 4096
 """Bytes of an answer."""
 
@@ -92,9 +86,12 @@ class PageState:
         self._answer = None
         self.show(question={**question, "id": f"{self._session}-{self._questions}"})
 
-    def withdraw(self) -> None:
-        """Show no question any more."""
-        self.show(question=None)
+    def withdraw(self) -> dict[str, Any] | None:
+        """Ask no more; return an answer that has come."""
+        with self._changed:
+            self._fields["question"] = None
+            self._note()
+            return self.wait(0.0)
 
     def wait(self, seconds: float) -> dict[str, Any] | None:
         """Return the answer to the question, which is then asked no more; None where there is none in time."""
@@ -122,7 +119,7 @@ class PageState:
         with self._changed:
             self._changed.wait_for(lambda: self._version != seen or self.closed, SILENCE)
             if self._version != seen:
-                return self._version, json.dumps(self._fields).encode()
+                return self._version, msgspec.json.encode(self._fields)  # a number that is none is null
             return (-1 if self.closed else seen), b""
 
     def close(self) -> None:
@@ -167,15 +164,14 @@ class PageServer(ThreadingTCPServer):
     @property
     def url(self) -> str:
         """Where the page is; with the token behind #, which a browser sends to nobody."""
-        host = _outward_address(self.named) if self.named in EVERYWHERE else self.named
+        host = _outward_address(self.named) if self.named in ("0.0.0.0", "::") else self.named
         place = f"[{host}]" if ":" in host else host
         return f"http://{place}:{self.server_address[1]}/" + ("" if self.token is None else f"#{self.token}")
 
-    def get_request(self) -> tuple[socket.socket, Any]:
-        """Take a connection, which :meth:`close` can end."""
-        connection, address = super().get_request()
-        self._connections.add(connection)
-        return connection, address
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a connection, which :meth:`close` can end."""
+        self._connections.add(request)
+        super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
         """End a connection."""
@@ -207,7 +203,7 @@ class PageRequest(BaseHTTPRequestHandler):
         """Send the page, the stream of states, or a report."""
         path = urlsplit(self.path).path
         if not self._trusted():
-            self._send(403, STRANGE_HOST)
+            self._send(403, STRANGE)
         elif path in PAGE:
             name, kind = PAGE[path]
             self._send(200, (files("tiltcal.bench") / "page" / name).read_bytes(), kind)
@@ -224,7 +220,7 @@ class PageRequest(BaseHTTPRequestHandler):
         """Take an answer, or the token."""
         path = urlsplit(self.path).path
         if not self._trusted() or self.headers.get("Origin") is None:
-            self._send(403, STRANGE_HOST)
+            self._send(403, STRANGE)
             return
         try:
             said = json.loads(self.rfile.read(min(int(self.headers["Content-Length"]), LONGEST_ANSWER)))
@@ -233,7 +229,7 @@ class PageRequest(BaseHTTPRequestHandler):
         if not isinstance(said, dict):
             self._send(400, "an answer is a JSON object")
         elif path == "/token" and self.server.token is not None:
-            self._let_in(str(said.get("token")))
+            self._let_in(said.get("token"))
         elif not self._authorised():
             self._send(401, "the token is missing")
         elif path != "/answer":
@@ -258,26 +254,22 @@ class PageRequest(BaseHTTPRequestHandler):
 
     def _authorised(self) -> bool:
         """Return whether the browser has shown the token, where one is asked for."""
-        token = self.server.token
-        if token is None:
-            return True
-        try:
-            cookie = SimpleCookie(self.headers.get("Cookie", "")).get(self._cookie)
-        except CookieError:
-            return False
-        return cookie is not None and secrets.compare_digest(cookie.value.encode(), token.encode())
+        shown = [pair.strip() for pair in self.headers.get("Cookie", "").split(";")]
+        return self.server.token is None or any(_same(pair, self._cookie) for pair in shown)
 
     @property
     def _cookie(self) -> str:
-        return f"tiltcal-{self.server.server_address[1]}"  # the ports of a machine share its cookies
+        return (
+            f"tiltcal-{self.server.server_address[1]}={self.server.token}"  # the ports of a machine share its cookies
+        )
 
-    def _let_in(self, token: str) -> None:
+    def _let_in(self, token: object) -> None:
         """Give a browser that shows the token a cookie."""
-        if self.server.token is None or not secrets.compare_digest(token.encode(), self.server.token.encode()):
+        if _same(str(token), str(self.server.token)):
+            self._send(204, cookie=f"{self._cookie}; HttpOnly; SameSite=Strict; Path=/")
+        else:
             sleep(WRONG_TOKEN)
             self._send(401, "this is not the token")
-            return
-        self._send(204, cookie=f"{self._cookie}={token}; HttpOnly; SameSite=Strict; Path=/")
 
     def _stream(self) -> None:
         """Send each state until the end of the session or of the connection."""
@@ -316,6 +308,11 @@ def host_and_port(listen: str) -> tuple[str, int]:
     except ValueError:
         pass
     raise UsageError(f"--listen {listen}: it is HOST:PORT, such as 0.0.0.0:{PORT}")
+
+
+def _same(said: str, secret: str) -> bool:
+    """Return whether two texts are one, in a time that tells nothing of them."""
+    return secrets.compare_digest(said.encode(errors="replace"), secret.encode())
 
 
 def _is_address(name: str) -> bool:

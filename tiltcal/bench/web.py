@@ -10,15 +10,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from math import acos, degrees, isfinite, sqrt
+from math import atan2, degrees, hypot, sqrt
 from typing import Any
 
 from tiltcal.bench.guidance import AxisGuidance, present_gravity
 from tiltcal.bench.operators import LOOK, Message, Operator, in_words
 from tiltcal.bench.page_server import PageServer, PageState
-from tiltcal.core.attitude import Vector, gravity_from_tilt, normalised, orientation
-from tiltcal.core.detection import TEMPERATURES
-from tiltcal.errors import InputError, Stopped
+from tiltcal.core.attitude import Vector, orientation
+from tiltcal.core.detection import TILTED
+from tiltcal.errors import Stopped
 
 LIVE_PAUSE = 0.25
 """Seconds between live readings: a bubble is followed by eye, and a night's journal stays small."""
@@ -47,8 +47,8 @@ PACE = 0.05
 LOGGED = 40
 """Events that the page lists."""
 
-SHOWN = ("accepted", "refused", "lost", "held", "resumed", "turn", "done")
-"""Events that the page lists, by their words."""
+SOUNDS = ("sampled", "refused", "done")
+"""What the page sounds at."""
 
 
 def open_web(
@@ -80,7 +80,6 @@ class WebOperator(Operator):
         self._state, self._reports, self._hands_free, self._clock = state, reports, hands_free, clock
         self._asked: Message | None = None
         """The question that is shown; None where it is to be shown again."""
-        self._typed: dict[str, Any] = {}
         self._target: Message = {}
         """The last position that was asked for."""
         self._taken = ""
@@ -91,7 +90,7 @@ class WebOperator(Operator):
         self._before: dict[str, Vector] = {}
         """Those of the position that was accepted last; none where somebody has to look at the next one."""
         self._guide: dict[str, Any] | None = None
-        self._sounds = {"sampled": 0, "refused": 0, "done": 0}
+        self._sounds = dict.fromkeys(SOUNDS, 0)
         self._log: list[dict[str, str]] = []
         state.show(
             title="tiltcal", hands_free=hands_free, positions=[], at=0, step="", prompt="", conditions=[], doing="",
@@ -104,13 +103,12 @@ class WebOperator(Operator):
         kind = question["ask"]
         begins = question != self._asked
         if begins:
-            self._typed = {}
+            self._asked = question
             self._show_question(question)
+        answer: dict[str, Any] | None
         if free := self._free_answer(question):
-            self._asked = None
-            self._state.withdraw()
-            return {"answer": free}
-        if kind == "poll":
+            answer = self._state.withdraw() or {"answer": free}
+        elif kind == "poll":
             answer = self._state.wait(0.0)
         elif kind in ("position", "afterwards"):
             answer = self._state.wait(0.0 if begins else LIVE_PAUSE)
@@ -119,19 +117,17 @@ class WebOperator(Operator):
                 pass
         if answer is None:
             return None if kind == "poll" else {"answer": LOOK}
-        if answer.get("answer") == "set":
-            self._set(answer, question)
-            return {"answer": LOOK}
-        self._asked, self._taken = None, ""
+        self._asked = None
+        self._taken = question["position"] if kind == "position" and answer == {"answer": free} else ""
         self._state.show(refused="", doing="")
         if answer.get("answer") in ("redo", "back"):
             self._before = {}
         if answer.get("answer") == "quit":
             raise Stopped("not written: the operator declined" if kind == "write" else "stopped by the operator")
-        return {**self._typed, **answer}
+        return answer
 
     def tell(self, event: Message) -> None:
-        """Show an event."""
+        """Show an event, and list it where it has words."""
         match event["event"]:
             case "begin":
                 self._begin, self._before, self._target = event, {}, {}
@@ -141,77 +137,73 @@ class WebOperator(Operator):
                 self._state.show(at=len(event["accepted"]), remaining=event["seconds"])
             case "look":
                 self._show_reading(event)
-            case "live":
-                self._state.show(live=event["tilts"], read_ms=time.time_ns() // 1_000_000)
-            case "report":
-                self._reports[f"/report/{event['sensor']}"] = event["page"]
+            case "refused":
+                self._before, self._taken = {}, ""
+                self._state.show(refused=event["why"], doing="", samples=None, soak=None, **self._sound("refused"))
+            case "accepted" if "mean" in event:
+                sensors = event.get("sensors") or {next(iter(self._begin["sensors"])): event}
+                self._before = {serial: self._direction(serial, one["mean"]) for serial, one in sensors.items()}
+                self._state.show(table=None, refused="", doing=f"accepted {event['position']}")
+            case "done":
+                self._state.show(**self._sound("done"))
             case "results":
                 self._state.show(results=event["results"])
-            case kind if kind in SHOWN:
-                self._show_event(event)
+            case "live":
+                self._state.show(live=event["tilts"], **_moment())
+            case "report":
+                self._reports[f"/report/{event['sensor']}"] = event["page"]
+        if lines := in_words(event):
+            listed = ({"kind": event["event"], "text": line.strip()} for line in lines)
+            self._log = [*self._log, *listed][-LOGGED:]
+            self._state.show(log=self._log)
 
     def _show_question(self, question: Message) -> None:
         """Show what is asked, in place of what was asked before."""
-        self._asked = question
-        kind, name, positions = question["ask"], question.get("position", ""), self._begin["positions"]
+        kind, positions = question["ask"], self._begin["positions"]
         fields: dict[str, Any] = {"conditions": [], "samples": None, "soak": None}
-        if name in positions:
-            fields["step"] = f"{positions.index(name) + 1} of {len(positions)}   {name}"
+        if question.get("position") in positions:
+            number = positions.index(question["position"]) + 1
+            fields["step"] = f"{number} of {len(positions)}   {question['position']}"
         match kind:
             case "position":
                 if question is not self._target:
                     self._target, self._guide = question, None
                     self._readings.clear()
-                fields |= {"prompt": question["prompt"], "conditions": list(_conditions(question, self._typed))}
+                fields |= {"prompt": question["prompt"], "conditions": list(_conditions(question))}
             case "review":
-                self._sound("sampled")
-                guide = self._guided({name: {"guidance": axes} for name, axes in question["guidance"].items()})
-                fields |= {"table": self._review(question), "doing": "sampled: does it count?", "guide": guide}
-            case "write":
-                files = ", ".join(question["files"])
-                fields |= {"at": len(positions), "step": "everything is measured", "prompt": f"Write {files}?"}
-                fields |= {"table": None, "guide": None, "remaining": None}
+                means = {
+                    serial: {**one, "values": one["mean"], "guidance": question["guidance"][serial]}
+                    for serial, one in question["sensors"].items()
+                }
+                table = self._table(means, question["expected"])
+                fields |= {"table": table, "guide": self._guided(means), "doing": "sampled: does it count?"}
+                fields |= self._sound("sampled")
             case "rotation":
                 pairs = [f"{' and '.join(pair['pair'])}, orthogonal {pair['orthogonal']}" for pair in question["pairs"]]
-                step = f"up to {question['turns']} turns"
-                fields |= {"step": step, "prompt": question["prompt"], "conditions": pairs}
-            case "afterwards":
-                fields |= {"at": len(positions), "step": "done", "prompt": question["prompt"], "remaining": None}
-                fields |= {"doing": "", "table": None, "guide": None}
+                fields |= {"step": f"up to {question['turns']} turns", "conditions": pairs}
+                fields["prompt"] = question["prompt"]
+            case "write" | "afterwards":
+                prompt = question.get("prompt") or f"Write {', '.join(question['files'])}?"
+                fields |= {"at": len(positions), "step": "everything is measured", "prompt": prompt, "doing": ""}
+                fields |= {"table": None, "guide": None, "remaining": None}
         self._state.show(**fields)
-        self._state.ask({**question, **({"typed": self._typed} if self._typed else {})})
-
-    def _set(self, answer: Mapping[str, Any], question: Message) -> None:
-        """Keep an angle, a direction or a temperature that was typed; an InputError where it is none."""
-        temperature, tilt, gravity = answer.get("temperature"), answer.get("tilt"), answer.get("gravity")
-        self._asked = None  # the question is to be shown again, with another number
-        typed = dict(self._typed)
-        if temperature is not None:
-            typed["temperature"] = _number(temperature, *TEMPERATURES)
-        if isinstance(tilt, Mapping) and question["tilt"]:
-            typed["tilt"] = {axis: _number(tilt[axis], -90.0, 90.0) for axis in question["tilt"] if axis in tilt}
-            gravity_from_tilt({**question["tilt"], **typed["tilt"]})
-        if isinstance(gravity, list) and len(gravity) == 3:
-            typed["gravity"] = list(normalised([_number(component, -10.0, 10.0) for component in gravity]))
-        self._typed = typed
-        self._show_question(question)
+        self._state.ask(question)
 
     def _show_reading(self, look: Message) -> None:
         """Show readings, how far they are from the position, and why the session waits."""
         now, readings = self._clock(), look["readings"]
         if look["why"] and self._readings and now - self._readings[-1][0] < PACE:
             return  # a virtual session takes a hundred samples at once
-        self._readings.append(
-            (now, {serial: self._direction(serial, one["values"]) for serial, one in readings.items()})
-        )
+        directions = {serial: self._direction(serial, one["values"]) for serial, one in readings.items()}
+        self._readings.append((now, directions))
         while now - self._readings[0][0] > STILL_FOR:
             self._readings.popleft()
         self._guide = self._guided(readings)
-        doing = "" if "samples" in look else look["why"]
+        samples, seconds = look.get("samples"), look.get("seconds")
+        doing = "" if samples else look["why"]
         self._state.show(
-            guide=self._guide, table=self._live(readings), doing=doing, samples=look.get("samples"),
-            soak=look.get("seconds"), read_ms=time.time_ns() // 1_000_000,
-        )  # fmt: skip
+            guide=self._guide, table=self._table(readings), doing=doing, samples=samples, soak=seconds, **_moment()
+        )
 
     def _guided(self, readings: Mapping[str, Any]) -> dict[str, Any] | None:
         """Return what the page draws of readings and the position that is set; None where there is no position.
@@ -220,24 +212,21 @@ class WebOperator(Operator):
         """
         if "gravity" not in self._target:
             return None
-        target = normalised(self._target["gravity"])
-        sensors: list[dict[str, Any]] = []
-        worst: dict[str, Any] | None = None
+        target, sensors, shares = self._target["gravity"], [], []
         for serial, reading in readings.items():
             axes: Mapping[str, AxisGuidance] = reading["guidance"]
             present = present_gravity(orientation(self._begin["sensors"][serial]["axes"]), axes, target)
-            farthest = max(_shares(axes), key=lambda one: one["share"], default=None)
-            share = None if farthest is None else farthest["share"]
-            sensors.append({"serial": serial, "present": present, "ok": _fits(axes), "share": share})
-            if farthest is not None and (worst is None or share > worst["share"]):
-                worst = farthest
-        oks = [one["ok"] for one in sensors]
+            off = list(_shares(axes))
+            shares += off
+            share = max((one["share"] for one in off), default=None)
+            sensors.append({"present": present, "ok": _fits(axes), "share": share})
+        fits = [one["ok"] for one in sensors]
         aimed = all(axis["target"] is not None for one in readings.values() for axis in one["guidance"].values())
         return {
             "target": target if aimed else None,
             "sensors": sensors,
-            "worst": worst,
-            "ok": None if not oks or None in oks else all(oks),
+            "worst": max(shares, key=lambda one: one["share"], default=None),
+            "ok": None if not fits or None in fits else all(fits),
             "still": self._stillness(),
         }
 
@@ -246,103 +235,80 @@ class WebOperator(Operator):
         sensor = self._begin["sensors"][serial]
         sines = {name: (value - sensor["offset"]) / sensor["sensitivity"] for name, value in values.items()}
         x, y = sines.get("x", 0.0), sines.get("y", 0.0)
-        direction = x, y, sines.get("z", sqrt(max(1.0 - x * x - y * y, 0.0)))
-        return normalised(direction) if any(direction) else (0.0, 0.0, 1.0)
+        return x, y, sines.get("z", sqrt(max(1.0 - x * x - y * y, 0.0)))
 
     def _stillness(self) -> float:
         """Return 1 where the last readings stand still, and less the more they move."""
-        times = [at for at, _ in self._readings]
-        if len(times) < 4 or times[-1] - times[0] < 0.6 * STILL_FOR:
-            return 0.0
-        half = len(times) // 2
         rows = [directions for _, directions in self._readings]
-        serials = [serial for serial in rows[-1] if all(serial in row for row in rows)]
-        turns = (
-            _apart(*(_mean([row[serial] for row in part]) for part in (rows[:half], rows[half:]))) for serial in serials
-        )
-        return min(1.0, MOVING / max(max(turns, default=180.0), 1e-9))
+        if len(rows) < 4 or self._readings[-1][0] - self._readings[0][0] < 0.6 * STILL_FOR:
+            return 0.0
+        turns = [180.0]
+        for serial in rows[-1]:
+            read = [row[serial] for row in rows if serial in row]
+            halves = read[: len(read) // 2], read[len(read) // 2 :]
+            first, second = ([sum(column) for column in zip(*half, strict=True)] for half in halves)
+            turns.append(_apart(first, second) if len(read) == len(rows) else 180.0)
+        return min(1.0, MOVING / max(max(turns[1:], default=180.0), 1e-9))
 
     def _free_answer(self, question: Message) -> str:
         """Return the answer that free hands give to a question; nothing where a person has to."""
         if not self._hands_free:
             return ""
-        name = question.get("position", "")
-        if question["ask"] == "review" and name == self._taken:
-            self._taken = ""
+        if question["ask"] == "review" and question["position"] == self._taken:
             return "accept" if all(_fits(axes) for axes in question["guidance"].values()) else ""
-        if question["ask"] != "position" or not self._readings or not self._is_shown(question):
-            return ""
-        self._taken = name
-        return "ready"
+        return "ready" if question["ask"] == "position" and self._readings and self._is_shown(question) else ""
 
     def _is_shown(self, question: Message) -> bool:
         """Return whether the readings alone show that a position is set: as expected, new, like no other, and still."""
-        guide, now = self._guide, self._readings[-1][1]
+        guide, now, attitudes = self._guide, self._readings[-1][1], self._begin["attitudes"]
         stated = question["temperature"] is None and "stage" not in question and not self._begin["headings"]
-        if not stated or self._typed or question["position"] not in self._begin["attitudes"]:
+        if not stated or question["position"] not in attitudes:
             return False
         if guide is None or guide["ok"] is not True or guide["worst"]["tolerance"] > CLOSE or guide["still"] < 1.0:
             return False
         if not self._before or any(_apart(now[serial], self._before[serial]) <= MOVED for serial in now):
             return False
-        return not any(self._looks_alike(question, gravity) for gravity in self._begin["attitudes"].values())
+        return not any(self._looks_alike(question["gravity"], gravity) for gravity in attitudes.values())
 
-    def _looks_alike(self, question: Message, gravity: Vector) -> bool:
-        """Return whether a sensor reads another attitude as it reads the position."""
-        if _apart(gravity, question["gravity"]) <= MOVED:
+    def _looks_alike(self, first: Sequence[float], second: Vector) -> bool:
+        """Return whether a sensor reads two attitudes alike."""
+        if _apart(first, second) <= MOVED:
             return False
+        apart = first[0] - second[0], first[1] - second[1], first[2] - second[2]
         for sensor in self._begin["sensors"].values():
-            seen = [orientation(sensor["axes"]).seen(one) for one in (gravity, normalised(question["gravity"]))]
-            channels = ["xyz".index(channel) for channel in sensor["channels"]]
-            if all(abs(seen[0][place] - seen[1][place]) < 0.1 for place in channels):
+            seen = dict(zip("xyz", orientation(sensor["axes"]).seen(apart), strict=True))
+            if all(abs(seen[channel]) < TILTED for channel in sensor["channels"]):
                 return True
         return False
 
-    def _live(self, readings: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the table of readings while a position is set."""
+    def _table(
+        self, readings: Mapping[str, Any], expected: Mapping[str, Mapping[str, float]] | None = None
+    ) -> dict[str, Any]:
+        """Return the table of readings, of a review with what is ``expected`` and the noise."""
         rows = []
         for serial, reading in readings.items():
             unit = self._begin["sensors"][serial]["unit"]
             for channel, value in reading["values"].items():
-                axis = reading["guidance"].get(channel)
-                rows.append(_row(f"{serial} {channel}", axis, [f"{value:.6g} {unit}"]))
-        return {"head": ["not calibrated yet", "set", "now", "difference", "reading"], "rows": rows}
+                axis: AxisGuidance | None = reading["guidance"].get(channel)
+                tilts = [None] * 3 if axis is None else [axis["target"], axis["present"], axis["difference"]]
+                cells = ["" if tilt is None else f"{tilt:+.2f}°" for tilt in tilts] + [f"{value:.6g} {unit}"]
+                if expected is not None:
+                    wanted = expected.get(serial) or {}
+                    cells += [f"{wanted[channel]:.6g}" if wanted else "unknown"]
+                    cells += [f"{reading['std'][channel]:.2g}", str(reading["n"])]
+                rows.append({"cells": [f"{serial} {channel}", *cells], "ok": axis and axis["ok"]})
+            if reading["temperature"] is not None:
+                rows.append({"cells": [f"{serial} T", "", "", "", f"{reading['temperature']:.2f} °C"], "ok": None})
+        head = ["not calibrated yet", "set", "now", "difference"]
+        return {
+            "head": head + (["reading"] if expected is None else ["measured", "expected", "noise", "n"]),
+            "rows": rows,
+        }
 
-    def _review(self, review: Message) -> dict[str, Any]:
-        """Return the table of a review: expected and measured side by side."""
-        rows = []
-        for serial, values in review["sensors"].items():
-            unit, expected = self._begin["sensors"][serial]["unit"], review["expected"].get(serial, {})
-            for channel, mean in values["mean"].items():
-                wanted = f"{expected[channel]:.6g}" if expected else "unknown"
-                noise = f"{values['std'][channel]:.2g}"
-                cells = [wanted, f"{mean:.6g} {unit}", noise, str(values["n"])]
-                rows.append(_row(f"{serial} {channel}", review["guidance"].get(serial, {}).get(channel), cells))
-            if values["temperature"] is not None:
-                rows.append(_row(f"{serial} T", None, ["", f"{values['temperature']:.2f} °C", "", ""]))
-        return {"head": ["", "set", "now", "difference", "expected", "measured", "noise", "n"], "rows": rows}
-
-    def _show_event(self, event: Message) -> None:
-        """List an event by its words, with its sound."""
-        match event["event"]:
-            case "refused":
-                self._before, self._taken = {}, ""
-                self._sound("refused")
-                self._state.show(refused=event["why"], doing="", samples=None, soak=None)
-            case "accepted" if "mean" in event:
-                sensors = event.get("sensors") or {next(iter(self._begin["sensors"])): event}
-                self._before = {serial: self._direction(serial, values["mean"]) for serial, values in sensors.items()}
-                self._state.show(table=None, refused="", doing=f"accepted {event['position']}")
-            case "done":
-                self._sound("done")
-        self._log = [*self._log, *({"kind": event["event"], "text": line.strip()} for line in in_words(event))][
-            -LOGGED:
-        ]
-        self._state.show(log=self._log)
-
-    def _sound(self, name: str) -> None:
+    def _sound(self, name: str) -> dict[str, dict[str, int]]:
+        """Return the field of the state that has the page sound once."""
         self._sounds = {**self._sounds, name: self._sounds[name] + 1}
-        self._state.show(sounds=self._sounds)
+        return {"sounds": self._sounds}
 
 
 def _fits(axes: Mapping[str, AxisGuidance]) -> bool | None:
@@ -350,10 +316,16 @@ def _fits(axes: Mapping[str, AxisGuidance]) -> bool | None:
 
     Of an axis that stands steep, whose reading hardly changes with its angle, the right side up is enough.
     """
-    if not axes or any(axis["ok"] is False for axis in axes.values()):
-        return False if axes else None
+    if any(axis["ok"] is False for axis in axes.values()):
+        return False
     fits = [axis["ok"] or _stands_right(axis) for axis in axes.values()]
     return True if all(fits) and any(axis["ok"] for axis in axes.values()) else None
+
+
+def _stands_right(axis: AxisGuidance) -> bool:
+    """Return whether an axis is steep, and so is its reading, on the same side."""
+    target, present = axis["target"] or 0.0, axis["present"] or 0.0
+    return min(abs(target), abs(present)) > STEEP and target * present > 0
 
 
 def _shares(axes: Mapping[str, AxisGuidance]) -> Iterator[dict[str, Any]]:
@@ -362,58 +334,27 @@ def _shares(axes: Mapping[str, AxisGuidance]) -> Iterator[dict[str, Any]]:
         difference, tolerance = axis["difference"], axis["tolerance"]
         steep = abs(axis["target"] or 0.0) > STEEP
         if difference is not None and tolerance and (not steep or axis["ok"] is False or len(axes) == 1):
-            yield {
-                "axis": channel,
-                "difference": difference,
-                "tolerance": tolerance,
-                "share": abs(difference) / tolerance,
-            }
+            share = abs(difference) / tolerance
+            yield {"axis": channel, "difference": difference, "tolerance": tolerance, "share": share}
 
 
-def _stands_right(axis: AxisGuidance) -> bool:
-    """Return whether an axis is steep, and so is its reading, on the same side."""
-    target, present = axis["target"], axis["present"]
-    return (
-        target is not None and present is not None and min(abs(target), abs(present)) > STEEP and target * present > 0
-    )
-
-
-def _row(name: str, axis: AxisGuidance | None, cells: Sequence[str]) -> dict[str, Any]:
-    """Return a row of a table: the tilts of an axis, what else there is, and whether it is ok."""
-    tilts = [None] * 3 if axis is None else [axis["target"], axis["present"], axis["difference"]]
-    said = ["" if tilt is None else f"{tilt:+.2f}°" for tilt in tilts]
-    return {"cells": [name, *said, *cells], "ok": None if axis is None else axis["ok"]}
-
-
-def _conditions(question: Message, typed: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what a position asks for besides its attitude, and what was typed."""
+def _conditions(question: Message) -> Iterator[str]:
+    """Yield what a position asks for besides its attitude."""
     if question["temperature"] is not None:
         yield f"at {question['temperature']:g} °C"
     if "stage" in question:
         yield f"stage at {question['stage']:g}°"
     if question["heading"]:
         yield f"heading {question['heading']:g}°"
-    for axis, angle in typed.get("tilt", {}).items():
-        yield f"{axis} set to {angle:g}°"
-    if "gravity" in typed:
-        yield "set to " + ", ".join(f"{component:.4g}" for component in typed["gravity"])
-    if "temperature" in typed:
-        yield f"{typed['temperature']:g} °C as typed"
-
-
-def _number(value: object, low: float, high: float) -> float:
-    """Return a number that was typed; an InputError where it is none, or out of range."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise InputError("type a number")
-    if not low <= value <= high:
-        raise InputError(f"{value:g} is not between {low:g} and {high:g}")
-    return float(value)
 
 
 def _apart(first: Sequence[float], second: Sequence[float]) -> float:
-    """Return the angle between two directions of length 1, degrees."""
-    return degrees(acos(max(-1.0, min(1.0, sum(a * b for a, b in zip(first, second, strict=True))))))
+    """Return the angle between two directions of any length, degrees."""
+    (a, b, c), (x, y, z) = first, second
+    across = hypot(b * z - c * y, c * x - a * z, a * y - b * x)
+    return degrees(atan2(across, a * x + b * y + c * z))
 
 
-def _mean(directions: Sequence[Vector]) -> Vector:
-    return normalised([sum(column) for column in zip(*directions, strict=True)])
+def _moment() -> dict[str, int]:
+    """Return the field of the state that says when its readings were taken, ms since 1970."""
+    return {"read_ms": time.time_ns() // 1_000_000}

@@ -3,7 +3,7 @@
 
 const $ = (selector) => document.querySelector(selector);
 const CHOICES = {                                  // by question: key, answer, words
-  position: [["Enter", "ready", "Measure"], ["a", "angle", "angle set"], ["t", "temperature", "temperature"], ["b", "back", "back"], ["q", "quit", "stop and keep"]],
+  position: [["Enter", "ready", "Measure"], ["a", "typed", "angle, temperature"], ["b", "back", "back"], ["q", "quit", "stop and keep"]],
   rotation: [["Enter", "ready", "The stage turns"], ["q", "quit", "stop and keep"]],
   poll: [["s", "stop", "Stop and use the turns so far"], ["q", "quit", "stop and keep"]],
   review: [["Enter", "accept", "Accept"], ["r", "redo", "redo"], ["b", "back", "back"], ["q", "quit", "stop and keep"]],
@@ -80,7 +80,7 @@ $("#token").onsubmit = (event) => { event.preventDefault(); openWith(new FormDat
 async function answer(word, more = {}) {
   const question = state?.question;
   if (!question || sending || document.body.className !== "live" || performance.now() - since < UNTOUCHED) return;
-  if (word === "angle" || word === "temperature") return type(word, question);
+  if (word === "typed") return type(question);
   if (word === "quit" && Date.now() - stopping > SURE) {
     stopping = Date.now();
     $("#said").textContent = "Press it again to stop. Everything measured is kept.";
@@ -97,26 +97,25 @@ async function answer(word, more = {}) {
   }
 }
 
-function type(what, question) {
-  const fields = $("#fields"), typed = question.typed ?? {};
-  const wanted = what === "temperature" ? [["temperature", "Temperature", "°C", typed.temperature]]
-    : question.tilt ? Object.entries(question.tilt).map(([axis, angle]) => [axis, `Tilt of ${axis}, asked ${angle}`, "°", typed.tilt?.[axis]])
-    : ["x", "y", "z"].map((axis, i) => [axis, `Direction that points up, ${axis}`, "", typed.gravity?.[i]]);
-  $("#asked").textContent = what === "temperature" ? "The temperature of the sensor" : "The attitude actually set";
+// Asks what was actually set; what is left empty is as it was asked for.
+function type(question) {
+  const fields = $("#fields"), dialog = $("#type");
+  const axes = question.tilt ? Object.entries(question.tilt).map(([axis, angle]) => [axis, `Tilt of ${axis}, asked ${angle}`, "°"])
+    : ["x", "y", "z"].map((axis) => [axis, `Direction that points up, ${axis}`, ""]);
   fields.replaceChildren();
-  for (const [name, label, unit, value] of wanted) {
+  for (const [name, label, unit] of [...axes, ["temperature", "Temperature", "°C"]]) {
     const row = make(fields, "label", `${label} `);
-    const input = make(row, "input");
-    Object.assign(input, {name, inputMode: "text", autocomplete: "off", required: !unit, value: value ?? "", pattern: " *[-+−]?[0-9]*[.,]?[0-9]+ *"});
+    Object.assign(make(row, "input"), {name, autocomplete: "off", pattern: " *[-+−]?[0-9]*[.,]?[0-9]+ *"});
     row.append(` ${unit}`);
   }
-  const dialog = $("#type");
   dialog.returnValue = "";
   dialog.onclose = () => {
-    const read = [...fields.querySelectorAll("input")].filter((input) => input.value.trim());
-    if (dialog.returnValue !== "keep" || !read.length || state.question?.id !== question.id) return;
-    const values = read.map((input) => [input.name, Number(input.value.trim().replace(",", ".").replace("−", "-"))]);
-    answer("set", what === "temperature" ? {temperature: values[0][1]} : question.tilt ? {tilt: Object.fromEntries(values)} : {gravity: values.map(([, value]) => value)});
+    if (dialog.returnValue !== "keep" || state.question?.id !== question.id) return;
+    const typed = [...fields.querySelectorAll("input")].filter(({value}) => value.trim())
+      .map(({name, value}) => [name, Number(value.trim().replace(",", ".").replace("−", "-"))]);
+    const {temperature, ...set} = Object.fromEntries(typed);
+    const attitude = !Object.keys(set).length ? {} : question.tilt ? {tilt: set} : {gravity: axes.map(([axis]) => set[axis] ?? 0)};
+    answer("ready", temperature === undefined ? attitude : {...attitude, temperature});
   };
   dialog.showModal();
 }
@@ -126,7 +125,8 @@ document.addEventListener("keydown", (event) => {
   if (event.repeat || event.ctrlKey || event.metaKey || event.altKey || $("dialog[open]") || event.target.tagName === "INPUT") return;
   if (event.key === "Enter" && event.target.tagName === "A") return;
   if (event.key === "?") return help();
-  const choice = choices(state?.question).find(([key]) => key.toLowerCase() === event.key.toLowerCase());
+  const pressed = event.key.toLowerCase() === "t" ? "a" : event.key.toLowerCase();  // as at the terminal
+  const choice = choices(state?.question).find(([key]) => key.toLowerCase() === pressed);
   if (choice) event.preventDefault(), answer(choice[1]);
 });
 document.addEventListener("pointerdown", wake);
