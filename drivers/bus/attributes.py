@@ -99,8 +99,7 @@ def open_python(address: Address, model: Device) -> AttributeLink:
     HardwareError: the module cannot be imported, or the factory fails.
     """
     address.allow(*model.options)
-    make = imported(address)
-    made = called(address, make)
+    make, made = made_by(address)
     if hasattr(made, ACCELERATION):
         return AttributeLink(address.written, lambda _: as_text(made.acceleration))
     if callable(made):
@@ -108,8 +107,8 @@ def open_python(address: Address, model: Device) -> AttributeLink:
     return AttributeLink(address.written, lambda _: as_text(make()))
 
 
-def imported(address: Address) -> Callable[[], Any]:
-    """Return the factory that an address names; the errors are those of :func:`open_python`."""
+def made_by(address: Address) -> tuple[Callable[[], Any], Any]:
+    """Return the factory that an address names, and what it makes; the errors are those of :func:`open_python`."""
     name, _, factory = address.path.partition(":")
     if not name or not factory:
         address.refuse("name a module and what it calls to make the sensor, such as python:imu:open_sensor")
@@ -121,15 +120,9 @@ def imported(address: Address) -> Callable[[], Any]:
         raise HardwareError(f"{address.written}: module {name} cannot be imported ({cause})") from cause
     if make is None:
         address.refuse(f"module {name} has no {factory}")
-    return make  # type: ignore[no-any-return]
-
-
-def called(address: Address, make: Callable[[], Any]) -> Any:
-    """Return what the factory of an address makes; a HardwareError where it fails."""
     try:
-        return make()
+        return make, make()
     except Exception as cause:  # a foreign factory may raise anything
-        _, _, factory = address.path.partition(":")
         raise HardwareError(f"{address.written}: {factory} failed ({type(cause).__name__}: {cause})") from cause
 
 

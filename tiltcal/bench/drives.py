@@ -9,46 +9,24 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import Address, parse_address
-from tiltcal.drivers.bus.attributes import called, imported
+from tiltcal.drivers.bus.attributes import made_by
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.bus.modbus import HOLDING
 from tiltcal.drivers.modbus import ORDERS, TABLES, ModbusColumns, RegisterLayout, column_of
-from tiltcal.errors import BusError, HardwareError, TiltcalError
+from tiltcal.errors import BusError, HardwareError
 from tiltcal.files.machine import Machine
 
 CHUNK = 1 << 16
 LINE_ENDS = {"lf": "\n", "cr": "\r", "crlf": "\r\n"}
-
-MOST_LINES = 1000
-"""Lines without the one that is waited for, after which a device only talks."""
+MOST_LINES = 1000  # without the one that is waited for, after which a device only talks
 
 Angles = Mapping[str, float]
 """Numbers by the axes of a machine: degrees, or °C."""
-
-
-class Drive(Protocol):
-    """One machine, opened."""
-
-    def set(self, targets: Angles) -> None:
-        """Send where to go, and return at once."""
-        ...
-
-    def read(self) -> tuple[dict[str, float], bool]:
-        """Return where it is, and False where it says that it still moves."""
-        ...
-
-    def stop(self) -> None:
-        """Stop it, where it can be stopped."""
-        ...
-
-    def close(self) -> None:
-        """Release it."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -72,19 +50,37 @@ DEVICES = {
 }
 
 
-def open_drive(machine: Machine, clock: Clock, open_: Callable[..., Link] = open_link) -> Drive:
-    """Open a machine; ``open_`` opens the link of an address.
+class Drive:
+    """One machine, opened, and the link behind it where there is one."""
 
-    UsageError: an address is wrong.
-    HardwareError: it cannot be opened.
-    """
+    link: Link | None = None
+
+    def set(self, targets: Angles) -> None:
+        """Send where to go, and return at once."""
+        raise NotImplementedError
+
+    def read(self) -> tuple[dict[str, float], bool]:
+        """Return where it is, and False where it says that it still moves."""
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        """Stop it, where it can be stopped."""
+
+    def close(self) -> None:
+        """Release it."""
+        if self.link is not None:
+            self.link.close()
+
+
+def open_drive(machine: Machine, clock: Clock, open_: Callable[..., Link] = open_link) -> Drive:
+    """Open a machine; ``open_`` opens the link of an address. A HardwareError where it cannot be opened."""
     if machine.kind == "object":
         return ObjectDrive(machine)
-    address = _address(machine)
+    address = parse_address(machine.address or "")
     link = open_(address, DEVICES[machine.kind])
     try:
         return TextDrive(machine, link) if machine.kind == "text" else ModbusDrive(machine, address, link, clock)
-    except TiltcalError:
+    except HardwareError:
         link.close()
         raise
 
@@ -95,36 +91,31 @@ def check_addresses(machine: Machine) -> None:
     for text in [one.address for one in machine.objects.values()] or [machine.address or ""]:
         if (address := parse_address(text)).scheme not in device.schemes:
             address.refuse(f"{device.name} has an address such as {device.addresses[0]}")
-    if machine.kind == "modbus":
-        _layout(machine, _address(machine), "set")
-        _layout(machine, _address(machine), "read")
+        for key in ("set", "read"):
+            _layout(machine, address, key)
 
 
-def _address(machine: Machine) -> Address:
-    return parse_address(machine.address or "")
-
-
-class TextDrive:
+class TextDrive(Drive):
     """A machine that takes lines of text and answers with such."""
 
     def __init__(self, machine: Machine, link: Link) -> None:
-        self._machine, self._link = machine, link
-        self._end = LINE_ENDS[machine.line_end]
-        self._rest = ""
+        self._machine, self.link, self._exchange = machine, link, link.exchange
+        self._end, self._rest = LINE_ENDS[machine.line_end], ""
         if machine.greeting is not None:
             self._heard(b"", machine.greeting)
-        self._send(machine.start, {})
+        for line in machine.start:
+            self._command(line)
 
     def set(self, targets: Angles) -> None:
-        self._send(self._machine.set, targets)
+        for line in self._machine.set:
+            self._command(line.format(**targets))
 
-    def _send(self, lines: tuple[str, ...], numbers: Angles) -> None:
-        for line in lines:
-            out = ((line.format(**numbers) if numbers else line) + self._end).encode()
-            if self._machine.accepted is None:
-                self._link.exchange(out)
-            else:
-                self._heard(out, self._machine.accepted)
+    def _command(self, line: str) -> None:
+        out = (line + self._end).encode()
+        if self._machine.accepted is None:
+            self._exchange(out)
+        else:
+            self._heard(out, self._machine.accepted)
 
     def read(self) -> tuple[dict[str, float], bool]:
         machine = self._machine
@@ -138,32 +129,29 @@ class TextDrive:
 
     def stop(self) -> None:
         if self._machine.stop is not None:
-            self._link.exchange((self._machine.stop + self._end).encode())
-
-    def close(self) -> None:
-        self._link.close()
+            self._exchange((self._machine.stop + self._end).encode())
 
     def _heard(self, out: bytes, wanted: str) -> re.Match[str]:
         """Send, and wait for a whole line with a pattern; of several that have arrived the last one counts."""
         lines = 0
         while lines < MOST_LINES:
-            arrived = self._rest + self._link.exchange(out, CHUNK).decode(errors="replace")
+            arrived = self._rest + self._exchange(out, CHUNK).decode(errors="replace")
             *whole, self._rest = re.split(r"[\r\n]+", arrived)
-            out, lines, found = b"", lines + max(len(whole), 1), None
+            out, lines, match = b"", lines + max(len(whole), 1), None
             for line in whole:
                 if self._machine.failed is not None and re.search(self._machine.failed, line):
                     raise HardwareError(f"it answers {line!r}")
-                found = re.search(wanted, line) or found
-            if found is not None:
-                return found
+                match = re.search(wanted, line) or match
+            if match is not None:
+                return match
         raise BusError(f"{MOST_LINES} lines have arrived, and none of them has {wanted!r}")
 
 
-class ModbusDrive:
+class ModbusDrive(Drive):
     """A machine with what is set, and where it is, in Modbus registers."""
 
     def __init__(self, machine: Machine, address: Address, link: Link, clock: Clock) -> None:
-        self._link = link
+        self.link = link
         self._to_set, self._to_read = (
             ModbusColumns(_layout(machine, address, key), link, clock) for key in ("set", "read")
         )
@@ -175,35 +163,24 @@ class ModbusDrive:
     def read(self) -> tuple[dict[str, float], bool]:
         return self._to_read.numbers(), True
 
-    def stop(self) -> None:
-        """Do nothing: there is no register for it."""
-
-    def close(self) -> None:
-        self._link.close()
-
 
 def _layout(machine: Machine, address: Address, key: str) -> RegisterLayout:
     """Return the registers that are set, or read; what is set stands in the holding registers."""
     columns = tuple(column_of(address, f"{axis}@{getattr(one, key)}") for axis, one in machine.registers.items())
-    return RegisterLayout(
-        columns, address.choice("table", TABLES, HOLDING), address.choice("order", ORDERS, ORDERS["abcd"])
-    )
+    order, table = address.choice("order", ORDERS, ORDERS["abcd"]), address.choice("table", TABLES, HOLDING)
+    return RegisterLayout(columns, table, order)
 
 
-class ObjectDrive:
+class ObjectDrive(Drive):
     """A machine of Python objects, one an axis, with bluesky's ``set(value) -> status`` and ``read() -> readings``."""
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
-        self._objects = {}
-        for axis, one in machine.objects.items():
-            address = parse_address(one.address)
-            self._objects[axis] = called(address, imported(address))
+        self._objects = {axis: made_by(parse_address(one.address))[1] for axis, one in machine.objects.items()}
         self._moving: dict[str, Any] = {}
 
     def set(self, targets: Angles) -> None:
-        for axis, number in targets.items():
-            self._moving[axis] = self._tried(axis, "set", number)
+        self._moving = {axis: self._tried(axis, "set", number) for axis, number in targets.items()}
 
     def read(self) -> tuple[dict[str, float], bool]:
         at = {axis: self._number(axis, self._tried(axis, "read")) for axis in self._objects}
@@ -214,12 +191,9 @@ class ObjectDrive:
         return at, len(done) == len(self._moving)
 
     def stop(self) -> None:
-        for axis, one in self._objects.items():
-            if hasattr(one, "stop"):
+        for axis in self._objects:
+            if hasattr(self._objects[axis], "stop"):
                 self._tried(axis, "stop")
-
-    def close(self) -> None:
-        """Do nothing: an object of bluesky has nothing to release."""
 
     def _tried(self, axis: str, method: str, *numbers: float) -> Any:
         try:
@@ -229,12 +203,9 @@ class ObjectDrive:
 
     def _number(self, axis: str, readings: Any) -> float:
         """Return the reading that the machine names, else the one of the object's name, else the only one."""
-        named = self._machine.objects[axis].reading
+        named = self._machine.objects[axis].reading or getattr(self._objects[axis], "name", None)
         try:
-            names = [named, getattr(self._objects[axis], "name", None), *readings]
-            name = next(name for name in names if name in readings)
-            if named not in (None, name) or (len(readings) > 1 and name not in names[:2]):
-                raise HardwareError(f"{axis} reads {', '.join(readings)}: say with reading: which of them counts")
+            name = named if len(readings) > 1 or named in readings else next(iter(readings))
             return float(readings[name]["value"])
         except (TypeError, ValueError, LookupError, StopIteration):
-            raise HardwareError(f"{axis} reads {readings!r}, not a mapping with a value of each name") from None
+            raise HardwareError(f"{axis} reads {readings!r}: no value of {named!r}; say reading: NAME") from None

@@ -8,10 +8,10 @@ sent, or does not stay there, has its position refused and is opened anew; after
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from math import asin, atan2, cos, degrees, hypot, radians, sin
-from typing import Any, NoReturn, TypeVar
+from typing import Any
 
 from tiltcal.bench.drives import Angles, Drive
 from tiltcal.bench.operators import TIP, Message, Operator
@@ -21,12 +21,8 @@ from tiltcal.errors import HardwareError, Stopped, UsageError
 from tiltcal.files.machine import TILTS, Machine
 from tiltcal.files.procedure import Position, Procedure
 
-T = TypeVar("T")
-
 ATTEMPTS, REFUSALS = 3, 10
 """Failures of the machines in a row, and refusals of one position that they set, after which a session stops."""
-
-TEMPERATURE = "temperature"
 
 POLL, CHAMBER_POLL = 0.2, 10.0
 """Seconds between two looks at where a table is, and a chamber."""
@@ -34,72 +30,62 @@ POLL, CHAMBER_POLL = 0.2, 10.0
 TIMEOUT, CHAMBER_TIMEOUT = 120.0, 4 * 3600.0
 """Seconds to get there where the bench file states none."""
 
-STILL = 0.25
-"""A table that has moved by less than this share of its tolerance between two looks is at rest."""
-
-WAITING = 60.0
-"""Seconds between two events while a machine moves."""
-
-DIGITS = 6
-"""Decimals of an angle that was read back, degrees."""
-
-UPRIGHT = 1e-9
-"""Of gravity across the carrying axis: below it the other axis has no angle, g."""
+STILL = 0.25  # a table that has moved by less than this share of its tolerance between two looks is at rest
+DIGITS = 6  # decimals of an angle
+TEMPERATURE = "temperature"
+OTHER = {"x": "y", "y": "x"}
 
 
 def angles_of(gravity: Sequence[float], carrier: str) -> dict[str, float]:
     """Return the angles of a table with two tilts, of which one carries the other, degrees."""
-    x, y, z = gravity
-    carrying, carried = (x, y) if carrier == "x" else (y, x)
-    inner = atan2(carried + 0.0, z) if hypot(carried, z) > UPRIGHT else 0.0
-    outer = asin(max(-1.0, min(carrying, 1.0)))
-    return {carrier: degrees(outer) + 0.0, "xy".replace(carrier, ""): degrees(inner) + 0.0}
+    carrying, carried, z = *(gravity[TILTS.index(axis)] for axis in (carrier, OTHER[carrier])), gravity[2]
+    inner = atan2(carried + 0.0, z) if hypot(carried, z) > 1e-9 else 0.0  # straight up it has no angle
+    angles = {carrier: asin(max(-1.0, min(carrying, 1.0))), OTHER[carrier]: inner}
+    return {axis: round(degrees(angle), DIGITS) + 0.0 for axis, angle in angles.items()}
 
 
 def gravity_of(angles: Angles, carrier: str) -> Vector:
-    """Return up in the frame of a fixture on a table with two tilts, g; an angle that is left out is 0."""
-    outer, inner = (radians(angles.get(axis, 0.0)) for axis in (carrier, "xy".replace(carrier, "")))
+    """Return up in the frame of a fixture on a table with two tilts, g."""
+    outer, inner = radians(angles[carrier]), radians(angles[OTHER[carrier]])
     carrying, carried, z = sin(outer), cos(outer) * sin(inner), cos(outer) * cos(inner)
     return (carrying, carried, z) if carrier == "x" else (carried, carrying, z)
 
 
-def _targets(machine: Machine | None, asked: Mapping[str, Any]) -> dict[str, float]:
-    """Return where a machine goes for a position, by those of its axes of which the position says something."""
-    if machine is None:
-        return {}
-    wanted = {**angles_of(asked["gravity"], machine.carrier), "heading": asked.get("heading") or 0.0}
-    wanted |= {axis: asked[axis] for axis in ("stage", TEMPERATURE) if asked.get(axis) is not None}
-    return {axis: wanted[axis] for axis in machine.limits if axis in wanted}
+def wanted(asked: Mapping[str, Any], carrier: str) -> dict[str, float]:
+    """Return what a position says of each axis, degrees or °C."""
+    others = {axis: asked[axis] for axis in ("stage", TEMPERATURE) if asked.get(axis) is not None}
+    return {**angles_of(asked["gravity"], carrier), "heading": asked["heading"] or 0.0, **others}
 
 
-def require_reachable(machines: Mapping[str, Machine | None], positions: Sequence[Position]) -> None:
+def require_reachable(machines: Mapping[str, Machine], positions: Sequence[Position]) -> None:
     """Refuse positions that are beyond the limits of a machine, with the way on which it approaches them."""
-    for position in positions:
-        asked = {key: getattr(position, key) for key in ("gravity", "heading", "stage", TEMPERATURE)}
-        for name, machine in machines.items():
-            for axis, target in _targets(machine, asked).items():
-                low, high = machine.limits[axis] if machine else (0.0, 0.0)
-                for angle in (target, target - (machine.approach if machine else 0.0)):
-                    if not low <= angle <= high:
-                        raise UsageError(
-                            f"{position.name} takes {axis} of the {name} to {angle:g}, and its limits are {low:g} and "
-                            f"{high:g}"
-                        )
+    for name, machine in machines.items():
+        for position in positions:
+            targets = wanted(vars(position), machine.carrier)
+            for axis, (low, high) in machine.limits.items():
+                for back in (0.0, machine.approach):
+                    if not low <= (angle := targets.get(axis, low + back) - back) <= high:
+                        way = f"{position.name} takes {axis} of the {name} to {angle:g}"
+                        raise UsageError(f"{way}, and its limits are {low:g} and {high:g}")
+
+
+def in_words(angles: Angles) -> str:
+    """Return where a machine is, such as ``x 30.02°, y 0°``."""
+    return ", ".join(f"{n:.6g} °C" if axis == TEMPERATURE else f"{axis} {n:.6g}°" for axis, n in angles.items())
 
 
 class Mover:
     """One machine: moves it, waits until it is there, and says whether it still is.
 
-    ``open_drive`` opens it when it is first needed, and again after a failure. ``waits`` gets, again and again, why it
-    takes so long, with where the machine is.
+    ``open_drive`` opens it when it is first needed, and again after a failure.
     """
 
     def __init__(self, name: str, machine: Machine, clock: Clock, open_drive: Callable[[], Drive]) -> None:
-        self.name, self.machine = name, machine
-        self.at: dict[str, float] = {}
-        self._clock, self._open = clock, open_drive
+        self.machine = machine
+        self._name, self._clock, self._open = name, clock, open_drive
         self._drive: Drive | None = None
         self._targets: Angles = {}
+        self._at: dict[str, float] = {}
         chamber = TEMPERATURE in machine.limits
         self._poll = CHAMBER_POLL if chamber else POLL
         self._timeout = machine.timeout or (CHAMBER_TIMEOUT if chamber else TIMEOUT)
@@ -109,96 +95,79 @@ class Mover:
     def move(self, targets: Angles, waits: Callable[[str, Angles], None]) -> dict[str, float]:
         """Go to some angles from the side that the machine says, and return what is read back there.
 
+        ``waits`` gets, again and again, why it takes so long, with where the machine is.
+
         HardwareError: it does not get there in its time, or does not answer.
         """
-        if targets != self._targets or not self._is_there():
-            self._targets = {}
-            if self.machine.approach:
-                beside = {axis: angle - self.machine.approach for axis, angle in targets.items()}
-                self._go(beside, abs(self.machine.approach), waits)
-            self.at = self._go(targets, self.machine.tolerance, waits)
-            self._targets = dict(targets)
-        return self.at
+        with self._driving() as drive:
+            if targets != self._targets or not self._is_there(drive):
+                self._targets = {}
+                if self.machine.approach:
+                    beside = {axis: angle - self.machine.approach for axis, angle in targets.items()}
+                    self._go(drive, beside, abs(self.machine.approach), waits)
+                self._at = self._go(drive, targets, self.machine.tolerance, waits)
+                self._targets = dict(targets)
+        return self._at
 
     def send(self, targets: Angles) -> None:
         """Send the machine on its way, and do not wait."""
-        self._tried(lambda drive: drive.set(targets))
-        self._targets = {}
+        with self._driving() as drive:
+            drive.set(targets)
 
     def require_there(self) -> None:
-        """Refuse a machine that is no longer where it was; a HardwareError says where it is."""
-        if self._targets and not self._is_there():
-            self._fail(f"it has moved: it was at {in_words(self.at)}, and is at {in_words(self.read()[0])}")
-
-    def _is_there(self) -> bool:
-        at, _ = self.read()
-        held = self._targets if TEMPERATURE in at else self.at
-        return all(abs(at[axis] - angle) <= self.machine.tolerance for axis, angle in held.items())
-
-    def read(self) -> tuple[dict[str, float], bool]:
-        """Return where it is, and whether it is at rest."""
-        return self._tried(lambda drive: drive.read())
+        """Refuse a machine that does not answer, or is no longer where it was."""
+        with self._driving() as drive:
+            if not self._is_there(drive):
+                raise HardwareError(f"it was at {in_words(self._at)}, and is at {in_words(drive.read()[0])}")
 
     def close(self) -> None:
         """Release the machine."""
         if self._drive is not None:
             self._drive.close()
-            self._drive = None
 
-    def _go(self, targets: Angles, tolerance: float, waits: Callable[[str, Angles], None]) -> dict[str, float]:
-        self._tried(lambda drive: drive.set(targets))
+    def _is_there(self, drive: Drive) -> bool:
+        at, _ = drive.read()
+        held = self._targets if TEMPERATURE in at else self._at
+        return all(abs(at[axis] - held[axis]) <= self.machine.tolerance for axis in self._targets)
+
+    def _go(
+        self, drive: Drive, targets: Angles, tolerance: float, waits: Callable[[str, Angles], None]
+    ) -> dict[str, float]:
+        drive.set(targets)
         end_ns = self._clock.now_ns() + self._timeout * 1e9
-        before: dict[str, float] = {}
-        try:
-            while True:
-                self._clock.sleep(self._poll)
-                at, at_rest = self.read()
-                near = all(abs(at[axis] - angle) <= tolerance for axis, angle in targets.items())
-                still = all(abs(at[axis] - before.get(axis, 1e9)) <= self._still for axis in targets)
-                if near and still and at_rest:
-                    return at
-                if self._clock.now_ns() > end_ns:
-                    self._fail(
-                        f"it is at {in_words(at)} after {self._timeout:g} s, and was sent to {in_words(targets)}"
-                    )
-                waits(f"the {self.name} is at {in_words(at)} on the way to {in_words(targets)}", at)
-                before = at
-        except KeyboardInterrupt:
-            self._release()
-            raise
+        before: Angles = {}
+        while self._clock.now_ns() <= end_ns:
+            self._clock.sleep(self._poll)
+            at, at_rest = drive.read()
+            near = all(abs(at[axis] - angle) <= tolerance for axis, angle in targets.items())
+            if near and at_rest and before and all(abs(at[axis] - before[axis]) <= self._still for axis in targets):
+                return at
+            waits(f"the {self._name} is at {in_words(at)} on the way to {in_words(targets)}", at)
+            before = at
+        raise HardwareError(f"it is at {in_words(at)} after {self._timeout:g} s, and was sent to {in_words(targets)}")
 
-    def _tried(self, act: Callable[[Drive], T]) -> T:
+    @contextmanager
+    def _driving(self) -> Iterator[Drive]:
+        """Yield the drive; after a failure the machine is stopped, and opened anew when it is needed again."""
         try:
             if self._drive is None:
                 self._drive = self._open()
-            return act(self._drive)
-        except HardwareError as error:
-            self._fail(str(error))
-
-    def _fail(self, why: str) -> NoReturn:
-        """Stop the machine, so that it is opened anew, and raise a HardwareError."""
-        self._release()
-        raise HardwareError(f"{self.name}: {why}")
-
-    def _release(self) -> None:
-        drive, self._drive, self._targets = self._drive, None, {}
-        if drive is not None:
-            with suppress(HardwareError):  # what cannot be reached cannot be stopped
-                drive.stop()
-            drive.close()
-
-
-def in_words(angles: Angles) -> str:
-    """Return where a machine is, such as ``x 30.02°, y 0°``."""
-    return ", ".join(
-        f"{value:.6g} °C" if axis == TEMPERATURE else f"{axis} {value:.6g}°" for axis, value in angles.items()
-    )
+            yield self._drive
+        except (HardwareError, KeyboardInterrupt) as error:
+            drive, self._drive, self._targets = self._drive, None, {}
+            if drive is not None:
+                with suppress(HardwareError):  # what cannot be reached cannot be stopped
+                    drive.stop()
+                drive.close()
+            if isinstance(error, HardwareError):
+                raise HardwareError(f"{self._name}: {error}") from None
+            raise
 
 
 class Machines:
     """The operator that moves the machines of a bench; ``person`` is the one who is asked for all else.
 
-    The temperature of the chamber is answered where no device of the bench is a thermometer.
+    The temperature of the chamber is answered where no device of the bench is a ``thermometer``.
     """
 
     def __init__(
@@ -207,21 +176,20 @@ class Machines:
         self._person, self._movers, self._clock = person, list(movers), clock
         self._ramps, self._thermometer = steps.ramp is not None, thermometer
         self.watches, self.most_attempts = person.watches, person.most_attempts
+        self._limits = {axis: limits for mover in movers for axis, limits in mover.machine.limits.items()}
+        self._carrier = next((one.machine.carrier for one in movers if set(TILTS) & set(one.machine.limits)), "")
         self._failures = 0
-        self._table = next((one.machine for one in movers if set(TILTS) & set(one.machine.limits)), None)
-        self._carrier = "x" if self._table is None else self._table.carrier
-        self._by_hand: tuple[object, ...] | None = None
-        """What was last set by hand."""
         self._asked: Message = {}
         self._asked_by_hand = False
-        nothing = (0.0, 0.0, 0.0, None, None)
-        if self._table is not None and all(self._left_to_hand(_asked(one)) == nothing for one in steps.positions):
-            self._by_hand = nothing
+        left = [self._left_to_hand(vars(position)) for position in steps.positions]
+        nothing = self._carrier and not any(one.get(TEMPERATURE) is not None or any(one.values()) for one in left)
+        self._by_hand = left[0] if nothing else None
+        """What was last set by hand."""
 
     def probe(self) -> None:
         """Read back where every machine is; a HardwareError where one does not answer."""
         for mover in self._movers:
-            mover.read()
+            mover.require_there()
 
     def close(self) -> None:
         """Release the machines."""
@@ -231,20 +199,17 @@ class Machines:
     def ask(self, question: Message) -> object:
         """Return the answer to a question; to a position it is what was read back."""
         try:
-            match question["ask"]:
-                case "position" if question["position"] == TIP:
-                    self._require_there()
-                    return self._position(self._within_limits(question))
-                case "position":
-                    return self._position(question)
-                case "review":
-                    self._require_there()
-                    return self._person.ask(question) if self._asked_by_hand else {"answer": "accept"}
+            if question["ask"] == "review" or question.get("position") == TIP:
+                self.probe()
+            if question["ask"] == "position":
+                return self._position(question)
         except HardwareError as error:
             self._failures += 1
             if self._failures >= ATTEMPTS:
                 raise Stopped(f"{question['position']} failed {ATTEMPTS} times in a row: {error}") from None
             raise
+        if question["ask"] == "review" and not self._asked_by_hand:
+            return {"answer": "accept"}
         return self._person.ask(question)
 
     def tell(self, event: Message) -> None:
@@ -255,88 +220,66 @@ class Machines:
         if self._asked_by_hand and event["event"] == "refused":
             self._by_hand = None
 
-    def _require_there(self) -> None:
-        for mover in self._movers:
-            mover.require_there()
-
     def _position(self, question: Message) -> object:
         """Move every machine, have the rest done by hand, and return what was read back."""
+        targets = {axis: n for axis, n in wanted(question, self._carrier or "x").items() if axis in self._limits}
+        if question["position"] == TIP and any(
+            not low <= targets.get(axis, low) <= high for axis, (low, high) in self._limits.items()
+        ):
+            return {"answer": "redo"}  # the file says that the channel was not seen to follow
         reached: dict[str, float] = {}
         for mover in self._movers:
-            targets = _targets(mover.machine, question)
-            if self._ramps and TEMPERATURE in targets:
-                mover.send({TEMPERATURE: targets.pop(TEMPERATURE)})
-            if targets:
-                reached |= mover.move(targets, self._waits(question["position"]))
-        if reached and question is not self._asked:
+            mine = {axis: targets[axis] for axis in mover.machine.limits if axis in targets}
+            if self._ramps and TEMPERATURE in mine:
+                mover.send(mine)
+            elif mine:
+                reached |= mover.move(mine, self._waits(question["position"]))
+        if question is not self._asked:
             self._asked = question
             self._person.tell({"event": "moved", "position": question["position"], "why": f"at {in_words(reached)}"})
-        answer: Mapping[str, Any] = {"answer": "ready"}
+        answer = self._as_set(question, reached)
         left = self._left_to_hand(question)
         self._asked_by_hand = left != self._by_hand
         self.most_attempts = self._person.most_attempts if self._asked_by_hand else REFUSALS
-        if self._asked_by_hand:
-            said = self._person.ask(question)
-            if not isinstance(said, Mapping) or said.get("answer") != "ready":
-                return said
-            self._by_hand, answer = left, said
-        own = self._as_set(question, reached)
-        if "tilt" in own and "gravity" not in answer:
-            answer = {**answer, "tilt": {**own["tilt"], **(answer.get("tilt") or {})}}
-        elif "tilt" in answer or "gravity" in answer:
-            own = {key: own[key] for key in own if key == TEMPERATURE}
-        return {**own, **answer}
+        if not self._asked_by_hand:
+            return {"answer": "ready", **answer}
+        said = self._person.ask(question)
+        if not isinstance(said, Mapping) or said.get("answer") != "ready":
+            return said
+        self._by_hand = left
+        if "tilt" in answer and "tilt" in said:
+            answer["tilt"] = {**answer["tilt"], **said["tilt"]}
+        return {**said, **answer}
 
     def _as_set(self, question: Message, reached: Angles) -> dict[str, Any]:
         """Return what was read back as an answer has it."""
         answer: dict[str, Any] = {}
         if TEMPERATURE in reached and not self._thermometer:
             answer[TEMPERATURE] = round(reached[TEMPERATURE], DIGITS)
-        if self._table is None:
+        if not self._carrier:
             return answer
         gravity = gravity_of({**angles_of(question["gravity"], self._carrier), **reached}, self._carrier)
         if question["tilt"] is None or gravity[2] <= 0.0:
             return {**answer, "gravity": list(gravity)}
-        tilt = {axis: round(degrees(asin(g)), DIGITS) for axis, g in zip(TILTS, gravity[:2], strict=True)}
-        return {**answer, "tilt": {axis: tilt[axis] for axis in TILTS if axis in self._table.limits}}
+        tilt = {axis: round(degrees(asin(gravity[place])), DIGITS) for place, axis in enumerate(TILTS)}
+        return {**answer, "tilt": {axis: tilt[axis] for axis in TILTS if axis in self._limits}}
 
-    def _left_to_hand(self, asked: Message) -> tuple[object, ...]:
-        """Return what no machine does: two angles, heading, angle of the stage, temperature."""
-        wanted: dict[str, object] = {
-            **angles_of(asked["gravity"], self._carrier),
-            "heading": asked.get("heading") or 0.0,
-        }
-        wanted |= {axis: asked.get(axis) for axis in ("stage", TEMPERATURE)}
-        for axis in (axis for mover in self._movers for axis in mover.machine.limits):
-            wanted[axis] = None if axis in ("stage", TEMPERATURE) else 0.0
-        return tuple(wanted[axis] for axis in (*TILTS, "heading", "stage", TEMPERATURE))
-
-    def _within_limits(self, question: Message) -> Message:
-        """Return a question of a tip that goes only so far as the table can."""
-        angles = angles_of(question["gravity"], self._carrier)
-        if self._table is not None:
-            room = abs(self._table.approach)
-            for axis in set(TILTS) & set(self._table.limits):
-                low, high = self._table.limits[axis]
-                angles[axis] = max(low + room, min(angles[axis], high - room))
-        return {**question, "gravity": gravity_of(angles, self._carrier)}
+    def _left_to_hand(self, asked: Mapping[str, Any]) -> dict[str, float]:
+        """Return what no machine does."""
+        return {axis: n for axis, n in wanted(asked, self._carrier or "x").items() if axis not in self._limits}
 
     def _waits(self, position: str) -> Callable[[str, Angles], None]:
         """Return what tells the person why it takes so long, with an event once a minute."""
-        began_ns = self._clock.now_ns()
-        told = [WAITING]
+        began_ns, minutes = self._clock.now_ns(), 0
 
         def waits(why: str, at: Angles) -> None:
+            nonlocal minutes
             if self._person.watches:
                 self._person.tell({"event": "look", "position": position, "why": why, "readings": {}})
-            seconds = (self._clock.now_ns() - began_ns) / 1e9
-            if seconds >= told[0]:
-                told[0] = (seconds // WAITING + 1) * WAITING
-                event = {"event": "waiting", "position": position, "seconds": round(seconds), "why": why}
-                self._person.tell({**event, TEMPERATURE: at.get(TEMPERATURE)})
+            seconds = round((self._clock.now_ns() - began_ns) / 1e9)
+            if seconds // 60 > minutes:
+                minutes, temperature = seconds // 60, at.get(TEMPERATURE)
+                event = {"event": "waiting", "position": position, "seconds": seconds, "why": why}
+                self._person.tell({**event, TEMPERATURE: temperature})
 
         return waits
-
-
-def _asked(position: Position) -> dict[str, Any]:
-    return {key: getattr(position, key) for key in ("gravity", "heading", "stage", TEMPERATURE)}

@@ -103,15 +103,14 @@ def _operator(
 def _with_machines(operator: Operator, session: Session, stack: ExitStack) -> Operator:
     """Return an operator that moves the machines of the bench, where it has any and a position is to be set."""
     setup = session.setup
-    machines = {name: machine for name, machine in setup.machines.items() if machine is not None}
-    if not machines or setup.steps.rotation is not None or session.finished:
+    if not setup.machines or setup.steps.rotation is not None or session.finished:
         return operator
     from tiltcal.bench.drives import open_drive
     from tiltcal.bench.machines import Machines, Mover
 
     movers = [
         Mover(name, machine, session.clock, partial(open_drive, machine, session.clock))
-        for name, machine in machines.items()
+        for name, machine in setup.machines.items()
     ]
     thermometer = any(device.wired.thermometer for device in setup.devices)
     moved = Machines(operator, movers, setup.steps, session.clock, thermometer=thermometer)

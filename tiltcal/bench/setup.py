@@ -189,9 +189,9 @@ class Setup(Record, kw_only=True, dict=True):
         return all(device.simulated for device in self.devices)
 
     @property
-    def machines(self) -> dict[str, Machine | None]:
+    def machines(self) -> dict[str, Machine]:
         """What moves by itself."""
-        return {"table": self.table, "chamber": self.chamber}
+        return {name: one for name, one in (("table", self.table), ("chamber", self.chamber)) if one is not None}
 
     @property
     def known(self) -> dict[str, BaseFile]:

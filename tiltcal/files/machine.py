@@ -77,9 +77,8 @@ class Machine(Record, kw_only=True):
 
 NEEDED = {"text": ("address", "set", "read", "pattern"), "modbus": ("address", "registers"), "object": ("objects",)}
 """The keys that a kind needs."""
-
-OPTIONAL = {"text": ("greeting", "start", "accepted", "failed", "read_alone", "done", "stop")}
-"""The keys that only one kind may have, besides."""
+OPTIONAL = ("greeting", "start", "accepted", "failed", "read_alone", "done", "stop")
+"""The keys that the kind text may have beside them."""
 
 
 def check_machine(machine: Machine, place: Document, axes: tuple[str, ...]) -> None:
@@ -87,14 +86,13 @@ def check_machine(machine: Machine, place: Document, axes: tuple[str, ...]) -> N
     place.require_keys(machine.limits, axes, "limits")
     for axis, limits in machine.limits.items():
         place.require_order(limits, "limits", axis)
-    mine = (*NEEDED[machine.kind], *OPTIONAL.get(machine.kind, ()))
-    for kind in NEEDED:
-        for key in (*NEEDED[kind], *OPTIONAL.get(kind, ())):
-            if key not in mine and getattr(machine, key):
+    for kind, keys in {**NEEDED, "text": (*NEEDED["text"], *OPTIONAL)}.items():
+        for key in keys if kind != machine.kind else ():
+            if key not in NEEDED[machine.kind] and getattr(machine, key):
                 raise place.error(f"a machine of kind {machine.kind} has no {key}: that is one of kind {kind}", key)
-    missing = next((key for key in NEEDED[machine.kind] if not getattr(machine, key)), None)
-    if missing:
-        raise place.error(f"the key {missing!r} is missing; a machine of kind {machine.kind} needs it")
+    for key in NEEDED[machine.kind]:
+        if not getattr(machine, key):
+            raise place.error(f"the key {key!r} is missing; a machine of kind {machine.kind} needs it")
     for key in ("registers", "objects"):
         if getattr(machine, key):
             place.require_keys(getattr(machine, key), list(machine.limits), key, complete=True)
