@@ -110,10 +110,12 @@ function drawBubble(svg, target, sensors) {
   element(svg, "text", {class: "side", x: 20, y: -EDGE - 4}, `+${second}`);
   const drawn = sensors.filter(({present, share}) => present && share !== null);
   const within = drawn.length > 0 && sensors.every(({ok}) => ok);
-  element(svg, "circle", {class: within ? "ring within" : "ring", r: RING + BUBBLE});
+  // A bubble that is within its tolerance lies wholly inside the ring.
+  const r = drawn.length > 1 ? BUBBLE * 0.62 : BUBBLE;
+  element(svg, "circle", {class: within ? "ring within" : "ring", r: RING + r});
   for (const {present, share, ok} of drawn) {
     const [[, right], [, up]] = tooHigh(target, present);
-    const by = radius(share) / (Math.hypot(right, up) || 1), r = drawn.length > 1 ? BUBBLE * 0.62 : BUBBLE;
+    const by = radius(share) / (Math.hypot(right, up) || 1);
     element(svg, "circle", {class: ok ? "bubble within" : "bubble", cx: right * by, cy: -up * by, r});
   }
   element(svg, "circle", {class: "middle", r: 3});
