@@ -35,13 +35,10 @@ _SMALL = 1e-6
 UNKNOWN_ANGLE = pi / sqrt(3.0)  # standard uncertainty of an angle of which nothing is known, radians
 UNKNOWN_FACTOR = 0.95 * sqrt(3.0)  # its coverage factor: 95 % of the whole circle
 
+# Standard uncertainties of the pitch from ±90° within which roll and yaw are not separated: both errors of the line
+# move it away from ±90°, and it is within 1.96 in 85 % of the sensors that are mounted there.
 LOCKED = 3.0
-"""Standard uncertainties of the pitch from ±90° within which roll and yaw are not separated: both errors of the line
-move it away from ±90°, and it is within 1.96 in 85 % of the sensors that are mounted there."""
-
-ONE_LINE = 1e-3
-"""Second singular value of the directions, relative to the first, below which they all lie on one line (0.06°)."""
-
+ONE_LINE = 1e-3  # second singular value of directions over the first, below which all lie on one line (0.06°)
 _LOCK = 1e-8  # cosine of pitch below which roll and yaw turn about one line, within double precision
 _ORTHOGONAL = 1e-6
 _STEP = 1e-6  # turn by which the angles' derivatives are taken, radians

@@ -46,24 +46,13 @@ from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import EstimateError
 from tiltcal.printable import counted
 
-CLIP_LIMIT = 1.02
-"""An arcsine argument up to this is taken for ±90°, g."""
+CLIP_LIMIT = 1.02  # an arcsine argument up to this is taken for ±90°, g
+VANISHES = 1e-9  # gravity of three axes that is no longer than this has no direction, g
+LENGTH_TOLERANCE = 0.02  # a length of gravity that differs from 1 g by more is suspect, if its uncertainty is not more
+SHORTEST, LONGEST = 0.5, 2.0  # lengths of gravity beyond which three axes have no tilt, g
 
-VANISHES = 1e-9
-"""Gravity of three axes that is no longer than this has no direction, g."""
-
-LENGTH_TOLERANCE = 0.02
-"""A length of gravity that differs from 1 g by more is suspect, where its uncertainty does not allow more."""
-
-SHORTEST, LONGEST = 0.5, 2.0
-"""Lengths of gravity beyond which three axes have no tilt, g."""
-
-_EDGE = cos(radians(45.0))
-"""The z component between those of a sensor near level and of one on edge."""
-
-_OVER = -sin(radians(5.0))
-"""Element zz of the mounting below which a sensor of two axes hangs upside down: on edge, an estimate is no sign."""
-
+_EDGE = cos(radians(45.0))  # the z component between those of a sensor near level and of one on edge
+_OVER = -sin(radians(5.0))  # element zz of the mounting below which two axes hang upside down: an estimate is no sign
 _CHUNK = 32_768  # rows whose columns stay in the cache from the first step to the last
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
 _TILT_SLACK = radians(1e-9)
@@ -140,23 +129,11 @@ class Compensation:
     and the row has flag 3 and reason 1. With a mounting on edge, what follows from a g_z of less than cos 45° is NaN,
     and the row has flag 4 and reason 128.
 
-    Attributes
-    ----------
-    axes : tuple of str
-        The axes that are reported: those of the sensor, without z where two channels measure x and y.
-    inverse : ndarray, shape (axes, channels)
-        From the signal to the sensor's own axes, g/unit.
-    coupling : ndarray, shape (2,)
-        What a hidden g_z adds to x and y.
-    rotation : ndarray, shape (3, 3), or None
-        From the sensor's frame to the application's; None where they are one.
-    solves_z, upside_down, on_edge : bool
-        Whether a g_z that two channels do not see is solved for; whether the mounting turns such a sensor over, and by
-        more than 45° from upright and from upside down.
-    reach : dict of int to tuple of float
-        The range of each axis by its place, as components of gravity, g.
-    temperatures : tuple of float, or None
-        The range that the calibration covers, °C.
+    It reports the ``axes`` of the sensor, without z where two channels measure x and y. ``inverse``, (axes, channels),
+    takes the signal to them, g/unit; ``coupling``, (2,), is what a hidden g_z adds to x and y; ``rotation``, (3, 3),
+    takes the sensor's frame to the application's. A g_z that two channels do not see is solved for where ``solves_z``;
+    the mounting turns such a sensor over where ``upside_down``, and ``on_edge`` by more than 45° from both. ``reach``
+    is the range of each axis by its place, as components of gravity, g; ``temperatures`` the calibrated range, °C.
     """
 
     def __init__(self, coefficients: Coefficients, limits: Limits | None = None, *, first_order: bool = False) -> None:

@@ -48,9 +48,8 @@ _REPEATED = 4.0  # how often a rounded reading takes each value, on average, at 
 _EVEN = 0.02
 """How far the distances of values may be off whole steps, in steps: readings are written with so many digits."""
 _SAME_NOISE = 0.01  # variances are one where chance scatters their logarithms as much with at least this probability
-_CORRELATED, _POSSIBLE = 4.0, 1.5
-"""Standard deviations above the correlation of white noise's block means from which it is no chance; and from which it
-counts, without a remark: white noise shows as much in one session of fifteen."""
+_CORRELATED = 4.0  # standard deviations above the correlation of white noise's block means from which it is no chance
+_POSSIBLE = 1.5  # and from which it counts, without a remark: white noise shows as much in one session of fifteen
 
 # Of noise with an exponential memory: its correlation time in blocks, the correlation that ten block means show of it
 # on average (Magnus, theorem 6), and the true over the apparent uncertainty of their mean.

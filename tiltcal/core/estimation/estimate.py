@@ -38,10 +38,8 @@ from tiltcal.errors import EstimateError
 LARGEST_THERMOMETER = 5.0  # standard deviation of a temperature above which no thermometer explains the residuals, °C
 SUSPICION = 0.01  # probability, over all positions together, of suspecting one of a jig that is as stated
 IMPROBABLE = 0.01  # say that more is left than noise and attitudes explain if its probability is below this
-
 BEYOND, SMALLEST_ERROR = 5.0, 2.0  # a position is wrong if it is off by more stated jigs and noises, and degrees
 LIKE_THE_REST = 0.2  # positions agree without one of them where the largest error falls to this share of what it was
-
 LEAST_SENSITIVITY = 0.5  # a singular value below this share of the nominal sensitivity follows from a wrong position
 ALIKE = 1.5  # temperatures that are no further apart are one temperature met twice, °C
 SIGNIFICANT = 3.0  # standard uncertainties above which the difference of two readings at one temperature is hysteresis

@@ -31,15 +31,10 @@ DIFFERENT_ATTITUDE = 5.0  # attitudes closer than this are one attitude taken ag
 STEPS = 50  # most Gauss-Newton steps; a fit takes about five
 CLOSE = 1e-6  # a misfit up to this counts as this in the fit of least absolute misfits, and in their scatter, g
 FAR = 5.0  # an attitude whose studentised misfit exceeds this many scatters is left out; more where few misfits show it
-
-MOST_LEFT_OUT, FEWEST_LEFT = 0.2, 12
-"""The share of the attitudes that may be left out at most, and how many attitudes must remain."""
-
-MEDIAN_TO_SIGMA, MEDIAN_EFFICIENCY = 1.4826, 0.37
-"""A standard deviation over the median of absolute values, and its degrees of freedom for one of the mean square."""
-
-CHANCE = 0.01
-"""Misfits that are smaller than the noise with a probability below this show that the noise is sway of the attitude."""
+MOST_LEFT_OUT, FEWEST_LEFT = 0.2, 12  # share of the attitudes that may be left out; and how many must remain
+MEDIAN_TO_SIGMA = 1.4826  # standard deviation of normal numbers over the median of their absolute values
+MEDIAN_EFFICIENCY = 0.37  # degrees of freedom of that median for one of the mean square
+CHANCE = 0.01  # misfits below the noise that chance makes less often than this show that the noise is sway
 
 _UPPER = np.triu_indices(3)
 UNKNOWNS = 3 + len(_UPPER[0])
@@ -55,22 +50,16 @@ _ADVICE = (
 
 @dataclass(frozen=True)
 class FreeFit:
-    """Offset, unit, and upper-triangular sensitivity, unit/g, from the length of gravity in n attitudes.
+    """A sensor from the length of gravity in n attitudes."""
 
-    ``attitudes`` are unit vectors that point up, (n, 3); ``misfit`` is in g, (n,); ``kept`` is False for the attitudes
-    that were left out, (n,); ``disagreeing`` are those that do not agree with the others and are too many to be left
-    out; ``jacobian`` has the derivatives of the kept misfits by the unknowns; ``noise`` is the root mean square of the
-    misfits that the uncertainties of the readings explain, g.
-    """
-
-    offset: Array
-    sensitivity: Array
-    attitudes: Array
-    misfit: Array
-    kept: NDArray[np.bool_]
-    disagreeing: NDArray[np.intp]
-    jacobian: Array
-    noise: float
+    offset: Array  # (3,), unit
+    sensitivity: Array  # upper triangular, (3, 3), unit/g
+    attitudes: Array  # unit vectors that point up, (n, 3)
+    misfit: Array  # (n,), g
+    kept: NDArray[np.bool_]  # False for attitudes that were left out, (n,)
+    disagreeing: NDArray[np.intp]  # those that do not agree with the others and are too many to be left out
+    jacobian: Array  # of the kept misfits by the unknowns, (kept, 9)
+    noise: float  # root mean square of the misfits that the uncertainties of the readings explain, g
 
     @property
     def distinct(self) -> int:
@@ -116,8 +105,8 @@ class FreeFit:
 def fit_free(mean: Array, u: Array, sway: Array | float = 0.0) -> FreeFit:
     """Fit mean readings of x, y, z in free attitudes, and leave out attitudes that do not agree.
 
-    ``u`` are their standard uncertainties; ``sway`` is the standard deviation of the readings within each attitude that
-    is motion and not noise. All have the shape (n, 3) and one unit. An EstimateError where the unknowns stay unknown.
+    ``u`` is their uncertainty, ``sway`` the standard deviation within each attitude that is motion and not noise, all
+    of shape (n, 3). An EstimateError where the unknowns stay unknown.
     """
     n, kept, sway = len(mean), np.ones(len(mean), dtype=bool), np.broadcast_to(sway, mean.shape)
     if n < UNKNOWNS:

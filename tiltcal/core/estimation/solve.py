@@ -34,7 +34,6 @@ _ARITHMETIC = 1e-9  # or by this share of its size, which rounding leaves
 LARGEST_JIG = radians(45.0)  # standard deviation of a set angle above which the positions are not those set, radians
 _CLOSE = 1e-4  # estimate a variance again until it changes by this share
 _POSITIVE = 0.9  # let a variance below 0 take away at most this share of the noise, where it takes away most
-
 _INSENSITIVE = 1e-12  # a direction with less of the largest sensitivity to the errors of a source shows none
 _HIDDEN = {JIG: radians(1.0), THERMOMETER: 5.0}  # directions that hide larger errors widen no interval: radians, °C
 _SHOWN = 0.25  # a lean counts as shown by the readings if they leave less than this share of the variance of its bound

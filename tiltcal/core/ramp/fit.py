@@ -39,7 +39,6 @@ _TURNS = 3.0  # mean square of the residuals behind the turns over that of the o
 _BEHIND_TURN = 0.1  # of a leg's range, in which hysteresis gets from one side to the other
 _LOOP_TERMS = 3  # of the polynomial of a loop: a play of a cubic, and Rayleigh's loop, have three
 _ONE_SIDED, _TWO_SIDED = 1.645, 1.96  # deviations that hold 95 % of a normal variable, to one side and to both
-
 _LAGS = 14  # of either sign that are tried first
 _TINY = np.finfo(float).tiny
 _MEANS = 256  # of a record that is fitted
