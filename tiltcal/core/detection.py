@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from math import erf, inf, log, sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
@@ -200,23 +200,13 @@ def moved_rows(columns: Sequence[Array], steps: Sequence[float]) -> list[Span]:
         counts[counts < 2] = np.nan  # of one sample there is no scatter
         mean = np.nansum(samples, axis=1) / counts
         scatter = np.sqrt(np.nansum((samples - mean[:, None]) ** 2, axis=1) / counts)
-        rounding = step / sqrt(12.0)
-        disturbed |= jumps(mean, rounding) | bursts(scatter, rounding)
+        changes, rounding = np.diff(mean), step / sqrt(12.0)  # nothing stands out below what rounding gives
+        difference = np.abs(changes - np.nanmedian(changes))
+        turned = difference > JUMP * np.maximum(_SIGMA_OF_MEDIAN * np.nanmedian(difference), rounding)
+        knocked = scatter > BURST * np.maximum(np.nanmedian(scatter), rounding)
+        disturbed |= np.append(turned, False) | np.append(False, turned) | knocked
     starts, ends = run_bounds(disturbed)
     return list(zip((starts * size).tolist(), (ends * size).tolist(), strict=True))
-
-
-def jumps(means: Array, rounding: ArrayLike = 0.0) -> Mask:
-    """Return the blocks before and behind a difference of block means that stands out beyond rounding: a turn."""
-    changes = np.diff(means)
-    difference = np.abs(changes - np.nanmedian(changes))
-    far = difference > JUMP * np.maximum(_SIGMA_OF_MEDIAN * np.nanmedian(difference), rounding)
-    return np.asarray(np.append(far, False) | np.append(False, far))
-
-
-def bursts(scatter: Array, rounding: ArrayLike = 0.0) -> Mask:
-    """Return the blocks whose standard deviation stands out: a knock, a vibration; see :func:`jumps`."""
-    return np.asarray(scatter > BURST * np.maximum(np.nanmedian(scatter), rounding))
 
 
 # Outlying

@@ -7,11 +7,10 @@ import pytest
 import scipy
 
 from tiltcal.core.detection import (
-    bursts,
     identical_by_chance,
     is_still,
-    jumps,
     lost_rows,
+    moved_rows,
     outliers,
     run_bounds,
     stuck_spans,
@@ -31,12 +30,11 @@ def test_identical_samples_and_their_probability() -> None:
 
 
 def test_a_step_and_a_knock_stand_out() -> None:
-    blocks = REST.reshape(50, 40, 2).copy()
-    blocks[20:] += 5.0
-    knocked = blocks[31, :, 1]
-    blocks[31, :, 1] = knocked.mean() + 8.0 * (knocked - knocked.mean())
-    assert np.flatnonzero(jumps(blocks.mean(axis=1)[:, 0])).tolist() == [19, 20]
-    assert np.flatnonzero(bursts(blocks.std(axis=1)[:, 1])).tolist() == [31]
+    blocks = REST.reshape(125, 16, 2).copy()
+    blocks[20:, :, 0] += 5.0
+    blocks[31, :, 1] = blocks[31, :, 1].mean() + 8.0 * (blocks[31, :, 1] - blocks[31, :, 1].mean())
+    columns = list(blocks.reshape(2000, 2).T)
+    assert moved_rows(columns, (0.0, 0.0)) == [(19 * 16, 21 * 16), (31 * 16, 32 * 16)]
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,6 @@ class ChannelReadings:
     coefficients: slice  # among the unknowns
     orientation: Array  # of the sensor, shape (3, 3)
     places: Indices  # the position of each reading
-    settings: Indices  # and the setting of the fixture there
     temperatures: Indices  # which temperature error each shares
     mean: Array
     u: Array
@@ -174,17 +173,17 @@ class Equations:
         warmer, lean, heading = z[self.errors[THERMOMETER]], self.errors[TABLE], self.errors[HEADING]
         residuals, sigmas, values, columns = [], [], [], []
         for channel in self.channels:
-            own, places = channel.coefficients, channel.places
+            own, places, settings = channel.coefficients, channel.places, self.settings[channel.places]
             dt = channel.dt + warmer[channel.temperatures] if len(warmer) else channel.dt
             reading = channel.model.read(z[own], up[places] @ channel.orientation.T, dt)
             by_gravity = reading.by_gravity @ channel.orientation
             residuals.append(channel.mean - reading.value)
             # The square of an angle shortens gravity, and scatters by as much as it does so on average.
-            along = np.einsum("nj,nj->n", by_gravity, self.gravity[places]) * shortened[channel.settings]
+            along = np.einsum("nj,nj->n", by_gravity, self.gravity[places]) * shortened[settings]
             sigmas.append(np.sqrt(bench[NOISE] * channel.u**2 + along**2))
             angle = np.einsum("nj,njk->nk", by_gravity, by_angle[places])
             terms = [(reading.by_coefficient, np.arange(own.start, own.stop))]
-            terms.append((angle, self.errors[JIG].start + 2 * channel.settings[:, None] + [0, 1]))
+            terms.append((angle, self.errors[JIG].start + 2 * settings[:, None] + [0, 1]))
             if len(warmer):
                 terms.append(
                     (reading.by_temperature[:, None], self.errors[THERMOMETER].start + channel.temperatures[:, None])
@@ -194,7 +193,7 @@ class Equations:
                 terms.append((np.einsum("nj,njk->nk", angle, rotations[places]), np.arange(lean.start, lean.stop)))
                 if heading.stop > heading.start:
                     turn = np.sum(angle * per_heading[places], axis=1)[:, None]
-                    terms.append((turn, heading.start + channel.settings[:, None]))
+                    terms.append((turn, heading.start + settings[:, None]))
             values.append(np.hstack([value for value, _ in terms]))
             columns.append(np.hstack([np.broadcast_to(column, value.shape) for value, column in terms]))
         n, weights = len(self.names), self.weights(bench)
@@ -306,7 +305,6 @@ class Equations:
                         coefficients=slice(start, start + len(model.coefficients)),
                         orientation=np.array(sensor.orientation, dtype=float),
                         places=places,
-                        settings=self.settings[places],
                         temperatures=np.array(errors, dtype=np.intp),
                         mean=mean[:, k],
                         u=u[:, k],
