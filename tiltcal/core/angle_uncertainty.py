@@ -158,20 +158,18 @@ class CompensationWithUncertainty:
         if len(self._compensation.axes) == 1:  # the rest of gravity lies along an axis that the sensor does not see
             hidden = 0 if self._compensation.axes == ("z",) else 2
             since_level[hidden] += np.sqrt(np.maximum(1.0 - np.sum(gravity**2, axis=0), 0.0))
-        rows, noise, shared = (
-            [],
-            [],
-            [],
-        )  # derivatives by the coefficients, by a reading, and by what all channels share
+        rows: list[Array] = []  # derivatives by the coefficients
+        noise: list[Array] = []  # variances of a reading
+        shared: list[Array] = []  # derivatives by errors of the temperature and the alignment, which channels share
         for model, theta, columns, u in zip(self._models, self._vectors, self._columns, self._readings, strict=True):
             read = model.read(theta, gravity.T, dt)
             slope = 1.0 / read.by_signal
             rows.append(read.by_coefficient.T[columns] * -slope)
             noise.append((u * slope) ** 2 * chunk.share)
-            by_alignment = (
-                np.cross(since_level, read.sensitivity[:, None], axis=0) if self._alignment else np.empty((0, len(dt)))
-            )
-            shared.append(np.vstack([self._thermometer * slope * read.by_temperature, self._alignment * by_alignment]))
+            shared.append((self._thermometer * slope * read.by_temperature)[None])
+            if self._alignment:
+                by_alignment = self._alignment * np.cross(since_level, read.sensitivity[:, None], axis=0)
+                shared[-1] = np.vstack([shared[-1], by_alignment])
         rows += [np.ones((1, len(dt)))] * (3 * self._rotated)
         return [self._signals(covariance, rows, noise, shared) for covariance in self._kinds]
 
@@ -207,8 +205,11 @@ class CompensationWithUncertainty:
 
     def _slope_of_hidden(self, errors: _Errors, gravity: Array) -> Array:
         """Return what the error of half the square of a hidden g_z is divided by for its own."""
-        along = self._half(errors, gravity[:2])
-        return _slope_of_root(gravity[2] - self._coupling @ gravity[:2], along)
+        half, root = self._half(errors, gravity[:2]), gravity[2] - self._coupling @ gravity[:2]
+        size, square = np.abs(root), root * root
+        low, high = np.sqrt(np.maximum(square - 2.0 * half, 0.0)), np.sqrt(square + 2.0 * half)
+        slope = half / np.where(low > 0.0, size - low, high)  # all of its interval counts near zero
+        return np.asarray(np.copysign(np.where(half > _EXACT * square, slope, size), root))
 
     # From components to angles
 
@@ -303,14 +304,6 @@ def round_up(room: Array) -> None:
     room *= scale
     np.ceil(room, out=room)
     room /= scale
-
-
-def _slope_of_root(root: Array, half: Array) -> Array:
-    """Return what the error of half a square is divided by for that of its root; all of its interval near zero."""
-    size, square = np.abs(root), root * root
-    low, high = np.sqrt(np.maximum(square - 2.0 * half, 0.0)), np.sqrt(square + 2.0 * half)
-    slope = half / np.where(low > 0.0, size - low, high)
-    return np.copysign(np.where(half > _EXACT * square, slope, size), root)
 
 
 def _length(a: Array, b: Array) -> Array:

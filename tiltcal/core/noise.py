@@ -283,7 +283,9 @@ def kinds_of_noise(tau: Array, variance: Array, factor: NDArray[np.int64], sampl
         squares, dof, deviance = _squares(tau, variance, table, first, terms)
         while len(terms) > 1:
             left = [[term for term in terms if term != gone] for gone in terms]
-            best, rest = min(((_squares(tau, variance, table, first, rest), rest) for rest in left), key=_deviance)
+            best, rest = min(
+                ((_squares(tau, variance, table, first, rest), rest) for rest in left), key=lambda f: f[0][2]
+            )
             if best[2] > deviance + _WORTH and len(terms) <= octaves:
                 break
             terms, (squares, dof, deviance) = rest, best
@@ -293,10 +295,6 @@ def kinds_of_noise(tau: Array, variance: Array, factor: NDArray[np.int64], sampl
         if fits[-1].follows:
             return fits[-1]
     return fits[0]
-
-
-def _deviance(fit: tuple[tuple[Array, Array, float], list[int]]) -> float:
-    return fit[0][2]
 
 
 def _squares(tau: Array, variance: Array, table: Array, first: int, terms: Sequence[int]) -> tuple[Array, Array, float]:

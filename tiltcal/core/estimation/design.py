@@ -190,13 +190,20 @@ def predict_uncertainty(
         return budgets(solution, {})[0], solution.dof
 
     uncertain, dof = reached(positions)
+    size = np.where(uncertain.u > 0.0, uncertain.u, 1.0)
+    correlations = uncertain.covariance / np.outer(size, size)
+    strong = [
+        (design.names[i], design.names[j], round(float(correlations[i, j]), 3))
+        for i, j in combinations(range(len(design.names)), 2)
+        if abs(correlations[i, j]) >= STRONG
+    ]
     known = {name: prior.value for name, prior in design.priors.items()}
     theta = np.array([known.get(name, nominal.get(name, 0.0)) for name in design.names])
     return Prediction(
         coefficients=_sensor(design, positions, u, adc).coefficients(theta),
         uncertain=uncertain,
         dof=dof,
-        correlations=_strong_correlations(design.names, uncertain.covariance),
+        correlations=tuple(sorted(strong, key=lambda pair: -abs(pair[2]))),
         worth_adding=_worth_adding(design, positions, lambda plan: reached(plan)[0].u, uncertain.u, level=level),
     )
 
@@ -218,17 +225,6 @@ def _sensor(design: Design, positions: Sequence[PlannedPosition], u: float, adc:
         for position in positions
     ]
     return SensorObservations(design, observations)
-
-
-def _strong_correlations(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
-    """Return pairs of coefficients that a covariance, shape (k, k), correlates strongly, the strongest first."""
-    u = np.sqrt(np.diag(covariance))
-    strong = [
-        (names[i], names[j], round(float(covariance[i, j] / (u[i] * u[j])), 3))
-        for i, j in combinations(range(len(names)), 2)
-        if u[i] * u[j] > 0.0 and abs(covariance[i, j]) >= STRONG * u[i] * u[j]
-    ]
-    return tuple(sorted(strong, key=lambda pair: -abs(pair[2])))
 
 
 def _worth_adding(

@@ -116,7 +116,13 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     start = start_as_set(equations)
     require_determined(equations, start)
     if jig is not None:
-        _require_positions(equations, start, jig)
+        errors, limit = _errors_as_set(equations, start), max(BEYOND * jig, SMALLEST_ERROR)
+        if max(errors.values()) > limit:
+            raise EstimateError(
+                f"{_wrong_position(equations, errors, limit)}: positions as they were set contradict the readings by "
+                f"up to {max(errors.values()):.3g}°, where a jig of {jig:g}° is stated; see that it was the one that "
+                "is named, and take it again"
+            )
     solution = solved_at(equations, start)
     if solution.dof <= 0 or not (jig is None or equations.noise_unknown):
         solution = solved(equations, equations.stated, start)
@@ -241,17 +247,6 @@ def _attitudes(solution: Solution) -> tuple[AttitudeError, ...]:
 
 
 # Grossly wrong positions
-
-
-def _require_positions(equations: Equations, start: Array, jig: float) -> None:
-    """Refuse a position that is off by more than a stated jig, degrees, explains, or all among which it lies."""
-    errors, limit = _errors_as_set(equations, start), max(BEYOND * jig, SMALLEST_ERROR)
-    if max(errors.values()) > limit:
-        raise EstimateError(
-            f"{_wrong_position(equations, errors, limit)}: positions as they were set contradict the readings by up to "
-            f"{max(errors.values()):.3g}°, where a jig of {jig:g}° is stated; see that it was the one that is "
-            "named, and take it again"
-        )
 
 
 def _wrong_position(equations: Equations, errors: Mapping[str, float], limit: float) -> str:

@@ -112,22 +112,17 @@ def stage_record(channels: Sequence[str], theta: Array, readings: Sequence[Array
     angle = np.full(len(theta), np.nan)
     angle[there] = follow(theta[there])
     whole = np.logical_and.reduce([there, *(np.isfinite(column) for column in readings)])
+    # Where the angle is missing, it is the last one.
+    known = angle[np.maximum.accumulate(np.where(there, np.arange(len(angle)), 0))]
     stuck = []
     for name, column in zip(channels, readings, strict=True):
-        for first, end in _stuck(angle, column):
+        starts, ends = run_bounds(np.append(False, column[1:] == column[:-1]))
+        turns_on = np.abs(known[ends - 1] - known[starts - 1]) >= _STUCK
+        for first, end in zip((starts[turns_on] - 1).tolist(), ends[turns_on].tolist(), strict=True):
             whole[first:end] = False
             why = f"{name} is stuck at {column[first]:.6g} while the stage turns; left out until it changes"
             stuck.append((first, f"row {first}: {why}"))
     return StageRecord(tuple(channels), theta, angle, readings, whole, tuple(line for _, line in sorted(stuck)))
-
-
-def _stuck(angle: Array, column: Array) -> list[tuple[int, int]]:
-    """Return the first row of each stuck value, and the row behind its last."""
-    starts, ends = run_bounds(np.append(False, column[1:] == column[:-1]))
-    # Where the angle is missing, it is the last one.
-    angle = angle[np.maximum.accumulate(np.where(np.isfinite(angle), np.arange(len(angle)), 0))]
-    stuck = np.abs(angle[ends - 1] - angle[starts - 1]) >= _STUCK
-    return list(zip((starts[stuck] - 1).tolist(), ends[stuck].tolist(), strict=True))
 
 
 # A stage without an encoder: the spin is that which fits the readings best.
