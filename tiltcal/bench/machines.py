@@ -227,29 +227,35 @@ class Machines:
             not low <= targets.get(axis, low) <= high for axis, (low, high) in self._limits.items()
         ):
             return {"answer": "redo"}  # the file says that the channel was not seen to follow
+        reached = self._moved(targets, question["position"])
+        if question is not self._asked:
+            self._asked = question
+            self._person.tell({"event": "moved", "position": question["position"], "why": f"at {in_words(reached)}"})
+        left = self._left_to_hand(question)
+        self._asked_by_hand = left != self._by_hand
+        self.most_attempts = self._person.most_attempts if self._asked_by_hand else REFUSALS
+        if not self._asked_by_hand:
+            return {"answer": "ready", **self._as_set(question, reached)}
+        said = self._person.ask(question)
+        if not isinstance(said, Mapping) or said.get("answer") != "ready":
+            return said
+        self._by_hand = left
+        # Whoever sets something by hand may have opened the door of the chamber.
+        answer = self._as_set(question, self._moved(targets, question["position"]))
+        if "tilt" in answer and "tilt" in said:
+            answer["tilt"] = {**answer["tilt"], **said["tilt"]}
+        return {**said, **answer}
+
+    def _moved(self, targets: Angles, position: str) -> dict[str, float]:
+        """Move every machine to its part of some targets, and return what is read back; of a ramp only send it."""
         reached: dict[str, float] = {}
         for mover in self._movers:
             mine = {axis: targets[axis] for axis in mover.machine.limits if axis in targets}
             if self._ramps and TEMPERATURE in mine:
                 mover.send(mine)
             elif mine:
-                reached |= mover.move(mine, self._waits(question["position"]))
-        if question is not self._asked:
-            self._asked = question
-            self._person.tell({"event": "moved", "position": question["position"], "why": f"at {in_words(reached)}"})
-        answer = self._as_set(question, reached)
-        left = self._left_to_hand(question)
-        self._asked_by_hand = left != self._by_hand
-        self.most_attempts = self._person.most_attempts if self._asked_by_hand else REFUSALS
-        if not self._asked_by_hand:
-            return {"answer": "ready", **answer}
-        said = self._person.ask(question)
-        if not isinstance(said, Mapping) or said.get("answer") != "ready":
-            return said
-        self._by_hand = left
-        if "tilt" in answer and "tilt" in said:
-            answer["tilt"] = {**answer["tilt"], **said["tilt"]}
-        return {**said, **answer}
+                reached |= mover.move(mine, self._waits(position))
+        return reached
 
     def _as_set(self, question: Message, reached: Angles) -> dict[str, Any]:
         """Return what was read back as an answer has it."""
