@@ -173,11 +173,13 @@ def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch
 
 
 def test_what_no_machine_does_is_left_to_the_operator(tmp_path: Path) -> None:
-    """A table of one axis: the other is asked for where it changes, and so is its review by a person."""
+    """A table of one axis: the other is asked for where it changes. A chamber that has nothing to do is left alone."""
     table = VirtualTable(np.random.default_rng(1), lambda: 0.1)
     with serving(table.line) as place:
         (tmp_path / "bench.yaml").write_text(
-            f"{HEADER}table:\n  kind: text\n  address: {place}\n  limits: {{x: [-90, 90]}}\n  tolerance: 0.05\n"
+            f"{HEADER}chamber: {{kind: modbus, address: 'modbus:tcp://127.0.0.1:9', limits: {{temperature: [0, 50]}},\n"
+            "  tolerance: 1, registers: {temperature: {set: '1', read: '2'}}}\n"
+            f"table:\n  kind: text\n  address: {place}\n  limits: {{x: [-90, 90]}}\n  tolerance: 0.05\n"
             '  approach: 2\n  set: ["G0 X{x:.3f} Y0"]\n  read: "?"\n  accepted: ok\n  pattern: MPos:(?P<x>[-0-9.]+)\n'
         )
         said = '{"answer": "ready"}\n{"answer": "ready", "tilt": {"y": 30.02}}\n{"answer": "ready"}\n'

@@ -190,8 +190,10 @@ class Setup(Record, kw_only=True, dict=True):
 
     @property
     def machines(self) -> dict[str, Machine]:
-        """What moves by itself."""
-        return {name: one for name, one in (("table", self.table), ("chamber", self.chamber)) if one is not None}
+        """What moves by itself, and has something to do in the procedure."""
+        warm = any(position.temperature is not None for position in self.steps.positions)
+        machines = {"table": self.table, "chamber": self.chamber if warm else None}
+        return {name: machine for name, machine in machines.items() if machine is not None}
 
     @property
     def known(self) -> dict[str, BaseFile]:
