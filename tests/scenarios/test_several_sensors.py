@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support.command import tiltcal
 
@@ -150,25 +149,3 @@ def test_references_stand_in_file_and_report_and_one_that_is_overdue_is_said(tmp
     (tmp_path / "bench.yaml").write_text((tmp_path / "bench.yaml").read_text().replace("1999-12-31", "soon"))
     refused = tiltcal("check", "bench.yaml", cwd=tmp_path)
     assert "bench.yaml:6: references.table.due: 'soon' is no date" in refused.stdout + refused.stderr
-
-
-def test_free_positions_of_sensors_that_sit_differently(tmp_path: Path) -> None:
-    (tmp_path / "twin.yaml").write_text(
-        "tiltcal: 1\nkind: twin\nmodel: sca3000-d01\nseed: 5\ntruth:\n"
-        "  offset: {x: 31.4, y: -18.7, z: 44.2}\n"
-        "  sensitivity: {x: {x: 1341.2, y: 9.6, z: -14.3}, y: {x: -7.1, y: 1322.5, z: 11.8}, z: {x: 5.9, y: -12.4,"
-        " z: 1338.7}}\n"
-        "  noise: {x: 1.5, y: 1.5, z: 1.5}\n  jig: 5.0\n"
-    )
-    (tmp_path / "bench.yaml").write_text(
-        "tiltcal: 1\nkind: bench\nsensors:\n"
-        '  - {serial: A, model: sca3000-d01, address: "sim:?twin=twin.yaml"}\n'
-        '  - {serial: B, model: sca3000-d01, address: "sim:?twin=twin.yaml&seed=9", axes: [y, -x, z]}\n'
-    )
-    result = tiltcal("measure", "free", "--bench", "bench.yaml", "--operator", "sim", "--samples", "40", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    truth = np.array([[1341.2, 9.6, -14.3], [-7.1, 1322.5, 11.8], [5.9, -12.4, 1338.7]])
-    for serial in "AB":
-        found = read_calibration(tmp_path / f"{serial}.yaml").coefficients
-        np.testing.assert_allclose(found.offset, [31.4, -18.7, 44.2], atol=0.6)
-        np.testing.assert_allclose(np.linalg.norm(found.sensitivity, axis=1), np.linalg.norm(truth, axis=1), atol=0.8)

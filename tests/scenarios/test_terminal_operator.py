@@ -74,38 +74,27 @@ def test_the_angle_actually_set_the_temperature_and_a_redo(warm: WarmStart, tmp_
     assert terminal.exitstatus == 0
 
 
-def test_stop_and_keep(warm: WarmStart, tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["q", "Ctrl-C"])
+def test_stop_and_keep(how: str, warm: WarmStart, tmp_path: Path) -> None:
     terminal = start(warm.program, tmp_path)
     accept(terminal, "level")
     terminal.expect("x-45")
     terminal.expect("live")
-    terminal.send("q")
+    if how == "q":
+        terminal.send("q")
+    else:
+        terminal.sendintr()
+        terminal.expect(r"\x1b\[2Ktiltcal: interrupted")  # not behind the live reading
     terminal.expect(r"--resume S-1\.journal\.jsonl")
     terminal.expect(pexpect.EOF)
     terminal.close()
     assert terminal.exitstatus == 130
     assert not (tmp_path / "S-1.yaml").exists()
     command, *arguments = [*warm.program, "measure", "--resume", "S-1.journal.jsonl"]
-    resumed = pexpect.spawn(
-        *(command, arguments),
-        cwd=str(tmp_path),
-        encoding="utf-8",
-        timeout=20,
-    )
+    resumed = pexpect.spawn(command, arguments, cwd=str(tmp_path), encoding="utf-8", timeout=20)
+    resumed.expect("kept from before: level")
     accept(resumed, "2/3  x-45")
     resumed.close(force=True)
-
-
-def test_ctrl_c_says_how_to_go_on(warm: WarmStart, tmp_path: Path) -> None:
-    terminal = start(warm.program, tmp_path)
-    accept(terminal, "level")
-    terminal.expect("x-45")
-    terminal.expect("live")
-    terminal.sendintr()
-    terminal.expect(r"\x1b\[2Ktiltcal: interrupted.*--resume S-1\.journal\.jsonl")  # not behind the live reading
-    terminal.expect(pexpect.EOF)
-    terminal.close()
-    assert terminal.exitstatus == 130
 
 
 def test_input_that_ends_is_a_stop(tmp_path: Path) -> None:

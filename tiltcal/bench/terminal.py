@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
-from math import isfinite
+from contextlib import ExitStack, suppress
 from types import BuiltinFunctionType
-from typing import Any, TypeVar
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -18,12 +17,8 @@ from tiltcal.bench import guidance
 from tiltcal.bench.guidance import UNCALIBRATED, AxisGuidance, remaining_in_words
 from tiltcal.bench.keys import ENTER, Keys, LineKeys, NotebookInput, TerminalKeys
 from tiltcal.bench.operators import LOOK, Message, Operator, in_words
-from tiltcal.core.attitude import gravity_from_tilt, normalised
-from tiltcal.core.detection import TEMPERATURES
-from tiltcal.errors import InputError, Stopped
+from tiltcal.errors import Stopped
 from tiltcal.printable import printable
-
-T = TypeVar("T")
 
 LIVE_PAUSE = 0.4
 """Seconds between live readings: fast enough to set an angle by, slow enough for the journal of a long night."""
@@ -145,21 +140,19 @@ class Terminal(Operator):
                 word = {ENTER: "ready", "b": "back", "r": "redo"}[key]
                 return {"answer": word, **(self._answer if key == ENTER else {})}
             if key == "t":
-                before = self._answer.get("temperature")
-                self._set("temperature", self._number("temperature in °C", *TEMPERATURES, before))
+                typed = self._typed("temperature in °C")
+                self._answer |= {"temperature": typed[0]} if typed else {}
             elif key == "a" and question["tilt"] is not None:
-                self._set("tilt", self._angles(question["tilt"], self._answer.get("tilt", {})) or None)
+                for axis, angle in question["tilt"].items():
+                    for tilt in self._typed(f"tilt of {axis} actually set, in degrees (asked {angle:g})"):
+                        self._answer["tilt"] = {**self._answer.get("tilt", {}), axis: tilt}
             elif key == "a":
-                asked = "direction that points up, as gx gy gz"
-                self._set("gravity", self._typed(asked, direction, self._answer.get("gravity")))
+                typed = self._typed("direction that points up, as gx gy gz", "0 0.5 0.866")
+                self._answer |= {"gravity": typed} if typed else {}
             else:
                 self._explain(key)
             key = self._keys.choice(0.0 if self._live else None)
         return {"answer": LOOK}
-
-    def _set(self, key: str, value: object) -> None:
-        if value is not None:
-            self._answer[key] = value
 
     def _rotation(self, question: Message) -> object:
         for pair in question["pairs"]:
@@ -317,53 +310,15 @@ class Terminal(Operator):
             table.add_row(Text(printable(name)), *cells)
         return table
 
-    def _angles(self, asked: Mapping[str, float], before: dict[str, float]) -> dict[str, float]:
-        """Ask for the angles actually set, one an axis; an empty line keeps what was typed before."""
-        while True:
-            what = "tilt of {} actually set, in degrees (asked {:g})"
-            typed = {
-                axis: self._number(what.format(axis, angle), -90.0, 90.0, before.get(axis))
-                for axis, angle in asked.items()
-            }
-            tilt = before | {axis: angle for axis, angle in typed.items() if angle is not None}
-            try:
-                gravity_from_tilt({**asked, **tilt})
-                return tilt
-            except InputError as error:
-                self._say(f"  {error}")
-
-    def _number(self, what: str, low: float, high: float, before: float | None) -> float | None:
-        def parse(typed: str) -> float:
-            try:
-                value = float(typed.replace(",", "."))
-            except ValueError:
-                raise InputError(f"type a number such as {low / 3:.1f}") from None
-            if not (isfinite(value) and low <= value <= high):
-                raise InputError(f"it must be between {low:g} and {high:g}")
-            return value
-
-        return self._typed(what, parse, before)
-
-    def _typed(self, what: str, parse: Callable[[str], T], before: T | None) -> T | None:
-        """Ask until the typed line can be understood; an empty line leaves what was there before."""
+    def _typed(self, what: str, example: str = "29.5") -> list[float]:
+        """Ask until as many numbers are typed as the example has; none where the line is empty."""
+        count = len(example.split())
         while True:
             self._say(f"  {what}, or Enter to keep it: ", end="")
-            typed = self._keys.line()
-            if not typed.strip():
-                return before
-            try:
-                return parse(typed)
-            except InputError as error:
-                self._say(f"  {typed!r} is not accepted: {error}")
-
-
-def direction(typed: str) -> list[float]:
-    """Return a typed direction as a unit vector.
-
-    InputError: not three numbers, or all zero.
-    """
-    try:
-        parts = [float(part) for part in typed.replace(",", " ").split()]
-    except ValueError:
-        raise InputError("type three numbers such as 0 0.5 0.866") from None
-    return list(normalised(parts))
+            typed = self._keys.line().strip()
+            parts = typed.replace(",", "." if count == 1 else " ").split()
+            with suppress(ValueError):
+                if len(parts) in (0, count):
+                    return [float(part) for part in parts]
+            numbers = "a number" if count == 1 else f"{count} numbers"
+            self._say(f"  {typed!r} is not accepted: type {numbers} such as {example}")
