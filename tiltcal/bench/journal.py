@@ -18,13 +18,23 @@ import numpy as np
 
 from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, far_off, result_of
 from tiltcal.bench.devices import BenchDevice
-from tiltcal.bench.operators import Message, OperatorAnswer
+from tiltcal.bench.operators import Message, as_set
 from tiltcal.bench.playback import Playback, RecordedSample
 from tiltcal.core.model import Array
 from tiltcal.core.samples import ReadingStep
 from tiltcal.errors import JournalError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
-from tiltcal.files.journal import ANSWER, POSITION, RESUMED, AcceptedPosition, Event, Journal, accepted_position
+from tiltcal.files.journal import (
+    ANSWER,
+    POSITION,
+    RESUMED,
+    AcceptedPosition,
+    Event,
+    Journal,
+    OperatorAnswer,
+    accepted_position,
+    operator_answer,
+)
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.results import (
     VIRTUAL,
@@ -73,7 +83,7 @@ class RecordedSession:
             if isinstance(item, RecordedSample):
                 self._take(item)
             elif item.kind == ANSWER:
-                self._hear(item.payload[0]["to"], OperatorAnswer.from_record(item.payload[0]))
+                self._hear(operator_answer(item))
             elif item.kind == POSITION:
                 self._accept(accepted_position(item), item)
             elif item.kind == RESUMED and journal.version > 1 and self._channels is None:
@@ -121,13 +131,13 @@ class RecordedSession:
         elif sample.counts or self.journal.version == 1:
             self._samples.append(sample)
 
-    def _hear(self, question: str, answer: OperatorAnswer) -> None:
-        if answer.word == "back" and self.accepted:
+    def _hear(self, answer: OperatorAnswer) -> None:
+        if answer.answer == "back" and self.accepted:
             self.accepted.pop()
-        if question in ("position", "rotation") and answer.word == "ready":
+        if answer.to in ("position", "rotation") and answer.answer == "ready":
             self._answer, self._sampling = answer, True
             self._samples.clear()
-        elif question == "tip":
+        elif answer.to == "tip":
             self.tipped, self._sampling = True, False
 
     def _accept(self, noted: AcceptedPosition, event: Event) -> None:
@@ -140,7 +150,7 @@ class RecordedSession:
         asked = positions[len(self.accepted)] if len(self.accepted) < len(positions) else None
         if asked is None or asked.name != noted.position or self._answer is None:
             raise self._error(f"accepts {noted.position!r}, which the procedure does not ask for here", event)
-        position, typed = self._answer.as_set(asked), self._answer.temperature
+        position, typed = as_set(asked, self._answer), self._answer.temperature
         if self.setup.steps.ramp is not None:
             position, typed = replace(position, temperature=asked.temperature), None
             samples = [one for one in self.leg if noted.lines is None or noted.lines[0] <= one.line <= noted.lines[1]]

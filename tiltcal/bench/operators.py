@@ -31,17 +31,18 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from math import dist
 from typing import Any, Protocol, TextIO
 
 import msgspec
 
 from tiltcal.bench.keys import LineReader
-from tiltcal.core.attitude import gravity_from_tilt, normalised
+from tiltcal.core.attitude import Vector, gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import InputError, Stopped, UsageError
+from tiltcal.files.journal import OperatorAnswer
 from tiltcal.files.procedure import Position
 from tiltcal.stated_arguments import of_python
 
@@ -88,51 +89,23 @@ class Operator(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class OperatorAnswer:
-    """An answer of the operator, as the journal keeps it: one of :data:`WORDS`, and what was actually set.
+def as_set(position: Position, answer: OperatorAnswer) -> Position:
+    """Return a position with the angles and the temperature that the operator actually set.
 
-    Angles are in degrees, ``temperature``, in °C, was typed; what is as asked is empty or None.
+    InputError: no direction has these angles, or they contradict the direction that was set.
     """
-
-    word: str
-    tilt: dict[str, float] = field(default_factory=dict)
-    gravity: tuple[float, ...] | None = None
-    temperature: float | None = None
-
-    def as_set(self, position: Position) -> Position:
-        """Return a position with the angles and the temperature that the operator actually set.
-
-        InputError: no direction has these angles, or they contradict the direction that was set.
-        """
-        if self.temperature is not None:
-            position = replace(position, temperature=self.temperature if position.temperature is not None else None)
-        direction = None if self.gravity is None else normalised(self.gravity)
-        if self.tilt:
-            tilt = {**(position.tilt or {}), **self.tilt}
-            reached = gravity_from_tilt(tilt)
-            if direction is not None and min(dist(direction, reached), dist(direction, position.gravity)) > SAME:
-                raise InputError(
-                    "the answer has a tilt and a gravity that contradict each other: give the one that was reached"
-                )
-            return replace(position, gravity=reached, tilt=tilt)
-        return position if direction is None else replace(position, gravity=direction, tilt=None)
-
-    def record(self) -> dict[str, Any]:
-        """Return plain data for the journal."""
-        return {
-            "answer": self.word,
-            **({"tilt": self.tilt} if self.tilt else {}),
-            **({"gravity": list(self.gravity)} if self.gravity is not None else {}),
-            **({"temperature": self.temperature} if self.temperature is not None else {}),
-        }
-
-    @classmethod
-    def from_record(cls, record: Message) -> OperatorAnswer:
-        """Return the answer of a :meth:`record`."""
-        gravity = record.get("gravity")
-        tilt, direction = dict(record.get("tilt", {})), None if gravity is None else tuple(gravity)
-        return cls(record["answer"], tilt, direction, record.get("temperature"))
+    if answer.temperature is not None and position.temperature is not None:
+        position = replace(position, temperature=answer.temperature)
+    direction = None if answer.gravity is None else normalised(answer.gravity)
+    if answer.tilt:
+        tilt = {**(position.tilt or {}), **answer.tilt}
+        reached = gravity_from_tilt(tilt)
+        if direction is not None and min(dist(direction, reached), dist(direction, position.gravity)) > SAME:
+            raise InputError(
+                "the answer has a tilt and a gravity that contradict each other: give the one that was reached"
+            )
+        return replace(position, gravity=reached, tilt=tilt)
+    return position if direction is None else replace(position, gravity=direction, tilt=None)
 
 
 def understood(said: object, words: Sequence[str] = WORDS["position"]) -> OperatorAnswer:
@@ -161,11 +134,15 @@ def understood(said: object, words: Sequence[str] = WORDS["position"]) -> Operat
         low, high = TEMPERATURES
         raise InputError(f"temperature in the answer is {temperature:g} °C, not between {low:g} and {high:g}")
     return OperatorAnswer(
-        word,
-        {axis: _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()},
-        None if gravity is None else tuple(_number(component, "gravity") for component in gravity),
-        temperature,
+        answer=word,
+        tilt={axis: _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()},
+        gravity=None if gravity is None else _direction(*gravity),
+        temperature=temperature,
     )
+
+
+def _direction(x: object, y: object, z: object) -> Vector:
+    return _number(x, "gravity"), _number(y, "gravity"), _number(z, "gravity")
 
 
 def _number(value: object, key: str) -> float:

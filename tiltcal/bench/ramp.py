@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from tiltcal.bench.checks import at_rail, require_few, result_of
+from tiltcal.bench.operators import as_set
 from tiltcal.bench.sensors import RECOVERY, Sample
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
@@ -23,10 +24,10 @@ CHANGE = 0.5  # °C; a temperature that changes by less within the patience of t
 def take_leg(session: Session, ramp: Ramp, position: Position) -> str:
     """Ask for a turning point, sample until it is reached, and have it accepted; return the answer."""
     answer = session.ask_for(position)
-    if answer.word != "ready":
+    if answer.answer != "ready":
         raise Unsettled("a ramp is one continuous record: no leg can be taken again; quit, and begin anew")
     # A temperature that is typed is that of one moment; the thermometer is read all the time.
-    actual = replace(answer.as_set(position), temperature=position.temperature)
+    actual = replace(as_set(position, answer), temperature=position.temperature)
     if session.accepted and actual.gravity != session.accepted[0].position.gravity:
         raise Unsettled("a ramp has one attitude: leave the sensor as it lies")
     sensors = session.sensors.sensors
@@ -43,7 +44,7 @@ def take_leg(session: Session, ramp: Ramp, position: Position) -> str:
     if len(session.accepted) == len(session.setup.steps.positions) - 1:
         session.tip(position)
     session.accept(result, {"lines": [first, last]})
-    return answer.word
+    return answer.answer
 
 
 def _sampled(session: Session, ramp: Ramp, position: Position) -> list[Sample]:

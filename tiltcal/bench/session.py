@@ -14,7 +14,7 @@ from typing import Any
 from tiltcal.bench.checks import Expectations, PositionResult, ReadingSpans, at_rail, far_off, require_few, result_of
 from tiltcal.bench.devices import VirtualBench, probe_devices
 from tiltcal.bench.journal import RecordedSession, positions_of
-from tiltcal.bench.operators import LOOK, TIP, WORDS, Operator, OperatorAnswer, understood
+from tiltcal.bench.operators import LOOK, TIP, WORDS, Operator, as_set, understood
 from tiltcal.bench.playback import RecordedSample
 from tiltcal.bench.sensors import Recorder, Sample, SensorSet, connected
 from tiltcal.bench.settle import NEAR, SOAKS, Timed, Unsettled, Window, movement, wait_until_still
@@ -24,9 +24,10 @@ from tiltcal.core.samples import ReadingStep
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.model import Reading
 from tiltcal.errors import HardwareError, InputError, Stopped
-from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter
+from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position
+from tiltcal.files.record import plain
 
 NUDGED = 0.002  # a change while sampling above this is a sensor that was touched, g (0.1° near level)
 NUDGED_SIGMAS = 6.0
@@ -148,9 +149,9 @@ class Session:
     def attempt(self, position: Position) -> str:
         """Ask for a position, measure it, have it judged; return the last answer."""
         answer = self.ask_for(position)
-        if answer.word != "ready":
-            return answer.word
-        actual = answer.as_set(position)
+        if answer.answer != "ready":
+            return answer.answer
+        actual = as_set(position, answer)
         if actual != position:
             self._hold(actual)
         window = self._window(position, answer.temperature)
@@ -175,9 +176,9 @@ class Session:
                 "guidance": self._expectations.guidance_of(result),
             }
         )
-        if verdict.word == "accept":
+        if verdict.answer == "accept":
             self.accept(result, {"lines": [first, last], **({"without": without} if without else {})})
-        return verdict.word
+        return verdict.answer
 
     def ask_for(self, position: Position, to: str = "position") -> OperatorAnswer:
         """Ask for a position; ``to`` is the question in the journal."""
@@ -199,7 +200,7 @@ class Session:
         }
         answer = self.ask(question, to)
         self._answered_ns, self._minutes = self.recorder.now_ns(), 0
-        if answer.word == "redo" and to == "position":
+        if answer.answer == "redo" and to == "position":
             self._count_attempt(position.name, "the program answered redo")
         return answer
 
@@ -239,9 +240,9 @@ class Session:
             except InputError as error:
                 self.refuse(question.get("position", "rotation"), str(error))
                 continue
-            if answer.word == "quit":
+            if answer.answer == "quit":
                 raise Stopped("the operator program answered quit")
-            self.recorder.record(ANSWER, {"to": to, **answer.record()})
+            self.recorder.record(ANSWER, plain(answer.replaced(to=to)))
             return answer
 
     def tell(self, event: str, **fields: Any) -> None:
@@ -396,6 +397,6 @@ class Session:
         gravity = normalised([component + by for component, by in zip(position.gravity, TIPPED, strict=True)])
         prompt = f"{names}: no change was seen. Tip it by hand, some 10° about each axis, and answer while it is."
         tip = replace(position, name=TIP, gravity=gravity, tilt=None, prompt=prompt)
-        if self.ask_for(tip, TIP).word == "ready":
+        if self.ask_for(tip, TIP).answer == "ready":
             self.sensors.read(fresh=True)
         self._tipped = True

@@ -329,14 +329,17 @@ def _damage(why: str, path: Path, number: int) -> JournalError:
     return JournalError(why, file=path, line=number)
 
 
-class RecordedAnswer(Record, kw_only=True):
-    """An operator's answer: words, angles, a direction, a temperature."""
+class OperatorAnswer(Record, kw_only=True):
+    """An answer of the operator to a question: a word, and what was actually set where that is not as asked.
 
-    to: str
+    Angles are in degrees; ``temperature``, in °C, was typed.
+    """
+
+    to: str = ""
     answer: str
     tilt: Mapping[str, float] = {}
-    gravity: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    temperature: float = 0.0
+    gravity: tuple[float, float, float] | None = None
+    temperature: float | None = None
 
 
 class AcceptedPosition(Struct):
@@ -375,6 +378,11 @@ def accepted_position(event: Event) -> AcceptedPosition:
     return msgspec.convert(event.payload[0], AcceptedPosition)
 
 
+def operator_answer(event: Event) -> OperatorAnswer:
+    """Return the answer of an event."""
+    return msgspec.convert(event.payload[0], OperatorAnswer)
+
+
 def _is_event(line: Any) -> bool:
     """Return whether a line has the elements of its kind, each of its type."""
     match line:
@@ -382,7 +390,7 @@ def _is_event(line: Any) -> bool:
             return _is_count(dt_ns)
         case [int(dt_ns), "a" | "p" as kind, content]:
             with suppress(msgspec.ValidationError):
-                msgspec.convert(content, RecordedAnswer if kind == ANSWER else AcceptedPosition)
+                msgspec.convert(content, OperatorAnswer if kind == ANSWER else AcceptedPosition)
                 return _is_count(dt_ns)
         case [int(dt_ns), "end", dict()]:
             return _is_count(dt_ns)
