@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -85,6 +86,20 @@ def test_a_command_loads_what_it_needs(tmp_path: Path) -> None:
         called = f"os.chdir({str(tmp_path)!r})\nassert run({command.split()}) == 0"
         loaded = loaded_by(f"import os\nfrom tiltcal.cli.main import run\n{called}")
         assert loaded & HEAVY == needed, command
+
+
+def test_a_command_at_the_bench_loads_few_of_our_modules(tmp_path: Path) -> None:
+    """On a Raspberry Pi each takes milliseconds; to read a sensor needs no estimator."""
+    sensor = "--sensor sca100t-d02 --address sim:"
+    measure = f"measure plane {sensor} --serial S --operator sim --samples 2 --settle 0.1 -o S.yaml"
+    for command, most in ((f"probe {sensor}", 45), (measure, 90)):
+        script = (
+            f"import sys\nfrom tiltcal.cli.main import run\nassert run({command.split()}) == 0\nprint(*sys.modules)"
+        )
+        done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+        ours = [name for name in done.stdout.splitlines()[-1].split() if name.partition(".")[0] == "tiltcal"]
+        assert len(ours) <= most, command
+        assert ("tiltcal.core.estimation" in ours) == command.startswith("measure")
 
 
 WITHOUT = """

@@ -73,7 +73,7 @@ class RecordedSession:
         self._channels = None if self.setup.steps.rotation is None else self.setup.stage_channels()
         self._rows = array("d")
         self._breaks = 0
-        self._ramp: dict[str, list[tuple[float, ...]]] = {serial: [] for serial in self.sensors}
+        self._ramp: list[RecordedSample] = []
         self._steps = {serial: ReadingStep() for serial in self.sensors}
         # Of a position no more samples than twice those wanted are ever taken.
         self._samples: deque[RecordedSample] = deque(maxlen=2 * self.setup.settings.samples + 2)
@@ -155,7 +155,7 @@ class RecordedSession:
             position, typed = replace(position, temperature=asked.temperature), None
             samples = [one for one in self.leg if noted.lines is None or noted.lines[0] <= one.line <= noted.lines[1]]
             self.leg = []
-            self._add_to_ramp(samples)
+            self._ramp += samples
         else:
             samples = self._of_position(noted, list(values), typed)
         if not samples or any(serial not in sample.readings for sample in samples for serial in values):
@@ -190,14 +190,6 @@ class RecordedSession:
                 counted = [one for number, one in enumerate(counted) if number not in wrong]
         return counted
 
-    def _add_to_ramp(self, samples: Sequence[RecordedSample]) -> None:
-        """Add rows to each record: seconds, °C, readings; one with a reading at a rail has no temperature."""
-        for sample in samples:
-            for serial, reading in sample.readings.items():
-                off = reading.temperature is None or at_rail(reading, self.sensors[serial].wired)
-                temperature = nan if off or reading.temperature is None else reading.temperature
-                self._ramp[serial].append((sample.now_ns / 1e9, temperature, *reading.values))
-
     def _require_same_means(self, result: PositionResult, values: Mapping[str, Message], event: Event) -> None:
         for serial, measurement in result.measurements.items():
             for channel, mean in values[serial].get("mean", {}).items():
@@ -222,15 +214,23 @@ class RecordedSession:
         return np.array(self._rows).reshape(-1, width)
 
     def ramp_records(self) -> dict[str, RampRecord]:
-        """Return the record of a ramp of each sensor, by serial number; empty of other procedures."""
+        """Return the record of a ramp of each sensor, by serial number; empty of other procedures.
+
+        A sample with a reading at a rail has no temperature.
+        """
         if self.setup.steps.ramp is None:
             return {}
         from tiltcal.core.ramp.record import ramp_record
 
         records = {}
         for sensor in self.at_work:
-            rows = np.array(self._ramp[sensor.serial]).reshape(-1, 2 + len(sensor.wired.channels))
-            records[sensor.serial] = ramp_record(rows[:, 0], rows[:, 1], [*rows[:, 2:].T])
+            timed = [(sample.now_ns / 1e9, sample.readings[sensor.serial]) for sample in self._ramp]
+            rows = [
+                (seconds, nan if at_rail(reading, sensor.wired) else reading.temperature, *reading.values)
+                for seconds, reading in timed
+            ]
+            seconds, temperature, *readings = np.array(rows, dtype=float).T
+            records[sensor.serial] = ramp_record(seconds, temperature, readings)
         return records
 
     def _error(self, message: str, event: Event) -> JournalError:
