@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tiltcal.core.attitude import STRAIGHT, Orientation
-from tiltcal.core.estimation.estimate import Estimate
 from tiltcal.core.model import AXES, Coefficients
 from tiltcal.core.plausibility import UNKNOWN_OFFSET
 from tiltcal.core.rounding import round_to, significant
@@ -23,12 +22,13 @@ from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers.model import OF_G, Model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import PositionRecord, PositionSet
 from tiltcal.stated_arguments import require_from_zero
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # `check` needs no estimator
+    from tiltcal.core.estimation.estimate import Estimate
     from tiltcal.core.ramp.record import RampRecord
+    from tiltcal.files.procedure import Procedure
 
 
 @dataclass(frozen=True)

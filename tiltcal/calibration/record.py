@@ -20,12 +20,12 @@ from tiltcal.files.calibration import UNKNOWN_MODEL, BaseFile, CalibrationRecord
 from tiltcal.files.coefficients import ANGLES, LARGEST_ANGLES, in_degrees
 from tiltcal.files.document import Document
 from tiltcal.files.pair import PairRecord, pair_record
-from tiltcal.files.procedure import Procedure
 from tiltcal.files.yaml_text import read_text
 from tiltcal.stated_arguments import is_number, require_boolean, require_path, shown
 
 if TYPE_CHECKING:
     from tiltcal.drivers.model import Model
+    from tiltcal.files.procedure import Procedure
 
 
 def record_in(document: Document) -> CalibrationRecord | PairRecord:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import degrees, radians
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,14 +12,16 @@ from tiltcal.core.angle_uncertainty import length_half_width
 from tiltcal.core.attitude import UNKNOWN_FACTOR, mounting_matrix
 from tiltcal.core.compensation import LENGTH_TOLERANCE
 from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation
-from tiltcal.core.estimation.estimate import Estimate
-from tiltcal.core.estimation.positions import Design
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting, values, with_vector
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.uncertain import ALIGNMENT, NEGLIGIBLE, NORMAL_FACTOR, READING, TURN, Uncertain, widened
 from tiltcal.errors import EstimateError
 from tiltcal.files import results
 from tiltcal.files.coefficients import ANGLES, MOUNTING, TURNS, Covariance, Uncertainty
+
+if TYPE_CHECKING:
+    from tiltcal.core.estimation.estimate import Estimate
+    from tiltcal.core.estimation.positions import Design
 
 DIGITS = 4  # of an uncertainty
 MATRIX_DIGITS = 1e4  # the covariance is rounded to this part of what four digits of its two uncertainties would be
