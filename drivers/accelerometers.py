@@ -33,6 +33,11 @@ COUNTING_ON = {"i": 0x80, "s": 0x40}
 """The bit of the first byte that makes a burst count on, of parts that need one."""
 
 
+MPU = {b"\x68": "mpu6050", b"\x70": "mpu6500", b"\x71": "mpu9250", b"\x73": "mpu9250"}
+LSM6DS = {b"\x69": "lsm6ds3", b"\x6a": "lsm6ds3tr-c", b"\x6c": "lsm6dsox"}
+"""What says which identity: boards are sold by one name with one of the others."""
+
+
 def _axes(first: int, bits: int = 16, order: Literal["big", "little"] = "little") -> dict[str, Field]:
     """Return x, y and z in two registers each, left-justified."""
     return {axis: Field(first + 2 * n, bits, shift=16 - bits, order=order) for n, axis in enumerate("xyz")}
@@ -80,6 +85,7 @@ MPU6050 = RegisterPart(
     rate=100.0,
     addresses=(f"{I2C}0x68",),
     identity=(0x75, (b"\x68",)),
+    family=MPU,
     reset=Write(0x6B, 0x80, seconds=0.1),
     # Awake, with the clock of the gyroscope; rate; 44 Hz filter; range.
     set_up=(
@@ -136,6 +142,7 @@ ICM20948 = replace(
     rates={1125 / n: n - 1 for n in (1, 2, 5, 10, 25, 50, 125, 250)},
     rate=112.5,
     identity=(0x00, (b"\xea",)),
+    family={},
     begin=in_first_bank,
     reset=Write(0x06, 0x80, seconds=0.1),
     # Awake; in bank 2 rate, range and 50 Hz filter; back in bank 0.
@@ -192,6 +199,7 @@ def _lsm6ds(name: str, title: str, identity: int, counts_per_degree: float) -> R
         addresses=(f"{I2C}0x6a", SPI),
         spi=SpiPort((3, 0), fastest=10_000_000, speed=1_000_000),
         identity=(0x0F, (bytes([identity]),)),
+        family=LSM6DS,
         reset=Write(0x12, 0x01, seconds=0.05),
         # Whole samples, counting up; rate and range.
         set_up=((Write(0x12, 0x44, kept=False), Write(0x10, 0x00, rate=0x10, range=0x04)),),

@@ -137,7 +137,8 @@ class RegisterPart:
     several: bits of the first byte, by the letter of the bus, without which a burst repeats its first register.
     count: -1 where the address counts down in a burst.
     fastest_on_i2c: samples per second that the bus carries at 100 kHz.
-    identity: the first register of the part's identity, and the contents that are this part's.
+    identity, family: the first register of the part's identity, and the contents that are this part's; what models
+        have which.
     set_up: the writes before it measures; each group is read back before the next one begins.
     settling, dropped: sample periods from the last of them to a sample; samples dropped then.
     new_sample, cleared_by: status register and bit of a new sample, without which a sample is taken at any time; the
@@ -176,6 +177,7 @@ class RegisterPart:
     spi: SpiPort = ANY_PORT
     fastest_on_i2c: float = inf
     identity: tuple[int, tuple[bytes, ...]] | None = None
+    family: Mapping[bytes, str] = field(default_factory=dict)
     reset: Write | None = None
     set_up: tuple[tuple[Write, ...], ...] = ()
     settling: int = 0
@@ -253,6 +255,9 @@ class RegisterPart:
         longest = max(count for _, count in self.bursts)
         density = self.counts_per_g * self.noise_density
         noise = density * sqrt(self.rate * self.corner) if density else self.noise_counts
+        bend = typical_nonlinearity(self.nonlinearity * self.extent, self.extent) if self.nonlinearity else ()
+        # A burst must end before the next word is due, or it mixes bytes of two words.
+        port = replace(self.spi, slowest=max(self.spi.slowest, ceil(8 * (1 + longest) * self.rate)))
         return Model(
             name=self.name,
             title=self.title,
@@ -262,9 +267,7 @@ class RegisterPart:
             sensitivity=self.counts_per_g,
             offset_spread=offset,
             sensitivity_spread=sensitivity,
-            nonlinearity=typical_nonlinearity(self.nonlinearity * self.extent, self.extent)
-            if self.nonlinearity
-            else (),
+            nonlinearity=bend,
             rails=(float(low), float(high)),
             resolution=1.0,
             # Where the part shows a new sample, a read waits for it.
@@ -275,10 +278,7 @@ class RegisterPart:
             twin=partial(VirtualRegisters, self),
             not_modelled=self.not_modelled,
             default_truth=partial(self.limits.draw, tuple(self.channels), self.counts_per_g, noise),
-            # A burst must end before the next word is due, or it mixes bytes of two words.
-            spi=replace(self.spi, slowest=max(self.spi.slowest, ceil(8 * (1 + longest) * self.rate)))
-            if "spi" in self.schemes
-            else None,
+            spi=port if "spi" in self.schemes else None,
             options=self.options,
             configure=lambda address: self.configure(self, address).model(),
             bus=self.bus,
@@ -378,10 +378,11 @@ class RegisterSensor(Sensor):
         identity = bytes(self.registers(first, len(known[0])).values())
         check_data_line(identity)
         if identity not in known:
-            expected = " or ".join(one.hex(" ").upper() for one in known)
+            expected, other = " or ".join(one.hex(" ").upper() for one in known), self.part.family.get(identity)
+            advice = f"name it with --sensor {other}" if other else "is another device on this chip select or address?"
             raise DeviceFault(
-                f"the part says that it is {identity.hex(' ').upper()}, where an {self.part.short} says {expected}: is "
-                "another device on this chip select or address?"
+                f"the part says that it is {identity.hex(' ').upper()}, where an {self.part.short} says {expected}: "
+                f"{advice}"
             )
 
     def _start(self) -> None:
