@@ -336,10 +336,12 @@ def _draw(model: Model, population: Population, seed: int) -> Truth:
 
 
 def _inclinometer(
-    name: str,
+    part: str,
     title: str,
     counts_per_g: float,
     offset_limit: float,
+    bend: tuple[float, float] | None,
+    *,
     drift: Sequence[float],
     gain: Sequence[float],
     source: str,
@@ -348,7 +350,7 @@ def _inclinometer(
 ) -> Model:
     """Return the model of a part; bus, waits, bandwidth and thermometer are the same in the whole family.
 
-    offset_limit: largest offset of either sign, degrees.
+    offset_limit, bend: largest offset of either sign, degrees; nonlinearity, degrees, at the ends of a range, g.
     drift, gain: mean offset over the parts in degrees and mean change of the sensitivity in %, coefficients of 1, T,
         T², ... with T in °C; slopes: standard deviation over parts, °/°C and %/°C; source: of both.
     """
@@ -360,13 +362,14 @@ def _inclinometer(
         source=source,
     )
     model = Model(
-        name=name,
-        title=title,
+        name=part.lower(),
+        title=f"{title.format(part)}, SPI",
         schemes=("spi",),
         addresses=("spi:///dev/spidev0.0",),
         sensitivity=counts_per_g,
         offset_spread=deviation_within(sin(radians(offset_limit))),
         sensitivity_spread=deviation_within(SENSITIVITY_LIMIT),
+        nonlinearity=typical_nonlinearity(sin(radians(bend[0])), bend[1]) if bend else (),
         resolution=1.0,
         # The bandwidth is 8 to 28 Hz: the noise of an earlier sample is not independent.
         interval=0.010,
@@ -374,7 +377,7 @@ def _inclinometer(
         thermometer_step=1.0 / 1.083,
         population=population,
         # The data sheets state the cross-axis sensitivity where they state the nonlinearity.
-        cross_axis_limit=CROSS_AXIS_LIMIT if "nonlinearity" in facts else 0.0,
+        cross_axis_limit=CROSS_AXIS_LIMIT if bend else 0.0,
         not_modelled=NOT_MODELLED,
         spi=SpiPort(modes=(0, 3), fastest=500_000),
         **facts,
@@ -384,76 +387,50 @@ def _inclinometer(
 
 ABOUT_ZERO: dict[str, Any] = {"offset": float(ZERO), "rails": (float(LOWEST_SANE_WORD - 1), float(FULL_SCALE))}
 """Of the parts whose reading is that of an element."""
+REACH = float(HIGHEST_SANE_WORD - LOWEST_SANE_WORD + 1)
 
+SCA100T: dict[str, Any] = {
+    "drift": (0.0522, -0.0039, 0.0001, -0.0000006),
+    "gain": (0.0408, 0.0022, -0.00011),
+    "source": "SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
+    "driver": Sca100t,
+    "twin": VirtualSca100t,
+    "channels": ("x", "y"),
+    **ABOUT_ZERO,
+}
+SCA103T: dict[str, Any] = {
+    # Its offset has no tendency; the slope differs over parts.
+    "drift": (0.0, 0.0),
+    "gain": (-0.031, 0.0032, -0.00005, -0.0000005),
+    "source": "SCA103T data sheet 8261700 Rev. A, mean temperature curve of the sensitivity",
+    "slopes": (0.002, 0.013),
+    "driver": Sca103t,
+    "twin": VirtualSca103t,
+    "channels": ("x",),
+    "rails": (-REACH, REACH),
+}
+SCA61T: dict[str, Any] = {
+    "drift": (0.0514, -0.0032, 0.0000857, -0.0000005),
+    "gain": (0.0362, 0.0019, -0.00011),
+    "source": "SCA61T data sheet 8261900, mean temperature curves as a driver quotes them; their spread over parts is "
+    "the SCA100T's",
+    "driver": Sca61t,
+    "twin": VirtualSca61t,
+    "channels": ("x",),
+    **ABOUT_ZERO,
+}
+ONE_AXIS = "VTI (Murata) {} one-axis inclinometer"
 
-def _sca100t(
-    variant: str, extent: str, counts: float, offset_limit: float, range_g: float, nonlinearity: float
-) -> Model:
-    return _inclinometer(
-        f"sca100t-{variant.lower()}",
-        f"Murata SCA100T-{variant} inclinometer, {extent}, SPI",
-        counts,
-        offset_limit,
-        drift=(0.0522, -0.0039, 0.0001, -0.0000006),
-        gain=(0.0408, 0.0022, -0.00011),
-        source="SCA100T data sheet 8261800 Rev. B2, mean temperature curves",
-        driver=Sca100t,
-        twin=VirtualSca100t,
-        channels=("x", "y"),
-        nonlinearity=typical_nonlinearity(sin(radians(nonlinearity)), range_g),
-        **ABOUT_ZERO,
-    )
-
-
-def _sca103t(variant: str, extent: float, counts: float, limit: float) -> Model:
-    """Return the model of a part for ±extent, whose offset and nonlinearity have one limit, degrees."""
-    reach = float(HIGHEST_SANE_WORD - LOWEST_SANE_WORD + 1)
-    return _inclinometer(
-        f"sca103t-{variant.lower()}",
-        f"VTI (Murata) SCA103T-{variant} one-axis inclinometer, ±{extent:g}°, SPI",
-        counts,
-        limit,
-        # Its offset has no tendency; the slope differs over parts.
-        drift=(0.0, 0.0),
-        gain=(-0.031, 0.0032, -0.00005, -0.0000005),
-        source="SCA103T data sheet 8261700 Rev. A, mean temperature curve of the sensitivity",
-        slopes=(0.002, 0.013),
-        driver=Sca103t,
-        twin=VirtualSca103t,
-        channels=("x",),
-        nonlinearity=typical_nonlinearity(sin(radians(limit)), sin(radians(extent))),
-        rails=(-reach, reach),
-    )
-
-
-def _sca61t(variant: str, extent: str, counts: float, offset_limit: float) -> Model:
-    return _inclinometer(
-        f"sca61t-{variant.lower()}",
-        f"VTI (Murata) SCA61T-{variant} one-axis inclinometer, {extent}, SPI",
-        counts,
-        offset_limit,
-        drift=(0.0514, -0.0032, 0.0000857, -0.0000005),
-        gain=(0.0362, 0.0019, -0.00011),
-        source="SCA61T data sheet 8261900, mean temperature curves as a driver quotes them; their spread over parts is "
-        "the SCA100T's",
-        driver=Sca61t,
-        twin=VirtualSca61t,
-        channels=("x",),
-        **ABOUT_ZERO,
-    )
-
-
-D01 = _sca100t("D01", "±30°", 1638.0, offset_limit=0.11, range_g=0.5, nonlinearity=0.11)
-D02 = _sca100t("D02", "±90°", 819.0, offset_limit=0.23, range_g=1.0, nonlinearity=0.57)
-
+D01 = _inclinometer("SCA100T-D01", "Murata {} inclinometer, ±30°", 1638.0, 0.11, (0.11, 0.5), **SCA100T)
+D02 = _inclinometer("SCA100T-D02", "Murata {} inclinometer, ±90°", 819.0, 0.23, (0.57, 1.0), **SCA100T)
 MODELS = {
     model.name: model
     for model in (
         D01,
         D02,
-        _sca103t("D04", 15.0, 6554.0, 0.057),
-        _sca103t("D05", 30.0, 3277.0, 0.11),
-        _sca61t("FAHH1G", "±30°", 1638.0, 0.11),
-        _sca61t("FA1H1G", "±90°", 819.0, 0.23),
+        _inclinometer("SCA103T-D04", f"{ONE_AXIS}, ±15°", 6554.0, 0.057, (0.057, sin(radians(15.0))), **SCA103T),
+        _inclinometer("SCA103T-D05", f"{ONE_AXIS}, ±30°", 3277.0, 0.11, (0.11, 0.5), **SCA103T),
+        _inclinometer("SCA61T-FAHH1G", f"{ONE_AXIS}, ±30°", 1638.0, 0.11, None, **SCA61T),
+        _inclinometer("SCA61T-FA1H1G", f"{ONE_AXIS}, ±90°", 819.0, 0.23, None, **SCA61T),
     )
 }
