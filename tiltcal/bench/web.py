@@ -134,7 +134,12 @@ class WebOperator(Operator):
                 title = "  ".join(filter(None, (event["title"], event["length"])))
                 self._state.show(title=title, positions=event["positions"], at=len(event["accepted"]))
             case "progress":
-                self._state.show(at=len(event["accepted"]), remaining=event["seconds"])
+                # A person, or a table that asks nobody, sets the position now.
+                self._target = {"gravity": self._begin["attitudes"].get(event["position"])}
+                self._guide = None
+                self._readings.clear()
+                at, step = len(event["accepted"]), self._step(event["position"])
+                self._state.show(at=at, step=step, prompt=event["position"], remaining=event["seconds"])
             case "look":
                 self._show_reading(event)
             case "refused":
@@ -161,14 +166,9 @@ class WebOperator(Operator):
         """Show what is asked, in place of what was asked before."""
         kind, positions = question["ask"], self._begin["positions"]
         fields: dict[str, Any] = {"conditions": [], "samples": None, "soak": None}
-        if question.get("position") in positions:
-            number = positions.index(question["position"]) + 1
-            fields["step"] = f"{number} of {len(positions)}   {question['position']}"
         match kind:
             case "position":
-                if question is not self._target:
-                    self._target, self._guide = question, None
-                    self._readings.clear()
+                self._target = question
                 fields |= {"prompt": question["prompt"], "conditions": list(_conditions(question))}
             case "review":
                 means = {
@@ -188,6 +188,13 @@ class WebOperator(Operator):
                 fields |= {"table": None, "guide": None, "remaining": None}
         self._state.show(**fields)
         self._state.ask(question)
+
+    def _step(self, position: str) -> str:
+        """Return which position of how many it is."""
+        positions = self._begin["positions"]
+        return (
+            f"{positions.index(position) + 1} of {len(positions)}   {position}" if position in positions else position
+        )
 
     def _show_reading(self, look: Message) -> None:
         """Show readings, how far they are from the position, and why the session waits."""
@@ -210,7 +217,7 @@ class WebOperator(Operator):
 
         Where nothing predicts a reading, as of attitudes that nobody sets, there is no target.
         """
-        if "gravity" not in self._target:
+        if self._target.get("gravity") is None:
             return None
         target, sensors, shares = self._target["gravity"], [], []
         for serial, reading in readings.items():
