@@ -6,9 +6,11 @@ from pathlib import Path
 
 import click
 
+from tiltcal.calibration.wording import summary
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.files.atomic import check_writable
+from tiltcal.library.calibration import combine
 
 
 @options.command(epilog="Example: tiltcal combine S-0042-scale.yaml S-0042-drift.yaml -o S-0042.yaml")
@@ -29,8 +31,6 @@ def command(calibrations: tuple[Path, ...], mounting: str, output: Path) -> None
     sensitivity, nominal or of a --base, is no information. Positions of one journal count once. A file without
     positions enters by its values and their covariance.
     """
-    from tiltcal.calibration.wording import summary
-    from tiltcal.library.calibration import combine
 
     check_writable(output)
     found = combine(calibrations, mounting=mounting)

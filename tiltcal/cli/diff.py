@@ -6,8 +6,10 @@ from pathlib import Path
 
 import click
 
+from tiltcal.calibration.comparison import compare_records
 from tiltcal.cli import options
 from tiltcal.errors import NEGATIVE_VERDICT
+from tiltcal.files.calibration import read_calibration
 
 
 @options.command(epilog="Example: tiltcal diff S-0042-spring.yaml S-0042-autumn.yaml")
@@ -21,8 +23,6 @@ def command(before: Path, after: Path, as_json: bool) -> int:
     number of coefficients: of two calibrations of an unchanged sensor it calls 5 % changed. A coefficient that does not
     mean the same in both files is not comparable. Exit code 1 if something changed.
     """
-    from tiltcal.calibration.comparison import compare_records
-    from tiltcal.files.calibration import read_calibration
 
     found = compare_records(*map(read_calibration, (before, after)))
     options.print_judged(options.json_text(found.as_data()) if as_json else str(found))

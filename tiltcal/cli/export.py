@@ -10,6 +10,10 @@ import click
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import UsageError
+from tiltcal.export.targets import Source, exported
+from tiltcal.files.atomic import check_writable, write_whole
+from tiltcal.files.calibration import read_calibration
+from tiltcal.library.calibration import Calibration
 
 TARGETS = ("c", "fusion", "ros", "px4", "ardupilot", "iio", "python", "json")
 
@@ -43,10 +47,6 @@ def command(calibration: Path, to: str, output: Path | None, name: str, fixed: b
 
     What a target does not hold is named, with the largest error of an angle that this costs in the calibrated range.
     """
-    from tiltcal.export.targets import Source, exported
-    from tiltcal.files.atomic import check_writable, write_whole
-    from tiltcal.files.calibration import read_calibration
-    from tiltcal.library.calibration import Calibration
 
     if fixed and to != "c":
         raise UsageError(f"--fixed is for c; {to} has one form: leave it out")

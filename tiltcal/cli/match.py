@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from tiltcal.cli import options
 from tiltcal.cli.talk import progress_bar, remark
+from tiltcal.core.pair.matching import Matching
 from tiltcal.errors import UsageError
-
-if TYPE_CHECKING:
-    from tiltcal.core.pair.matching import Matching
-    from tiltcal.logs.match import PairLog
-    from tiltcal.report.record_figures import PairDrawing
+from tiltcal.files.atomic import check_writable
+from tiltcal.library.calibration import PairCalibration
+from tiltcal.logs.match import PairLog, match_log, pairs_of
+from tiltcal.report.record_figures import PairDrawing, draw_matching
 
 _EXAMPLES = """\b
 Examples:
@@ -69,10 +69,6 @@ def command(
 
     With --online, Ctrl-C ends the stream, and the estimates until then are the result.
     """
-    from tiltcal.files.atomic import check_writable
-    from tiltcal.library.calibration import PairCalibration
-    from tiltcal.logs.match import match_log, pairs_of
-    from tiltcal.report.record_figures import draw_matching
 
     wanted = pairs_of(_triples(pairs, orthogonals))
     for path in filter(None, (output, figure)):
@@ -101,7 +97,6 @@ def spectra_of(matching: Matching, log: PairLog) -> PairDrawing:
     EstimateError
         The record is too short for them.
     """
-    from tiltcal.report.record_figures import PairDrawing
 
     frequency, densities = log.densities(matching)
     turning = log.frequency or log.turns / (log.rows + log.missing)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from tiltcal.calibration.record import record_in
+from tiltcal.calibration.wording import pair_summary, summary
 from tiltcal.cli import options
-
-if TYPE_CHECKING:
-    from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.core.model import AXES
+from tiltcal.errors import UsageError
+from tiltcal.export.affine import affine_of
+from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.document import read_document
 
 
 @options.command(epilog="Example: tiltcal show S-0042.yaml --matrix")
@@ -23,11 +26,6 @@ def command(calibration: Path, matrix: bool) -> None:
     With --matrix it also prints A (g/unit) and b (unit) at the reference temperature: gravity is A (u - b), in the
     frame of the application, of the readings u. `tiltcal export` has it for programs.
     """
-    from tiltcal.calibration.record import record_in
-    from tiltcal.calibration.wording import pair_summary, summary
-    from tiltcal.errors import UsageError
-    from tiltcal.files.calibration import CalibrationRecord
-    from tiltcal.files.document import read_document
 
     record = record_in(read_document(calibration))
     if not isinstance(record, CalibrationRecord):
@@ -41,8 +39,6 @@ def command(calibration: Path, matrix: bool) -> None:
 
 def _map_lines(record: CalibrationRecord) -> Iterator[str]:
     """Yield the lines of A and b."""
-    from tiltcal.core.model import AXES
-    from tiltcal.export.affine import affine_of
 
     affine, sensor = affine_of(record.coefficients), record.sensor
     axes = sensor.channels if len(affine.matrix) == 1 else AXES[: len(affine.matrix)]

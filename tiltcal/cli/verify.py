@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
+from tiltcal.bench.journal import positions_of
+from tiltcal.bench.measure import OperatorOptions, led_by, run_session
 from tiltcal.bench.options import MeasureOptions
+from tiltcal.bench.session import Session
+from tiltcal.bench.setup import SessionFiles, Setup, free_journal, single
+from tiltcal.calibration.verification import PASSED, Verification, verify_positions
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.calibration import SensorIdentity, read_calibration
-from tiltcal.files.procedure import find_procedure
-
-if TYPE_CHECKING:
-    from tiltcal.bench.session import Session
-    from tiltcal.files.procedure import Procedure
+from tiltcal.files.journal import read_journal
+from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.library.measure import resumed
 
 
 @options.command(epilog="Example: tiltcal verify S-0042.yaml --address spi:///dev/spidev0.0 --limit 0.3")
@@ -51,13 +54,6 @@ def command(
     if every tilt error is within the limit with it added, failed if one is beyond the limit with it subtracted, else
     not decided. Exit code 1 unless passed.
     """
-    from tiltcal.bench.journal import positions_of
-    from tiltcal.bench.measure import OperatorOptions, led_by, run_session
-    from tiltcal.bench.session import Session
-    from tiltcal.bench.setup import SessionFiles, Setup, free_journal, single
-    from tiltcal.calibration.verification import PASSED, Verification, verify_positions
-    from tiltcal.files.journal import read_journal
-    from tiltcal.library.measure import resumed
 
     judged = read_calibration(calibration)
     if resume is not None:
