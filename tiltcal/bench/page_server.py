@@ -22,7 +22,7 @@ from socketserver import ThreadingTCPServer
 from threading import Condition, Thread
 from time import sleep
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
 import msgspec
 
@@ -201,7 +201,7 @@ class PageRequest(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Send the page, the stream of states, or a report."""
-        path = urlsplit(self.path).path
+        path = unquote(urlsplit(self.path).path)
         if not self._trusted():
             self._send(403, STRANGE)
         elif path in PAGE:
@@ -223,7 +223,8 @@ class PageRequest(BaseHTTPRequestHandler):
             self._send(403, STRANGE)
             return
         try:
-            said = json.loads(self.rfile.read(min(int(self.headers["Content-Length"]), LONGEST_ANSWER)))
+            length = int(self.headers["Content-Length"])
+            said = json.loads(self.rfile.read(max(0, min(length, LONGEST_ANSWER))))
         except (ValueError, TypeError, RecursionError):
             said = None
         if not isinstance(said, dict):
@@ -259,9 +260,8 @@ class PageRequest(BaseHTTPRequestHandler):
 
     @property
     def _cookie(self) -> str:
-        return (
-            f"tiltcal-{self.server.server_address[1]}={self.server.token}"  # the ports of a machine share its cookies
-        )
+        port = self.server.server_address[1]  # all ports of a machine share its cookies
+        return f"tiltcal-{port}={self.server.token}"
 
     def _let_in(self, token: object) -> None:
         """Give a browser that shows the token a cookie."""
