@@ -91,7 +91,7 @@ async function answer(word, more = {}) {
   const status = await send("answer", {id: question.id, answer: word, ...more});
   sending = false;
   if (status !== 204) {
-    $("#said").textContent = status === 409 ? "This was answered already." : "It did not arrive. Nothing was taken.";
+    $("#said").textContent = status === 409 ? "This was answered already." : "tiltcal did not say that it arrived: look what it asks now.";
     asked = "";
     show(state);
   }
@@ -123,7 +123,7 @@ function type(question) {
 document.addEventListener("keydown", (event) => {
   wake();
   if (event.repeat || event.ctrlKey || event.metaKey || event.altKey || $("dialog[open]") || event.target.tagName === "INPUT") return;
-  if (event.key === "Enter" && event.target.tagName === "A") return;
+  if (event.key === "Enter" && ["A", "BUTTON", "SUMMARY"].includes(event.target.tagName)) return;
   if (event.key === "?") return help();
   const pressed = event.key.toLowerCase() === "t" ? "a" : event.key.toLowerCase();  // as at the terminal
   const choice = choices(state?.question).find(([key]) => key.toLowerCase() === pressed);
@@ -154,7 +154,7 @@ function sounding() {
   $("#sound").setAttribute("aria-pressed", String(Boolean(audio)));
   $("#sound").textContent = audio ? "sound on" : "sound off";
 }
-$("#sound").onclick = () => { silent = Boolean(audio) && $("#sound").dataset.first !== "1"; $("#sound").dataset.first = ""; if (silent) audio.close(), audio = null; else wake(); sounding(); };
+$("#sound").onclick = () => { $("#sound").blur(); silent = Boolean(audio) && $("#sound").dataset.first !== "1"; $("#sound").dataset.first = ""; if (silent) audio.close(), audio = null; else wake(); sounding(); };
 $("#sound").onpointerdown = () => { $("#sound").dataset.first = audio ? "" : "1"; };
 
 const TONES = {sampled: [[880, 0, 0.12], [1320, 0.13, 0.2]], refused: [[220, 0, 0.25], [165, 0.28, 0.45]], done: [[660, 0, 0.15], [880, 0.16, 0.15], [1320, 0.32, 0.4]]};
