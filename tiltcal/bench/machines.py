@@ -208,9 +208,12 @@ class Machines:
             if self._failures >= ATTEMPTS:
                 raise Stopped(f"{question['position']} failed {ATTEMPTS} times in a row: {error}") from None
             raise
-        if question["ask"] == "review" and not self._asked_by_hand:
-            return {"answer": "accept"}
-        return self._person.ask(question)
+        if question["ask"] != "review":
+            return self._person.ask(question)
+        said = self._person.ask(question) if self._asked_by_hand else {"answer": "accept"}
+        if said != {"answer": "accept"}:
+            self._by_hand = None
+        return said
 
     def tell(self, event: Message) -> None:
         """Pass an event on; what was set by hand and is refused is asked for again."""
@@ -228,7 +231,7 @@ class Machines:
         ):
             return {"answer": "redo"}  # the file says that the channel was not seen to follow
         reached = self._moved(targets, question["position"])
-        if question is not self._asked:
+        if reached and question is not self._asked:
             self._asked = question
             self._person.tell({"event": "moved", "position": question["position"], "why": f"at {in_words(reached)}"})
         left = self._left_to_hand(question)
@@ -237,9 +240,10 @@ class Machines:
         if not self._asked_by_hand:
             return {"answer": "ready", **self._as_set(question, reached)}
         said = self._person.ask(question)
-        if not isinstance(said, Mapping) or said.get("answer") != "ready":
+        ready = isinstance(said, Mapping) and said.get("answer") == "ready"
+        self._by_hand = left if ready else None
+        if not isinstance(said, Mapping) or not ready:
             return said
-        self._by_hand = left
         # Whoever sets something by hand may have opened the door of the chamber.
         answer = self._as_set(question, self._moved(targets, question["position"]))
         if "tilt" in answer and "tilt" in said:
