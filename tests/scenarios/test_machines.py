@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -75,7 +76,7 @@ def answers(folder: Path, journal: str = "bench.journal.jsonl") -> list[dict]:
 def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
     """Six sensors, nine temperatures, nobody at the keyboard; the journal is cut in the middle of a line."""
     pytest.importorskip("pymodbus", reason="the pymodbus package is not installed")
-    options = ("--bench", "bench.yaml", "--operator", "json", "--samples", "10", "--settle", "0.05")
+    options = (*QUICK[:4], "--samples", "10", "--settle", "0.05")
     with machines(tmp_path) as table:
         done = tiltcal("measure", "temperature-sweep", *options, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
@@ -84,13 +85,10 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
         assert [one["position"] for one in said if one.get("event") == "accepted"][-1] == "back-24"
         waits = [one["seconds"] for one in said if one.get("event") == "waiting" and one["position"] == "up-40"]
         assert waits[:3] == [60, 120, 180], "once a minute of the bench's clock"
-        whole = tmp_path / "whole"
-        whole.mkdir()
-        for file in tmp_path.glob("A-*.yaml"):
-            file.rename(whole / file.name)
+        for number in range(6):
+            (tmp_path / f"A-{number}.yaml").rename(tmp_path / f"whole-{number}.yaml")
         journal = tmp_path / "bench.journal.jsonl"
-        data = journal.read_bytes()
-        journal.write_bytes(data[: int(0.55 * len(data))])
+        os.truncate(journal, int(0.55 * journal.stat().st_size))
         table.repair()
         resumed = tiltcal("measure", "--resume", journal, "--operator", "json", cwd=tmp_path)
         assert resumed.returncode == 0, resumed.stderr
@@ -100,11 +98,10 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
         calibration = read_calibration(tmp_path / f"A-{number}.yaml")
         assert len(calibration.positions) == 9
         truth = find_model("adxl202-analog").drawn(number)
-        for place, channel in enumerate("xy"):
-            name = f"temperature.offset.{channel}.1"
-            u = calibration.uncertainty[name]
-            assert abs(calibration.coefficients.thermal.drift[place, 0] - truth.drift[channel][0]) < 4 * u
-        assert tiltcal("diff", whole / f"A-{number}.yaml", f"A-{number}.yaml", cwd=tmp_path).returncode == 0
+        for channel, drift in zip("xy", calibration.coefficients.thermal.drift[:, 0], strict=True):
+            u = calibration.uncertainty[f"temperature.offset.{channel}.1"]
+            assert abs(drift - truth.drift[channel][0]) < 4 * u
+        assert tiltcal("diff", f"whole-{number}.yaml", f"A-{number}.yaml", cwd=tmp_path).returncode == 0
 
 
 @pytest.mark.parametrize(("procedure", "seed"), [("plane", 0), ("plane", 8), ("plane", 37), ("mavs", 104)])
@@ -117,6 +114,18 @@ def test_no_wrong_position_counts_and_every_stop_can_be_resumed(procedure: str, 
     (record,) = session.result.calibrations.values()
     names = [position.name for position in find_procedure(procedure).positions]
     assert [one.position for one in record.positions] == names
+
+
+SENSOR = '  - {serial: S-1, model: sca100t-d02, address: "sim:?seed=1"}\n'
+QUICK = ("--bench", "bench.yaml", "--operator", "json", "--samples", "5", "--settle", "0.5")
+
+
+def measured(folder: Path, procedure: str, machines: str, said: str = "", sensor: str = SENSOR) -> list[str]:
+    """Measure with the machines of a bench file, and return the positions for which a program was asked."""
+    (folder / "bench.yaml").write_text(f"tiltcal: 1\nkind: bench\njig: 0.05\nsensors:\n{sensor}{machines}")
+    done = tiltcal("measure", procedure, *QUICK, cwd=folder, said=said)
+    assert done.returncode == 0, done.stderr
+    return [one["position"] for one in map(json.loads, done.stdout.splitlines()) if "ask" in one]
 
 
 RIG = """\
@@ -132,8 +141,7 @@ class Axis:
         return Status()
 
     def read(self):
-        value = {{"value": self.at, "timestamp": 0.0}}
-        return {{self.name: value, self.name + "_setpoint": {{"value": 0.0, "timestamp": 0.0}}}}
+        return {{self.name: {{"value": self.at}}, self.name + "_setpoint": {{"value": self.at - 0.02}}}}
 
 def table_x():
     return Axis("x")
@@ -141,51 +149,59 @@ def table_x():
 def table_y():
     return Axis("tilt")
 """
-
-SENSOR = '  - {serial: S-1, model: sca100t-d02, address: "sim:?seed=1"}\n'
-HEADER = "tiltcal: 1\nkind: bench\njig: 0.05\nsensors:\n" + SENSOR
-QUICK = ("--bench", "bench.yaml", "--operator", "json", "--samples", "5", "--settle", "0.5")
+OBJECTS = """\
+table:
+  kind: object
+  limits: {x: [-90, 90], y: [-90, 90]}
+  tolerance: 0.05
+  objects: {x: {address: "python:tilt_rig:table_x"}, y: {address: "python:tilt_rig:table_y", reading: tilt}}
+"""
 
 
 def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it reads back is the angle that was set; one that fails stops the session until it is mended."""
-    objects = "{x: {address: 'python:rig31:table_x'}, y: {address: 'python:rig31:table_y', reading: tilt}}"
-    (tmp_path / "bench.yaml").write_text(
-        f"{HEADER}table:\n  kind: object\n  limits: {{x: [-90, 90], y: [-90, 90]}}\n  tolerance: 0.05\n"
-        f"  timeout: 1\n  objects: {objects}\n"
-    )
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "rig31.py").write_text(RIG.format(success=False))
-    stopped = tiltcal("measure", "plane", *QUICK, cwd=tmp_path)
-    assert stopped.returncode == 130
-    assert "x-tilt1 failed 3 times in a row: table: x has not got there" in stopped.stderr
-    assert "--resume bench.journal.jsonl" in stopped.stderr
-    (tmp_path / "rig31.py").write_text(RIG.format(success=True))
-    monkeypatch.delitem(sys.modules, "rig31")
+    (tmp_path / "tilt_rig.py").write_text(RIG.format(success=False))
+    with pytest.raises(AssertionError, match="x-tilt1 failed 3 times in a row: table: x has not got there") as stopped:
+        measured(tmp_path, "plane", OBJECTS)
+    assert "continue with: tiltcal measure --resume bench.journal.jsonl" in str(stopped.value)
+    (tmp_path / "tilt_rig.py").write_text(RIG.format(success=True))
+    monkeypatch.delitem(sys.modules, "tilt_rig")
     invalidate_caches()
     done = tiltcal("measure", "--resume", "bench.journal.jsonl", "--operator", "json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    told = [(one["tilt"]["x"], one["tilt"]["y"]) for one in answers(tmp_path)]
-    # Beside the axis that carries it, the other one is asin(cos 0.02° sin 30.02°) and so on.
-    assert told == [
-        pytest.approx(pair, abs=1e-3) for pair in [(30.02, 0.017), (-29.98, 0.017), (0.02, 30.02), (0.02, -29.98)]
-    ]
+    told = [tuple(one["tilt"].values()) for one in answers(tmp_path)]
+    # The tilt of the axis that is carried is asin(cos 30.02° sin 0.02°), 0.017°.
+    expected = [(30.02, 0.017), (-29.98, 0.017), (0.02, 30.02), (0.02, -29.98)]
+    assert told == [pytest.approx(pair, abs=1e-3) for pair in expected]
+
+
+ONE_AXIS = """\
+table:
+  kind: text
+  address: {place}
+  limits: {{x: [-90, 90]}}
+  tolerance: 0.05
+  approach: 2
+  set: ["G0 X{{x:.3f}} Y0"]
+  read: "?"
+  accepted: ok
+  pattern: MPos:(?P<x>[-0-9.]+)
+chamber:
+  kind: modbus
+  address: modbus:tcp://127.0.0.1:9
+  limits: {{temperature: [0, 50]}}
+  tolerance: 1
+  registers: {{temperature: {{set: "1", read: "2"}}}}
+"""
 
 
 def test_what_no_machine_does_is_left_to_the_operator(tmp_path: Path) -> None:
     """A table of one axis: the other is asked for where it changes. A chamber that has nothing to do is left alone."""
     table = VirtualTable(np.random.default_rng(1), lambda: 0.1)
+    said = '{"answer": "ready"}\n{"answer": "ready", "tilt": {"y": 30.02}}\n{"answer": "ready"}\n'
     with serving(table.line) as place:
-        (tmp_path / "bench.yaml").write_text(
-            f"{HEADER}chamber: {{kind: modbus, address: 'modbus:tcp://127.0.0.1:9', limits: {{temperature: [0, 50]}},\n"
-            "  tolerance: 1, registers: {temperature: {set: '1', read: '2'}}}\n"
-            f"table:\n  kind: text\n  address: {place}\n  limits: {{x: [-90, 90]}}\n  tolerance: 0.05\n"
-            '  approach: 2\n  set: ["G0 X{x:.3f} Y0"]\n  read: "?"\n  accepted: ok\n  pattern: MPos:(?P<x>[-0-9.]+)\n'
-        )
-        said = '{"answer": "ready"}\n{"answer": "ready", "tilt": {"y": 30.02}}\n{"answer": "ready"}\n'
-        done = tiltcal("measure", "plane", *QUICK, cwd=tmp_path, said=said)
-    assert done.returncode == 0, done.stderr
-    asked = [one["position"] for one in map(json.loads, done.stdout.splitlines()) if "ask" in one]
+        asked = measured(tmp_path, "plane", ONE_AXIS.format(place=place), said)
     assert asked == ["x-tilt1", "y-tilt1", "y-tilt2"]
     assert [one["tilt"] for one in answers(tmp_path)] == [{"x": 30.0}, {"x": -30.0}, {"x": 0.0, "y": 30.02}, {"x": 0.0}]
 
@@ -193,25 +209,22 @@ def test_what_no_machine_does_is_left_to_the_operator(tmp_path: Path) -> None:
 def test_a_chamber_alone_asks_for_the_attitude_once(tmp_path: Path) -> None:
     """Its temperature is answered where no device of the bench is a thermometer."""
     chamber = VirtualChamber(np.random.default_rng(1), lambda: 5.0)
+    stated = 'limits: {temperature: [-40, 90]}, tolerance: 0.5, set: ["SP {temperature:.1f}"], read: PV'
+    pattern = "'PV=(?P<temperature>[-0-9.]+)'"
     with serving(chamber.line) as place:
-        (tmp_path / "bench.yaml").write_text(
-            HEADER.replace("sca100t-d02", "adxl202-analog")
-            + f"chamber:\n  kind: text\n  address: {place}\n  limits: {{temperature: [-40, 90]}}\n  tolerance: 0.5\n"
-            '  set: ["SP {temperature:.1f}"]\n  read: PV\n  pattern: PV=(?P<temperature>[-0-9.]+)\n'
-        )
-        done = tiltcal("measure", "two-temperature", *QUICK, cwd=tmp_path, said='{"answer": "ready"}\n')
-    assert done.returncode == 0, done.stderr
-    said = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len([one for one in said if "ask" in one]) == 1
-    asked = [position.temperature for position in find_procedure("two-temperature").positions]
-    assert [one["temperature"] for one in answers(tmp_path)] == pytest.approx(asked, abs=0.5)
+        machines = f"chamber: {{kind: text, address: '{place}', {stated}, pattern: {pattern}}}\n"
+        sensor = SENSOR.replace("sca100t-d02", "adxl202-analog")
+        asked = measured(tmp_path, "two-temperature", machines, '{"answer": "ready"}\n', sensor)
+    positions = find_procedure("two-temperature").positions
+    assert asked == [positions[0].name]
+    wanted = [position.temperature for position in positions]
+    assert [one["temperature"] for one in answers(tmp_path)] == pytest.approx(wanted, abs=0.5)
 
 
-def test_a_position_beyond_the_limits_is_refused_before_anything_moves(tmp_path: Path) -> None:
-    with serving(lambda line: pytest.fail("it was asked to move")) as place:
-        bench = BENCH.format(table=place, chamber="modbus:tcp://127.0.0.1:9", sensors=SENSOR)
-        (tmp_path / "bench.yaml").write_text(bench.replace("x: [-95, 95]", "x: [-31, 95]"))
-        refused = tiltcal("measure", "plane", *QUICK, cwd=tmp_path)
+def test_a_position_beyond_the_limits_is_refused_before_anything_is_opened(tmp_path: Path) -> None:
+    bench = BENCH.format(table="serial:///dev/none", chamber="modbus:tcp://127.0.0.1:9", sensors=SENSOR)
+    (tmp_path / "bench.yaml").write_text(bench.replace("x: [-95, 95]", "x: [-31, 95]"))
+    refused = tiltcal("measure", "plane", *QUICK, cwd=tmp_path)
     assert refused.returncode == 2
     assert "x-tilt2 takes x of the table to -32, and its limits are -31 and 95" in refused.stderr
     assert not list(tmp_path.glob("*.jsonl"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby, pairwise
+from itertools import accumulate, groupby, pairwise
 from math import acos, degrees
 
 from tiltcal.drivers.model import Model
@@ -32,9 +32,12 @@ def least_seconds(procedure: Procedure, model: Model, samples: int, settle: floa
     return sum(windows) + len(temperatures) * samples * model.interval
 
 
-def way(positions: Sequence[Position]) -> float:
-    """Return by how many degrees a table turns from the first position to the last: its attitude and its heading."""
-    return sum(_turn(start, end) for start, end in pairwise(positions))
+def way(positions: Sequence[Position], beside: float = 0.0) -> float:
+    """Return by how many degrees a table turns from the first position to the last: its attitude and its heading.
+
+    ``beside`` counts where a setting follows itself.
+    """
+    return sum(_turn(start, end) or beside for start, end in pairwise(positions))
 
 
 def _turn(start: Position, end: Position) -> float:
@@ -52,8 +55,7 @@ def shortest(positions: Sequence[Position]) -> list[Position]:
     closes = len(positions) > 1 and _turn(positions[0], positions[-1]) == 0.0
     order, first = list(positions), 1
     stretches = [len(list(stretch)) for _, stretch in groupby(positions, key=lambda position: position.temperature)]
-    ends = [sum(stretches[: k + 1]) for k in range(len(stretches))]
-    for end in ends:
+    for end in accumulate(stretches):
         last = end - 1 if closes and end == len(positions) else end
         shorter = True
         while shorter:
@@ -61,14 +63,10 @@ def shortest(positions: Sequence[Position]) -> list[Position]:
             for start in range(first, last):
                 for stop in range(start + 2, last + 1):
                     turned = [*order[:start], *reversed(order[start:stop]), *order[stop:]]
-                    if _cost(turned) < _cost(order) - 1e-6:
+                    if way(turned, NOT_BESIDE) < way(order, NOT_BESIDE) - 1e-6:
                         order, shorter = turned, True
         first = end
     return order
-
-
-def _cost(order: Sequence[Position]) -> float:
-    return sum(_turn(start, end) or NOT_BESIDE for start, end in pairwise(order))
 
 
 def better_order(positions: Sequence[Position]) -> list[Position] | None:
