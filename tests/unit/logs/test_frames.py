@@ -1,10 +1,12 @@
-"""Frames of every kind give what ``tiltcal apply`` writes, to the last bit, and come back as their own kind."""
+"""Frames of every kind: results are those of the command, to the last bit; what cells may hold, and what is refused."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta, timezone
+from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -15,8 +17,9 @@ import xarray
 from support import FIXTURES
 from support.frames import READINGS, array
 
+from tiltcal.errors import InputError, TiltcalError
 from tiltcal.library.calibration import Calibration, read
-from tiltcal.library.recorded import apply_log
+from tiltcal.library.recorded import apply_log, match
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import rows_of
 from tiltcal.logs.kernel import RoleValues, prepare
@@ -183,3 +186,195 @@ def test_results_do_not_depend_on_where_blocks_end(name: str) -> None:
         part = kernel(RoleValues(np.stack(readings[rows].T).T, temperature[rows]))
         for column, values in part.items():
             np.testing.assert_array_equal(values, whole[column][rows], err_msg=column)
+
+
+class TestMissingValues:
+    """What an array masks is missing, whatever stands below the mask."""
+
+    @pytest.mark.parametrize("kind", [float, int])
+    def test_a_masked_reading_is_missing(self, kind: type, calibration: Calibration) -> None:
+        masked = np.ma.masked_array(np.array([1024, 1100], dtype=kind), mask=[True, False])
+        found = calibration.apply(READINGS | {"x": masked, "temperature": [20.0, 20.0]})
+        assert np.isnan(found["tilt_x"]).tolist() == [True, False]
+        assert found["flag"].tolist() == [9, 1]
+        means = calibration.apply(READINGS | {"x": masked, "temperature": [20.0, 20.0]}, average=2)
+        assert means["count"].tolist() == [1]
+
+
+class TestPythonValues:
+    """Numbers and moments of Python, in columns without a type of their own, count as those of arrays do."""
+
+    COLUMNS: ClassVar[dict[str, list[Any]]] = READINGS | {"x": [1024, None], "temperature": [Decimal("20.5"), None]}
+    SAME: ClassVar[dict[str, list[float]]] = READINGS | {"x": [1024.0, np.nan], "temperature": [20.5, np.nan]}
+
+    @pytest.mark.parametrize(
+        "made",
+        [
+            dict,
+            lambda columns: {name: np.array(cells, object) for name, cells in columns.items()},
+            lambda columns: pd.DataFrame(columns, dtype=object),
+            lambda columns: pl.DataFrame({name: pl.Series(cells, dtype=pl.Object) for name, cells in columns.items()}),
+            lambda columns: xarray.Dataset({name: ("row", np.array(c, object)) for name, c in columns.items()}),
+        ],
+        ids=["lists", "arrays", "pandas", "polars", "xarray"],
+    )
+    def test_numbers(self, made: Callable[[dict[str, Any]], Any], calibration: Calibration) -> None:
+        expected = calibration.apply(self.SAME)
+        assert expected["flag"].tolist() == [1, 9]
+        found = calibration.apply(made(self.COLUMNS))
+        for name in ("tilt_x", "tilt_y", "flag", "reason"):
+            np.testing.assert_array_equal(array(found, name), expected[name])
+
+    @pytest.mark.parametrize("made", [dict, pl.DataFrame, pd.DataFrame, pa.table])
+    def test_a_column_without_a_value(self, made: Callable[[dict[str, Any]], Any], calibration: Calibration) -> None:
+        """As an empty column of CSV: reason 16 of SPEC 10, temperature missing."""
+        found = calibration.apply(made(READINGS | {"temperature": [None, None]}))
+        assert array(found, "reason").tolist() == [16, 16]
+
+    @pytest.mark.parametrize("cells", [[True, False], ["1", None], [1.0, "2"], [[1.0], [2.0, 3.0]]])
+    def test_what_is_no_number(self, cells: list[Any], calibration: Calibration) -> None:
+        columns = READINGS | {"x": pd.Series(cells, dtype=object)}
+        for frame in (columns, pd.DataFrame(columns)):
+            with pytest.raises(InputError, match=r"column 'x' holds .*, not numbers"):
+                calibration.apply(frame)
+
+    @pytest.mark.parametrize(
+        "times",
+        [
+            [datetime(2026, 5, 1, 12, tzinfo=UTC), datetime(2026, 5, 1, 14, 0, 5, tzinfo=timezone(timedelta(hours=2)))],
+            [datetime(2026, 5, 1, 12), datetime(2026, 5, 1, 12, 0, 5)],
+            [pd.Timestamp("2026-05-01T12:00:00Z"), pd.Timestamp("2026-05-01T12:00:05Z")],
+        ],
+        ids=["zones", "no zone", "pandas"],
+    )
+    def test_moments(self, times: list[Any], calibration: Calibration) -> None:
+        columns = READINGS | {"time": times}
+        for how in ({"average": 2}, {"every": "10s"}):
+            assert calibration.apply(columns, **how)["time"] == [np.datetime64("2026-05-01T12:00:02.5")]
+
+
+class TestMeans:
+    """Of two rows; what a column holds besides numbers is that of the first."""
+
+    @pytest.mark.parametrize("kind", ["str", "string", "object"])
+    def test_a_text_of_a_time_is_missing(self, kind: str, calibration: Calibration) -> None:
+        frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]})
+        frame["time"] = pd.Series(["2026-05-01T12:00:00Z", None], dtype=kind)
+        for how in ({"average": 2}, {"every": "10s"}):
+            found = calibration.apply(frame, **how)
+            assert found["time"].tolist() == ["2026-05-01T12:00:00Z"]
+            assert found["count"].tolist() == [2]
+
+    @pytest.mark.parametrize(
+        "frame",
+        [
+            pl.DataFrame(READINGS).with_columns(pl.Series("other", ["a", 1], pl.Object)),
+            pd.DataFrame(READINGS | {"other": [1j, 2j]}),
+            pd.DataFrame(READINGS | {"other": pd.arrays.SparseArray([0, 1])}),
+            pd.DataFrame(READINGS | {"other": pd.period_range("2026-05", periods=2, freq="M")}),
+            pa.table(READINGS | {"other": pa.array([(1, 2, 3), None], pa.month_day_nano_interval())}),
+            xarray.Dataset({name: ("row", column) for name, column in READINGS.items()} | {5: ("row", [1.0, 2.0])}),
+            READINGS | {"other": [1.0, 2.0, 3.0]},
+        ],
+        ids=["mixed", "complex", "sparse", "period", "interval", "number for a name", "another length"],
+    )
+    def test_other_columns_do_not_matter(self, frame: Any, calibration: Calibration) -> None:
+        expected = calibration.apply({name: [np.mean(column)] for name, column in READINGS.items()})
+        assert array(calibration.apply(frame), "flag").tolist() == [3, 3]
+        means = calibration.apply(frame, average=2)
+        assert array(means, "tilt_x").tolist() == expected["tilt_x"].tolist()
+
+
+class TestRowsOfATable:
+    TABLE: ClassVar[dict[str, list[Any]]] = {"position": ["level", "x-45"], "x": [2.5, 3.0], "n": [100, None]}
+
+    @pytest.mark.parametrize(
+        "made",
+        [
+            pl.DataFrame,
+            pd.DataFrame,
+            lambda columns: pd.DataFrame(columns).convert_dtypes(),
+            lambda columns: pd.DataFrame(columns, dtype=object),
+            lambda columns: pd.DataFrame(columns).set_index("position"),
+            pa.table,
+            dict,
+            lambda columns: columns | {"n": np.array([100, np.nan])},
+            lambda columns: [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)],
+        ],
+        ids=["polars", "pandas", "nullable", "objects", "index", "pyarrow", "dict", "arrays", "rows"],
+    )
+    def test_a_missing_whole_number_leaves_the_others_whole(self, made: Callable[[dict[str, Any]], Any]) -> None:
+        rows = rows_of(made(self.TABLE), "the table")
+        assert rows == [{"position": "level", "x": 2.5, "n": 100}, {"position": "x-45", "x": 3}]
+        assert isinstance(rows[0]["n"], int)
+
+
+def data(units: dict[str, str] | None = None, **more: Any) -> xarray.Dataset:
+    """The readings and further columns as a Dataset that states units."""
+    columns = READINGS | more
+    return xarray.Dataset(
+        {name: ("n", column, {"units": (units or {}).get(name, "1")}) for name, column in columns.items()}
+    )
+
+
+VECTOR = {"a": [20.0, 20.0], "b": [2.0, 2.0], "c": [1.0, 1.0]}
+REFUSED: list[tuple[Any, dict[str, Any], str]] = [
+    ({**READINGS, "temperature": 20.0}, {}, r"column 'temperature' has 0 dimensions .*: a log's columns have one"),
+    ({**READINGS, "temperature": [[20.0, 21.0]]}, {}, r"column 'temperature' has 2 dimensions"),
+    (
+        xarray.Dataset({"x": ("a", READINGS["x"]), "y": ("b", READINGS["y"])}),
+        {},
+        "rows of different kinds: 'x' along 'a' and 'y' along 'b'",
+    ),
+    (
+        data({"temperature": "K"}, temperature=[293.1, 293.2]),
+        {},
+        "column 'temperature' is in K, and temperatures in °C",
+    ),
+    (READINGS, {"columns": "y=x"}, "x and y are one column, 'x'"),
+    (pd.DataFrame([[1.0, 2.0]], columns=["x", "x"]), {}, "the frame: two columns have one name"),
+    (pa.table([[1.0], [2.0]], names=["x", "x"]), {}, "the frame: two columns have one name"),
+    ({}, {}, "there are no columns"),
+    (READINGS, {"unit": "V"}, "column 'x' is in V, and the calibration in count"),
+    (data(dict.fromkeys("xy", "V")), {}, "column 'x' is in V, and the calibration in count"),
+    (
+        data({"b": "nT", "a": "uT"}, **VECTOR),
+        {"magnetometer": "a,b,c"},
+        "column 'b' is in nT, and 'a' in uT: convert one of them",
+    ),
+    (
+        data({"heading": "rad"}, **VECTOR, heading=[0.0, 1.0]),
+        {"velocity": "a,b,c"},
+        "column 'heading' is in rad, and headings in degree",
+    ),
+    (READINGS, {"columns": {"x": "VoutX"}}, "the frame: there is no column 'VoutX'; the log has x, y"),
+    (READINGS, {"columns": {"X": "x"}}, r"there is no role 'X' .*; the roles are x, y, temperature, time"),
+    ({**READINGS, "x": ["a", "b"]}, {}, r"column 'x' holds .*, not numbers"),
+    (pl.DataFrame({**READINGS, "x": ["a", "b"]}), {}, r"column 'x' holds .*, not numbers"),
+    ({**READINGS, "x": [1.0]}, {}, "differ in length"),
+    ({"x": [], "y": []}, {}, "no rows"),
+    ({**READINGS, "g_x": [0.0, 0.0]}, {}, "column 'g_x' already"),
+    *((frame, {}, "give a polars, pandas or pyarrow frame") for frame in (pl.LazyFrame(READINGS), 5, [1.0])),
+]
+
+
+@pytest.mark.parametrize(("frame", "options", "why"), REFUSED, ids=[why[:40] for _, _, why in REFUSED])
+def test_it_is_refused(frame: Any, options: dict[str, Any], why: str, calibration: Calibration) -> None:
+    with pytest.raises(TiltcalError, match=why):
+        calibration.apply(frame, **options)
+
+
+def test_columns_of_a_table_that_differ_in_length() -> None:
+    for other in ([1.0], 1.0):
+        with pytest.raises(TiltcalError, match="the table: the columns differ in length"):
+            rows_of({"position": ["level", "x-45"], "x": other}, "the table")
+
+
+def test_a_stage_angle_in_radians() -> None:
+    turns = {"theta": np.linspace(0.0, 20.0, 400), **{f"a{k}": np.ones(400) for k in (1, 2, 3, 4)}}
+    disk = xarray.Dataset({name: ("n", column) for name, column in turns.items()})
+    disk["theta"].attrs["units"] = "rad"
+    with pytest.raises(TiltcalError, match="column 'theta' is in rad, and the calibration in degree"):
+        read(FIXTURES / "rotation.yaml").apply(disk)
+    with pytest.raises(TiltcalError, match="column 'theta' is in rad, and stage angles in degree"):
+        match(disk, [("a1", "a2", "a4")], phase="theta")

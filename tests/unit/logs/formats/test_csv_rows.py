@@ -1,10 +1,12 @@
-"""What a row of a CSV log is, and what is said of one that is none."""
+"""What a row of a CSV log is, how a log is written, and what is said of what is none."""
 
 from __future__ import annotations
 
 import csv
 import io
+import random
 import struct
+from io import BytesIO
 from math import inf, nan
 from typing import ClassVar
 
@@ -13,9 +15,13 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from tests.support.row_grammar import cells_of, readings_of
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
+from tiltcal.logs.columns import locate_columns
+from tiltcal.logs.formats import csv_rows
 from tiltcal.logs.formats.csv import CsvReader
+from tiltcal.logs.formats.csv_rows import Dialect, RowGrammar, dialect_of
 from tiltcal.logs.log import LogSource
 
 NAMES = ("time", "x", "y")
@@ -246,3 +252,165 @@ def test_any_bytes_are_rows_or_an_error_of_ours_and_skipping_keeps_every_row(con
         return
     body = content.removeprefix(b"time,x,y\n")
     assert len(found) == body.count(b"\n") + (not body.endswith(b"\n"))
+
+
+STATION_COLUMNS = ("time", "station", "x", "y")
+ODD = ("", "NaN", "na", "N/A", "-inf", "2.", ".5", "1e", "1e5", " 1.5", "2.5\t", "abc", "0x1", "--1", "1e400", "1.5.2")
+STATIONS = (("North", "Süd"), ('"N, 1"', "plain"), ('"say ""no"""', '""'), ('"a;b"', "c"), ("st. 1", ""))
+
+
+def odd_log(seed: int) -> tuple[bytes, str]:
+    """Return a log and its rows as text: mostly plain rows, and now and then one that is odd or bad."""
+    draw = random.Random(seed)
+    rate, stations, end = draw.choice([0.0, 0.01, 0.2]), draw.choice(STATIONS), draw.choice(["\n", "\r\n"])
+    rows = []
+    for _ in range(draw.choice([1, 30, 200])):
+        readings = [
+            draw.choice(ODD) if draw.random() < rate else draw.choice([f"{draw.gauss(2.5, 1):.5f}", "17", "1.5e-3"])
+            for _ in range(3)
+        ]
+        row = [readings[0], draw.choice(stations), *readings[1:]]
+        row = draw.choice([row[:3], [*row, "9"], ["\0", *row[1:]], []]) if draw.random() < rate / 4 else row
+        rows.append(",".join(row) + end)
+    rows.append(f"1,{stations[0]},2,3{end}")
+    text = "".join(rows)
+    return (",".join(STATION_COLUMNS) + end + text).encode(draw.choice(["utf-8", "latin-1"])), text
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_the_numbers_and_the_bad_rows_are_those_of_the_written_rule(seed: int) -> None:
+    content, text = odd_log(seed)
+    block = random.Random(seed).choice([200, 2_000, 1 << 20])
+    source = LogSource(io.BytesIO(content), "night.csv", "night.csv", skip_bad_rows=True)
+    values: dict[int, list[float]] = {2: [], 3: []}
+    bad: set[int] = set()
+    for rows in CsvReader(source, block=block).rows([2, 3]):
+        bad |= {len(values[2]) + row for row in rows.faults}
+        for column, numbers in values.items():
+            numbers.extend(rows.values[column].tolist())
+    expected, expected_bad = readings_of(text, len(STATION_COLUMNS), [2, 3])
+    assert bad == expected_bad
+    np.testing.assert_array_equal([values[2], values[3]], expected)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"1,a,2.5,3\n2,b.1,-.5,4e3\n",
+        b"1,N 1,2.5,3\r\n2,,NaN,4\r\n",
+        b"1,a,2.5,\n2,b,3.5,\n",
+        b"1,st. Mary,NA,\n2,b, 3.5,\n",
+    ],
+)
+def test_sound_rows_take_the_short_way(data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(RowGrammar, "_by_line")
+    monkeypatch.setattr(csv_rows, "_PIECE", 5)
+    found = RowGrammar(Dialect(STATION_COLUMNS), [2], texts=[1]).parse(data)
+    (expected,), _ = readings_of(data.decode(), len(STATION_COLUMNS), [2])
+    np.testing.assert_array_equal(found.values[2], expected)
+    assert [text or "" for text in found.texts[1].to_list()] == [row[1] for row in cells_of(data.decode())]
+    assert found.lines.to_list() == data.decode().replace("\r", "").split("\n")[:-1]
+
+
+NUMBERED = CsvReader(LogSource(BytesIO(b"4,5,6\n7,8,9\n"), "log.txt", "log.txt"))
+
+
+def table(content: bytes, block: int = 1 << 20, skip_bad_rows: bool = False) -> list[tuple[float, ...]]:
+    """All numbers of a log, row by row."""
+    log = CsvReader(LogSource(BytesIO(content), "log.txt", "log.txt", skip_bad_rows=skip_bad_rows), block=block)
+    every = range(len(log.names))
+    return [row for rows in log.rows(every) for row in zip(*(rows.values[k].tolist() for k in every), strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("line", "columns"),
+    [
+        ("   2.9840000e-02   3.3108000e+04\n", ("1", "2")),
+        ("1.5,2,3\r\n", ("1", "2", "3")),
+        ("1.5, 2, 3", ("1", "2", "3")),
+        ("-1\t2", ("1", "2")),
+        ("7", ("1",)),
+        ("nan 2", ("1", "2")),
+        ("time,x,y", None),
+        ("x", None),
+        ("1,2,x", None),
+        ("", None),
+        # Programs that number columns which nobody named write such a header.
+        ("0,1,2", None),
+        ("1,2,3", None),
+        ("0,1,2.0", ("1", "2", "3")),
+        # A first row may lack a cell; a table of pandas has no name above its index.
+        (",1024,1030,20", ("1", "2", "3", "4")),
+        ("7,,1030", ("1", "2", "3")),
+        (",0,1,2", None),
+        (",,", None),
+    ],
+)
+def test_a_first_line_of_numbers_is_a_row(line: str, columns: tuple[str, ...] | None) -> None:
+    dialect = dialect_of(line)
+    assert dialect.has_header == (columns is None)
+    assert columns is None or dialect.names == columns
+
+
+@pytest.mark.parametrize("block", [1, 3, 1 << 20])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"time x\n1.5 2\n3 4\n",
+        b"# time x\r\n1.5 2\r\n3 4\r\n",
+        b"#time\tx\n1.5\t2\n3\t4\n",
+        b"  time   x  \n  1.5  2  \n 3 4",
+        b"\xef\xbb\xbftime x\n1.5 2\n3 4\n",
+    ],
+)
+def test_names_may_be_parted_by_blanks_too(content: bytes, block: int) -> None:
+    log = CsvReader(LogSource(BytesIO(content), "log.txt", "log.txt"), block=block)
+    assert log.names == ("time", "x")
+    assert log.header == b"time,x"
+    values = np.concatenate([np.stack([rows.values[0], rows.values[1]], axis=1) for rows in log.rows([0, 1])])
+    assert values.tolist() == [[1.5, 2.0], [3.0, 4.0]]
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("time;x\n0,5;1\n1,5;2\n", Dialect(("time", "x"), ";", ",")),
+        ("time;x\n1;2\n1;2,5\n", Dialect(("time", "x"), ";", ",")),
+        ("time;x\r\n0.5;1\r\n", Dialect(("time", "x"), ";")),
+        ("time\tx\n0,5\t1,25\n", Dialect(("time", "x"), "\t", ",")),
+        ("Time (s)\tx (m/s^2)\n0.5\t1.25\n", Dialect(("Time (s)", "x (m/s^2)"), "\t")),
+        ("0,5;1,25\n1,5;2,5\n", Dialect(("1", "2"), ";", ",", has_header=False)),
+        ("a;b,c\n1;2,3\n", Dialect(("a;b", "c"))),
+        ("note,x\na;b,1\n", Dialect(("note", "x"))),
+    ],
+)
+def test_the_dialect_is_seen_at_the_top(content: str, expected: Dialect) -> None:
+    assert dialect_of(content) == expected
+
+
+class TestDecimalComma:
+    CONTENT = "time;x;note\n0,5;1;a.b\n1,5;-2,5e-1;01.02.2026\n;NA;\n"
+
+    @pytest.mark.parametrize("size", [None, 100])
+    def test_numbers_and_text(self, size: int | None) -> None:
+        """With the engine, and without it."""
+        log = CsvReader(LogSource(BytesIO(self.CONTENT.encode()), "log.csv", "log.csv", size=size))
+        (block,) = log.rows([0, 1])
+        np.testing.assert_array_equal([block.values[0], block.values[1]], [[0.5, 1.5, np.nan], [1.0, -0.25, np.nan]])
+
+    @pytest.mark.parametrize("cell", ["1.5", "1.234,5", "1,", "1,5,2"])
+    def test_a_point_is_none(self, cell: str) -> None:
+        """1.234 is more than a thousand where commas are decimal."""
+        with pytest.raises(InputError, match=f"log.txt:3: column 'x': '{cell}' is no number"):
+            table(f"time;x\n0,5;1,5\n1,5;{cell}\n".encode())
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("Acceleration x (m/s^2)", "m/s^2"), ("x [V]", "V"), ("x (left)", None), ("x", None), ("(V)", None)],
+)
+def test_a_unit_may_stand_in_the_header(name: str, unit: str | None) -> None:
+    log = CsvReader(LogSource(BytesIO(f"time,{name}\n0,1\n".encode()), "log.csv", "log.csv"))
+    assert log.unit(1) == unit
+    bare = name if unit is None else name.partition(" ")[0] if name.startswith("x") else "Acceleration x"
+    assert locate_columns(log, ("x",), {"x": bare}) == locate_columns(log, ("x",), {"x": name}) == {"x": 1}
