@@ -20,7 +20,7 @@ from support.command import TILTCAL, tiltcal, tiltcal_process
 
 from tiltcal.cli.talk import TRACEBACK
 from tiltcal.library.recorded import apply_log
-from tiltcal.logs.apply_summary import ApplySummary
+from tiltcal.logs.apply import ApplySummary
 
 CAL = FIXTURES / "mavs.yaml"
 

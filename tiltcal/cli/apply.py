@@ -17,7 +17,7 @@ from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete
 
 if TYPE_CHECKING:
-    from tiltcal.logs.apply_summary import ApplySummary
+    from tiltcal.logs.apply import ApplySummary
 
     Outcome = tuple[Sequence[str], ApplySummary | TiltcalError]  # the remarks on a log, and its summary or its error
 

@@ -8,8 +8,7 @@ from typing import Any, Unpack
 
 from tiltcal.library.calibration import Calibration, PairCalibration
 from tiltcal.library.calibration_library import CalibrationLibrary
-from tiltcal.logs.apply import Applied, apply_to_log
-from tiltcal.logs.apply_summary import ApplySummary
+from tiltcal.logs.apply import Applied, ApplySummary, apply_to_log
 from tiltcal.logs.fit import fit_recorded
 from tiltcal.logs.log import Progress
 from tiltcal.logs.match import match_log, pairs_of

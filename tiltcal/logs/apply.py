@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from math import nan
 from pathlib import Path
@@ -16,13 +17,12 @@ from tiltcal.calibration.record import record_in
 from tiltcal.calibration.season import CalibrationFolder
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.earth_frame import VELOCITY, FieldLength
-from tiltcal.core.flags import MISSING, NOT_A_NUMBER
+from tiltcal.core.flags import FLAGS, MISSING, NOT_A_NUMBER, REASONS, count_flags
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.document import read_document
 from tiltcal.files.pair import PairRecord
-from tiltcal.logs.apply_summary import ApplySummary, ColumnWidths
 from tiltcal.logs.cf_attributes import DEGREE, same_unit
 from tiltcal.logs.columns import (
     HEADING,
@@ -34,11 +34,12 @@ from tiltcal.logs.columns import (
     require_unit,
 )
 from tiltcal.logs.formats import create_log, open_log, require_way
-from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare
+from tiltcal.logs.kernel import ColumnWidths, PreparedCalibration, RoleValues, prepare
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import BlockOfMeans, Means
 from tiltcal.logs.options import ApplyOptions, require_consistent
 from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of
+from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_path
 
 NO_TIME = (
@@ -261,3 +262,76 @@ def _in_order(blocks: Iterable[LogBlock], time: int, name: str) -> Iterator[LogB
         last = float(block.values[time][known[-1]]) if len(known) else last
         first += len(block)
         yield block
+
+
+@dataclass(repr=False)
+class ApplySummary:
+    """The counts of an applied log: rows by flag and by reason.
+
+    rows: written, every one that was read.
+    flags: rows by flag.
+    reasons: rows by bit of the reason; a row may have several.
+    bad_rows: rows that could not be parsed and were kept as missing.
+    widths: the columns that were to be watched, half widths of 95 % intervals: degrees, and of velocities their unit.
+    sensors: of each sensor, by serial number, where the log has several; the whole then counts the worst flag of a row,
+        and every reason of it.
+    """
+
+    rows: int = 0
+    flags: Counter[int] = field(default_factory=Counter)
+    reasons: Counter[int] = field(default_factory=Counter)
+    bad_rows: int = 0
+    widths: dict[str, ColumnWidths] = field(default_factory=dict)
+    sensors: dict[str, ApplySummary] = field(default_factory=dict)
+
+    def add(self, table: Table, bad_rows: int = 0) -> None:
+        """Count some rows, and those of them that could not be parsed."""
+        for name, widths in self.widths.items():
+            widths.add(np.asarray(table[name], dtype=float))
+        flags, reasons = [], []
+        for lead in [name.removesuffix("flag") for name in table if name.rpartition("_")[2] == "flag"]:
+            flags.append(np.asarray(table[f"{lead}flag"], np.uint16))
+            reasons.append(np.asarray(table[f"{lead}reason"], np.uint16))
+            if lead:
+                of_sensor = self.sensors.setdefault(lead.removesuffix("_"), ApplySummary())
+                of_sensor.add({"flag": flags[-1], "reason": reasons[-1]})
+        self.rows += len(flags[0])
+        self.bad_rows += bad_rows
+        count_flags(self.flags, self.reasons, np.maximum.reduce(flags), np.bitwise_or.reduce(reasons))
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the counts as plain data, every flag and reason that occurred."""
+        data = {"rows": self.rows, **self._counts(), "bad_rows": self.bad_rows}
+        if self.widths:
+            data["uncertainty"] = {n: {"median": w.median, "largest": w.largest} for n, w in self.widths.items()}
+        if self.sensors:
+            data["sensors"] = {serial: sensor._counts() for serial, sensor in self.sensors.items()}
+        return data
+
+    def _counts(self) -> dict[str, dict[str, int]]:
+        return {
+            "flags": {str(flag): self.flags[flag] for flag in FLAGS if self.flags[flag]},
+            "reasons": {str(bit): self.reasons[bit] for bit in REASONS if self.reasons[bit]},
+        }
+
+    def __str__(self) -> str:
+        """Return the counts in words, one line for each."""
+        lines = [counted(self.rows, "row")]
+        for serial, summary in (self.sensors or {"": self}).items():
+            lead = f"  {serial} " if serial else "  "
+            for what, names, counts in (("flag", FLAGS, summary.flags), ("reason", REASONS, summary.reasons)):
+                lines += [f"{lead}{what} {code} {name}: {counts[code]}" for code, name in names.items() if counts[code]]
+        if self.bad_rows:
+            lines.append(f"  {counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
+        if self.widths:
+            lines.append(f"  median (largest) {', '.join(_told(name, width) for name, width in self.widths.items())}")
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
+
+def _told(name: str, widths: ColumnWidths) -> str:
+    if widths.median is None or widths.largest is None:
+        return f"{name} none"
+    unit = "" if name.startswith("U95_v_") else "°"
+    return f"{name} {widths.median:.2g}{unit} ({widths.largest:.2g}{unit})"

@@ -24,7 +24,6 @@ from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord
-from tiltcal.logs.apply_summary import ColumnWidths
 from tiltcal.logs.cf_attributes import COUNT, DEGREE
 from tiltcal.logs.columns import HEADING, TIME
 from tiltcal.logs.log import Table
@@ -58,6 +57,41 @@ class RoleValues:
 
 Kernel = Callable[[RoleValues], Table]
 """Columns from the rows of one log, block after block in order; a kernel may remember the rows before."""
+
+
+class ColumnWidths:
+    """Positive numbers, counted by size: by some bits of the mantissa, from one power of 2 to another; NaN is none."""
+
+    def __init__(self, bits: int = 7, powers: tuple[int, int] = (-127, 128)) -> None:
+        self._shift = 23 - bits
+        self._first, end = ((127 + power) << bits for power in powers)
+        self._counts = np.zeros(end - self._first, np.int64)
+        self._largest = 0.0
+
+    def add(self, widths: Array) -> None:
+        """Count some more."""
+        finite = np.isfinite(widths)
+        known = widths if finite.all() else widths[finite]
+        if len(known):
+            self._largest = max(self._largest, float(known.max()))
+            codes = (known.astype(np.float32).view(np.int32) >> self._shift) - self._first
+            np.clip(codes, 0, len(self._counts) - 1, out=codes)
+            self._counts += np.bincount(codes, minlength=len(self._counts))
+
+    @property
+    def median(self) -> float | None:
+        """The median, to half the distance of neighbours; None where there is no value."""
+        total = int(self._counts.sum())
+        if not total:
+            return None
+        code = self._first + int(np.searchsorted(np.cumsum(self._counts), (total + 1) // 2))
+        ends = np.array([code << self._shift, (code + 1) << self._shift], np.int32).view(np.float32)
+        return min(float(ends.mean()), self._largest)
+
+    @property
+    def largest(self) -> float | None:
+        """The largest value; None where there is none."""
+        return self._largest if self._counts.any() else None
 
 
 class RowRemarks:
