@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from hashlib import sha256
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -81,17 +82,14 @@ class RosbagReader(LogReader):
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         import polars as pl
 
-        rows: list[tuple[float, ...]] = []
-        done = 0
-        for row in self._messages():
-            rows.append(row)
-            if len(rows) == _ROWS:
-                yield self._block(rows, columns, pl if frames else None)
-                done, rows = done + len(rows), []
-        if not done and not rows:
+        messages, done = self._messages(), 0
+        while rows := list(islice(messages, _ROWS)):
+            done += len(rows)
+            table = np.array(rows).T.copy()  # each column is contiguous
+            frame = pl.DataFrame(dict(zip(self.names, table, strict=True))) if frames else None
+            yield LogBlock({index: table[index] for index in columns}, frame=frame)
+        if not done:
             raise InputError(f"topic {self._topic} has no message", file=self.name)
-        if rows:
-            yield self._block(rows, columns, pl if frames else None)
 
     def _messages(self) -> Iterator[tuple[float, ...]]:
         connections = [one for one in self._bag.connections if one.topic == self._topic]
@@ -102,11 +100,6 @@ class RosbagReader(LogReader):
                 seconds = stamp.sec + stamp.nanosec * 1e-9 if stamp.sec else received * 1e-9
                 acceleration, rate = message.linear_acceleration, message.angular_velocity
                 yield seconds, acceleration.x, acceleration.y, acceleration.z, rate.x, rate.y, rate.z
-
-    def _block(self, rows: Sequence[tuple[float, ...]], columns: Sequence[int], pl: Any) -> LogBlock:
-        table = np.array(rows)
-        frame = None if pl is None else pl.DataFrame(dict(zip(self.names, table.T, strict=True)))
-        return LogBlock({index: np.ascontiguousarray(table[:, index]) for index in columns}, frame=frame)
 
     @contextmanager
     def _refusing_damage(self) -> Iterator[None]:
