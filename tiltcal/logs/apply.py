@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +33,7 @@ from tiltcal.logs.columns import (
     require_unit,
 )
 from tiltcal.logs.formats import create_log, open_log, require_way
-from tiltcal.logs.kernel import ColumnWidths, PreparedCalibration, RoleValues, prepare
+from tiltcal.logs.kernel import ColumnWidths, PreparedCalibration, RoleValues, prepare, with_lag
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import BlockOfMeans, Means
 from tiltcal.logs.options import ApplyOptions, require_consistent
@@ -134,6 +133,7 @@ class CompensatedLog:
         self._sensors = [
             replace(
                 sensor,
+                kernel=with_lag(sensor.kernel, sensor.lag, log.name),
                 columns=tuple(where[sensor.lead + channel] for channel in sensor.channels),
                 thermometer=where[sensor.lead + TEMPERATURE] if sensor.lead + TEMPERATURE in thermometers else None,
             )
@@ -183,14 +183,12 @@ class CompensatedLog:
         if (size := self.prepared.averaging) is not None:
             heading = self._roles.get(HEADING)
             means = Means(size, self.log, self._sensors, lambda block: self._table(block, judged=True), time, heading)
-        rows: Iterable[LogBlock] = self.log.rows(
+        rows = self.log.rows(
             sorted(wanted if time is None else wanted | {time}),
             time,
             frames=frames or means is not None,
             needs_time=needs_time,
         )
-        if self._lagged and time is not None:
-            rows = _in_order(rows, time, self.log.name)
         for block in rows if means is None else means.blocks(rows):
             table: Table = self._table(block)
             if self._field_length is not None:
@@ -244,24 +242,6 @@ def look_over(
         times = overview.rows + np.arange(float(len(flag))) if time is None else block.values[time]
         overview.add(times, shown, flag, reason)
     return overview, compensated
-
-
-def _in_order(blocks: Iterable[LogBlock], time: int, name: str) -> Iterator[LogBlock]:
-    """Yield blocks whose times go on, s; a temperature follows its thermometer with a lag in no others."""
-    last, first = nan, 0
-    for block in blocks:
-        known = np.flatnonzero(np.isfinite(block.values[time]))
-        steps = np.diff(block.values[time][known], prepend=last)
-        if np.any(steps <= 0.0):
-            wrong = int(np.argmax(steps <= 0.0))
-            how = "goes back" if steps[wrong] < 0.0 else "stands still"
-            why = f"time {how} at row {first + int(known[wrong])}, and the calibration follows a thermal lag"
-            raise InputError(
-                f"{why}: sort the log, or name a column of times that go on (--columns time=NAME)", file=name
-            )
-        last = float(block.values[time][known[-1]]) if len(known) else last
-        first += len(block)
-        yield block
 
 
 @dataclass(repr=False)

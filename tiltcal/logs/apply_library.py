@@ -34,7 +34,6 @@ from tiltcal.logs.kernel import (
     RowRemarks,
     prepare,
     tilt_kernel,
-    with_lag,
 )
 from tiltcal.logs.log import LogReader, Table
 from tiltcal.logs.options import ApplyOptions, silent
@@ -84,8 +83,7 @@ def prepare_library(library: CalibrationFolder, log: LogReader, options: ApplyOp
         }
         prepared.append(prepare(history.calibrations[-1].record, options, origin=origin))
         (last,) = prepared[-1].sensors
-        kernel = with_lag(LibraryKernel(history, options, last, start, log.name), last.lag)
-        sensors.append(replace(last, kernel=kernel, lead=lead))
+        sensors.append(replace(last, kernel=LibraryKernel(history, options, last, start, log.name), lead=lead))
     whole = replace(prepared[0], sensors=tuple(sensors))
     named = named_columns(options["columns"], whole.channels, whole.roles)
     needs_time = start is None or named.get(TIME, TIME) in log.names

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import inf, nan
 from pathlib import Path
 
 import numpy as np
@@ -118,19 +118,32 @@ class RowRemarks:
             yield f"in {rows} the sensor is more than 45° from level, mounted on edge: nothing shows the sign of its z"
 
 
-def with_lag(kernel: Kernel, lag: float) -> Kernel:
-    """Return a kernel that takes the temperature of the sensing element, s later than its thermometer, for one log."""
+def with_lag(kernel: Kernel, lag: float, file: str) -> Kernel:
+    """Return a kernel that takes the temperature of the sensing element, s later than its thermometer, for one log.
+
+    An InputError where the times of the log, which is called ``file``, do not go on.
+    """
     if not lag:
         return kernel
-    follow = ThermalLag(lag)
+    follow, last, rows = ThermalLag(lag), nan, 0
 
     def lagged(values: RoleValues) -> Table:
-        temperature = values.temperature
+        nonlocal last, rows
+        temperature, time = values.temperature, values.time
+        if time is not None:
+            known = np.flatnonzero(np.isfinite(time))
+            steps = np.diff(time[known], prepend=last)
+            if np.any(steps <= 0.0):
+                wrong = int(np.argmax(steps <= 0.0))
+                how = f"time {'goes back' if steps[wrong] < 0.0 else 'stands still'} at row {rows + int(known[wrong])}"
+                advice = "sort the log, or name a column of times that go on (--columns time=NAME)"
+                raise InputError(f"{how}, and the calibration follows a thermal lag: {advice}", file=file)
+            last, rows = float(time[known[-1]]) if len(known) else last, rows + len(time)
         if temperature is None:
             return kernel(values)
         late = np.isfinite(temperature)
-        if values.time is not None:
-            element = follow(values.time, temperature)
+        if time is not None:
+            element = follow(time, temperature)
             late &= ~np.isfinite(element)
             values = replace(values, temperature=np.where(late, temperature, element))
         return mark_columns(kernel(values), late, SUSPECT, NO_TEMPERATURE)
@@ -280,16 +293,15 @@ def prepare(
         raise InputError(str(failure), file=file) from failure
     if judge is not None and options["uncertainty"]:
         say("note: the noise of readings counts as white: a mean of n rows has 1/√n of it")
-    lag = 0.0 if coefficients.thermal is None else coefficients.thermal.lag
     prepared = PreparedSensor(
-        with_lag(kernel, lag),
+        kernel,
         kernel.columns,
         coefficients.channels,
         dict.fromkeys(coefficients.channels, sensor.unit),
         {**stated, "serial": sensor.serial},
         kernel.angles,
         kernel.expanded,
-        lag,
+        0.0 if coefficients.thermal is None else coefficients.thermal.lag,
         judge,
         remarks,
         sensor.columns,
