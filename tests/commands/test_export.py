@@ -71,36 +71,46 @@ def test_the_header_computes_the_tilts_of_apply(tmp_path: Path) -> None:
 
 
 LIMITS = """
-#include "tilt.h"
+#include "three.h"
+#include "two.h"
 #include <stdio.h>
 int main(void)
 {
     const float u[3][3] = {{10.6f, 0, 0}, {0, 0, 20.0f}, {9.81f, 0, -9.81f}};
     for (int k = 0; k < 3; ++k) {
-        float degrees[TILT_AXES], pitch, roll;
-        tilt_degrees(u[k], NAN, degrees);
-        tilt_pitch_roll(u[k], NAN, &pitch, &roll);
+        float degrees[THREE_AXES], pitch, roll;
+        three_degrees(u[k], NAN, degrees);
+        three_pitch_roll(u[k], NAN, &pitch, &roll);
         printf("%.3f %.3f %.3f\\n", (double)degrees[0], (double)pitch, (double)roll);
     }
+    const float beyond[2] = {1.015f, -1.025f};
+    float degrees[TWO_AXES];
+    two_degrees(beyond, NAN, degrees);
+    printf("%.3f %.3f\\n", (double)degrees[0], (double)degrees[1]);
     return 0;
 }
 """
 
 
+def ideal(channels: str, scale: float) -> CalibrationRecord:
+    axes, n = tuple(channels), len(channels)
+    coefficients = Coefficients(axes, axes, np.zeros(n), scale * np.eye(n))
+    return CalibrationRecord(SensorIdentity("recorded", "I-1", "m/s2", axes), coefficients)
+
+
 def test_tilts_pitch_and_roll_are_defined_as_those_of_apply(tmp_path: Path) -> None:
-    """Where gravity is beyond 2 g there is no tilt; at 45° upside down roll is 180°."""
+    """Beyond 2 g there is no tilt; at 45° upside down roll is 180°; an arcsine of up to 1.02 is ±90°."""
     require("gcc")
-    ideal = CalibrationRecord(
-        SensorIdentity("recorded", "I-1", "m/s2", ("x", "y", "z")),
-        Coefficients(("x", "y", "z"), ("x", "y", "z"), np.zeros(3), G * np.eye(3)),
-    )
-    export(tmp_path, ideal, "c")
-    (tmp_path / "out").rename(tmp_path / "tilt.h")
+    for name, record in (("three", ideal("xyz", G)), ("two", ideal("xy", 1.0))):
+        export(tmp_path, record, "c", name=name)
+        (tmp_path / "out").rename(tmp_path / f"{name}.h")
     run = subprocess.run([compiled(tmp_path, LIMITS)], capture_output=True, text=True, check=True)
-    straight, beyond, turned = ([float(one) for one in line.split()] for line in run.stdout.splitlines())
+    straight, beyond, turned, clipped = ([float(one) for one in line.split()] for line in run.stdout.splitlines())
     assert straight == pytest.approx([90.0, 90.0, 0.0], abs=1e-3)
     assert np.isnan(beyond).all()
     assert turned == pytest.approx([45.0, 45.0, 180.0], abs=1e-3)
+    assert clipped[0] == 90.0
+    assert np.isnan(clipped[1])
 
 
 def test_an_arduino_computes_the_same(tmp_path: Path) -> None:
@@ -152,9 +162,10 @@ def three_axes(unit: str, cross: float = 0.01) -> CalibrationRecord:
     return CalibrationRecord(SensorIdentity("recorded", "I-1", unit, ("x", "y", "z")), coefficients)
 
 
-def export(folder: Path, record: CalibrationRecord, target: str, *, allow: str = "0.1") -> str:
+def export(folder: Path, record: CalibrationRecord, target: str, *, allow: str = "0.1", name: str = "tilt") -> str:
     (folder / "cal.yaml").write_text(dump_calibration(record))
-    result = tiltcal("export", "cal.yaml", "--to", target, "--allow", allow, "-o", "out", cwd=folder)
+    options = ("--to", target, "--allow", allow, "--name", name, "-o", "out")
+    result = tiltcal("export", "cal.yaml", *options, cwd=folder)
     assert result.returncode == 0, result.stderr
     return (folder / "out").read_text()
 
