@@ -14,7 +14,7 @@ from typing import Any, TypeVar, get_args
 import click
 
 from tiltcal.options import flag_of, options_of
-from tiltcal.stated_arguments import require_above_zero, require_from_zero, require_whole
+from tiltcal.stated_arguments import require_above_zero, require_whole
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -22,18 +22,14 @@ FILE = click.Path(path_type=Path)
 OPERATORS = click.Choice(["terminal", "web", "json", "sim"])
 
 HEADINGS = {
-    "Sensor": "--sensor --address --serial --bench --calibration --base --unit",
+    "Sensor": "--sensor --address --bench --calibration --unit",
     "Data": "--columns --pair --orthogonal --phase --skip-bad-rows",
-    "Result": "--output --golden --limit --to --name --fixed --allow --figure --interval",
-    "Positions": "--operator --hands-free --listen --procedure --tilt --samples --settle --closing --turns --resume "
-    "--journal --plain",
-    "Recording": "--rate --rows --for",
-    "Known of the bench": "--jig --thermometer --noise --table-lean --heading-uncertainty --alignment "
-    "--typical-temperature",
+    "Result": "--output --golden --to --name --fixed --allow --figure --interval",
+    "Recording": "--samples --rate --rows --for",
     "Averages": "--target --target-range --averages",
     "Method": "--online --loops",
 }
-"""The headings of a long help, and their options, the most used first; all others are under "Other"."""
+"""The headings of a long help without declared options, the most used first; all others are under "Other"."""
 
 SHORT = 7
 """Most options that are listed without headings."""
@@ -122,10 +118,8 @@ def declared(declaration: type, names: str = "") -> Callable[[F], F]:
 
 
 file_option = partial(click.option, type=FILE)
-at_least_zero = partial(click.option, type=Number(require_from_zero))
 above_zero = partial(click.option, type=Number(require_above_zero))
-degrees = partial(at_least_zero, metavar="DEGREES")
-"""Options that take a path, a number from 0, a number above 0, an angle in degrees."""
+"""Options that take a path, and a number above 0."""
 
 as_json = click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 

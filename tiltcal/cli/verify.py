@@ -21,6 +21,7 @@ from tiltcal.files.calibration import SensorIdentity, read_calibration
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.library.measure import resumed
+from tiltcal.stated_arguments import require_from_zero
 
 
 @options.command(epilog="Example: tiltcal verify S-0042.yaml --address spi:///dev/spidev0.0 --limit 0.3")
@@ -32,7 +33,12 @@ from tiltcal.library.measure import resumed
 @options.above_zero(
     "--limit", default=0.5, show_default=True, metavar="DEGREES", help="The largest tilt error that passes."
 )
-@options.degrees("--jig", help="Standard uncertainty of a set angle. Not stated, the positions count as exact.")
+@click.option(
+    "--jig",
+    type=options.Number(require_from_zero),
+    metavar="DEGREES",
+    help="Standard uncertainty of a set angle. Not stated, the positions count as exact.",
+)
 @options.declared(MeasureOptions, "tilt samples settle resume journal plain hands_free listen")
 @click.option(
     "--operator",
