@@ -21,16 +21,8 @@ turns = st.floats(-pi, pi)
 def test_the_matrix_is_the_documents_term_by_term(r: float, p: float, y: float) -> None:
     """Correcting for SCA3000 Accelerometer Mounting Angle, the three formulas as printed."""
     printed = [
-        [
-            cos(y) * cos(p),
-            sin(y) * cos(r) + cos(y) * sin(p) * sin(r),
-            sin(y) * sin(r) - cos(y) * sin(p) * cos(r),
-        ],
-        [
-            -sin(y) * cos(p),
-            cos(y) * cos(r) - sin(y) * sin(p) * sin(r),
-            cos(y) * sin(r) + sin(y) * sin(p) * cos(r),
-        ],
+        [cos(y) * cos(p), sin(y) * cos(r) + cos(y) * sin(p) * sin(r), sin(y) * sin(r) - cos(y) * sin(p) * cos(r)],
+        [-sin(y) * cos(p), cos(y) * cos(r) - sin(y) * sin(p) * sin(r), cos(y) * sin(r) + sin(y) * sin(p) * cos(r)],
         [sin(p), -cos(p) * sin(r), cos(p) * cos(r)],
     ]
     np.testing.assert_allclose(mounting_matrix(Mounting(r, p, y)), printed, rtol=0, atol=1e-15)

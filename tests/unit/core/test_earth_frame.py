@@ -73,8 +73,7 @@ def visible(truth: Truth, known: Coefficients, least: float) -> np.ndarray[tuple
 
 @pytest.mark.parametrize("compass", [True, False])
 @pytest.mark.parametrize(
-    ("channels", "mounting"),
-    [(3, None), (3, SLANTED), (2, None), (2, UPSIDE_DOWN), (2, RIGHT_ANGLE), (2, SLANTED)],
+    ("channels", "mounting"), [(3, None), (3, SLANTED), (2, None), (2, UPSIDE_DOWN), (2, RIGHT_ANGLE), (2, SLANTED)]
 )
 def test_the_earth_as_rotations_have_it(channels: int, mounting: Mounting | None, compass: bool) -> None:
     known, truth = coefficients(channels, mounting), Truth.of(10_000)

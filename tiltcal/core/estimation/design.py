@@ -210,19 +210,10 @@ def predict_uncertainty(
 
 def _sensor(design: Design, positions: Sequence[PlannedPosition], u: float, adc: float) -> SensorObservations:
     """Return a sensor whose readings in planned positions are 0, with their standard uncertainty, unit."""
-    channels = len(design.channels)
+    mean = np.zeros(len(design.channels))
     observations = [
-        Observation(
-            position.name,
-            np.array(position.gravity),
-            np.zeros(channels),
-            np.full(channels, u),
-            position.temperature,
-            position.heading,
-            position.held,
-            adc=adc,
-        )
-        for position in positions
+        Observation(one.name, np.array(one.gravity), mean, mean + u, one.temperature, one.heading, one.held, adc=adc)
+        for one in positions
     ]
     return SensorObservations(design, observations)
 

@@ -15,11 +15,7 @@ from scipy.spatial.transform import Rotation
 from support.recordings import RECORDINGS, needs
 
 from tiltcal.core.attitude import gravity_from_tilt
-from tiltcal.core.closed_forms import (
-    scale_from_tilt,
-    sensitivity_from_pair,
-    tempco_from_two_temperatures,
-)
+from tiltcal.core.closed_forms import scale_from_tilt, sensitivity_from_pair, tempco_from_two_temperatures
 from tiltcal.core.estimation.estimate import estimate
 from tiltcal.core.estimation.positions import Design, Observation, Prior
 from tiltcal.errors import EstimateError
@@ -52,11 +48,7 @@ class TestRecordedSession:
     """imucal's six-face session: least squares over all six known faces (data/README.md)."""
 
     OFFSET = (0.55114, -0.61973, 0.38564)
-    SENSITIVITY = (
-        (9.77673, -0.14501, -0.07316),
-        (0.08434, 9.83353, 0.01813),
-        (0.13384, 0.02012, 10.03860),
-    )
+    SENSITIVITY = ((9.77673, -0.14501, -0.07316), (0.08434, 9.83353, 0.01813), (0.13384, 0.02012, 10.03860))
     TWO_FACE_OFFSET = (0.5371, -0.6162, 0.3989)
 
     def test_a_perfect_jig_and_one_noise_give_the_published_least_squares(self, observations) -> None:

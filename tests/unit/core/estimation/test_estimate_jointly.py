@@ -23,8 +23,7 @@ Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize(
-    ("jig", "count", "sensors", "calibrations"),
-    [(0.0, 6, 1, 40), (0.02, 12, 1, 40), (0.5, 12, 1, 40), (0.5, 6, 6, 60)],
+    ("jig", "count", "sensors", "calibrations"), [(0.0, 6, 1, 40), (0.02, 12, 1, 40), (0.5, 12, 1, 40), (0.5, 6, 6, 60)]
 )
 def test_the_mean_square_error_is_the_cramer_rao_bounds(jig, count, sensors, calibrations) -> None:
     """Bound over mean square error at least 0.95 within 2.5 Monte Carlo standard deviations, for every class."""
