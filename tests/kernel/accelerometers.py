@@ -159,6 +159,7 @@ def check_session(stub: StubBus) -> str:
             address=f"{folder.name}?sensitivity=16384",
             serial="iio",
             output=Path(place, "iio.yaml"),
+            samples=50,
             settle=0.5,
         )
     errors = []
