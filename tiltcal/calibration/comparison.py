@@ -162,9 +162,8 @@ def uncertain_of(record: CalibrationRecord, reference: float | None) -> Uncertai
 def shared_errors(before: CalibrationRecord, after: CalibrationRecord) -> frozenset[str]:
     """Return the coefficients whose errors are one error in both calibrations of a sensor.
 
-    Where one completes the other, or both complete one base or lean on one assumption, these are all that are equal in
-    value and uncertainty, among them all but the offset. Else they are what the data sheet states of both and the
-    positions of neither determine.
+    Where one completes the other, or both lean on one base or assumption, they are all that are equal in value and
+    uncertainty; else what the data sheet states of both and the positions of neither determine.
     """
     one, other = before.uncertainty, after.uncertainty
     old, new = values(before.coefficients), values(after.coefficients)

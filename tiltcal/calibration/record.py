@@ -115,14 +115,11 @@ USUAL = 30.0  # range where the calibration covers none, degrees
 
 @dataclass(frozen=True)
 class TiltUncertainty:
-    """The uncertainty of the tilt of one axis while the others are level, shape (n,), degrees.
-
-    before: error with the data sheet's coefficients; None where they are not known.
-    alone, reading: half the 95 % interval from the coefficients alone, and with the noise of one reading.
-    """
+    """The uncertainty of the tilt of one axis while the others are level, shape (n,), degrees."""
 
     tilt: Array
-    before: Array | None
+    before: Array | None  # error with the data sheet's coefficients; None where they are not known
+    # Half the 95 % interval, from the coefficients alone and with the noise of one reading:
     alone: Array
     reading: Array
 
@@ -179,11 +176,7 @@ def tilt_lines(by_axis: Mapping[str, tuple[Array, Array]]) -> Iterator[str]:
 
 
 def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str]) -> dict[str, BaseFile]:
-    """Read the calibrations that a session builds on (``--base``), by serial number; empty where none is named.
-
-    ``path`` is a file, or a folder with a file ``SERIAL.yaml`` for every sensor. A UsageError where it is missing, the
-    procedure takes none, or it is of another sensor.
-    """
+    """Read the calibrations that a session builds on (``--base``), by serial number: a file, or a folder of them."""
     if path is not None:
         require_path("--base", path)
     determines = procedure.determines

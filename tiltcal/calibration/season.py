@@ -188,11 +188,7 @@ class CalibrationFolder:
         return tuple(self._files)
 
     def history(self, serial: str) -> SensorHistory:
-        """Return the calibrations of a sensor.
-
-        UsageError: the folder has none of this serial number.
-        InputError: a file is wrong, or two contradict each other.
-        """
+        """Return the calibrations of a sensor; an InputError where a file is wrong, or two contradict each other."""
         require_text("--serial", serial)
         if serial not in self._histories:
             if serial not in self._files:

@@ -71,12 +71,9 @@ def order_errors(
 ) -> dict[int, tuple[float, float]]:
     """Return by order how well it predicts left-out positions: their mean square error over its variance, and deviance.
 
-    Notes
-    -----
-    The lowest deviance is that of the highest predictive density: minus twice the logarithm of the normal density of
-    what was left out, about its prediction, with the variances of both. Where the errors are larger than these, all
-    variances of an order are multiplied by one factor that fits. A plain mean of squared errors would refuse the order
-    of a curve because its ends, once left out, are extrapolated.
+    The deviance is minus twice the logarithm of the normal density of what was left out, about its prediction, with the
+    variances of both. Where the errors are larger than these, all variances of an order are multiplied by one factor
+    that fits. A plain mean of squared errors would refuse a curve because its ends, once left out, are extrapolated.
 
     Source: A. Gelman, J. Hwang and A. Vehtari, *Understanding predictive information criteria for Bayesian models*,
     Statistics and Computing 24 (2014) 997.

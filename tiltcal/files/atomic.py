@@ -66,11 +66,7 @@ def write_all(descriptor: int, data: bytes) -> None:
 
 
 def check_writable(path: str | Path, *read: str | Path) -> None:
-    """Check, before anything is measured, that a file can be written, and replaces none that the command reads.
-
-    A file is made in the folder and removed: permission bits alone do not show a read-only disk. A UsageError where
-    the folder is not there, is no folder or takes no file, or the target is a folder or may not be replaced.
-    """
+    """Check, before anything is measured, that a file can be written, and replaces none that the command reads."""
     require_path("the output", path)
     require_apart(path, *read)
     target = Path(os.path.realpath(path))
@@ -92,7 +88,7 @@ def check_writable(path: str | Path, *read: str | Path) -> None:
     except OSError as failure:
         raise _cannot_write(path, failure, "choose another name") from failure
     part = part_of(target)
-    stream, named = _begun(part, path)
+    stream, named = _begun(part, path)  # permission bits alone do not show a read-only disk
     stream.close()
     if named:
         part.unlink()

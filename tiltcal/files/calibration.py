@@ -31,8 +31,7 @@ from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_
 from tiltcal.files.results import DerivedRecord, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.yaml_text import yaml_text
 
-UNKNOWN_MODEL = "recorded"
-"""The model in a file of `fit`, where the user named none."""
+UNKNOWN_MODEL = "recorded"  # the model in a file of `fit`, where the user named none
 
 
 class SensorIdentity(Record):
@@ -161,10 +160,7 @@ def read_calibration(path: str | Path) -> CalibrationRecord:
 
 
 def dump_calibration(calibration: CalibrationRecord) -> str:
-    """Return the text of a calibration file, its numbers as they are: round them before.
-
-    An InputError names a NaN, an infinity or data that is not plain.
-    """
+    """Return the text of a calibration file, its numbers as they are: round them before."""
     limits = calibration.limits
     tilt = {axis: (in_degrees(low), in_degrees(high)) for axis, (low, high) in limits.tilt.items()}
     file = TiltFile(

@@ -67,10 +67,7 @@ def index_folder(folder: str | Path) -> FolderIndex:
 
 
 def date_of(record: CalibrationRecord, path: str | Path) -> tuple[str, datetime]:
-    """Return when a calibration began, as it stands in the file, and when it ended, UTC.
-
-    The keys are ``provenance.started`` and ``provenance.ended``; without them, the times of its positions.
-    """
+    """Return when a calibration began, as it stands in the file, and when it ended, UTC; else its positions."""
     times = [position.time for position in record.positions if position.time]
     ended = record.provenance.ended or max(times, default=None)
     if ended is None:

@@ -23,17 +23,14 @@ from tiltcal.files.record import AboveZero, ByAxis, Finite, Range, Record, Size,
 
 ORDER_LIMIT = 6
 
-LARGEST_ANGLES = {"roll": 180.0, "pitch": 90.0, "yaw": 180.0}
-"""The largest size of each angle of a mounting, degrees."""
+LARGEST_ANGLES = {"roll": 180.0, "pitch": 90.0, "yaw": 180.0}  # the largest size of each angle of a mounting, degrees
 
 ANGLES = tuple(LARGEST_ANGLES)
 
-_SINGULAR = 1e-9
-"""Smallest over largest singular value below which a sensitivity matrix has no inverse worth its name."""
+_SINGULAR = 1e-9  # smallest over largest singular value below which a sensitivity matrix has no inverse worth its name
 _ANGLE_DIGITS = 12
 
-STEEP = 0.1
-"""Least slope of a bent characteristic relative to the straight one."""
+STEEP = 0.1  # least slope of a bent characteristic relative to the straight one
 
 Bend = ByAxis[Annotated[tuple[Finite, ...], Meta(max_length=2)]]
 """The shares of the square and the cube for all channels."""
@@ -240,8 +237,6 @@ class Uncertainty(Mapping[str, float]):
 
     ``uncertainty["sensitivity.x.y"]`` is that of channel x along y, in unit/g; angles of the mounting are in degrees,
     temperature coefficients per °C, °C², ... What the file does not state is no key.
-
-    The other sections are those of :class:`UncertaintySection`.
     """
 
     standard: Mapping[str, float] = field(default_factory=dict)

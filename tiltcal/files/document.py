@@ -160,10 +160,7 @@ def parse_document(text: str, file: str | None = None, language: str = "YAML") -
 
 
 def document_of(data: Any, file: str | None = None, line: int | None = None) -> Document:
-    """Return plain data as a document, so that the code that checks a file checks a record too.
-
-    Errors name ``file`` and ``line``, where the record stands; data of other types, or too deep, is one.
-    """
+    """Return plain data as a document, so that the code that checks a file checks a record in a line of one too."""
     lines: dict[Place, int] = {} if line is None else {(): line}
     return Document(_taken(data, Document(None, lines, file)), lines, file)
 

@@ -46,10 +46,8 @@ LIVE_READING = "live"
 RESUMED = "resumed"
 END = "end"
 
-HEADER_LIMIT = 16_000_000
-"""Bytes of the first line, which holds the procedure and, of a mounting, the base calibration."""
-LINE_LIMIT = 4_000_000
-"""Bytes of an event's line."""
+HEADER_LIMIT = 16_000_000  # bytes of the first line, which holds the procedure and, of a mounting, the base calibration
+LINE_LIMIT = 4_000_000  # bytes of an event's line
 
 _BUS = re.compile("[a-z]")
 _BYTES = re.compile("(?:[0-9a-f]{2})*")
@@ -106,18 +104,14 @@ class Written:
 
 @dataclass(frozen=True)
 class Journal:
-    """A journal that was read and found sound, without a torn last line.
-
-    ``accepted`` are the accepted positions among the events; ``end`` is the end record, None where the session was
-    interrupted.
-    """
+    """A journal that was read and found sound, without a torn last line."""
 
     path: Path
     version: int
     header: dict[str, Any]
     events: Events
-    accepted: tuple[Event, ...]
-    end: dict[str, Any] | None
+    accepted: tuple[Event, ...]  # the accepted positions among the events
+    end: dict[str, Any] | None  # the end record; None where the session was interrupted
     torn: bool
     written: Written
 
@@ -128,10 +122,7 @@ class Journal:
 
 
 def read_journal(path: str | Path) -> Journal:
-    """Read a journal and check every line of it; memory stays small whatever the file's size.
-
-    JournalError: the file cannot be read, is no journal, or a line is damaged (named).
-    """
+    """Read a journal and check every line of it, in small memory; a JournalError names the line that is damaged."""
     path = Path(path)
     try:
         with open(path, "rb") as stream:
@@ -176,10 +167,7 @@ def _read(stream: BinaryIO, path: Path) -> Journal:
 
 
 class JournalWriter:
-    """A journal that is appended to; the operating system has an event when :meth:`append` returns.
-
-    Use :meth:`create` or :meth:`resume`.
-    """
+    """A journal that is appended to; the operating system has an event when :meth:`append` returns."""
 
     def __init__(self, path: Path, descriptor: int, written: Written) -> None:
         self.path = path
@@ -203,19 +191,17 @@ class JournalWriter:
             _lock(descriptor, path)
             write_all(descriptor, line)
             os.fsync(descriptor)
-        except OSError as error:
+        except BaseException as error:
             os.close(descriptor)
             path.unlink()
-            raise UsageError(f"{path}: the journal cannot be made: {error.strerror}") from None
+            if isinstance(error, OSError):
+                raise UsageError(f"{path}: the journal cannot be made: {error.strerror}") from None
+            raise
         return cls(path, descriptor, Written(crc, hashlib.sha256(line), len(line)))
 
     @classmethod
     def resume(cls, journal: Journal) -> JournalWriter:
-        """Append to a journal after its last whole line; a torn line is cut off.
-
-        JournalError: another process writes it, or has written to it since it was read, or it cannot be opened
-            for writing.
-        """
+        """Append to a journal after its last whole line; a JournalError where another process writes it, or has."""
         try:
             descriptor = os.open(journal.path, _APPEND)
         except OSError as error:
@@ -238,10 +224,7 @@ class JournalWriter:
         return self._written.events + 1
 
     def append(self, dt_ns: int, kind: str, *payload: Any) -> None:
-        """Write one event, whole or not at all.
-
-        JournalError: the disk is full or fails; the journal ends with the event before.
-        """
+        """Write one event, whole or, with a JournalError where the disk is full or fails, not at all."""
         body = _dumps([dt_ns, kind, *payload]).encode()
         crc = crc32(body, self._written.crc)
         line = body[:-1] + f',"{crc:08x}"]\n'.encode()

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from tiltcal.errors import InputError
 
-_LAST_YEAR = 2999
-"""A moment behind it is none, so that what is added to one stays a date."""
+_LAST_YEAR = 2999  # a moment behind it is none, so that what is added to one stays a date
 
 
 def moment(text: str | date, path: str | Path | None = None) -> datetime:

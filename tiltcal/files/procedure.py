@@ -29,11 +29,8 @@ from tiltcal.stated_arguments import is_number, require_path, require_whole, sho
 
 ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
 """Limits of a temperature, °C; no sensor is hotter, and the square of a far larger number is infinite."""
-MOST_ASKEW = 10.0
-"""A sensor that sits further askew has another mounting, degrees."""
-
-Temperature = Annotated[float, Meta(ge=ABSOLUTE_ZERO, le=HOTTEST)]
-"""°C, of a position."""
+MOST_ASKEW = 10.0  # a sensor that sits further askew has another mounting, degrees
+Temperature = Annotated[float, Meta(ge=ABSOLUTE_ZERO, le=HOTTEST)]  # °C, of a position
 Order = Annotated[int, Meta(ge=0, le=ORDER_LIMIT)]
 
 FEWEST_WHOLE_TURNS, MOST_TURNS = int(FEWEST_TURNS), 1_000_000
@@ -67,17 +64,14 @@ class Determines(Record):
 
 @dataclass(frozen=True)
 class Position:
-    """A position that the sensor is brought to, with the operator's sentence and up in the sensor frame, a unit vector.
-
-    ``tilt`` is per axis, None where the direction is given; angles are degrees.
-    """
+    """A position that the sensor is brought to; angles are degrees."""
 
     name: str
-    prompt: str
-    gravity: Vector
-    tilt: Mapping[str, float] | None = None
+    prompt: str  # the operator's sentence
+    gravity: Vector  # up in the sensor frame, a unit vector
+    tilt: Mapping[str, float] | None = None  # per axis; None where the direction is given
     heading: float | None = None
-    temperature: float | None = None
+    temperature: float | None = None  # °C
     stage: float | None = None
 
 

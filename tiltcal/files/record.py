@@ -61,10 +61,8 @@ def one_of(*words: str) -> Meta:
 
 
 Axis = Annotated[str, one_of("x", "y", "z")]
-ByAxis = Mapping[Axis, T]
-"""A value for some of the axes, or of the channels of a sensor."""
-Range = tuple[Finite, Finite]
-"""Two numbers ``[low, high]``."""
+ByAxis = Mapping[Axis, T]  # a value for some of the axes, or of the channels of a sensor
+Range = tuple[Finite, Finite]  # two numbers ``[low, high]``
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))

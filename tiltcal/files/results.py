@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
 NOISE_ALONE = "noise alone: no jig is stated, and no position is left over"
 """Where an uncertainty comes from that leaves out how well the positions were set."""
-VIRTUAL = "the virtual bench: no real sensor was measured"
-"""``made_by`` of a file that no real sensor made."""
+VIRTUAL = "the virtual bench: no real sensor was measured"  # ``made_by`` of a file that no real sensor made
 
 Names = tuple[Text, ...]
 ByName = Mapping[str, Size]
@@ -321,8 +320,7 @@ class Reference(Record, kw_only=True):
     due: Annotated[Text | None, about("the day on which it is to be calibrated again")] = None
 
 
-Standard = Annotated[str, one_of("table", "level", "thermometer")]
-"""What a bench measures by."""
+Standard = Annotated[str, one_of("table", "level", "thermometer")]  # what a bench measures by
 
 
 class Provenance(Record, kw_only=True):

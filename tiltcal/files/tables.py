@@ -22,15 +22,11 @@ from tiltcal.files.record import AboveZero, Count, FromOne, Number, Record, Text
 from tiltcal.files.yaml_text import read_text
 from tiltcal.stated_arguments import require_printable
 
-Table = str | Path | Sequence[Mapping[str, Any]]
-"""A file of CSV, or of a JSON list of objects; or such rows."""
+Table = str | Path | Sequence[Mapping[str, Any]]  # a file of CSV, or of a JSON list of objects; or such rows
 
 
 def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iterator[Document]:
-    """Read a small table and yield its rows, each with its line; a blank field of CSV is an absent one.
-
-    ``file`` is what messages call it; ``keys`` are the columns, and whether each is needed.
-    """
+    """Yield the rows of a small table that messages call ``file``; ``keys`` are columns, and whether each is needed."""
     if not isinstance(table, str | Path):
         rows: Iterable[Document] = document_of(list(table), str(file)).items()
     elif (text := read_text(table)).lstrip().startswith(("[", "{")):  # a CSV header begins with a name

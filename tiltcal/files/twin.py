@@ -21,11 +21,8 @@ from tiltcal.files.record import ByAxis, Count, FromZero, Number, Record, Text, 
 
 FAULTS = ("parity", "stuck", "silent", "unplugged")
 
-LARGEST = 1e12
-"""No sensor reads more, in any unit."""
-
-SLOWEST = 1e-3
-"""Lines a second of a virtual line, at least."""
+LARGEST = 1e12  # no sensor reads more, in any unit
+SLOWEST = 1e-3  # lines a second of a virtual line, at least
 
 LEAST_OWN = 1e-6
 """Least sensitivity of a channel to its own axis, over its largest one: its nonlinearity is counted along it."""

@@ -25,11 +25,8 @@ import yaml
 from tiltcal.errors import InputError
 from tiltcal.stated_arguments import require_path, require_printable
 
-Place = tuple[str | int, ...]
-"""The keys and numbers of items that lead to a value."""
-
-SIZE_LIMIT = 4_000_000
-"""Bytes; the largest calibration file seen is a hundredth of it."""
+Place = tuple[str | int, ...]  # the keys and numbers of items that lead to a value
+SIZE_LIMIT = 4_000_000  # bytes; the largest calibration file seen is a hundredth of it
 NODE_LIMIT = 200_000
 DEPTH_LIMIT = 32
 
@@ -37,8 +34,7 @@ _NULL = re.compile(r"null|Null|NULL|~|")
 
 WIDTH = 120
 _COMMENT_COLUMN = 46
-_KEY_LIMIT = 100
-"""YAML itself ends at 1024 bytes, escapes included."""
+_KEY_LIMIT = 100  # YAML itself ends at 1024 bytes, escapes included
 _READ_AS_OTHER = {"yes", "no", "on", "off", "true", "false", "null"}
 _BARE = re.compile(r"[^\W\d_]([\w./+()°%=-]| (?=[\w./+()°%=-]))*")
 _UNPRINTABLE = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
