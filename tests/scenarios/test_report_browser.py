@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 from support import FIXTURES
+from support.browser import CHROMIUM
+from support.browser import QUIET as QUIET_BROWSER
 
 from tiltcal.cli.main import run
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-QUIET = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--enable-logging=stderr",
-    "--no-pdf-header-footer",
-)
+QUIET = (*QUIET_BROWSER, "--enable-logging=stderr", "--no-pdf-header-footer")
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: apt install chromium")
 

@@ -17,7 +17,7 @@ from tiltcal.bench.journal import RecordedSession, positions_of
 from tiltcal.bench.operators import LOOK, TIP, WORDS, Operator, as_set, understood
 from tiltcal.bench.playback import RecordedSample
 from tiltcal.bench.sensors import Recorder, Sample, SensorSet, connected
-from tiltcal.bench.settle import NEAR, SOAKS, Timed, Unsettled, Window, movement, wait_until_still
+from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.core.attitude import Vector, normalised
 from tiltcal.core.samples import ReadingStep
@@ -212,8 +212,8 @@ class Session:
         for position in self.setup.steps.positions[len(self.accepted) :]:
             soaks = position.temperature is not None and position.temperature != before
             taken, before = self._durations[soaks], position.temperature
-            stated = sampling + (SOAKS * settings.soak if soaks else settings.settle)
-            seconds += sum(taken) / len(taken) / 1e9 if taken else stated
+            window = self._soaking(None) if soaks else Window(settings.settle)
+            seconds += sum(taken) / len(taken) / 1e9 if taken else sampling + window.shortest
         return seconds
 
     def ask(self, question: Mapping[str, Any], to: str = "") -> OperatorAnswer:
@@ -326,15 +326,19 @@ class Session:
 
     def _window(self, position: Position, typed: float | None) -> Window:
         """Return the time over which the readings, and a temperature that is new, must hold still."""
-        soaked, settings, soak = self._soaked, self.setup.settings, self.setup.steps.soak
+        soaked = self._soaked
         if self._interrupted and soaked is not None and not self._still_at(soaked, typed):
             soaked = None
         self._interrupted = False
         if position.temperature is None or position.temperature == soaked:
-            return Window(settings.settle)
+            return Window(self.setup.settings.settle)
         self._soaked = None
         # A temperature that the operator types counts, because the thermometer may be far off.
-        target = position.temperature if typed is None else None
+        return self._soaking(position.temperature if typed is None else None)
+
+    def _soaking(self, target: float | None) -> Window:
+        """Return the time over which a new temperature must hold."""
+        settings, soak = self.setup.settings, self.setup.steps.soak
         late = None if soak.thermometer is None else soak.thermometer * settings.soak / soak.seconds
         return Window(settings.soak, soak.drift, target, late)
 

@@ -64,7 +64,7 @@ class Window:
     @property
     def shortest(self) -> float:
         """Seconds that waiting takes at least."""
-        return (SOAKS if self.soaking else 1) * self.seconds
+        return max(SOAKS * self.seconds, self.thermometer or 0.0) if self.soaking else self.seconds
 
     @property
     def patience(self) -> float:
