@@ -233,7 +233,13 @@ class Machines:
         reached = self._moved(targets, question["position"])
         if reached and question is not self._asked:
             self._asked = question
-            self._person.tell({"event": "moved", "position": question["position"], "why": f"at {in_words(reached)}"})
+            self._person.tell(
+                {
+                    "event": "moved",
+                    "position": question["position"],
+                    "why": f"{question['position']}: {in_words(reached)}",
+                }
+            )
         left = self._left_to_hand(question)
         self._asked_by_hand = left != self._by_hand
         self.most_attempts = self._person.most_attempts if self._asked_by_hand else REFUSALS
