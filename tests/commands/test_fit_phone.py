@@ -107,12 +107,9 @@ def test_what_is_not_clear_is_asked_for(tmp_path: Path) -> None:
         return done.stderr
 
     assert "state the --unit" in said(("time", "x", "y", "z"))
-    linear = (
-        "Time (s)",
-        "Linear Acceleration x (m/s^2)",
-        "Linear Acceleration y (m/s^2)",
-        "Linear Acceleration z (m/s^2)",
-    )
-    assert "state the --unit" in said(linear)
+    linear = said(("Time (s)", *(f"Linear Acceleration {axis} (m/s^2)" for axis in "xyz")))
+    assert "log.csv:1: it has linear acceleration, without gravity: record the acceleration with gravity" in linear
+    absent = tiltcal("fit", "free", "absent.csv", "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path)
+    assert "cannot read absent.csv: No such file or directory" in absent.stderr
     mixed = said(("time", "ax (m/s^2)", "ay (g)", "az (m/s^2)"))
     assert "state the --unit" in mixed

@@ -170,7 +170,9 @@ class FitSource:
     @property
     def _is_stream(self) -> bool:
         """Whether the log is read once."""
-        return isinstance(self.data, str | Path) and log_format(self.data) == CSV and not os.path.isfile(self.data)
+        if not isinstance(self.data, str | Path) or log_format(self.data) != CSV or os.path.isfile(self.data):
+            return False
+        return str(self.data) == "-" or os.path.exists(self.data)
 
     @cached_property
     def header(self) -> LogHeader:
@@ -179,6 +181,9 @@ class FitSource:
             return LogHeader()
         with open_log(self.data) as log:
             columns = column_names(log.names, AXES, named_columns(self.columns, AXES))
+            if not columns and any("linear" in name.lower() for name in log.names):
+                without = "it has linear acceleration, without gravity: record the acceleration with gravity"
+                raise InputError(without, file=log.name, line=1)
             units = {
                 spelt(log.unit(log.names.index(name)) or "")
                 or ("g" if name.lower().startswith(("gf", "g-f")) else None)
