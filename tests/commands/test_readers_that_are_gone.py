@@ -14,16 +14,8 @@ from support import FIXTURES
 from support.command import called
 
 MEASURE = (
-    "measure",
-    "plane",
-    "--sensor",
-    "sca100t-d02",
-    "--address",
-    "sim:?seed=1",
-    "--serial",
-    "S-1",
-    "-o",
-    "S-1.yaml",
+    *("measure", "plane", "--sensor", "sca100t-d02", "--address", "sim:?seed=1"),
+    *("--serial", "S-1", "-o", "S-1.yaml"),
 )
 VERIFY = ("verify", FIXTURES / "plane.yaml", "--address", "sim:?seed=2", "--journal", "v.jsonl", "--samples", "3")
 
