@@ -10,13 +10,13 @@ import re
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from tiltcal.bench.drives import open_drive
+from tiltcal.bench.drives import Drive, open_drive
 from tiltcal.bench.machines import Machines, Mover
 from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import VirtualJig
@@ -89,30 +89,30 @@ class VirtualTable(Faulty):
 
     def __init__(self, rng: np.random.Generator, elapsed: Callable[[], float], rate: float = 0.0) -> None:
         super().__init__(rng, elapsed, rate)
-        self.motor = self.axis = self._target = self._short = np.zeros(2)
+        self.motor = self.axis = self.target = self._short = np.zeros(2)
         self._state = "Idle"
 
     def repair(self) -> None:
         super().repair()
-        self.motor = self._target = self._rng.uniform(-60.0, 60.0, 2)
+        self.motor = self.target = self._rng.uniform(-60.0, 60.0, 2)
         self.axis, self._state = self.motor + self._rng.uniform(0.0, PLAY, 2), "Alarm"
 
     def answer(self, text: str) -> str:
         if text == "?":
             return f"<{self._state}|MPos:{self.axis[0]:.3f},{self.axis[1]:.3f}>\r\n"
         if text == "$H":
-            self.motor = self.axis = self._target = self._short = np.zeros(2)
+            self.motor = self.axis = self.target = self._short = np.zeros(2)
             self._state, self._fault = "Idle", ""
         elif text == "!":
-            self._target = self.motor
+            self.target = self.motor
         elif self._state == "Alarm":
             return "error:9\r\n"
         else:
             self.draw(3.0)
             if self._fault == "lost":  # for good: the next moves are short as well, until the table is homed
                 self._short = self._short + self._rng.choice([-1, 1]) * self._rng.uniform(0.2, 3.0, 2)
-            self._target = np.array([float(one) for one in re.findall(r"[XY]([-0-9.]+)", text)]) - self._short
-            self._state = "Run" if np.any(self._target != self.motor) else "Idle"
+            self.target = np.array([float(one) for one in re.findall(r"[XY]([-0-9.]+)", text)]) - self._short
+            self._state = "Run" if np.any(self.target != self.motor) else "Idle"
         return "ok\r\n"
 
     def advance(self, seconds: float, *, now: bool) -> None:
@@ -120,13 +120,13 @@ class VirtualTable(Faulty):
             self._state = "Alarm"
         if now and self._fault in ("stall", "switch"):
             return
-        way = self._target - self.motor
+        way = self.target - self.motor
         self.motor = self.motor + np.clip(way, -self.speed * seconds, self.speed * seconds)
         self.axis = np.clip(self.axis, self.motor, self.motor + PLAY)
-        if self._state == "Run" and np.array_equal(self.motor, self._target):
+        if self._state == "Run" and np.array_equal(self.motor, self.target):
             self._state = "Idle"
         if now and self._fault == "slip":
-            self.motor = self.axis = self._target = self.motor - self._rng.uniform(0.2, 5.0, 2)
+            self.motor = self.axis = self.target = self.motor - self._rng.uniform(0.2, 5.0, 2)
             self._fault = ""
 
 
@@ -180,6 +180,15 @@ def by_clock(clock: Clock) -> Callable[[], float]:
     return elapsed
 
 
+def movers_of(machines: dict[str, tuple[Machine, Faulty]], clock: Clock) -> list[Mover]:
+    """Return what moves virtual machines, each with what a bench file states of it."""
+
+    def opened(stated: Machine, machine: Faulty) -> Drive:
+        return open_drive(stated, clock, lambda address, device: LineLink(machine.line))
+
+    return [Mover(name, one, clock, partial(opened, one, machine)) for name, (one, machine) in machines.items()]
+
+
 class FaultySession:
     """A session of one virtual sensor whose machines fail by chance, until it is complete.
 
@@ -208,13 +217,12 @@ class FaultySession:
         """Carry it out; where it stops, repair the machines and resume it from its journal."""
         while True:
             session, clock = self._session, self._session.clock
-            movers = []
+            machines = {}
             for name, machine in (("table", self._table), ("chamber", self._chamber)):
                 machine.elapsed = by_clock(clock)
                 if (stated := session.setup.machines.get(name)) is not None:
-                    link = partial(LineLink, machine.line)
-                    opens = partial(open_drive, stated, clock, lambda address, device, link=link: link())
-                    movers.append(Mover(name, stated, clock, opens))
+                    machines[name] = (stated, machine)
+            movers = movers_of(machines, clock)
             self._machines = Machines(VirtualJig(), movers, session.setup.steps, clock, thermometer=True)
             try:
                 self.result = run_session(session, self)
@@ -253,25 +261,22 @@ class FaultySession:
 @contextmanager
 def serving(answer: Callable[[str], str]) -> Iterator[str]:
     """Serve the lines of a machine on a socket, and yield its address."""
-    with ExitStack() as stack:
-        listening = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+    with socket.create_server(("127.0.0.1", 0)) as listening:
 
         def serve() -> None:
-            while True:
-                try:
+            with suppress(OSError):
+                while True:
                     connection, _ = listening.accept()
-                except OSError:
-                    return
-                with connection:
-                    while arrived := connection.recv(4096):
-                        for line in re.findall(r"[?!]|[^?!\n]+", arrived.decode()):
-                            connection.sendall(answer(line).encode())
+                    with connection:
+                        while arrived := connection.recv(4096):
+                            for line in re.findall(r"[?!]|[^?!\n]+", arrived.decode()):
+                                connection.sendall(answer(line).encode())
 
         thread = threading.Thread(target=serve)
         thread.start()
-        stack.callback(thread.join)
-        stack.callback(listening.shutdown, socket.SHUT_RDWR)
         yield f"serial:socket://127.0.0.1:{listening.getsockname()[1]}"
+        listening.shutdown(socket.SHUT_RDWR)
+    thread.join(10.0)
 
 
 @contextmanager
