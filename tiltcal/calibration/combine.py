@@ -285,8 +285,8 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
     exact = dict(design.priors)
     for session, statement in zip(by_values, statements, strict=True):
         for name in sorted((session.measured & set(design.names)) - set(statement.names)):
-            if session.record.uncertainty.get(name):
-                continue  # an offset of no known temperature
+            if name.startswith("offset.") and design.thermal and temperature_of(session.record) is None:
+                continue  # it is left out
             if any(name in other.measured for other in sessions if other is not session):
                 raise UsageError(
                     f"{session.label} states no uncertainty of {name}, which another has: it cannot be weighed"
