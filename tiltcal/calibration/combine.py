@@ -18,6 +18,7 @@ import numpy as np
 import tiltcal
 from tiltcal.calibration import stated
 from tiltcal.calibration.comparison import compare_records, require_same_sensor, temperature_of
+from tiltcal.calibration.fit import LARGEST_AGREEMENT
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
@@ -323,24 +324,29 @@ def _disagreement(
     from scipy.special import chdtrc, fdtrc
 
     jig, observed = design.jig, [session for session in sessions if session.observed]
+    every, designs = [one for group in seen for one in group], [_design([session]) for session in observed]
+    # Residuals that the priors of a data sheet can take up show no jig.
+    left = [len(group) * len(own.channels) - len(own.names) for group, own in zip(seen, designs, strict=True)]
+    free, apart = sum(max(count, 0) for count in left), False
     if jig is None:
         shown = [(session.jig or 0.0, session.record.fit.degrees_of_freedom or 0) for session in observed]
         jig = sqrt(sum(count * size**2 for size, count in shown) / max(sum(count for _, count in shown), 1))
+        if not free and any(count for _, count in shown):
+            jig = estimate(every, design).estimated_jig or 0.0
+            apart = jig > LARGEST_AGREEMENT
     try:
-        together = estimate([one for group in seen for one in group], replace(design, jig=jig))
+        together = estimate(every, replace(design, jig=jig))
     except EstimateError as failure:
         raise EstimateError(f"the calibrations, fitted together: {failure}") from failure
     bench = {name: getattr(design, name) for name in ("table", "heading", "reference", "thermometer")}
-    alone = [
-        estimate(group, replace(_design([session]), jig=jig, **bench))
-        for session, group in zip(observed, seen, strict=True)
-    ]
+    alone = [estimate(group, replace(own, jig=jig, **bench)) for group, own in zip(seen, designs, strict=True)]
     dof, chi_square = sum(one.dof for one in alone), sum(one.chi_square or 0.0 for one in alone)
     rise, more = (together.chi_square or 0.0) - chi_square, together.dof - dof
-    if more <= 0 or rise <= 0.0:
+    if not apart and (more <= 0 or rise <= 0.0):
         return []
-    shared = design.jig is None and dof > 0  # the jig is known from what the separate fits leave
-    p = float(fdtrc(more, dof, rise / more * dof / max(chi_square, 1e-9)) if shared else chdtrc(more, rise))
+    shared = design.jig is None and free > 0  # the jig is known from what the separate fits leave
+    p = float(fdtrc(more, free, rise / more * free / max(chi_square, 1e-9)) if shared else chdtrc(more, rise))
+    p = 0.0 if apart else p
     if p >= NOTED:
         return []
     lines = list(_differences(sessions)) or [

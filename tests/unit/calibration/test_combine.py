@@ -138,6 +138,21 @@ def test_sound_sessions_are_seldom_refused(ratio: float, told: str) -> None:
     assert all(f"(E_n {ratio / 1.96:.1f})" in note and "offset.y" not in note for note in noted)
 
 
+def test_sessions_that_show_no_jig_agree_up_to_half_a_degree() -> None:
+    """What the data sheet allows takes up the residuals of `plane`; 30 counts of 819 per g are 2.1°."""
+    plane = find_procedure("plane")
+
+    def session(seed: int, shift: float) -> Calibration:
+        truth = replace(TRUTH, offset=TRUTH.offset + np.array([shift, 0.0]))
+        sensor = MeasuredSensor(SENSOR, measured(plane, seed, at=24.0, truth=truth), STATED)
+        return Calibration(calibrate([sensor], plane, BenchUncertainty())[0])
+
+    for seed in range(6):
+        combine([session(seed, 0.0), session(seed + 10, 0.0)])
+    with pytest.raises(UsageError, match="contradict"):
+        combine([session(0, 0.0), session(10, 30.0)])
+
+
 def test_positions_of_one_journal_count_once() -> None:
     journal = Provenance(journal=FileRecord(name="s.jsonl", sha256="a" * 64))
     once = Calibration(replace(SCALE.record, provenance=journal))
