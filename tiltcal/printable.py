@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html import escape
 
 
@@ -11,8 +12,15 @@ def printable(text: str) -> str:
 
 
 def in_html(result: object) -> str:
-    """Return a result as a notebook shows it: the lines that the command prints."""
-    return f"<pre>{escape(str(result))}</pre>"
+    """Return a result as a notebook shows it: a table of the lines that the command prints, in their columns."""
+    lines = [re.split(r"\s{2,}", escape(line.removeprefix("  ").rstrip())) for line in str(result).splitlines()]
+    columns = max(map(len, lines), default=1)
+    rows = (
+        "".join(f'<td style="text-align:left">{cell}</td>' for cell in cells[:-1])
+        + f'<td style="text-align:left" colspan="{columns - len(cells) + 1}">{cells[-1]}</td>'
+        for cells in lines
+    )
+    return f"<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
 
 
 def counted(count: int, noun: str) -> str:
