@@ -37,7 +37,7 @@ from tiltcal.logs.kernel import ColumnWidths, PreparedCalibration, RoleValues, p
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import BlockOfMeans, Means
 from tiltcal.logs.options import ApplyOptions, require_consistent
-from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of
+from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of, with_writeback
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_path
 
@@ -71,7 +71,7 @@ def apply_to_log(
         rows = CompensatedLog(reader, prepared, options)
         with log_sink(str(output)) as sink:
             writer = create_log(output, sink, reader, prepared.columns, prepared.origin, rows.units)
-            writer.write(rows.blocks(frames=writer.frames))
+            writer.write(with_writeback(sink, rows.blocks(frames=writer.frames)))
     return rows.summary
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import signal
@@ -9,9 +10,9 @@ import stat
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from hashlib import file_digest
 from pathlib import Path
 from select import select
@@ -28,6 +29,7 @@ STANDARD = "-"
 _LOOK = 0.2  # seconds until a wait for bytes looks whether Ctrl-C came
 _OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")  # how the engine ends its message where the system refuses
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
+_WRITEBACK = 32 << 20  # bytes of a result that go to the disk together
 
 
 @contextmanager
@@ -77,6 +79,22 @@ def log_sink(output: str) -> Iterator[BinaryIO]:
         stdout = sys.stdout.buffer
         shutil.copyfileobj(spool, stdout)
         stdout.flush()
+
+
+def with_writeback(sink: BinaryIO, items: Iterable[T]) -> Iterator[T]:
+    """Yield items that are written to a sink, and let the system bring to the disk what it has meanwhile.
+
+    Without it the command waits in the end until all is there: 0.4 s for a result of 1.2 GB.
+    """
+    begun, advise = 0, getattr(os, "posix_fadvise", None)
+    for item in items:
+        yield item
+        if advise is None or not isinstance(sink, io.BufferedIOBase):  # what goes to standard output is no file yet
+            continue
+        if (size := os.fstat(sink.fileno()).st_size) - begun >= _WRITEBACK:
+            with suppress(OSError):
+                advise(sink.fileno(), begun, size - begun, os.POSIX_FADV_DONTNEED)
+            begun = size
 
 
 def keep_freed_memory() -> None:

@@ -7,12 +7,13 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from itertools import count
+from itertools import count, pairwise
 from pathlib import Path
 
 import pytest
 
-from tiltcal.logs.streams import log_source, read_ahead
+from tiltcal.logs import streams
+from tiltcal.logs.streams import log_source, read_ahead, with_writeback
 
 
 def test_the_items_come_in_order_from_another_thread() -> None:
@@ -43,6 +44,21 @@ def test_the_thread_ends_when_the_reader_stops() -> None:
     assert next(ahead) == 1
     ahead.close()  # type: ignore[attr-defined]
     assert threading.active_count() == before
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="the system takes no such advice")
+def test_what_is_written_goes_to_the_disk_piece_by_piece(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    advised: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "posix_fadvise", lambda _, start, length, advice: advised.append((start, start + length)))
+    monkeypatch.setattr(streams, "_WRITEBACK", 100)
+    with open(tmp_path / "result", "w+b") as sink:
+        for number in with_writeback(sink, range(10)):
+            sink.write(b"." * (7 * number))
+            sink.flush()
+    assert advised[0][0] == 0
+    assert all(before[1] == after[0] for before, after in pairwise(advised))
+    assert all(end - start >= 100 for start, end in advised)
+    assert 315 - advised[-1][1] < 100
 
 
 def test_ctrl_c_that_does_not_reach_the_wait_ends_it(tmp_path: Path) -> None:
