@@ -13,7 +13,7 @@ from tiltcal.bench.measure import OperatorOptions, led_by, run_session
 from tiltcal.bench.options import MeasureOptions
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal, single
-from tiltcal.calibration.verification import PASSED, Verification, verify_positions
+from tiltcal.calibration.verification import LIMIT, PASSED, Verification, verify_positions
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
@@ -31,7 +31,7 @@ from tiltcal.stated_arguments import require_from_zero
     "--procedure", default="verify", show_default=True, help="The positions to measure: a name, or your own file."
 )
 @options.above_zero(
-    "--limit", default=0.5, show_default=True, metavar="DEGREES", help="The largest tilt error that passes."
+    "--limit", default=LIMIT, show_default=True, metavar="DEGREES", help="The largest tilt error that passes."
 )
 @click.option(
     "--jig",

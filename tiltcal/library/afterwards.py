@@ -13,16 +13,13 @@ from tiltcal.bench.operators import LOOK, Message, Operator
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal
 from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
-from tiltcal.calibration.verification import Verification, verify_positions
+from tiltcal.calibration.verification import LIMIT, Verification, verify_positions
 from tiltcal.core.model import AXES
 from tiltcal.errors import HardwareError, TiltcalError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import find_procedure
 from tiltcal.library.calibration import Calibration, PairCalibration
-
-LIMIT = 0.5
-"""The largest tilt error that passes, degrees, as that of ``tiltcal verify``."""
 
 
 class Afterwards:
