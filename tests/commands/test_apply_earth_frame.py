@@ -7,21 +7,19 @@ from pathlib import Path
 import pytest
 import xarray
 from click.testing import CliRunner, Result
+from support.applied import PLAIN
 
 from tiltcal.cli.apply import command
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
-CAL = """\
-tiltcal: 1
-kind: tilt
-sensor: {model: bench-built, serial: S-1, unit: V, channels: [x, y]}
-calibration:
-  offset: {x: 2.5, y: 2.5}
-  sensitivity: {x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}
+CAL = (
+    PLAIN
+    + """\
 uncertainty:
   offset: {x: 0.003, y: 0.003}
   single_reading: {x: 0.004, y: 0.004}
 """
+)
 LOG = """\
 x,y,mx,my,mz,u,v,w,h
 2.5,2.5,20,0,-40,0,1,0,5

@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 import xarray
+from support.applied import PLAIN
 
 import tiltcal
 from tiltcal.errors import InputError, UsageError
@@ -23,13 +24,9 @@ from tiltcal.logs.means import GroupSize
 from tiltcal.logs.options import ApplyOptions
 from tiltcal.options import complete
 
-CAL = """\
-tiltcal: 1
-kind: tilt
-sensor: {model: bench-built, serial: S-1, unit: V, channels: [x, y]}
-calibration:
-  offset: {x: 2.5, y: 2.5}
-  sensitivity: {x: {x: 2.0, y: 0.0}, y: {x: 0.0, y: 2.0}}
+CAL = (
+    PLAIN
+    + """\
 uncertainty:
   offset: {x: 0.003, y: 0.003}
   sensitivity: {x: {x: 0.002, y: 0.001}, y: {x: 0.001, y: 0.002}}
@@ -37,6 +34,7 @@ uncertainty:
 limits:
   reading: {x: [0.0, 5.0], y: [0.0, 5.0]}
 """
+)
 
 
 @pytest.fixture
