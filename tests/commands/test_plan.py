@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from itertools import pairwise, permutations
-from math import acos, cos, degrees, hypot, radians, sin, sqrt
+from math import cos, degrees, hypot, radians, sin, sqrt
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support import FIXTURES
 from support.command import measure, tiltcal
@@ -35,23 +32,6 @@ def test_the_tilt_is_told_in_degrees() -> None:
     level, end = signal / 2, hypot(signal / 2, signal / sqrt(2)) / cos(radians(30.0))
     expected = [[-30, 1.96 * degrees(end)], [0, 1.96 * degrees(level)], [30, 1.96 * degrees(end)]]
     assert found == [pytest.approx(pair, rel=2e-3) for pair in expected]
-
-
-def test_the_order_that_moves_a_table_least() -> None:
-    """Of six faces there is none shorter, by trial of all; a sweep keeps its temperatures."""
-    found = plan("six-face", sensor="scl3300")
-    names = {"up": 1.0, "down": -1.0}
-    faces = {f"{axis}-{way}": names[way] * np.eye(3)["xyz".index(axis)] for axis in "xyz" for way in names}
-
-    def turned(order: Sequence[str]) -> float:
-        return sum(degrees(acos(faces[a] @ faces[b])) for a, b in pairwise(order))
-
-    first, *others = found["order"]
-    assert first == "x-up"
-    assert set(found["order"]) == set(faces)
-    assert turned(found["order"]) == min(turned([first, *order]) for order in permutations(others))
-    assert found["degrees_turned"] == pytest.approx([720.0, turned(found["order"])])
-    assert plan("temperature-sweep", sensor="adxl202")["order"] == []
 
 
 def test_the_time_that_is_spent_in_positions() -> None:
@@ -86,12 +66,6 @@ def test_the_column_of_z_and_the_non_linearity_count_by_the_data_sheet() -> None
     assert level["offset.x"] == pytest.approx(column, rel=1e-2)
     assert [level["nonlinearity.x.2"], level["nonlinearity.x.3"]] == pytest.approx([sin(radians(0.57))] * 2, rel=1e-3)
     assert plan("six-face", "--jig", "0.01")["uncertainty"]["sensitivity.x.z"] < 0.02 * column
-
-
-def test_closing_is_recommended_where_only_the_noise_shows_along_gravity() -> None:
-    assert "recommended" in plan("six-face", sensor="scl3300")["closing"]
-    assert "recommended" not in plan("plane")["closing"]
-    assert "closing" not in tiltcal("plan", "six-face", "--sensor", "scl3300", "--closing").stdout
 
 
 def test_a_lean_of_the_table_is_said_in_plain_words() -> None:

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Unpack
 
 from tiltcal.bench.options import PlanOptions
 from tiltcal.bench.setup import stage_channels
-from tiltcal.calibration.fit import along_gravity
 from tiltcal.calibration.measurement import require_no_jig, require_suitable
-from tiltcal.calibration.prediction import PredictedMounting, PredictedUncertainty, predict, predict_mounting
+from tiltcal.calibration.prediction import Plan, predict, predict_mounting
 from tiltcal.calibration.record import bases_of
-from tiltcal.core.pair.model import Pair
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.options import complete, takes
-from tiltcal.printable import in_html
 
 _NOT_PREDICTED = (
     "nothing can be predicted before the stage turns: p and q will have a standard uncertainty of 2 s / (A sqrt(n)), "
@@ -30,42 +24,8 @@ _NOT_PREDICTED = (
 )
 
 
-@dataclass(frozen=True)
-class PlannedRotation:
-    """The pairs that a rotation will match; their uncertainty depends on the amplitude, which is not known before.
-
-    Attributes
-    ----------
-    turns : int
-        The most turns of the stage.
-    left_out : tuple of str
-        Why other pairs are not matched.
-    """
-
-    pairs: tuple[Pair, ...]
-    turns: int
-    left_out: tuple[str, ...]
-
-    def as_data(self) -> dict[str, Any]:
-        """Return the plan as plain data."""
-        pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in self.pairs]
-        return {"pairs": pairs, "turns": self.turns, "left_out": list(self.left_out), "why": _NOT_PREDICTED}
-
-    def __str__(self) -> str:
-        pairs = (
-            f"{pair.first} and {pair.second}, orthogonal {pair.orthogonal}, in up to {self.turns} turns"
-            for pair in self.pairs
-        )
-        return "\n".join([*pairs, *self.left_out, _NOT_PREDICTED])
-
-    __repr__ = __str__
-    _repr_html_ = in_html
-
-
 @takes(PlanOptions)
-def plan(
-    procedure: str | Path, **options: Unpack[PlanOptions]
-) -> PredictedUncertainty | PredictedMounting | PlannedRotation:
+def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
     """Predict how well a procedure will determine every coefficient, before anybody starts.
 
     Parameters
@@ -76,8 +36,9 @@ def plan(
 
     Returns
     -------
-    PredictedUncertainty, PredictedMounting or PlannedRotation
-        By the kind of procedure; each prints as ``tiltcal plan`` does.
+    Plan
+        It prints as ``tiltcal plan`` does; ``uncertainty`` is by the name of each coefficient. That of the pairs of a
+        stage depends on their amplitude, which is not known before it turns.
 
     Raises
     ------
@@ -100,21 +61,17 @@ def plan(
         bases_of(steps, base, [] if own is None else [own.sensor.serial])
     if steps.rotation is not None:
         channels = stage_channels(steps.rotation, [("", model)])
-        return PlannedRotation(channels.pairs, steps.rotation.turns, channels.left_out)
+        pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in channels.pairs]
+        lines = [f"{pair.first} and {pair.second}, orthogonal {pair.orthogonal}" for pair in channels.pairs]
+        data = {"pairs": pairs, "turns": steps.rotation.turns, "left_out": list(channels.left_out)}
+        return Plan({**data, "why": _NOT_PREDICTED}, "\n".join([*lines, *channels.left_out, _NOT_PREDICTED]))
     require_suitable(steps, model, based=own is not None)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
-    known = partial(
-        predict, jig=jig, thermometer=stated["thermometer"], table_lean=stated["table_lean"], noise=noise,
+    return predict(
+        steps, model, jig=jig, thermometer=stated["thermometer"], table_lean=stated["table_lean"], noise=noise,
         samples=samples, base=own,
     )  # fmt: skip
-    found = known(steps, model)
-    if steps.closes or steps.determines.free or steps.ramp is not None or len(steps.positions) < 2:
-        return found
-    closed = known(steps.with_closing(True), model)
-    return replace(
-        found, closing=_closing_in_words(steps, found.design.channels, samples or steps.samples, closed.prediction.dof)
-    )
 
 
 def _model(sensor: str | None, address: str | None, own: CalibrationRecord | None) -> Model:
@@ -124,15 +81,3 @@ def _model(sensor: str | None, address: str | None, own: CalibrationRecord | Non
         raise UsageError("name the --sensor model, or its calibration with --base")
     model = find_model(name)
     return model if address is None else model.at(parse_address(address))
-
-
-def _closing_in_words(steps: Procedure, channels: Sequence[str], samples: int, dof: int) -> str:
-    """Return what ``--closing`` takes, and the degrees of freedom that it leaves."""
-    first = steps.positions[0]
-    soaked = "" if first.temperature is None else f"a soak at {first.temperature:g} °C and "
-    steep = along_gravity(channels, [position.gravity for position in steps.positions])
-    advised = "--closing is recommended, as along gravity nothing else shows a drift: it" if steep else "--closing"
-    return (
-        f"{advised} takes {first.name} again at the end ({soaked}{samples} samples), and leaves {dof} degrees of "
-        "freedom, which show what has changed"
-    )

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from operator import itemgetter
 
 import numpy as np
@@ -23,7 +22,6 @@ from tiltcal.errors import EstimateError
 
 MOST_POSITIONS = 3  # positions that may be proposed to be added to those that leave coefficients undetermined
 WARMER = 20.0  # how much another temperature that is proposed differs, °C
-STRONG = 0.9  # a correlation from here on is named
 WORTH = 0.8  # a position is proposed where it brings the largest uncertainty below this share of what it was
 
 LEVEL = "level (+z up)"
@@ -133,15 +131,13 @@ class PlannedPosition:
 class Prediction:
     """Uncertainty that a planned session will reach in named coefficients, and degrees of freedom to check them.
 
-    ``coefficients`` are the nominal ones. ``correlations`` are pairs that the plan hardly separates, the strongest
-    first; ``worth_adding`` has a position, the coefficient that it helps most, and the share of its uncertainty that is
-    left, best first.
+    ``coefficients`` are the nominal ones. ``worth_adding`` has a position, the coefficient that it helps most, and the
+    share of its uncertainty that is left, best first.
     """
 
     coefficients: Coefficients
     uncertain: Uncertain
     dof: int
-    correlations: tuple[tuple[str, str, float], ...]
     worth_adding: tuple[tuple[str, str, float], ...]
 
     def uncertainty(self) -> dict[str, float]:
@@ -190,20 +186,12 @@ def predict_uncertainty(
         return budgets(solution, {})[0], solution.dof
 
     uncertain, dof = reached(positions)
-    size = np.where(uncertain.u > 0.0, uncertain.u, 1.0)
-    correlations = uncertain.covariance / np.outer(size, size)
-    strong = [
-        (design.names[i], design.names[j], round(float(correlations[i, j]), 3))
-        for i, j in combinations(range(len(design.names)), 2)
-        if abs(correlations[i, j]) >= STRONG
-    ]
     known = {name: prior.value for name, prior in design.priors.items()}
     theta = np.array([known.get(name, nominal.get(name, 0.0)) for name in design.names])
     return Prediction(
         coefficients=_sensor(design, positions, u, adc).coefficients(theta),
         uncertain=uncertain,
         dof=dof,
-        correlations=tuple(sorted(strong, key=lambda pair: -abs(pair[2]))),
         worth_adding=_worth_adding(design, positions, lambda plan: reached(plan)[0].u, uncertain.u, level=level),
     )
 
