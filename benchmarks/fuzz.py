@@ -30,8 +30,8 @@ os.environ.setdefault("POLARS_MAX_THREADS", "1")
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.fuzz_inputs import TARGETS
-from support.fuzzing import ENDED, FAILED, OURS, RESULT, attempt, attempts
+from fuzzing.attempts import ENDED, FAILED, OURS, RESULT, attempt, attempts
+from fuzzing.inputs import TARGETS
 
 
 def main() -> int:

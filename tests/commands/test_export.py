@@ -14,12 +14,14 @@ import yaml
 from support import ROOT
 from support.command import tiltcal
 from support.export_study import (
+    COUNTS,
+    FIXED,
     G,
     angles_apart,
     compiled,
     computed_in_c,
-    computed_on_an_arduino,
     drifting,
+    of_counts,
     random_calibration,
     readings,
 )
@@ -113,16 +115,14 @@ def test_tilts_pitch_and_roll_are_defined_as_those_of_apply(tmp_path: Path) -> N
     assert np.isnan(clipped[1])
 
 
-def test_an_arduino_computes_the_same(tmp_path: Path) -> None:
-    """180 readings at 40 temperatures, of a sensor that drifts."""
-    require("avr-gcc", "simavr")
-    for kind, target in (("float", "c"), ("int32_t", "c-fixed")):
-        folder = tmp_path / target
-        folder.mkdir()
-        header = exported(Source(drifting(), drifting().limits), target).text
-        computed, expected = computed_on_an_arduino(folder, header, kind, 180)
-        assert computed.shape == (180, 2)
-        assert np.abs(computed - expected).max() < 3e-6, target
+def test_integers_compute_the_same(tmp_path: Path) -> None:
+    """180 readings at 40 temperatures, of a sensor that drifts; benchmarks/export.py computes them on an Arduino."""
+    require("gcc")
+    (tmp_path / "tilt.h").write_text(exported(Source(drifting(), drifting().limits), "c-fixed").text)
+    program = compiled(tmp_path, COUNTS.format(setup="", start="", end="", count=180, kind="int32_t", body=FIXED))
+    run = subprocess.run([program], capture_output=True, text=True, check=True)
+    computed = np.array(run.stdout.split(), dtype=float).reshape(180, 2) * 1e-6
+    assert np.abs(computed - of_counts(180)).max() < 3e-6
 
 
 def test_fusion_is_what_its_own_package_computes(tmp_path: Path) -> None:

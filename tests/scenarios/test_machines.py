@@ -18,7 +18,6 @@ from support.command import tiltcal
 from support.moving_machines import (
     CHAMBER,
     TABLE,
-    FaultySession,
     VirtualChamber,
     VirtualTable,
     by_clock,
@@ -115,18 +114,6 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
             u = calibration.uncertainty[f"temperature.offset.{channel}.1"]
             assert abs(drift - truth.drift[channel][0]) < 4 * u
         assert tiltcal("diff", f"whole-{number}.yaml", f"A-{number}.yaml", cwd=tmp_path).returncode == 0
-
-
-@pytest.mark.parametrize(("procedure", "seed"), [("plane", 0), ("plane", 12), ("plane", 37), ("mavs", 104)])
-def test_no_wrong_position_counts_and_every_stop_can_be_resumed(procedure: str, seed: int, tmp_path: Path) -> None:
-    """Sessions that stop for one fault or another; benchmarks/machines.py has 200."""
-    session = FaultySession(tmp_path, procedure, seed, 0.3)
-    session.run()
-    assert session.stops
-    assert session.wrong == []
-    (record,) = session.result.calibrations.values()
-    names = [position.name for position in find_procedure(procedure).positions]
-    assert [one.position for one in record.positions] == names
 
 
 @pytest.mark.parametrize("name", ["table", "chamber"])

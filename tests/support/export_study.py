@@ -1,8 +1,7 @@
-"""Random calibrations, and what a header of theirs computes on this machine and on an Arduino under simavr."""
+"""Random calibrations, and what a header of theirs computes."""
 
 from __future__ import annotations
 
-import re
 import subprocess
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +14,6 @@ from tiltcal.core.model import Array, Coefficients, Limits, Mounting, Thermal
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror"]
-COMPILERS = {"gcc": ["gcc", *STRICT], "avr-gcc": ["avr-gcc", "-mmcu=atmega328p", "-Os", *STRICT]}
 G = 9.80665
 
 
@@ -101,10 +99,10 @@ SINGLE = """\
 """
 
 
-def compiled(folder: Path, program: str, compiler: str = "gcc") -> Path:
-    """Compile a program of C, in which every warning is an error."""
+def compiled(folder: Path, program: str, *compiler: str) -> Path:
+    """Compile a program of C, with gcc unless another compiler is named; every warning is an error."""
     (folder / "main.c").write_text(program)
-    subprocess.run([*COMPILERS[compiler], "main.c", "-lm", "-o", "main"], cwd=folder, check=True)
+    subprocess.run([*(compiler or ["gcc"]), *STRICT, "main.c", "-lm", "-o", "main"], cwd=folder, check=True)
     return folder / "main"
 
 
@@ -125,40 +123,26 @@ def computed_in_c(folder: Path, headers: Sequence[str], rows: Sequence[tuple[Arr
     return [np.array([next(printed).split() for _ in u], dtype=float) for u, _ in rows]
 
 
-AVR = """\
-#include <avr/interrupt.h>
-#include <avr/io.h>
-#include <avr/sleep.h>
+COUNTS = """\
 #include <stdio.h>
 #include "tilt.h"
-static int put(char c, FILE *f) {{ (void)f; while (!(UCSR0A & (1 << UDRE0))) {{ }} UDR0 = c; return 0; }}
-static FILE serial = FDEV_SETUP_STREAM(put, NULL, _FDEV_SETUP_WRITE);
+{setup}
 int main(void)
 {{
-    UCSR0B = 1 << TXEN0;
-    stdout = &serial;
+    {start}
     for (int32_t k = 0; k < {count}; ++k) {{
         {kind} u[2] = {{200 + k % 1649, 1900 - (7 * k) % 1699}};
         {body}
     }}
-    cli();
-    sleep_mode();
+    {end}
     return 0;
 }}
 """
-BODIES = {
-    "float": 'float g[2]; tilt_g(u, k % 40, g); printf("%ld %ld\\n", (long)(g[0] * 1e6f), (long)(g[1] * 1e6f));',
-    "int32_t": 'int32_t g[2]; tilt_g_fixed(u, (k % 40) * 100, g); printf("%ld %ld\\n", (long)g[0], (long)g[1]);',
-}
+FIXED = 'int32_t g[2]; tilt_g_fixed(u, (k % 40) * 100, g); printf("%ld %ld\\n", (long)g[0], (long)g[1]);'
 
 
-def computed_on_an_arduino(folder: Path, header: str, kind: str, count: int) -> tuple[Array, Array]:
-    """Return what an ATmega328P computes of whole readings at 0 to 39 °C, and what ``apply`` does, g, shape (n, 2)."""
-    (folder / "tilt.h").write_text(header)
-    elf = compiled(folder, AVR.format(count=count, kind=kind, body=BODIES[kind]), "avr-gcc")
-    command = ["simavr", "-m", "atmega328p", "-f", "16000000", str(elf)]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=3600, check=False)
-    computed = np.array(re.findall(r"(-?\d+) (-?\d+)\.", run.stdout + run.stderr), dtype=float) * 1e-6
+def of_counts(count: int) -> Array:
+    """Return what ``apply`` makes of the readings of :data:`COUNTS` at 0 to 39 °C, g, shape (n, 2)."""
     k = np.arange(count)
     u = np.column_stack([200.0 + k % 1649, 1900.0 - (7 * k) % 1699])
-    return computed, np.array(Compensation(drifting().coefficients)(u, k % 40 * 1.0).gravity)
+    return np.array(Compensation(drifting().coefficients)(u, k % 40 * 1.0).gravity)

@@ -1,4 +1,4 @@
-"""A virtual tilt table and a virtual chamber with the faults of real ones, and sessions that they carry out.
+"""A virtual tilt table and a virtual chamber with the faults of real ones.
 
 They know nothing of the code that drives them: each answers lines, and keeps the truth beside what it tells.
 """
@@ -12,22 +12,14 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from tiltcal.bench.drives import Drive, open_drive
-from tiltcal.bench.machines import Machines, Mover
-from tiltcal.bench.measure import run_session
-from tiltcal.bench.operators import VirtualJig
-from tiltcal.bench.session import Session
-from tiltcal.bench.setup import SessionFiles, Setup
+from tiltcal.bench.machines import Mover
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.errors import BusError, Stopped
-from tiltcal.files.bench import BenchFile, BenchSensor
-from tiltcal.files.journal import read_journal
+from tiltcal.errors import BusError
 from tiltcal.files.machine import Machine
-from tiltcal.files.procedure import find_procedure
 
 PLAY = 0.3
 """Degrees by which an axis may be beside its motor."""
@@ -187,75 +179,6 @@ def movers_of(machines: dict[str, tuple[Machine, Faulty]], clock: Clock) -> list
         return open_drive(stated, clock, lambda address, device: LineLink(machine.line))
 
     return [Mover(name, one, clock, partial(opened, one, machine)) for name, (one, machine) in machines.items()]
-
-
-class FaultySession:
-    """A session of one virtual sensor whose machines fail by chance, until it is complete.
-
-    ``wrong`` has what was about to count and was not so, ``stops`` is how often it stopped and was resumed.
-    """
-
-    watches, most_attempts = False, 10
-
-    def __init__(self, folder: Path, procedure: str, seed: int, rate: float) -> None:
-        rng = np.random.default_rng(seed)
-        self.wrong: list[str] = []
-        self.refused: list[str] = []
-        self.stops = 0
-        self._table, self._chamber = (kind(rng, lambda: 0.0, rate) for kind in (VirtualTable, VirtualChamber))
-        steps, serial = find_procedure(procedure), f"S-{seed}"
-        sensors = (BenchSensor(serial, "sca100t-d02", f"sim:?seed={seed}"),)
-        chamber = None if steps.positions[0].temperature is None else CHAMBER
-        bench = BenchFile(sensors, jig=0.05, table=TABLE, chamber=chamber)
-        self._journal, outputs = folder / f"{serial}.journal.jsonl", [folder / f"{serial}.yaml"]
-        setup = Setup.begin(steps, bench, outputs, self._journal, operator="sim", samples=5, settle=0.1)
-        self._session = Session(setup, SessionFiles(setup, self._journal))
-        self._asked: dict = {}
-        self._said: dict = {}
-
-    def run(self) -> None:
-        """Carry it out; where it stops, repair the machines and resume it from its journal."""
-        while True:
-            session, clock = self._session, self._session.clock
-            machines = {}
-            for name, machine in (("table", self._table), ("chamber", self._chamber)):
-                machine.elapsed = by_clock(clock)
-                if (stated := session.setup.machines.get(name)) is not None:
-                    machines[name] = (stated, machine)
-            movers = movers_of(machines, clock)
-            self._machines = Machines(VirtualJig(), movers, session.setup.steps, clock, thermometer=True)
-            try:
-                self.result = run_session(session, self)
-                return
-            except Stopped:
-                self.stops += 1
-                self._table.repair()
-                self._chamber.repair()
-                journal = read_journal(self._journal)
-                setup = Setup.of(journal)
-                self._session = Session(setup, SessionFiles(setup, self._journal), journal)
-
-    def ask(self, question: dict) -> object:
-        """Pass on; before a position counts, compare what was answered with where the machines really are."""
-        said = self._machines.ask(question)
-        if question["ask"] == "position":
-            self._asked, self._said = question, dict(said)  # type: ignore[call-overload]
-        elif question["ask"] == "review" and question["position"] == self._asked["position"]:
-            self._table.catch_up()
-            self._chamber.catch_up()
-            x, y = np.radians(self._table.axis)
-            real = np.degrees(np.arcsin([np.sin(x), np.cos(x) * np.sin(y)]))
-            off = np.abs(real - [self._said["tilt"]["x"], self._said["tilt"]["y"]]).max()
-            asked = self._asked["temperature"]
-            warm = 0.0 if asked is None else abs(asked - self._chamber.temperature)
-            if off > TABLE.tolerance or warm > CHAMBER.tolerance:
-                self.wrong.append(f"{question['position']} is off by {off}° and {warm} °C")
-        return said
-
-    def tell(self, event: dict) -> None:
-        if event["event"] == "refused":
-            self.refused.append(event["why"])
-        self._machines.tell(event)
 
 
 @contextmanager

@@ -8,8 +8,8 @@ from functools import cache
 from pathlib import Path
 from random import Random
 
-from support.damage import damaged_bytes, damaged_journal, damaged_json, damaged_table, damaged_text, damaged_yaml
-from support.fuzz_inputs import BENCH, CALIBRATIONS, JOURNALS, VCD, golden, shipped, target
+from fuzzing.damage import damaged_bytes, damaged_journal, damaged_json, damaged_table, damaged_text, damaged_yaml
+from fuzzing.inputs import BENCH, CALIBRATIONS, JOURNALS, VCD, golden, shipped, target
 from tiltcal.drivers import models
 from tiltcal.drivers.model import Model
 from tiltcal.errors import TiltcalError
@@ -41,6 +41,7 @@ def calibration(draw: Random) -> None:
 @target(share=40)
 def pair(draw: Random) -> None:
     from support.pair_files import read_pair
+
     from tiltcal.files.pair import dump_pair
 
     Path("p.yaml").write_bytes(damaged_yaml(draw, golden("rotation.yaml")))

@@ -19,11 +19,12 @@ from contextlib import chdir
 from pathlib import Path
 from random import Random
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-import support.fuzz_commands
-import support.fuzz_readers  # noqa: F401
-from support.fuzz_inputs import TARGETS
+import fuzzing.commands
+import fuzzing.readers  # noqa: F401
+from fuzzing.inputs import TARGETS
 from tiltcal.errors import TiltcalError
 
 SECONDS = 10

@@ -11,8 +11,9 @@ from random import Random
 
 from support import FIXTURES
 from support.command import tiltcal
-from support.damage import WORDS, damaged_bytes, damaged_journal, damaged_table, damaged_yaml
-from support.fuzz_inputs import CALIBRATIONS, JOURNALS, LOG, SEGMENTS, golden, netcdf_log, parquet_log, shipped, target
+
+from fuzzing.damage import WORDS, damaged_bytes, damaged_journal, damaged_table, damaged_yaml
+from fuzzing.inputs import CALIBRATIONS, JOURNALS, LOG, SEGMENTS, golden, netcdf_log, parquet_log, shipped, target
 from tiltcal.errors import TiltcalError
 
 
@@ -110,10 +111,9 @@ def options_of(command: str) -> Sequence[tuple[list[str], bool]]:
     """Return the names of a command's options, and whether each takes a value."""
     from tiltcal.cli.main import group
 
-    known = group.get_command(group.make_context("tiltcal", [command]), command)
-    assert known is not None
+    parameters = group.get_command(group.make_context("tiltcal", [command]), command).params
     return [
-        (list(one.opts), not getattr(one, "is_flag", False)) for one in known.params if one.param_type_name == "option"
+        (list(one.opts), not getattr(one, "is_flag", False)) for one in parameters if one.param_type_name == "option"
     ]
 
 
