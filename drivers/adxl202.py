@@ -36,7 +36,7 @@ from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
 from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.columns import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.converters import SCHEMES as CONVERTERS
-from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words
+from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, link_in_words
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth, VirtualLine, uniform
 from tiltcal.errors import BusError, DeviceFault
 
@@ -211,7 +211,7 @@ TROUBLED = 256
 """Transactions with edges, but without a cycle, before the driver raises an error."""
 
 
-class Adxl202Sentences:
+class Adxl202Sentences(Sensor):
     """The driver of an ADXL202 behind a microcontroller that sends sentences on a serial line."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
@@ -270,7 +270,7 @@ class Adxl202Sentences:
         return number != before
 
 
-class Adxl202Edges:
+class Adxl202Edges(Sensor):
     """The driver of an ADXL202 on two lines that are captured edge by edge."""
 
     def __init__(self, link: Link, clock: Clock) -> None:

@@ -21,7 +21,7 @@ from typing import Any
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
-from tiltcal.drivers.model import OF_G, Model, Reading, in_words, link_in_words
+from tiltcal.drivers.model import OF_G, Model, Reading, Sensor, in_words, link_in_words
 from tiltcal.drivers.sketch import bare
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
@@ -190,7 +190,7 @@ class ColumnLayout:
         return self._between.join(f"{numbers.get(name, 0.0):.9g}".encode() for name in self.names) + b"\r\n"
 
 
-class ColumnsSensor:
+class ColumnsSensor(Sensor):
     """The driver of a device that prints numbers on a serial line."""
 
     def __init__(self, columns: ColumnLayout, link: Link, clock: Clock) -> None:

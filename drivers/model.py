@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 from tiltcal.drivers.bus import Bus, SpiPort
 from tiltcal.drivers.bus.address import Address
@@ -35,23 +36,52 @@ class Reading:
     step: float = field(default=0.0, compare=False)
 
 
-class Sensor(Protocol):
-    """The interface of a driver on one link, and the base of those that have nothing to discard."""
+class SelfTest(NamedTuple):
+    """The self-test of one channel: its word at rest, while an electrode pushes the mass, and after that, count."""
 
+    before: int
+    deflected: int
+    after: int
+    full_scale: int
+
+    def __str__(self) -> str:
+        return f"{self.before} count at rest, {self.deflected} while pushed, {self.after} after the recovery"
+
+    @property
+    def passed(self) -> bool:
+        """Whether it moved to at least 95 % of the supply, and returned to within 5 % of its first value."""
+        return self.deflected >= 0.95 * self.full_scale and abs(self.after - self.before) <= 0.05 * self.before
+
+
+class Sensor(ABC):
+    """The base of every driver, which is made on one link: what it has to do, and what it may do."""
+
+    @abstractmethod
     def probe(self) -> Mapping[str, str]:
         """Return what the device reports about itself, for the operator."""
-        ...
 
+    @abstractmethod
     def read(self) -> Reading:
         """Take one sample; a failed transaction is a BusError, bytes that show a fault of the device a DeviceFault."""
-        ...
 
-    def discard(self) -> None:
-        """Discard what arrived before now, so that the next reading is a new one; a failure is a BusError.
+    def discard(self) -> None:  # noqa: B027 - a sensor that is read sample by sample has nothing to discard
+        """Discard what arrived before now, so that the next reading is a new one; a failure is a BusError."""
 
-        A sensor that is read sample by sample has nothing to discard; one that streams drops its queued data.
+    def link_statistics(self) -> Mapping[str, int]:
+        """Return how much data was used, damaged and lost since the driver began, the used data first.
+
+        Such as ``{"sentences": 120, "damaged": 3, "lost": 1}``; empty where the sensor neither streams nor adds a
+        checksum.
         """
-        return
+        return {}
+
+    def serial_number(self) -> str:
+        """Return the serial number that the sensor states; empty where it states none."""
+        return ""
+
+    def self_test(self, channel: str) -> SelfTest:
+        """Start the self-test of one channel; a part without one is a UsageError."""
+        raise UsageError("this model has no self-test")
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,53 +187,6 @@ def deviation_within(limit: float) -> float:
 def typical_nonlinearity(error: float, extent: float) -> tuple[float, float]:
     """Return the square and the cube that each err by so much, g, at the ends of a range of ±extent, g."""
     return error / extent**2, error / extent**3
-
-
-class SelfTest(NamedTuple):
-    """The self-test of one channel: its word at rest, while an electrode pushes the mass, and after that, count."""
-
-    before: int
-    deflected: int
-    after: int
-    full_scale: int
-
-    def __str__(self) -> str:
-        return f"{self.before} count at rest, {self.deflected} while pushed, {self.after} after the recovery"
-
-    @property
-    def passed(self) -> bool:
-        """Whether it moved to at least 95 % of the supply, and returned to within 5 % of its first value."""
-        return self.deflected >= 0.95 * self.full_scale and abs(self.after - self.before) <= 0.05 * self.before
-
-
-@runtime_checkable
-class SelfTesting(Protocol):
-    """A driver whose part can test itself."""
-
-    def self_test(self, channel: str) -> SelfTest:
-        """Start the self-test of one channel; the errors are those of :meth:`Sensor.read`."""
-        ...
-
-
-@runtime_checkable
-class StreamingSensor(Protocol):
-    """A driver that counts lost and damaged data, of a sensor that streams or adds a checksum."""
-
-    def link_statistics(self) -> Mapping[str, int]:
-        """Return how much data was used, damaged and lost since the driver began, the used data first.
-
-        Such as ``{"sentences": 120, "damaged": 3, "lost": 1}``.
-        """
-        ...
-
-
-@runtime_checkable
-class IdentifiedSensor(Protocol):
-    """A driver of a sensor that states its own serial number."""
-
-    def serial_number(self) -> str:
-        """Return the serial number that the sensor states."""
-        ...
 
 
 def link_in_words(link_statistics: Mapping[str, int]) -> str:

@@ -17,7 +17,7 @@ from struct import Struct
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
-from tiltcal.drivers.model import Model, Reading, deviation_within, in_words, link_in_words
+from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, link_in_words
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 
@@ -50,7 +50,7 @@ def framed(kind: int, data: bytes) -> bytes:
     return frame + bytes((sum(frame) % 256,))
 
 
-class WitMotionSensor:
+class WitMotionSensor(Sensor):
     """The driver; ``thermometer`` is a value of :data:`THERMOMETERS`."""
 
     def __init__(self, thermometer: tuple[float, float] | None, link: Link, clock: Clock) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from tiltcal.errors import BusError
 
@@ -36,15 +36,6 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Release the bus; closing twice is allowed."""
-        ...
-
-
-@runtime_checkable
-class Continuing(Protocol):
-    """A link to recorded data, which goes on where an earlier link to the same data stopped."""
-
-    def go_on_after(self, answer: bytes) -> None:
-        """Skip all up to the end of an answer of the earlier link; data without it are taken from their start."""
         ...
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from tiltcal.drivers.bus import Device
 from tiltcal.drivers.bus.address import Address
-from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
+from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges
 from tiltcal.drivers.bus.link import CaptureEnded
 from tiltcal.drivers.bus.nodes import import_library
 from tiltcal.errors import BusError
@@ -61,14 +61,6 @@ class VcdLink:
                 "position"
             )
         return pack_edges(edges)
-
-    def go_on_after(self, answer: bytes) -> None:
-        """Skip the edges up to the last one of an answer; see :class:`~tiltcal.drivers.bus.link.Continuing`."""
-        *_, last = unpack_edges(answer)
-        reached = next((edge for edge in self._edges if edge.number >= last.number), None)
-        if reached != last:  # it is another capture
-            self.close()
-            self._open()
 
     def close(self) -> None:
         """Release the file; closing twice is allowed."""

@@ -17,7 +17,7 @@ from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock, session_clock
 from tiltcal.drivers.bus.link import Link
-from tiltcal.drivers.model import IdentifiedSensor, Model, Reading, Sensor
+from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.errors import BusError, HardwareError
 from tiltcal.files.record import Record, Text, about
 
@@ -148,11 +148,10 @@ def open_same(
     The journal has only the error.
     """
     link = open_device(device, virtual, lines)
-    driver = device.wired.driver(link, clock)
-    if not isinstance(driver, IdentifiedSensor) or device.simulated:
+    if device.simulated:
         return link
     try:
-        stated.append(driver.serial_number())
+        stated.append(device.wired.driver(link, clock).serial_number())
         if stated[-1] != stated[0]:
             why = f"another part answers: its serial number is {stated.pop()}, it was {stated[0]}; connect that one"
             raise BusError(why)

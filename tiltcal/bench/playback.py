@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from tiltcal.bench.sensors import THERMOMETER, named_error
 from tiltcal.bench.setup import Setup
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.model import Reading, StreamingSensor
+from tiltcal.drivers.model import Reading
 from tiltcal.errors import BusError, HardwareError, JournalError
 from tiltcal.files.journal import (
     ANSWER,
@@ -69,7 +69,7 @@ class Playback:
 
     ``now_ns`` is the time of the last event, and ``breaks`` counts failures of a device and interruptions so far.
     By serial number ``failures`` are the last ones, and ``reopened`` are the sensors whose bus failed and was opened
-    again; ``last_answers`` are those of each device by its number.
+    again.
     """
 
     def __init__(self, journal: Journal) -> None:
@@ -77,7 +77,6 @@ class Playback:
         self.now_ns = self.breaks = 0
         self.failures: dict[str, str] = {}
         self.reopened: set[str] = set()
-        self.last_answers: dict[int, bytes] = {}
         self._journal = journal
         self._clock = VirtualClock()
         self._events = iter(journal.events)
@@ -103,9 +102,9 @@ class Playback:
         """Return the link statistics of each device that counts them, by serial number, or model where it has none."""
         counted = {serial: dict(counts) for serial, counts in self._statistics.items()}
         for name, driver in zip(self._names, self._drivers, strict=True):
-            if isinstance(driver, StreamingSensor) and name not in self._given_up:
+            if name not in self._given_up and (counts := driver.link_statistics()):
                 before = counted.get(name := name or self.setup.sensors[0].model, {})
-                counted[name] = {what: before.get(what, 0) + n for what, n in driver.link_statistics().items()}
+                counted[name] = {what: before.get(what, 0) + n for what, n in counts.items()}
         return counted
 
     def __iter__(self) -> Iterator[RecordedSample | Event]:
@@ -177,9 +176,7 @@ class Playback:
         self._take(event)
         if event.kind == HARDWARE_ERROR:
             raise BusError(event.payload[1])
-        answer = bytes.fromhex(event.payload[1])
-        self.last_answers[number] = answer or self.last_answers.get(number, b"")
-        return answer
+        return bytes.fromhex(event.payload[1])
 
     def _sample(self, *, fresh: bool = False, live: bool = False, counts: bool = False) -> RecordedSample | None:
         """Return a sample of all devices; None where one of them failed, or no further is there."""

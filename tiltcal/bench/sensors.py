@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from tiltcal.bench import devices as bench_devices
 from tiltcal.bench.devices import BenchDevice, VirtualBench
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import CaptureEnded, Continuing, Link
-from tiltcal.drivers.model import Model, Reading, Sensor, StreamingSensor
+from tiltcal.drivers.bus.link import CaptureEnded, Link
+from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.errors import BusError, HardwareError, SensorError
 from tiltcal.files.journal import HARDWARE_ERROR, JournalWriter
 
@@ -111,7 +111,7 @@ class SensorSet:
     def link_statistics(self) -> dict[str, Mapping[str, int]]:
         """Return the link statistics of each device that counts them, by serial number, or model where it has none."""
         drivers = [(name or self.models[0].name, driver) for name, driver in self._drivers]
-        return {name: driver.link_statistics() for name, driver in drivers if isinstance(driver, StreamingSensor)}
+        return {name: counts for name, driver in drivers if (counts := driver.link_statistics())}
 
     def succeeded(self) -> None:
         """Note a success: failures from here on count anew."""
@@ -187,26 +187,21 @@ class RecordedLink:
     """A link whose transactions are recorded.
 
     ``connect`` opens the real link when it is first needed, and again after an error, so a re-plugged sensor goes on.
-    ``number`` is the device in the journal. Recorded data go on behind the last answer before an interruption.
+    ``number`` is the device in the journal.
     """
 
-    def __init__(
-        self, recorder: Recorder, connect: Callable[[], Link], letter: str, number: int, last_answer: bytes = b""
-    ) -> None:
+    def __init__(self, recorder: Recorder, connect: Callable[[], Link], letter: str, number: int) -> None:
         self.letter = letter
         self._recorder = recorder
         self._connect = connect
         self._device = (number,) if number else ()
         self._live: Link | None = None
-        self._last_answer = last_answer
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Carry out one transaction."""
         try:
             if self._live is None:
                 self._live = self._connect()
-                if isinstance(self._live, Continuing) and self._last_answer:
-                    self._live.go_on_after(self._last_answer)
             answer = self._live.exchange(out, count)
         except BusError as error:
             if not isinstance(error, CaptureEnded):
@@ -214,7 +209,6 @@ class RecordedLink:
             self._recorder.record(HARDWARE_ERROR, out.hex(), str(error), *self._device)
             raise
         self._recorder.record(self.letter, out.hex(), answer.hex(), *self._device)
-        self._last_answer = answer or self._last_answer
         return answer
 
     def close(self) -> None:
@@ -229,18 +223,14 @@ def connected(
     thermometer: BenchDevice | None,
     recorder: Recorder,
     virtual: VirtualBench,
-    last_answers: Mapping[int, bytes] | None = None,
 ) -> Iterator[SensorSet]:
-    """Connect the devices of a bench, and close their links at the end of the block.
-
-    ``last_answers`` are those of each device, by its number, before the session was interrupted.
-    """
+    """Connect the devices of a bench, and close their links at the end of the block."""
     lines: dict[str, ModbusLine] = {}
     drivers = []
     with ExitStack() as stack:
         for number, device in enumerate(sensors if thermometer is None else (*sensors, thermometer)):
             connect = partial(bench_devices.open_same, device, virtual, lines, recorder, [])
-            link = RecordedLink(recorder, connect, device.letter, number, (last_answers or {}).get(number, b""))
+            link = RecordedLink(recorder, connect, device.letter, number)
             stack.callback(link.close)
             drivers.append(device.wired.driver(link, recorder))
         yield SensorSet(sensors, drivers[: len(sensors)], *drivers[len(sensors) :])

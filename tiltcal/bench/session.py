@@ -103,8 +103,7 @@ class Session:
         self.recorder = Recorder(self.clock, self.writer, 0 if recorded is None else recorded.playback.now_ns)
         if recorded is not None:
             self._take_over(recorded)
-        last_answers = None if recorded is None else recorded.playback.last_answers
-        opened = connected(setup.sensors, setup.thermometer, self.recorder, self._virtual, last_answers)
+        opened = connected(setup.sensors, setup.thermometer, self.recorder, self._virtual)
         self.sensors = stack.enter_context(opened)
         self._spans.add(self._probed)
         self.sensors.listeners.append(self._spans.add)

@@ -22,7 +22,7 @@ from tiltcal.drivers import sca100t
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
-from tiltcal.drivers.model import Model, Reading, in_words, link_in_words
+from tiltcal.drivers.model import Model, Reading, Sensor, in_words, link_in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualLine
 from tiltcal.errors import BusError, DeviceFault
 
@@ -50,7 +50,7 @@ def parse_answer(received: bytes) -> Reading | None:
     return None
 
 
-class Dfrobot:
+class Dfrobot(Sensor):
     """The driver of the module; it counts the answers that it used, and the damaged ones that it requested again."""
 
     def __init__(self, link: Link, clock: Clock) -> None:
@@ -82,9 +82,6 @@ class Dfrobot:
             f"{ATTEMPTS} requests got no answer 55 AA ... with its checksum; the last one got "
             f"{received[:LENGTH].hex(' ')}: is the baud rate right, and is it this module?"
         )
-
-    def discard(self) -> None:
-        """Do nothing: the module sends no data without a request."""
 
     def link_statistics(self) -> Mapping[str, int]:
         return dict(self._counts)

@@ -84,8 +84,8 @@ def test_a_file_of_sigrok_gives_the_duty_cycle_that_was_generated(tmp_path: Path
         assert driver.link_statistics()["lost edges"] == 0
 
 
-def recorded(capture: Path, last_answer: bytes = b"") -> RecordedLink:
-    return RecordedLink(Recorder(VirtualClock()), lambda: opened(capture), "e", 0, last_answer)
+def recorded(capture: Path) -> RecordedLink:
+    return RecordedLink(Recorder(VirtualClock()), lambda: opened(capture), "e", 0)
 
 
 def numbers(records: bytes) -> list[int]:
@@ -105,19 +105,6 @@ def test_a_capture_at_its_end_starts_again_once_it_is_written_anew(hand_written:
         link.exchange(b"", 0)
         *_, last = unpack_edges(link.exchange(b"", 4096))
         assert last == Edge(2_000_000, 0, True, 5)
-
-
-@pytest.mark.parametrize("again", [HAND_WRITTEN, HAND_WRITTEN + "#150 0!\n"], ids=["the same", "a longer one"])
-def test_a_session_that_is_resumed_goes_on_behind_the_edges_that_it_has(hand_written: Path, again: str) -> None:
-    with closing(recorded(hand_written)) as link:
-        taken = link.exchange(b"", 28)
-    assert numbers(taken) == [1, 2]
-    hand_written.write_text(again)
-    with closing(recorded(hand_written, taken)) as link:
-        assert numbers(link.exchange(b"", 28)) == [3, 4]
-        # A link that is opened anew after an error goes on as well.
-        link.close()
-        assert numbers(link.exchange(b"", 14)) == [5]
 
 
 UNREADABLE = (
