@@ -69,8 +69,7 @@ def command(
     worth its time. Degrees are those of an axis near level.
     """
     from tiltcal.files.atomic import check_writable
-    from tiltcal.logs.noise import NoiseFacts, characterise_readings
-    from tiltcal.logs.noise_summary import NoiseTarget
+    from tiltcal.logs.noise import NoiseTarget, characterise_readings, stated_scale
     from tiltcal.report.record_figures import draw_noise
 
     log = log and options.of_topic(log, topic)
@@ -80,9 +79,9 @@ def command(
         sizes = tuple(int(part) for part in averages.split(",") if part.strip())
     except ValueError:
         raise UsageError(f"--averages {averages!r}: write whole numbers of samples, such as 5,20") from None
-    facts = NoiseFacts.of(sensor, address, calibration, unit)
+    scale, channels = stated_scale(sensor, address, calibration, unit)
     wanted = NoiseTarget(target, target_range)
-    facts.require_scale(wanted)
+    wanted.require_scale(scale)  # before a sensor is recorded
     if figure is not None:
         check_writable(figure, *(path for path in (log, calibration) if path is not None))
     interrupted, name = False, None
@@ -101,7 +100,7 @@ def command(
             log, rate, name = str(path), None, str(output or "the record")
         progress = stack.enter_context(progress_bar("noise"))
         how = {"columns": recorded["columns"], "skip_bad_rows": recorded["skip_bad_rows"], "averages": sizes}
-        found = characterise_readings(log, facts, wanted, rate=rate, name=name, progress=progress, **how)
+        found = characterise_readings(log, scale, channels, wanted, rate=rate, name=name, progress=progress, **how)
     if figure is not None:
         draw_noise(figure, found.channels, found.scale)
     for note in found.remarks:

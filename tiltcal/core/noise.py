@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil, degrees, log, nan, pi, radians, sqrt
+from math import degrees, log, nan, pi, sqrt
 from typing import Literal
 
 import numpy as np
@@ -138,31 +138,23 @@ class ChannelNoise:
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """The scale by which readings become degrees: unit/g of each channel of which it is stated, and its source."""
+    """The unit of readings, and by channel unit/g, which makes degrees of them, from a ``source``.
 
-    unit: str
+    The unit is None, and ``per_g`` empty, where nothing states them; under ``*`` it is unit/g of every channel.
+    """
+
+    unit: str | None
     per_g: Mapping[str, float]
-    source: str
+    source: str = ""
+
+    def of(self, channels: Sequence[str]) -> NoiseScale:
+        """Return the scale of some channels, as far as it is stated."""
+        per_g = {channel: abs(self.per_g.get(channel, self.per_g.get("*", 0.0))) for channel in channels}
+        return NoiseScale(self.unit or "unit", {channel: size for channel, size in per_g.items() if size}, self.source)
 
     def degrees(self, channel: str, value: float) -> float | None:
         """Return a small difference of readings as degrees of an axis near level; None without a scale."""
         return degrees(value / self.per_g[channel]) if channel in self.per_g else None
-
-    def from_degrees(self, channel: str, angle: float | None) -> float | None:
-        """Return the inverse of :meth:`degrees`."""
-        return None if angle is None or channel not in self.per_g else radians(angle) * self.per_g[channel]
-
-
-@dataclass(frozen=True)
-class SampleSize:
-    """A recommended number of samples, and why it is that one."""
-
-    samples: int
-    uncertainty: float  # of their mean, unit
-    limit: Limit  # what sets the number
-    met: bool | None  # whether the mean is as good as the target; None without one
-    useful: int | None  # from which on twice as many gain less than a tenth; None where the record is too short for it
-    predicted: int | None = None  # that would meet the target if the noise stayed white beyond the record
 
 
 def characterise(samples: Array, interval: float, sizes: Sequence[int] = ()) -> ChannelNoise:
@@ -320,31 +312,24 @@ def _columns(tau: Array) -> Array:
     return np.stack([1.0 / tau, np.full(len(tau), FLICKER**2), tau / 3.0, tau**2 / 2.0], axis=1)
 
 
-def sample_size(noise: ChannelNoise, interval: float, target: float | None = None) -> SampleSize:
+def sample_size(noise: ChannelNoise, interval: float, target: float | None = None) -> tuple[int, Limit]:
     """Return the smallest number of samples whose mean is as good as a target, or from which on more do not help."""
     most = round(float(noise.tau[-1]) / interval)
     samples = np.unique(np.geomspace(1, most, _SIZES).round().astype(np.int64))
     u = noise.uncertainty(np.asarray(samples * interval, dtype=np.float64))
-    useful, why = _useful(noise, samples, u)
     if target is not None and np.any(u <= target):
-        first = int(np.argmax(u <= target))
-        return SampleSize(int(samples[first]), float(u[first]), "target", True, useful)
-    end = int(np.searchsorted(samples, useful if useful is not None else most))
-    predicted = None
-    if target is not None and useful is None and target > noise.rounding:
-        needed = noise.terms.variance(np.array([interval]))[0] / (target**2 - noise.rounding**2)
-        predicted = max(ceil(needed), most)
-    return SampleSize(int(samples[end]), float(u[end]), why, None if target is None else False, useful, predicted)
+        return int(samples[np.argmax(u <= target)]), "target"
+    return _useful(noise, samples, u)
 
 
-def _useful(noise: ChannelNoise, samples: NDArray[np.int64], u: Array) -> tuple[int | None, Limit]:
-    """Return the number of samples from which twice as many stop to help, and the reason."""
+def _useful(noise: ChannelNoise, samples: NDArray[np.int64], u: Array) -> tuple[int, Limit]:
+    """Return the number of samples from which twice as many stop to help, or the longest, and the reason."""
     twice = np.interp(2.0 * samples, samples, u, right=nan)
     shorter = ~np.isnan(twice)
     # What falls again behind a hump, as after a vibration, must come below what there was before it.
     helps = np.flatnonzero(shorter & (twice <= (1.0 - _GAIN) * np.minimum.accumulate(u)))
     if not shorter.any() or (len(helps) and helps[-1] == np.flatnonzero(shorter)[-1]):
-        return None, "record"
+        return int(samples[-1]), "record"
     place = min(int(helps[-1]) + 1, len(samples) - 1) if len(helps) else 0
     if noise.rounding > float(u[place]) / sqrt(2.0):
         return int(samples[place]), "rounding"

@@ -12,8 +12,7 @@ from tiltcal.logs.apply import Applied, ApplySummary, apply_to_log
 from tiltcal.logs.fit import fit_recorded
 from tiltcal.logs.log import Progress
 from tiltcal.logs.match import match_log, pairs_of
-from tiltcal.logs.noise import NoiseFacts, characterise_readings
-from tiltcal.logs.noise_summary import NoiseTarget, SensorNoise
+from tiltcal.logs.noise import NoiseTarget, SensorNoise, characterise_readings, stated_scale
 from tiltcal.logs.options import ApplyOptions, FitOptions
 from tiltcal.options import complete, takes
 from tiltcal.stated_arguments import require_text_or_none
@@ -200,15 +199,8 @@ def noise(
     """
     require_text_or_none("--unit", unit)
     own = calibration.record if isinstance(calibration, Calibration) else calibration
-    facts = NoiseFacts.of(sensor, None, own, unit)
+    scale, channels = stated_scale(sensor, None, own, unit)
     wanted = NoiseTarget(target, target_range)
-    facts.require_scale(wanted)
     return characterise_readings(
-        readings,
-        facts,
-        wanted,
-        rate=rate,
-        columns=columns,
-        averages=averages,
-        skip_bad_rows=skip_bad_rows,
+        readings, scale, channels, wanted, rate=rate, skip_bad_rows=skip_bad_rows, columns=columns, averages=averages
     )

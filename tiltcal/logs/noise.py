@@ -1,20 +1,30 @@
-"""The noise of a sensor at rest, from a log or a frame of its readings: as evenly spaced samples of each channel."""
+"""The noise of a sensor at rest: a log or a frame of its readings as evenly spaced samples, and what they show."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
+from math import radians, sqrt
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tiltcal.core.detection import moved_rows, stuck_rows
+from tiltcal.core.detection import Span, moved_rows, stuck_rows
 from tiltcal.core.model import AXES, Array
-from tiltcal.core.noise import FEWEST_SAMPLES, ChannelNoise, NoiseScale, characterise
+from tiltcal.core.noise import (
+    FEWEST_SAMPLES,
+    FLICKER,
+    RANGE_OF_100,
+    ChannelNoise,
+    Limit,
+    NoiseScale,
+    characterise,
+    sample_size,
+)
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import OF_G
@@ -23,8 +33,8 @@ from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.logs.columns import TIME, locate_columns, locate_readings, named_columns
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
-from tiltcal.logs.noise_summary import NoiseTarget, Pace, SensorNoise
 from tiltcal.logs.numbers import read_columns
+from tiltcal.printable import counted, in_html
 from tiltcal.stated_arguments import require_above_zero, require_whole
 
 _LATE = 1.5  # rows are missing where the next one is late by so many intervals
@@ -32,79 +42,111 @@ _MILLISECOND = 1e-3  # times that are written to the millisecond may be off by a
 _LONGEST_GAP, _GAP_SHARE = 10_000_000, 100
 """Refuse a gap of more rows than this, and than so many times the rows before it."""
 
+_FEWEST_SAMPLES = 2  # of a position, for `measure`
+_KINDS = {
+    "N": ("white noise", sqrt(2.0), "/√Hz"),
+    "B": ("flicker noise at any time", FLICKER, ""),
+    "K": ("random walk", 1.0, "/√s"),
+    "R": ("drift", 1.0, "/s"),
+}
+"""Of each coefficient of the Allan variance: its name, and factor and unit of what is shown."""
+
+_WHY: dict[Limit, str] = {
+    "target": "the smallest number that meets the target",
+    "record": "the longest that this record supports; more samples still help: record longer",
+    "rounding": "more do not help: the noise is too small to average the rounding out",
+    "flicker": "twice as many gain less than a tenth: flicker noise stays, however long the average",
+    "walk": "twice as many gain less than a tenth: random walk",
+    "drift": "twice as many gain less than a tenth: drift",
+    "unknown": "twice as many gain less than a tenth, for none of the usual kinds of noise",
+}
+
 
 @dataclass(frozen=True)
-class NoiseFacts:
-    """What is stated of the sensor beside its readings: channels and unit, and sensitivities from a ``source``.
+class Pace:
+    """The interval between the rows of a log in seconds, its rows, its gaps, and the rows that are lost in them."""
 
-    No ``channels`` are those of the log. ``sensitivity`` is in unit/g, per channel, or under ``*`` for all of them.
+    interval: float
+    rows: int
+    gaps: int = 0
+    lost: int = 0
+
+
+@dataclass(frozen=True)
+class NoiseTarget:
+    """How good the mean of a position should be, degrees of an axis near level; None where it is not stated.
+
+    ``uncertainty`` is the standard uncertainty of the mean, ``range`` that of 100 such means, as the source's table I
+    judges them.
     """
 
-    channels: tuple[str, ...]
-    unit: str | None
-    sensitivity: dict[str, float]
-    source: str
+    uncertainty: float | None = None
+    range: float | None = None
 
-    @classmethod
-    def of(
-        cls,
-        sensor: str | None,
-        address: str | None,
-        calibration: CalibrationRecord | str | Path | None,
-        unit: str | None,
-    ) -> NoiseFacts:
-        """Gather what model, address, calibration and user state; a UsageError where they contradict each other."""
-        model = find_model(sensor) if sensor else None
-        if model is not None and address is not None:
-            model = model.at(parse_address(address))
-        if isinstance(calibration, str | Path):
-            calibration = read_calibration(calibration)
-        if calibration is not None and not isinstance(calibration, CalibrationRecord):
-            raise UsageError(f"--calibration takes a tilt calibration or its file, not {calibration!r}")
-        units = {
-            "--sensor": model.unit if model else None,
-            "--calibration": calibration.sensor.unit if calibration else None,
-            "--unit": unit,
-        }
-        units = {option: stated for option, stated in units.items() if stated is not None}
-        if len(set(units.values())) > 1:
-            contradiction = ", but ".join(f"{option} says {stated}" for option, stated in units.items())
-            raise UsageError(f"the readings have one unit: {contradiction}")
-        if model and calibration and set(calibration.sensor.channels) - set(model.channels):
-            raise UsageError(
-                f"--calibration is of {', '.join(calibration.sensor.channels)}, and {model.name} has "
-                f"{', '.join(model.channels)}"
-            )
-        stated = next(iter(units.values()), None)
-        channels = tuple(model.channels) if model else calibration.sensor.channels if calibration else ()
-        if calibration is not None:
-            coefficients = calibration.coefficients
-            along = {c: coefficients.own_sensitivity(c) for c in coefficients.channels if c in coefficients.axes}
-            return cls(channels, stated, along, f"calibration of {calibration.sensor.serial}")
-        if model is not None and model.scaled:
-            return cls(channels, stated, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}")
-        if stated in OF_G:
-            return cls(channels, stated, {"*": OF_G[stated]}, f"unit {stated}")
-        return cls(channels, stated, {}, "")
+    def __post_init__(self) -> None:
+        require_above_zero("--target", self.uncertainty)
+        require_above_zero("--target-range", self.range)
 
-    def require_scale(self, target: NoiseTarget) -> None:
-        """Raise UsageError for a target in degrees where nothing states how much a degree is."""
-        if target.degrees is not None and not self.sensitivity:
-            option = "--target" if target.range is None else "--target-range"
+    @property
+    def degrees(self) -> float | None:
+        """The standard uncertainty that meets both; None where neither is stated."""
+        stated = [self.uncertainty, None if self.range is None else self.range / RANGE_OF_100]
+        return min((target for target in stated if target is not None), default=None)
+
+    def __str__(self) -> str:
+        parts = {"": self.uncertainty, "a range of ": self.range}
+        return " and ".join(f"{name}{value:g}°" for name, value in parts.items() if value is not None)
+
+    def require_scale(self, scale: NoiseScale) -> None:
+        """Raise UsageError for degrees where nothing states how much a degree is."""
+        if self.degrees is not None and not scale.per_g:
+            option = "--target" if self.range is None else "--target-range"
             raise UsageError(
                 f"{option} is in degrees, and nothing says how much a degree is: give the --sensor model, a "
                 "--calibration, or --unit g or m/s2"
             )
 
-    def scale(self, channels: Sequence[str]) -> NoiseScale:
-        """Return the scale of some channels."""
-        per_g = {channel: abs(self.sensitivity.get(channel, self.sensitivity.get("*", 0.0))) for channel in channels}
-        return NoiseScale(self.unit or "unit", {c: s for c, s in per_g.items() if s}, self.source)
+
+def stated_scale(
+    sensor: str | None, address: str | None, calibration: CalibrationRecord | str | Path | None, unit: str | None
+) -> tuple[NoiseScale, tuple[str, ...]]:
+    """Return the scale that model, address, calibration and unit state, and the channels, none where nothing does.
+
+    A UsageError where they contradict each other.
+    """
+    model = find_model(sensor) if sensor else None
+    if model is not None and address is not None:
+        model = model.at(parse_address(address))
+    if isinstance(calibration, str | Path):
+        calibration = read_calibration(calibration)
+    if calibration is not None and not isinstance(calibration, CalibrationRecord):
+        raise UsageError(f"--calibration takes a tilt calibration or its file, not {calibration!r}")
+    units = {
+        "--sensor": model.unit if model else None,
+        "--calibration": calibration.sensor.unit if calibration else None,
+        "--unit": unit,
+    }
+    units = {option: stated for option, stated in units.items() if stated is not None}
+    if len(set(units.values())) > 1:
+        contradiction = ", but ".join(f"{option} says {stated}" for option, stated in units.items())
+        raise UsageError(f"the readings have one unit: {contradiction}")
+    stated = next(iter(units.values()), None)
+    channels = tuple(model.channels) if model else calibration.sensor.channels if calibration else ()
+    if calibration is not None:
+        coefficients = calibration.coefficients
+        along = {c: coefficients.own_sensitivity(c) for c in coefficients.channels if c in coefficients.axes}
+        return NoiseScale(stated, along, f"calibration of {calibration.sensor.serial}"), channels
+    if model is not None and model.scaled:
+        return NoiseScale(stated, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}"), channels
+    if stated in OF_G:
+        return NoiseScale(stated, {"*": OF_G[stated]}, f"unit {stated}"), channels
+    return NoiseScale(stated, {}), channels
 
 
 def characterise_readings(
     readings: Any,
-    facts: NoiseFacts,
+    scale: NoiseScale,
+    channels: Sequence[str],
     target: NoiseTarget,
     *,
     rate: float | None = None,
@@ -114,10 +156,11 @@ def characterise_readings(
     name: str | None = None,
     progress: Progress | None = None,
 ) -> SensorNoise:
-    """Characterise readings with the facts that are known; the other arguments are those of :func:`tiltcal.noise`.
+    """Characterise readings of a stated scale; the other arguments are those of :func:`tiltcal.noise`.
 
     ``name`` is what messages call the log, in place of its own name.
     """
+    target.require_scale(scale)
     require_above_zero("--rate", rate)
     if not isinstance(averages, Iterable):
         raise UsageError(f"--averages takes several sizes, such as [5, 50], not {averages!r}")
@@ -128,9 +171,9 @@ def characterise_readings(
         asked = tuple(axis for axis in AXES if axis in named)
         there = tuple(axis for axis in AXES if axis in log.names)
         # With neither, x is looked for, and the message that it is not there says how to name it.
-        channels = asked or facts.channels or there or AXES[:1]
-        if facts.unit is not None:
-            locate_readings(log, channels, named, facts.unit)
+        channels = asked or channels or there or AXES[:1]
+        if scale.unit is not None:
+            locate_readings(log, channels, named, scale.unit)
         where = locate_columns(log, channels, named)
         where = {channel: where[channel] for channel in channels}
         if rate is None:
@@ -144,8 +187,7 @@ def characterise_readings(
         noises = dict(zip(channels, each, strict=True))
     missing = {channel: pace.rows - noise.count for channel, noise in noises.items() if noise.count < pace.rows}
     moved = moved_rows(samples, [noise.step for noise in noises.values()])
-    scale = facts.scale(channels)
-    return SensorNoise(pace, noises, missing, numbers.faulty, moved, stuck_rows(samples), scale, target)
+    return SensorNoise(pace, noises, missing, numbers.faulty, moved, stuck_rows(samples), scale.of(channels), target)
 
 
 def _time_column(log: LogReader, named: Mapping[str, str]) -> int:
@@ -208,3 +250,239 @@ def _noise(channel: str, samples: Array, file: str, interval: float, averages: S
         )
     with np.errstate(over="ignore", invalid="ignore"):  # noise beyond any number is refused by its variance
         return characterise(samples, interval, averages)
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """The noise of a sensor at rest.
+
+    Attributes
+    ----------
+    pace : Pace
+        How the readings follow each other.
+    channels : mapping of str to ChannelNoise
+        Averages, Allan deviation and kinds of noise of each channel, in its unit.
+    missing, faulty : mapping of str to int, int
+        Values that are missing in the log's own rows, per channel that lacks some; rows that could not be parsed.
+    moved, stuck : sequence of (start, end), (start, end) or None
+        Rows at an even pace, missing ones counted: where the sensor was moved, and where no channel changed.
+    scale, target : NoiseScale, NoiseTarget
+        How much of the readings' unit a g is, where that is stated, and how good the mean of a position should be.
+    """
+
+    pace: Pace
+    channels: Mapping[str, ChannelNoise]
+    missing: Mapping[str, int]
+    faulty: int
+    moved: Sequence[Span]
+    stuck: Span | None
+    scale: NoiseScale
+    target: NoiseTarget
+
+    @property
+    def remarks(self) -> list[str]:
+        """What limits the numbers, in words."""
+        remarks = []
+        if self.moved:
+            begin, end = self._seconds(self.moved[0])
+            more = f", and {len(self.moved) - 1} times more" if len(self.moved) > 1 else ""
+            remarks.append(
+                f"it was not still: moved or knocked from {begin:.4g} to {end:.4g} s{more}; the numbers are of noise "
+                "and motion together: take a record at rest, or its rows at rest"
+            )
+        if self.stuck is not None:
+            begin, end = self._seconds(self.stuck)
+            remarks.append(f"the readings were stuck from {begin:.4g} to {end:.4g} s: no channel changed")
+        if self.pace.gaps:
+            remarks.append(f"{counted(self.pace.gaps, 'gap')} in its times, {counted(self.pace.lost, 'row')} long")
+        remarks += [f"{channel} is missing in {counted(count, 'row')}" for channel, count in self.missing.items()]
+        remarks += [
+            f"{channel}: no sum of white noise, flicker noise, random walk and drift follows its Allan deviation; a "
+            "vibration may be in it, or a filter"
+            for channel, noise in self.channels.items()
+            if not noise.terms.follows
+        ]
+        return remarks
+
+    def _seconds(self, rows: Span) -> list[float]:
+        """Return the times at which rows begin and end, seconds from the beginning of the log."""
+        return [row * self.pace.interval for row in rows]
+
+    @cached_property
+    def _targets(self) -> dict[str, float]:
+        """The standard uncertainty that the mean of each channel of known scale must have, unit."""
+        target = self.target.degrees
+        return {} if target is None else {name: radians(target) * size for name, size in self.scale.per_g.items()}
+
+    @cached_property
+    def advice(self) -> dict[str, tuple[int, Limit]]:
+        """How many samples each channel needs; one that misses the target comes first, then by their number."""
+        interval, targets = self.pace.interval, self._targets
+        sizes = {name: sample_size(noise, interval, targets.get(name)) for name, noise in self.channels.items()}
+        settles = max(sizes, key=lambda name: (name in targets and sizes[name][1] != "target", sizes[name][0]))
+        return {settles: sizes[settles]} | sizes
+
+    @property
+    def samples(self) -> int:
+        """How many samples a position needs."""
+        return max(_FEWEST_SAMPLES, next(iter(self.advice.values()))[0])
+
+    @cached_property
+    def uncertainty(self) -> dict[str, float]:
+        """The standard uncertainty of each channel's mean of so many samples, unit."""
+        tau = np.array([self.samples * self.pace.interval])
+        return {channel: float(noise.uncertainty(tau)[0]) for channel, noise in self.channels.items()}
+
+    @property
+    def met(self) -> dict[str, bool]:
+        """Whether that is as good as the target, of each channel that has one."""
+        return {name: self.uncertainty[name] <= wanted for name, wanted in self._targets.items()}
+
+    def __str__(self) -> str:
+        interval = self.pace.interval
+        extent = (
+            f"{self.pace.rows} samples of {', '.join(self.channels)}, {interval:.4g} s apart "
+            f"({1.0 / interval:.4g} Hz), {(self.pace.rows + self.pace.lost) * interval:.6g} s"
+        )
+        kinds = (line for channel, noise in self.channels.items() for line in _kinds(channel, noise, self.scale))
+        return "\n".join([extent, *self._averages(), "", *kinds, "", *self._recommendation()])
+
+    __repr__ = __str__
+    _repr_html_ = in_html
+
+    def _averages(self) -> Iterator[str]:
+        """Averages of 1, 10, 100 (the source's Table I)."""
+        unit, scale = self.scale.unit, self.scale
+        angles = "" if not scale.per_g else f"  {'std [°]':>10}  {'range [°]':>10}"
+        yield (
+            f"{'':3} {'samples':>8} {'averages':>9}  {f'std [{unit}]':>14}  {'if white':>10}  {f'range [{unit}]':>14}"
+            + angles
+        )
+        for channel, noise in self.channels.items():
+            for row, one in enumerate(noise.averages):
+                cells = [f"{one.std:>14.4g}", f"{noise.white(one):>10.4g}", f"{one.range:>14.4g}"]
+                sizes = (scale.degrees(channel, value) for value in (one.std, one.range))
+                cells += [f"{angle:>10.3g}" for angle in sizes if angle is not None]
+                yield f"{channel if row == 0 else '':3} {one.samples:>8} {one.count:>9}  " + "  ".join(cells)
+
+    def _recommendation(self) -> Iterator[str]:
+        def listed(factor: float) -> str:
+            return ", ".join(_in_degrees(channel, factor * u, self.scale) for channel, u in self.uncertainty.items())
+
+        interval, (settles, (_, limit)) = self.pace.interval, next(iter(self.advice.items()))
+        yield f"measure --samples {self.samples}: a position takes {self.samples * interval:.4g} s at this pace"
+        yield f"  its mean is uncertain by {listed(1.0)}"
+        if self.target.range is not None:
+            yield f"  100 such means range over {listed(RANGE_OF_100)}"
+        yield f"  {settles}: {_WHY[limit]}"
+        yield from (f"  {channel} does not meet {self.target}" for channel, met in self.met.items() if not met)
+        if self.scale.source:
+            yield f"  degrees of an axis near level, by the {self.scale.source}"
+
+    def as_data(self) -> dict[str, Any]:
+        """Everything as plain data, with the whole Allan deviation."""
+        scale, pace, met = self.scale, self.pace, self.met
+        settles, (_, limit) = next(iter(self.advice.items()))
+        return {
+            "samples": pace.rows,
+            "interval": pace.interval,
+            "seconds": (pace.rows + pace.lost) * pace.interval,
+            "gaps": {"count": pace.gaps, "rows": pace.lost},
+            "missing": dict(self.missing),
+            "bad_rows": self.faulty,
+            "moved": [self._seconds(rows) for rows in self.moved],
+            "hung": None if self.stuck is None else self._seconds(self.stuck),
+            "remarks": self.remarks,
+            "unit": scale.unit,
+            "sensitivity": {"source": scale.source, **scale.per_g} if scale.per_g else None,
+            "channels": {channel: _channel_data(channel, noise, scale) for channel, noise in self.channels.items()},
+            "recommendation": {
+                "samples": self.samples,
+                "seconds": self.samples * pace.interval,
+                "channel": settles,
+                "limit": limit,
+                "target_degrees": self.target.uncertainty,
+                "target_range_degrees": self.target.range,
+                "met": all(met.values()) if met else None,
+                "channels": {
+                    channel: {
+                        "samples": self.advice[channel][0],
+                        "limit": self.advice[channel][1],
+                        **_both("uncertainty", channel, u, scale),
+                        "met": met.get(channel),
+                    }
+                    for channel, u in self.uncertainty.items()
+                },
+            },
+        }
+
+
+def _channel_data(channel: str, noise: ChannelNoise, scale: NoiseScale) -> dict[str, Any]:
+    def coefficient(term: str, factor: float = 1.0) -> dict[str, float] | None:
+        value = noise.terms.value
+        return {"value": factor * value[term]} if term in value else None
+
+    tau_lowest, lowest = noise.lowest
+    allan = {"tau": noise.tau, "deviation": noise.deviation, "low": noise.low, "high": noise.high}
+    allan["dof"] = noise.terms.dof
+    return {
+        "mean": noise.mean,
+        "samples": noise.count,
+        "step": noise.step or None,
+        "averages": [
+            {
+                "samples": average.samples,
+                "averages": average.count,
+                **_both("std", channel, average.std, scale),
+                **_both("range", channel, average.range, scale),
+            }
+            for average in noise.averages
+        ],
+        "allan": [dict(zip(allan, row, strict=True)) for row in np.stack(list(allan.values()), axis=1).tolist()],
+        "noise_density": coefficient("N", sqrt(2.0)),
+        "velocity_random_walk": coefficient("N"),
+        "flicker": coefficient("B"),
+        "bias_random_walk": coefficient("K"),
+        "drift": coefficient("R"),
+        "bias_instability": {
+            "reached": noise.settled,
+            "tau": tau_lowest,
+            **_both("deviation", channel, lowest, scale),
+            "coefficient": lowest / FLICKER,
+        },
+        "rounding": noise.rounding,
+    }
+
+
+def _both(name: str, channel: str, value: float, scale: NoiseScale) -> dict[str, float]:
+    angle = scale.degrees(channel, value)
+    return {name: value} if angle is None else {name: value, f"{name}_degrees": angle}
+
+
+def _kinds(channel: str, noise: ChannelNoise, scale: NoiseScale) -> Iterator[str]:
+    """Yield the kinds of noise of a channel, and where averaging ends."""
+
+    def sized(name: str, value: float, per: str = "") -> str:
+        angle = scale.degrees(channel, value)
+        in_g = "" if angle is None else f" ({1e3 * value / scale.per_g[channel]:.3g} mg{per}, {angle:.3g} °{per})"
+        return f"{name} {value:.3g} {scale.unit}{per}{in_g}"
+
+    lines = []
+    for term, value in noise.terms.value.items():
+        kind, factor, per = _KINDS[term]
+        lines.append(sized(kind, factor * value, per))
+    tau, low = noise.lowest
+    if noise.settled:
+        lines.append(f"{sized('bias instability', low)} at {tau:.3g} s")
+    else:
+        below = sized("bias instability not reached: below", float(noise.high[-1]))
+        lines.append(f"{below} after {float(noise.tau[-1]):.3g} s")
+    if noise.step:
+        lines.append(f"step {noise.step:.4g} {scale.unit}, of which averaging leaves {noise.rounding:.2g} {scale.unit}")
+    for row, line in enumerate(lines):
+        yield f"{channel if row == 0 else '':3} {line}"
+
+
+def _in_degrees(channel: str, value: float, scale: NoiseScale) -> str:
+    angle = scale.degrees(channel, value)
+    return f"{channel} {value:.3g} {scale.unit}" + (f" ({angle:.2g}°)" if angle is not None else "")

@@ -117,36 +117,35 @@ def test_a_reading_that_hangs() -> None:
     assert stuck_rows([white(5000)]) is None
 
 
-def test_beyond_the_record_it_is_foretold_and_not_promised() -> None:
-    advice = sample_size(noise_of(white(10_000)), DT, 0.002)
-    assert (advice.met, advice.limit, advice.useful) == (False, "record", None)
-    assert advice.predicted == pytest.approx(1.0 / 0.002**2, rel=0.05)
+def test_within_the_record_more_samples_still_help() -> None:
+    noise = noise_of(white(10_000))
+    assert sample_size(noise, DT, 0.002) == (round(noise.tau[-1] / DT), "record")
 
 
 def test_flicker_noise_ends_what_averaging_gains() -> None:
     """White sigma/√n and flicker f make √(σ²/n + f²): twice n gains a tenth where σ²/n is f² 0.19/0.31."""
     floor = 0.08 * FLICKER
-    advice = sample_size(noise_of(white(400_000) + coloured.flicker(rng(2), 400_000, 0.08)), DT, 0.1 * floor)
-    assert (advice.met, advice.limit, advice.predicted) == (False, "flicker", None)
-    assert advice.useful == pytest.approx(0.31 / 0.19 / floor**2, rel=0.25)
-    assert advice.uncertainty == pytest.approx(floor * sqrt(1.0 + 0.19 / 0.31), rel=0.1)
+    noise = noise_of(white(400_000) + coloured.flicker(rng(2), 400_000, 0.08))
+    samples, limit = sample_size(noise, DT, 0.1 * floor)
+    assert limit == "flicker"
+    assert samples == pytest.approx(0.31 / 0.19 / floor**2, rel=0.25)
+    assert noise.uncertainty(np.array([samples * DT])) == pytest.approx(floor * sqrt(1.0 + 0.19 / 0.31), rel=0.1)
 
 
 def test_rounding_ends_what_averaging_gains() -> None:
     """Noise of 0.28 steps leaves step/√12 exp(-2 (π 0.28)²) however long it is averaged (Widrow)."""
     left = float(np.exp(-2.0 * (pi * 0.28) ** 2) / sqrt(12.0))
     noise = noise_of(np.round(white(200_000, 0.28) + 0.25))
-    advice = sample_size(noise, DT, 0.1 * left)
-    assert (noise.step, advice.limit, advice.met) == (1.0, "rounding", False)
-    assert advice.uncertainty > left * 0.7
+    samples, limit = sample_size(noise, DT, 0.1 * left)
+    assert (noise.step, limit) == (1.0, "rounding")
+    assert noise.uncertainty(np.array([samples * DT])) > left * 0.7
 
 
 def test_behind_a_hump_it_must_be_better_than_before() -> None:
     """A restless sensor: means wander off within seconds, and those of minutes are not as good as one sample."""
     from scipy.signal import lfilter
 
-    advice = sample_size(noise_of(lfilter([1.0], [1.0, -0.999], white(50_000))), DT)
-    assert advice.useful == advice.samples == 1
+    assert sample_size(noise_of(lfilter([1.0], [1.0, -0.999], white(50_000))), DT)[0] == 1
 
 
 def test_noise_beyond_any_number_is_refused() -> None:

@@ -7,8 +7,7 @@ import pytest
 
 import tiltcal
 from tiltcal.errors import InputError
-from tiltcal.logs.noise import evenly_spaced
-from tiltcal.logs.noise_summary import Pace
+from tiltcal.logs.noise import Pace, evenly_spaced
 
 
 def paced(times: list[float]) -> tuple[Pace, list[float]]:
