@@ -49,6 +49,25 @@ def chamber(message: Event) -> Event | None:
     return {"answer": "ready", "temperature": 21.0} if "ask" in message else None
 
 
+def test_to_go_back_is_refused_and_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The journal holds the answer, and what it gives must not lose the leg before."""
+    monkeypatch.chdir(tmp_path)
+    Path("twin.yaml").write_text(TWIN)
+    Path("quick.yaml").write_text(PROCEDURE)
+    answers = iter(["ready", "back", "redo", "ready", "back", "ready"])
+    options = ("--sensor", "sca100t-d02", "--address", "sim:twin=twin.yaml", "--serial", "S-1", "-o", "S-1.yaml")
+    session = lead(
+        "measure",
+        "quick.yaml",
+        *options,
+        cwd=tmp_path,
+        answer=lambda message: {"answer": next(answers)} if message.get("ask") == "position" else None,
+    )
+    assert session.exit_code == 0, session.errors
+    assert len(session.events("refused")) == 3
+    assert [event["position"] for event in session.events("accepted")] == ["down", "up", "back"]
+
+
 @pytest.fixture(scope="module")
 def led(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ProgramSession]:
     folder = tmp_path_factory.mktemp("ramp")

@@ -132,8 +132,9 @@ class RecordedSession:
             self._samples.append(sample)
 
     def _hear(self, answer: OperatorAnswer) -> None:
-        if answer.answer == "back" and self.accepted:
-            self.accepted.pop()
+        # A session refuses to go back over the leg of a ramp, and before the first position.
+        if answer.answer == "back" and answer.to in ("position", "review") and not self.setup.steps.ramp:
+            del self.accepted[-1:]
         if answer.to in ("position", "rotation") and answer.answer == "ready":
             self._answer, self._sampling = answer, True
             self._samples.clear()

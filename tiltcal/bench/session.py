@@ -345,14 +345,14 @@ class Session:
         """Return whether the thermometers still read, after an interruption, about what they read before it."""
         if typed is not None:
             return True
-        before = {serial: one.temperature for serial, one in self.accepted[-1].measurements.items()}
-        readings = self.sensors.by_serial(self.sensors.read(fresh=True))
-        changes = [
-            abs(reading.temperature - (before.get(serial) or soaked))
-            for serial, reading in readings.items()
-            if reading.temperature is not None
-        ]
-        return all(change <= NEAR for change in changes)
+        for serial, reading in self.sensors.by_serial(self.sensors.read(fresh=True)).items():
+            before = self.accepted[-1].measurements[serial].temperature
+            if (
+                reading.temperature is not None
+                and abs(reading.temperature - (soaked if before is None else before)) > NEAR
+            ):
+                return False
+        return True
 
     def _sampled(self, position: Position, *, thermometers: bool) -> tuple[list[Timed], list[int]]:
         """Return the samples of a position, and the numbers of those far off; Unsettled where too many are."""

@@ -123,6 +123,11 @@ def tilt_record(document: Document) -> CalibrationRecord:
         document.at("positions", number).require_moments(position, "time")
         if position.rows and position.rows not in (position.row_ranges, *position.row_ranges):
             raise document.error("rows are two numbers [first, end]", "positions", number, "rows")
+    completing = sum(len(run.positions) for run in (file.procedure.mounting, file.procedure.level) if run is not None)
+    if completing > len(file.positions):
+        raise document.error(
+            f"{len(file.positions)} positions, and a mounting and a level name {completing}", "positions"
+        )
     document.at("provenance").require_moments(file.provenance, "started", "ended")
     limits = document.at("limits")
     limits.require_order(file.limits.temperature, "temperature")
