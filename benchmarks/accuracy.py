@@ -2,7 +2,7 @@
 
     python benchmarks/accuracy.py [--calibrations 600] [--minutes 30] [--pieces accuracy.jsonl] [--only "AR(1)"]
 
-For every bench of ``tests/support/accuracy_study.py``, from the same readings with the jig stated and not stated: the
+For every bench of ``accuracy_study.py``, from the same readings with the jig stated and not stated: the
 share of stated intervals (``value ± coverage factor x uncertainty``) that hold the truth, and the Cramér-Rao bound,
 with everything stated and the noise known, over the mean square error. Both by class of coefficient, with their Monte
 Carlo errors, and the share for the tilt that a calibration makes of a new reading within ±60°.
@@ -25,7 +25,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.accuracy_study import Tally, regimes, sessions
+from accuracy_study import Tally, regimes, sessions
 
 PIECE = 10
 """Sessions that are kept together."""

@@ -26,7 +26,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.efficiency_study import CLASSES, METHODS, REACH, EfficiencyRegime, Result, simulate
+from efficiency_study import CLASSES, METHODS, REACH, EfficiencyRegime, Result, simulate
 
 JIGS, COUNTS, SENSORS = (0.0, 0.02, 0.5), (6, 12, 18, 26), (1, 6)
 

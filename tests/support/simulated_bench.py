@@ -19,6 +19,7 @@ from tiltcal.core.samples import pooled
 Array = NDArray[np.float64]
 
 XYZ = ("x", "y", "z")
+LEVEL = np.array([0.0, 0.0, 1.0])
 FACES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
 EDGES = np.array(
     [
@@ -103,6 +104,20 @@ class Part:
 def plan_of(count: int, *, noise: float, jig: float) -> Plan:
     """The positions of :data:`POSITIONS` at one temperature."""
     return Plan(POSITIONS[count], np.zeros(count), noise=noise, jig=jig)
+
+
+def two_temperatures(noise: float, jig: float) -> Plan:
+    """Return six faces, then level warm and, untouched, cold."""
+    gravity = np.vstack([FACES, LEVEL, LEVEL])
+    return Plan(gravity, np.array([0.0] * 7 + [-18.5]), (7,), noise, jig, thermometer=0.2, drift=1)
+
+
+def sweep(noise: float, jig: float) -> Plan:
+    """Return six faces, then level and untouched through nine temperatures."""
+    warm = np.linspace(-25.0, 35.0, 9)
+    gravity = np.vstack([FACES, np.tile(LEVEL, (9, 1))])
+    held = tuple(range(7, 15))
+    return Plan(gravity, np.concatenate([np.zeros(6), warm]), held, noise, jig, thermometer=0.1, drift=2)
 
 
 def part(rng: Generator, drift: int = 0, channels: int = 3) -> Part:

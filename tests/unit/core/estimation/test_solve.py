@@ -3,25 +3,41 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from math import cos, radians, sin, sqrt
 
 import numpy as np
 import pytest
 import scipy
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from support.accuracy_study import Regime, planned, simulate, sweep, two_temperatures
-from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of
+from support.simulated_bench import (
+    FACES,
+    XYZ,
+    Plan,
+    design,
+    fixture,
+    measured,
+    part,
+    plan_of,
+    sweep,
+    two_temperatures,
+)
 
 from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
 from tiltcal.core.estimation.equations import Equations
-from tiltcal.core.estimation.estimate import estimate, estimate_jointly
+from tiltcal.core.estimation.estimate import Estimate, estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.estimation.solve import budgets, solved_at, start_as_set
+from tiltcal.core.model import vector_of
 from tiltcal.errors import EstimateError
 
 LEVEL = np.array([0.0, 0.0, 1.0])
+
+
+def coefficients(found: Estimate) -> NDArray[np.float64]:
+    """The estimate in the order of the truth: channel by channel, offset, sensitivities, drift."""
+    return vector_of(found.coefficients, found.uncertain.names)
 
 
 class TestBudgetByHand:
@@ -139,11 +155,16 @@ class TestChiSquare:
 )
 def test_the_truth_is_in_95_percent_of_the_intervals(plan: Plan, sensors: int, stated: bool, sessions: int) -> None:
     """93 to 97 % within three Monte Carlo standard deviations; `benchmarks/accuracy.py` is the long run."""
-    regime = Regime("test", partial(planned, plan=plan, sensors=sensors), sensors)
-    tally = simulate(regime, sessions, seed=7, stated=stated)
-    for name in tally.sums:
-        share, error = tally.percent(name)
-        assert 93.0 - 3 * error <= share <= 97.0 + 3 * error, name
+    rng, shares = np.random.default_rng(7), []
+    for _ in range(sessions):
+        parts = [part(rng, plan.drift) for _ in range(sensors)]
+        observations = measured(rng, plan, parts, known_noise=False)
+        found = estimate_jointly(fixture(observations, design(plan, jig=plan.jig if stated else None)))
+        half = np.array([one.uncertain.factors * one.uncertain.u for one in found])
+        off = np.array([coefficients(one) for one in found]) - [one.truth for one in parts]
+        shares.append(100.0 * np.mean(np.abs(off) <= half))
+    error = np.std(shares, ddof=1) / sqrt(sessions)
+    assert 93.0 - 3 * error <= np.mean(shares) <= 97.0 + 3 * error
 
 
 class TestPrediction:

@@ -18,9 +18,23 @@ import scipy
 from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-
-from support.simulated_bench import BLOCK_DOF, FACES, POSITIONS, Part, Plan, design, fixture, measured, part, plan_of
+from support.simulated_bench import (
+    BLOCK_DOF,
+    FACES,
+    LEVEL,
+    POSITIONS,
+    Part,
+    Plan,
+    design,
+    fixture,
+    measured,
+    part,
+    plan_of,
+    sweep,
+    two_temperatures,
+)
 from support.uncertain_readings import uncertain_readings
+
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.compensation import Compensation
@@ -43,7 +57,6 @@ LEAN, HEADING = 0.2, 1.0
 STEP, SAMPLES, LOOP = 1e-3, 50, 5e-4
 """Of a coarse converter, g; a position's samples, whose noise is a fifth of the step; width of the loop, g."""
 
-LEVEL = np.array([0.0, 0.0, 1.0])
 REACH = 60.0
 """Tilts that a calibration is tried on, degrees."""
 
@@ -168,20 +181,6 @@ def two_axes(tilts: tuple[dict[str, float], ...], jig: float) -> Plan:
     """Return the plan of an inclinometer of two axes on a tilt table."""
     gravity = np.array([gravity_from_tilt(tilt) for tilt in tilts])
     return Plan(gravity, np.zeros(len(gravity)), noise=NOISE, jig=jig, axes=("x", "y"))
-
-
-def two_temperatures(noise: float, jig: float) -> Plan:
-    """Return six faces, then level warm and, untouched, cold."""
-    gravity = np.vstack([FACES, LEVEL, LEVEL])
-    return Plan(gravity, np.array([0.0] * 7 + [-18.5]), (7,), noise, jig, thermometer=0.2, drift=1)
-
-
-def sweep(noise: float, jig: float) -> Plan:
-    """Return six faces, then level and untouched through nine temperatures."""
-    warm = np.linspace(-25.0, 35.0, 9)
-    gravity = np.vstack([FACES, np.tile(LEVEL, (9, 1))])
-    held = tuple(range(7, 15))
-    return Plan(gravity, np.concatenate([np.zeros(6), warm]), held, noise, jig, thermometer=0.1, drift=2)
 
 
 def leaning_table(rng: Generator) -> SimulatedSession:

@@ -8,8 +8,8 @@ from math import nan
 
 import numpy as np
 from numpy.typing import NDArray
-
 from support.simulated_bench import FACES, Part, Plan, design, fixture, measured, part, plan_of
+
 from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly
 from tiltcal.core.estimation.free import fit_free
