@@ -301,16 +301,3 @@ class TestApply:
         size = np.hypot(*expected)
         # The wander multiplies the common acceleration alone; what is left of it at twice the turning is far smaller.
         assert disk.judged(taken, out["gradient"], harmonic=2) == pytest.approx(expected, abs=1e-3 * size)
-
-    def test_its_components_are_demodulated_turn_by_turn(
-        self, applied: tuple[disk.Record, dict[str, np.ndarray]]
-    ) -> None:
-        taken, out = applied
-        turn = np.floor((taken.time * 0.125) + 10 / 360).astype(int)
-        assert np.isnan(out["gradient_sin"][turn < 2]).all()
-        assert not np.isnan(out["gradient_sin"][turn >= 2]).any()
-        for number in (2, 50):
-            rows = turn == number - 1
-            expected = disk.judged(taken.rows(rows), out["gradient"][rows], harmonic=2)
-            assert out["gradient_sin"][turn == number] == pytest.approx(expected[0], abs=3e-5)
-            assert out["gradient_cos"][turn == number] == pytest.approx(expected[1], abs=3e-5)

@@ -21,7 +21,6 @@ from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import (
     TOO_FEW,
     MatchedRotation,
-    Matching,
     PairCoefficients,
     rotation_of,
     solve,
@@ -260,6 +259,6 @@ class TurningStage:
             self._session.tell("resumed")
 
 
-def _coefficients(pairs: Mapping[str, PairCoefficients | Matching]) -> dict[str, dict[str, float]]:
+def _coefficients(pairs: Mapping[str, PairCoefficients]) -> dict[str, dict[str, float]]:
     """Return p, q and their uncertainties, each by the name of the pair."""
     return {key: {name: getattr(pair, key) for name, pair in pairs.items()} for key in ("p", "q", "u_p", "u_q")}

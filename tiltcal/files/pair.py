@@ -31,7 +31,7 @@ class SpinRecord(Record, kw_only=True):
 
     turns: Annotated[AboveZero, about("turns of the stage in the record")]
     frequency: Annotated[AboveZero | None, about("Hz; absent where the record has no time")] = None
-    phase: Annotated[Text | None, about("column of the stage angle, degrees, for `apply`; absent if estimated")] = None
+    phase: Annotated[Text | None, about("column of the stage angle, degrees; absent if estimated")] = None
 
 
 class CoefficientUncertainty(Record, kw_only=True):
@@ -117,7 +117,7 @@ def _matching(entry: PairEntry) -> Matching:
     components = {
         stage: {name: Component(*entry.components[stage][name], *u[stage][name]) for name in names} for stage in STAGES
     }
-    return Matching(pair, entry.p, entry.q, entry.uncertainty.p, entry.uncertainty.q, components)
+    return Matching(entry.p, entry.q, entry.uncertainty.p, entry.uncertainty.q, pair, components)
 
 
 def _entry_of(matching: Matching) -> PairEntry:

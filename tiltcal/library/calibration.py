@@ -296,7 +296,7 @@ class PairCalibration(SavedCalibration):
 
     def compensation(self) -> PairCompensation:
         """Return the matched sums and the gradient signal of readings in arrays."""
-        return PairCompensation(self.matchings, self.phase)
+        return PairCompensation(self.matchings)
 
     @overload
     def apply(self, frame: Mapping[str, Any], *, columns: Mapping[str, str] | str = "") -> dict[str, Any]: ...
@@ -311,8 +311,7 @@ class PairCalibration(SavedCalibration):
         Parameters
         ----------
         frame
-            As :meth:`Calibration.apply` takes it: a column for each accelerometer by its name in the pairs, and for the
-            stage angle in degrees.
+            As :meth:`Calibration.apply` takes it: a column for each accelerometer by its name in the pairs.
         columns : mapping of str to str, or str
             The column of each of them, such as ``{"a1": "Q1"}``; without it, the column of its name.
         **options

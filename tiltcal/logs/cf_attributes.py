@@ -163,8 +163,6 @@ def describe(
     quantity = name.removeprefix(lead)
     kind, _, of = quantity.partition("_")
     attributes = {"long_name": _LONG_NAMES.get(kind, "gradient signal").format(of)}
-    if kind == "gradient" and of:
-        attributes["long_name"] = f"{of} component of the gradient signal at twice the turning"
     unit: str | None = "1" if kind == "g" else DEGREE
     if (units and quantity in units) or kind in ("matched", "gradient"):
         unit = (units or {}).get(quantity, like.get("units"))

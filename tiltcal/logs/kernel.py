@@ -24,7 +24,7 @@ from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord
-from tiltcal.logs.cf_attributes import COUNT, DEGREE
+from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import HEADING, TIME
 from tiltcal.logs.log import Table
 from tiltcal.logs.options import ApplyOptions, GroupSize, require_consistent, vectors
@@ -335,10 +335,8 @@ def _of_pairs(calibration: PairRecord, options: ApplyOptions, origin: Mapping[st
             raise UsageError(
                 f"--{name.replace('_', '-')} is for tilt calibrations; {file} is of pairs, which have no tilt"
             )
-    phase = calibration.spin.phase
-    matched = PairCompensation(calibration.matchings, phase)
-    units = {channel: DEGREE for channel in matched.channels if channel == phase}
-    return PreparedSensor(lambda values: matched(values.readings), matched.columns, matched.channels, units, origin)
+    matched = PairCompensation(calibration.matchings)
+    return PreparedSensor(lambda values: matched(values.readings), matched.columns, matched.channels, {}, origin)
 
 
 def _earth(

@@ -164,7 +164,7 @@ def match_log(
 
 def _say_drift(matching: Matching, record: Demodulation, say: Callable[[str], None]) -> None:
     pair = matching.pair
-    changes = drifts(record, pair, PairCoefficients(matching.p, matching.q, matching.u_p, matching.u_q))
+    changes = drifts(record, matching)
     if changes:
         clear = " and ".join(f"{name} by {change:.2g}" for name, change in changes.items())
         say(

@@ -11,41 +11,29 @@ The orthogonal accelerometer reads a gradient too, with the opposite sign, so a 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 
 from tiltcal.core.flags import MISSING, NOT_A_NUMBER, PASS, Bytes, Reasons
 from tiltcal.core.model import Array
-from tiltcal.core.pair.demodulate import bounds_of, harmonic_columns
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import matched_sum
-from tiltcal.core.pair.stage import follow
 
 GRADIENT = "gradient"
-_HARMONICS = 2
 
 
 class PairCompensation:
-    """One or two matched pairs, ready to be applied to the rows of a log, block after block in order.
+    """One or two matched pairs, ready to be applied to rows of readings of their ``channels``, in this order."""
 
-    Two of them give the gradient; with ``phase``, the column of the stage angle in degrees, it is demodulated. A row
-    holds the ``channels``, in this order.
-    """
-
-    def __init__(self, matchings: Sequence[Matching], phase: str | None) -> None:
+    def __init__(self, matchings: Sequence[Matching]) -> None:
         self._matchings = tuple(matchings)
-        self._readings = tuple(dict.fromkeys(name for matching in matchings for name in matching.pair.channels))
-        self._turns = TurnByTurn() if phase is not None and len(matchings) == 2 else None
-        self.channels = self._readings if self._turns is None else (*self._readings, str(phase))
+        self.channels = tuple(dict.fromkeys(name for matching in matchings for name in matching.pair.channels))
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns that the result adds to a log."""
+        """Names of the columns that the result adds to a log; two pairs give the gradient."""
         sums = (f"matched_{matching.pair.name}" for matching in self._matchings)
-        gradient = (GRADIENT,) if len(self._matchings) == 2 else ()
-        turns = (f"{GRADIENT}_sin", f"{GRADIENT}_cos") if self._turns is not None else ()
-        return (*sums, *gradient, *turns, "flag", "reason")
+        return (*sums, *((GRADIENT,) if len(self._matchings) == 2 else ()), "flag", "reason")
 
     def __call__(self, readings: Array) -> dict[str, Array | Bytes | Reasons]:
         """Return the columns of some rows by name; ``readings``, shape (n, channels), are NaN where one is missing."""
@@ -58,42 +46,11 @@ class PairCompensation:
             one, other = self._matchings
             scale = _amplitude(one) / _amplitude(other)
             values.append(values[0] / one.gradient_gain - scale * values[1] / other.gradient_gain)
-        if self._turns is not None:
-            values += self._turns(by_name[self.channels[-1]], values[-1])
-        lost = ~np.isfinite(readings[:, : len(self._readings)]).all(axis=1)
+        lost = ~np.isfinite(readings).all(axis=1)
         for column in values:
             column[lost] = np.nan
         flag, reason = (np.where(lost, *pair) for pair in ((MISSING, PASS), (NOT_A_NUMBER, 0)))
         return dict(zip(self.columns, (*values, flag.astype(np.uint8), reason.astype(np.uint16)), strict=True))
-
-
-class TurnByTurn:
-    """Demodulates a signal at twice the turning: every row has the components of the last whole turn before its own."""
-
-    def __init__(self) -> None:
-        self._latest = np.full(2, np.nan)
-        self._turns = 0  # begun; the very first one is not whole
-        self._rows = np.empty((2, 0))  # angle in turns and signal in the turn in progress
-
-    def __call__(self, theta: Array, signal: Array) -> tuple[Array, Array]:
-        """sin 2θ and cos 2θ component for each row, NaN before the first whole turn; θ in degrees, all shapes (n,)."""
-        components = np.full((2, len(theta)), np.nan)
-        good = np.flatnonzero(np.isfinite(theta) & np.isfinite(signal))
-        before = self._rows.shape[1]
-        angle = follow(theta[good], float(self._rows[0, -1]) if before else None)
-        rows = np.concatenate([self._rows, np.stack([angle, signal[good]])], axis=1)
-        *bounds, _ = bounds_of(np.maximum.accumulate(np.floor(rows[0])))
-        begun = 0
-        for start, end in pairwise(bounds):
-            components[:, begun : good[end - before]] = self._latest[:, None]
-            begun = good[end - before]
-            if self._turns:
-                columns = harmonic_columns(rows[0, start:end], _HARMONICS)
-                self._latest = np.linalg.lstsq(columns @ columns.T, columns @ rows[1, start:end], rcond=None)[0][2:4]
-            self._turns += 1
-        components[:, begun:] = self._latest[:, None]
-        self._rows = rows[:, bounds[-1] :]
-        return components[0], components[1]
 
 
 def _amplitude(matching: Matching) -> float:

@@ -40,16 +40,12 @@ _PLACES = 1e5  # of a turn that count as different
 _SURPRISE = 0.005  # coarse blocks count where chance makes their scatter, for what finer ones say, less often than this
 
 
-def harmonic_columns(angle: Array, harmonics: int) -> Array:
-    """sin θ, cos θ, sin 2θ, cos 2θ, ... and 1, shape (2 harmonics + 1, n); angle in turns, shape (n,)."""
-    wave = np.exp(2j * np.pi * (angle - np.floor(angle)))
-    powers = accumulate(repeat(wave, harmonics), mul)
-    return np.stack([*(part for power in powers for part in (power.imag, power.real)), np.ones(len(angle))])
-
-
 def regression_columns(angle: Array, row: Array, readings: Array) -> Array:
-    """Return the columns of the regression and the readings behind them, shape (READINGS + channels, n)."""
-    return np.concatenate([harmonic_columns(angle, HARMONICS), row[None, :], readings])
+    """Return sin θ, cos θ, sin 2θ, ..., 1, row and readings, (READINGS + channels, n), of angles in turns, (n,)."""
+    wave = np.exp(2j * np.pi * (angle - np.floor(angle)))
+    powers = accumulate(repeat(wave, HARMONICS), mul)
+    waves = np.stack([part for power in powers for part in (power.imag, power.real)])
+    return np.concatenate([waves, np.ones((1, len(angle))), row[None, :], readings])
 
 
 def bounds_of(number: NDArray[np.float64]) -> list[int]:

@@ -15,11 +15,10 @@ from math import ceil, hypot, pi
 
 import numpy as np
 
-from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import COARSE_BLOCKS, Demodulation, demodulate
 from tiltcal.core.pair.model import FEWEST_TURNS, Pair, sum_weights
-from tiltcal.core.pair.stage import stage_record, turning
+from tiltcal.core.pair.stage import StageRecord, stage_record, turning
 from tiltcal.errors import EstimateError
 
 STAGES = ("before", "after_p", "after_pq")
@@ -66,7 +65,7 @@ class PairCoefficients:
 
 
 @dataclass(frozen=True)
-class Matching:
+class Matching(PairCoefficients):
     """The matching of a pair: p and q, and how far they suppress the common acceleration of a record.
 
     ``components`` has ``before``, ``after_p`` and ``after_pq``: the three channels, and their sum. After p the second
@@ -74,10 +73,6 @@ class Matching:
     """
 
     pair: Pair
-    p: float
-    q: float
-    u_p: float
-    u_q: float
     components: Mapping[str, Mapping[str, Component]]
 
     @property
@@ -106,7 +101,7 @@ def match(record: Demodulation, pair: Pair, coefficients: PairCoefficients | Non
         table[stage] = {
             name: _component(record, dict(mix)) for name, mix in zip((*pair.channels, SUM), mixes, strict=True)
         }
-    return Matching(pair, solved.p, solved.q, solved.u_p, solved.u_q, table)
+    return Matching(solved.p, solved.q, solved.u_p, solved.u_q, pair, table)
 
 
 def _component(record: Demodulation, weights: Mapping[str, float]) -> Component:
@@ -132,11 +127,11 @@ def solve(record: Demodulation, pair: Pair) -> PairCoefficients:
     return PairCoefficients(1.0 - rest, q, u_p, u_q)
 
 
-def drifts(record: Demodulation, pair: Pair, coefficients: PairCoefficients) -> dict[str, float]:
+def drifts(record: Demodulation, matching: Matching) -> dict[str, float]:
     """Return by how much p and q change from the beginning of a record to its end, those that clearly do."""
     if len(record.scores) < 2 * COARSE_BLOCKS:
         return {}
-    weights = (1.0 - coefficients.p, 1.0, coefficients.q)
+    pair, weights = matching.pair, (1.0 - matching.p, 1.0, matching.q)
     scores, products = record.coarse(record.mix(dict(zip(pair.channels, weights, strict=True))))
     first, orthogonal = (record.components(record.mix({name: 1.0})) for name in (pair.first, pair.orthogonal))
     # What is left of each stretch, as what p and q of that stretch differ by.
@@ -201,34 +196,29 @@ class MatchedRotation:
         return tuple(matchings), tuple(unmatched)
 
 
-@dataclass(frozen=True)
-class _Span:
-    """The samples between two breaks: angles in turns, readings of shape (channels, n), which of them count."""
-
-    angle: Array
-    readings: Array
-    counts: Mask
-    turns: float
-    seconds: float
-    stuck: tuple[str, ...]
-
-
 def rotation_of(channels: Sequence[str], rows: Array) -> MatchedRotation:
     """Return what rows of seconds, degrees and readings give, (n, 2 + channels), with a row of NaN at a break."""
-    spans = [_span(channels, part) for part in split_at_breaks(rows)]
-    kept = [span for span in spans if span.turns >= FEWEST_TURNS]
+    kept, turned, counted, left_out = list[StageRecord](), 0, np.zeros(2), 0
+    for part in split_at_breaks(rows):
+        span = stage_record(channels, part[:, 1], part[:, 2:].T)
+        span.whole[span.whole] = turning(span.angle[span.whole])
+        follows = span.whole[1:] & span.whole[:-1]
+        turns_and_seconds = np.array([np.diff(column)[follows].sum() for column in (span.angle, part[:, 0])])
+        turned += turns_and_seconds[0]
+        if turns_and_seconds[0] < FEWEST_TURNS:
+            left_out += len(part)
+            continue
+        kept.append(span)
+        counted += turns_and_seconds
+        left_out += int(np.count_nonzero(~span.whole[np.argmax(span.whole) :]))
     if not kept:
-        raise EstimateError(f"the stage has made {int(sum(span.turns for span in spans))} whole turns; {TOO_FEW}")
-    lost = sum(len(span.counts) for span in spans if span.turns < FEWEST_TURNS)
-    counts = np.concatenate([span.counts for span in kept])
+        raise EstimateError(f"the stage has made {int(turned)} whole turns; {TOO_FEW}")
+    whole = np.concatenate([span.whole for span in kept])
     angle, readings = (kept[0].angle, kept[0].readings) if len(kept) == 1 else _at_one_phase(channels, kept)
+    turns, seconds = counted.tolist()
+    stuck = tuple(line for span in kept for line in span.stuck)
     return MatchedRotation(
-        demodulate(channels, angle, readings, counts),
-        sum(span.turns for span in kept),
-        sum(span.seconds for span in kept),
-        int(counts.sum()),
-        lost + sum(int(np.count_nonzero(~span.counts[np.argmax(span.counts) :])) for span in kept),
-        tuple(line for span in kept for line in span.stuck),
+        demodulate(channels, angle, readings, whole), turns, seconds, int(whole.sum()), left_out, stuck
     )
 
 
@@ -239,22 +229,12 @@ def split_at_breaks(rows: Array) -> list[Array]:
     return [part for part in parts if len(part)]
 
 
-def _span(channels: Sequence[str], rows: Array) -> _Span:
-    """Return a span of sample rows, shape (n, 2 + channels)."""
-    record = stage_record(channels, rows[:, 1], rows[:, 2:].T)
-    counts = record.whole.copy()
-    counts[counts] = turning(record.angle[counts])
-    follows = counts[1:] & counts[:-1]
-    turns, seconds = (float(np.diff(column)[follows].sum()) for column in (record.angle, rows[:, 0]))
-    return _Span(record.angle, rows[:, 2:].T, counts, turns, seconds, record.stuck)
-
-
-def _at_one_phase(channels: Sequence[str], spans: Sequence[_Span]) -> tuple[Array, Array]:
+def _at_one_phase(channels: Sequence[str], spans: Sequence[StageRecord]) -> tuple[Array, Array]:
     """Return angles and readings of all spans, at the phase of the first, without offsets and drifts."""
     signal, end = None, 0.0
     angles, readings = [], []
     for span in spans:
-        coefficients = demodulate(channels, span.angle, span.readings, span.counts).coefficients
+        coefficients = demodulate(channels, span.angle, span.readings, span.whole).coefficients
         components = coefficients[0] + 1j * coefficients[1]
         signal = components if signal is None else signal
         # S sin (θ + φ) + C cos (θ + φ) has the components S + iC times exp iφ.
