@@ -205,7 +205,7 @@ def require_own_readings(sensor: MeasuredSensor) -> None:
 
 def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
     """Return remarks on the wiring that the sensitivities show; refused where one is zero or two are alike."""
-    u, factors, coefficients = found.uncertainty(), found.coverage_factors(), found.coefficients
+    u, factors, coefficients = found.uncertainty(), found.uncertain.by_name(found.uncertain.factors), found.coefficients
     rows = dict(zip(coefficients.channels, coefficients.sensitivity, strict=True))
     for channel, row in rows.items():
         sensitivity, axis = max((abs(float(value)), axis) for axis, value in zip(coefficients.axes, row, strict=True))

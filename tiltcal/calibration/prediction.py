@@ -15,7 +15,8 @@ from tiltcal.calibration.measurement import BenchUncertainty, require_tilt
 from tiltcal.calibration.record import half_widths, tilt_lines
 from tiltcal.calibration.wording import symbol, unit_of, words
 from tiltcal.core.attitude import STRAIGHT, Orientation, solve_mounting
-from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
+from tiltcal.core.estimation.design import predict_uncertainty
+from tiltcal.core.estimation.positions import Observation
 from tiltcal.core.model import Limits
 from tiltcal.core.samples import rounding_of_means
 from tiltcal.drivers.model import Model
@@ -103,34 +104,38 @@ def predict(
     scatter = _usual_noise(model) if noise is None else noise
     drift, positions = _usual_drift(model, base), procedure.positions
     settings = [None, *((position.gravity, position.heading) for position in positions)]
+    adc = rounding_of_means(scatter**2, model.resolution, len(positions)) if model.resolution else 0.0
+    u = max(hypot(scatter / sqrt(samples), adc), 1e-12 * abs(model.sensitivity))
     planned = [
-        PlannedPosition(
+        Observation(
             one.name,
-            orientation.seen(one.gravity),
+            np.array(orientation.seen(one.gravity)),
+            np.zeros(len(design.channels)),
+            np.full(len(design.channels), u),
             design.reference if one.temperature is None else one.temperature,
             one.heading,
             held=setting == before,
+            adc=adc,
         )
         for one, (before, setting) in zip(positions, pairwise(settings), strict=True)
     ]
     prediction = predict_uncertainty(
         design,
         planned,
-        scatter / sqrt(samples),
         sensitivity=model.sensitivity,
         drift=drift,
-        adc=rounding_of_means(scatter**2, model.resolution, len(positions)) if model.resolution else 0.0,
         sensors=sensors,
         level=procedure.determines.level,
     )
-    limits = Limits(covered_tilts(design.channels, [position.gravity for position in planned]))
+    limits = Limits(covered_tilts(design.channels, [position.gravity.tolist() for position in planned]))
     tilts = half_widths(prediction.coefficients, prediction.uncertain, limits)
+    uncertainty = prediction.uncertain.by_name(prediction.uncertain.u)
     one_heading = len({(position.heading or 0.0) % 360.0 for position in positions}) == 1
     not_covered = LEAN if one_heading and table_lean is None and not design.free else None
     data = {
         "noise": scatter,
         "jig": None if design.free else design.jig,
-        "uncertainty": prediction.uncertainty(),
+        "uncertainty": uncertainty,
         "degrees_of_freedom": prediction.dof,
         "tilt": {
             axis: [[round(float(tilt[k]), 6), float(half[k])] for k in (0, int(np.argmin(np.abs(tilt))), -1)]
@@ -148,7 +153,7 @@ def predict(
         if design.thermal and design.thermometer:
             part = f"for a part that drifts by {drift:.2g} {model.unit}/°C"
             yield f"  and temperatures that are known to {design.thermometer:.2g} °C, {part}"
-        for name, u in prediction.uncertainty().items():
+        for name, u in uncertainty.items():
             # What unit gravity leaves open is the choice of a frame, in which these are 0.
             if u > 0.0 or not design.free:
                 yield f"  {name:<28} {u:.2g} {unit_of(name, model.unit)}"

@@ -201,10 +201,10 @@ def fit_record(found: Estimate, design: Design, noise: float) -> results.FitReco
         p_value=shown(found.p) if judged else None,
         suspect_positions={
             attitude.position: results.SuspectPosition(
-                off_degrees=significant(float(np.linalg.norm(attitude.turn)), SHARE_DIGITS),
+                off_degrees=significant(attitude.off, SHARE_DIGITS),
                 chi_square=significant(attitude.chi_square, SHARE_DIGITS),
             )
-            for attitude in (found.suspects() if judged else ())
+            for attitude in (found.suspects if judged else ())
         },
     )
 

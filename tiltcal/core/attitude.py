@@ -180,11 +180,6 @@ def heading_rotations(heading: Array) -> Array:
     return np.stack([np.stack([c, s], axis=1), np.stack([-s, c], axis=1)], axis=1)
 
 
-def rotation_vectors(gravity: Array, basis: Array, angles: Array) -> Array:
-    """Return the arcs of :func:`turned` as right-handed rotation vectors in the fixture's frame, (n, 3), radians."""
-    return np.cross(gravity, np.einsum("nij,nj->ni", basis, angles))
-
-
 # How a sensor sits in its application
 
 

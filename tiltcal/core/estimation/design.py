@@ -5,7 +5,7 @@ The same equations as the estimator's, at nominal coefficients: their covariance
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 
@@ -117,17 +117,6 @@ def _listed(names: Sequence[str]) -> str:
 
 
 @dataclass(frozen=True)
-class PlannedPosition:
-    """Position of a planned session: up in the sensor frame, g; °C; degrees; ``held`` stands as the one before."""
-
-    name: str
-    gravity: Vector
-    temperature: float | None = None
-    heading: float | None = None
-    held: bool = False
-
-
-@dataclass(frozen=True)
 class Prediction:
     """Uncertainty that a planned session will reach in named coefficients, and degrees of freedom to check them.
 
@@ -140,102 +129,68 @@ class Prediction:
     dof: int
     worth_adding: tuple[tuple[str, str, float], ...]
 
-    def uncertainty(self) -> dict[str, float]:
-        """Return the predicted standard uncertainty of each coefficient."""
-        return self.uncertain.by_name(self.uncertain.u)
-
 
 def predict_uncertainty(
     design: Design,
-    positions: Sequence[PlannedPosition],
-    noise: float,
+    positions: Sequence[Observation],
     *,
     sensitivity: float = 1.0,
     drift: float = 0.0,
-    adc: float = 0.0,
     sensors: int = 1,
     level: bool = False,
 ) -> Prediction:
     """Compute the uncertainty that a planned session will reach for each of some equal sensors.
 
-    A jig that is not stated counts as perfect. ``noise`` and ``adc`` are standard uncertainties of a position's mean,
-    unit; ``sensitivity`` is nominal, unit/g; ``drift`` is that of a usual part, unit/°C, by which an error of the
-    thermometer counts; of a ``level`` procedure no other direction is proposed. An EstimateError names coefficients
-    that the plan leaves undetermined, and a position that would determine them.
+    A jig that is not stated counts as perfect. ``positions`` have the uncertainties of their means, whatever these are;
+    ``sensitivity`` is nominal, unit/g; ``drift`` is that of a usual part, unit/°C, by which an error of the thermometer
+    counts; of a ``level`` procedure no other direction is proposed. An EstimateError names coefficients that the plan
+    leaves undetermined, and a position that would determine them.
     """
     nominal = {
         **{f"sensitivity.{channel}.{channel}": sensitivity for channel in design.channels},
         **{f"temperature.offset.{channel}.1": drift for channel in design.channels},
+        **{name: prior.value for name, prior in design.priors.items()},
     }
-    u = max(float(np.hypot(noise, adc)), 1e-12 * abs(sensitivity))
+    theta = np.array([nominal.get(name, 0.0) for name in design.names])
+    as_stated = replace(design, jig=design.jig or 0.0)
 
-    def reached(planned: Sequence[PlannedPosition]) -> tuple[Uncertain, int]:
+    def reached(planned: Sequence[Observation]) -> tuple[Uncertain, int]:
         if design.free:
             gravity = np.array([position.gravity for position in planned])
-            return planned_uncertain(gravity, u, sensitivity), len(planned) - UNKNOWNS
-        plan = [_sensor(replace(design, jig=design.jig or 0.0), planned, u, adc)] * sensors
+            return planned_uncertain(gravity, float(planned[0].u[0]), sensitivity), len(planned) - UNKNOWNS
+        plan = [SensorObservations(as_stated, planned)] * sensors
         require_sound(plan)
         equations = Equations(plan)
         z = np.zeros(equations.unknowns)
-        z[: len(equations.names)] = [
-            prior if np.isfinite(stated) else nominal.get(name, 0.0)
-            for name, prior, stated in zip(equations.names, equations.prior_value, equations.prior_u, strict=True)
-        ]
+        z[: len(equations.names)] = np.tile(theta, sensors)
         require_determined(equations, z)
         solution = solved_at(equations, z)
         return budgets(solution, {})[0], solution.dof
 
     uncertain, dof = reached(positions)
-    known = {name: prior.value for name, prior in design.priors.items()}
-    theta = np.array([known.get(name, nominal.get(name, 0.0)) for name in design.names])
-    return Prediction(
-        coefficients=_sensor(design, positions, u, adc).coefficients(theta),
-        uncertain=uncertain,
-        dof=dof,
-        worth_adding=_worth_adding(design, positions, lambda plan: reached(plan)[0].u, uncertain.u, level=level),
-    )
-
-
-def _sensor(design: Design, positions: Sequence[PlannedPosition], u: float, adc: float) -> SensorObservations:
-    """Return a sensor whose readings in planned positions are 0, with their standard uncertainty, unit."""
-    mean = np.zeros(len(design.channels))
-    observations = [
-        Observation(one.name, np.array(one.gravity), mean, mean + u, one.temperature, one.heading, one.held, adc=adc)
-        for one in positions
-    ]
-    return SensorObservations(design, observations)
-
-
-def _worth_adding(
-    design: Design,
-    positions: Sequence[PlannedPosition],
-    reached: Callable[[Sequence[PlannedPosition]], Array],
-    before: Array,
-    *,
-    level: bool,
-) -> tuple[tuple[str, str, float], ...]:
-    """Return positions, temperatures and turns that would make some coefficient much better known, best first."""
-    first, met = positions[0], [one.temperature for one in positions if one.temperature is not None]
-    usual = met[0] if met else None
-    candidates = [
-        PlannedPosition(name, gravity, usual, first.heading)
-        for name, gravity in CANDIDATES.items()
-        if any(abs(gravity[AXES.index(axis)]) > 0.0 for axis in design.axes) or not design.axes
-    ]
-    if design.thermal and met:
-        candidates += [
-            PlannedPosition(f"level at {temperature:g} °C", CANDIDATES[LEVEL], temperature, first.heading)
-            for temperature in (max(met) + WARMER, min(met) - WARMER)
-        ]
-    candidates = [] if level else candidates
-    if design.table is not None:
-        turned, heading = f"{first.name} with the fixture turned by 180°", (first.heading or 0.0) + 180.0
-        candidates.append(replace(first, name=turned, heading=heading, held=False))
-    fixed = (before == 0.0) | np.array([name in design.priors for name in design.names])
+    fixed = (uncertain.u == 0.0) | np.array([name in design.priors for name in design.names])
     worth = []
-    for candidate in candidates:
-        share = np.where(fixed, 1.0, reached([*positions, candidate]) / np.where(before > 0.0, before, 1.0))
+    for candidate in _worth_trying(design, positions, level=level):
+        u, _ = reached([*positions, candidate])
+        share = np.where(fixed, 1.0, u.u / np.where(uncertain.u > 0.0, uncertain.u, 1.0))
         most = int(np.argmin(np.round(share, 6)))
         if share[most] < WORTH:
-            worth.append((candidate.name, design.names[most], round(float(share[most]), 3)))
-    return tuple(sorted(worth, key=itemgetter(2)))
+            worth.append((candidate.position, design.names[most], round(float(share[most]), 3)))
+    coefficients = SensorObservations(design, positions).coefficients(theta)
+    return Prediction(coefficients, uncertain, dof, tuple(sorted(worth, key=itemgetter(2))))
+
+
+def _worth_trying(design: Design, positions: Sequence[Observation], *, level: bool) -> Iterator[Observation]:
+    """Yield positions, temperatures and turns that may make some coefficient much better known."""
+    first, met = positions[0], [one.temperature for one in positions if one.temperature is not None]
+    first = replace(first, temperature=met[0] if met else None)
+    for name, gravity in CANDIDATES.items():
+        if not level and (any(gravity[AXES.index(axis)] for axis in design.axes) or not design.axes):
+            yield replace(first, position=name, gravity=np.array(gravity))
+    if design.thermal and met and not level:
+        for temperature in (max(met) + WARMER, min(met) - WARMER):
+            name = f"level at {temperature:g} °C"
+            yield replace(first, position=name, gravity=np.array(CANDIDATES[LEVEL]), temperature=temperature)
+    if design.table is not None:
+        turned = f"{first.position} with the fixture turned by 180°"
+        yield replace(positions[0], position=turned, heading=(first.heading or 0.0) + 180.0)

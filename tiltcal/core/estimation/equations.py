@@ -254,28 +254,26 @@ class Equations:
     def _place_positions(self) -> None:
         """Number the positions of all sensors by name, and the settings of the fixture."""
         self.places: dict[str, int] = {}
-        gravity: list[Array] = []
         self.headings: list[float] = []
-        settings: list[int] = []
-        looser: list[float] = []
+        gravity, settings, looser = list[Array](), list[int](), list[float]()
         for sensor in self.sensors:
-            back = np.array(sensor.orientation, dtype=float).T
-            before: int | None = None
+            back, setting = np.array(sensor.orientation, dtype=float).T, -1  # of the position before
             for one in sensor.observations:
                 direction, heading = back @ one.gravity, one.heading or 0.0
                 number = self.places.setdefault(one.position, len(gravity))
                 if number == len(gravity):
+                    if not one.held or setting < 0:
+                        setting = len(looser)
+                        looser.append(one.looser)
                     gravity.append(direction)
                     self.headings.append(heading)
-                    if not one.held or before is None:
-                        looser.append(one.looser)
-                    settings.append(settings[before] if one.held and before is not None else len(looser) - 1)
+                    settings.append(setting)
                 elif np.max(np.abs(direction - gravity[number])) > SAME_DIRECTION or heading != self.headings[number]:
                     raise EstimateError(
                         f"position {one.position}: two sensors of the fixture name different directions for it; check "
                         "their axes"
                     )
-                before = number
+                setting = settings[number]
         self.gravity, self.settings, self.looser = np.array(gravity), np.array(settings, np.intp), np.array(looser)
 
     def _channels(self) -> list[ChannelReadings]:

@@ -16,7 +16,6 @@ from math import degrees, hypot, inf, radians, sqrt
 
 import numpy as np
 
-from tiltcal.core.attitude import rotation_vectors
 from tiltcal.core.estimation.design import require_determined
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, TABLE, THERMOMETER, Equations
 from tiltcal.core.estimation.positions import Design, Observation, SensorObservations, require_sound
@@ -58,8 +57,8 @@ class AttitudeError:
     """Attitude error of a position, as the readings show it."""
 
     position: str
-    turn: Array  # rotation vector of gravity in the fixture's frame, shape (3,), degrees
-    chi_square: float  # the turn, squared, over the variance that it should have if the jig is as stated
+    off: float  # degrees
+    chi_square: float  # its square, over the variance that it should have if the jig is as stated
     p: float  # probability of that much or more
 
 
@@ -75,7 +74,7 @@ class Estimate:
     chi_square: float | None  # sum of squares of all that was stated, over the same; None where nothing is left over
     p: float | None  # probability of such a chi-square or a greater one, if what was stated is true
     stated: bool  # whether the covariance comes from stated uncertainties, and not from the residuals
-    attitudes: tuple[AttitudeError, ...] = ()  # one a position, where the jig is stated
+    suspects: tuple[AttitudeError, ...] = ()  # positions further off than the stated jig allows, the worst first
     # Standard deviations that the residuals show of what is not stated:
     estimated_jig: float | None = None  # of a set angle, degrees
     estimated_thermometer: float | None = None  # of a temperature beside a stated jig, °C
@@ -89,15 +88,6 @@ class Estimate:
         """Return the standard uncertainty of each coefficient by its dotted name."""
         return self.uncertain.by_name(self.uncertain.u)
 
-    def coverage_factors(self) -> dict[str, float]:
-        """Return the coverage factor of each one's 95 % interval by its dotted name."""
-        return self.uncertain.by_name(self.uncertain.factors)
-
-    def suspects(self) -> list[AttitudeError]:
-        """Return the positions that were further off than the stated jig allows, the worst first."""
-        worst = [attitude for attitude in self.attitudes if attitude.p < SUSPICION / len(self.attitudes)]
-        return sorted(worst, key=lambda attitude: attitude.chi_square, reverse=True)
-
 
 def estimate(observations: Sequence[Observation], design: Design) -> Estimate:
     """Determine the coefficients of one sensor from positions; see :func:`estimate_jointly`."""
@@ -110,11 +100,8 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     The sensors have the same jig, table and thermometer, and their positions belong together by their names. An
     EstimateError names coefficients that stay undetermined, a position that is grossly wrong or lacks its temperature.
     """
-    require_sound(sensors)
     jig = sensors[0].design.jig
-    equations = Equations(sensors)
-    start = start_as_set(equations)
-    require_determined(equations, start)
+    equations, start = _begun(sensors)
     if jig is not None:
         errors, limit = _errors_as_set(equations, start), max(BEYOND * jig, SMALLEST_ERROR)
         if max(errors.values()) > limit:
@@ -141,6 +128,15 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
             "are plausible"
         )
     return _estimates(solution, estimated, dof, chi_square)
+
+
+def _begun(sensors: Sequence[SensorObservations]) -> tuple[Equations, Array]:
+    """Return the equations of sensors and their unknowns as set; an EstimateError where these stay undetermined."""
+    require_sound(sensors)
+    equations = Equations(sensors)
+    start = start_as_set(equations)
+    require_determined(equations, start)
+    return equations, start
 
 
 def _not_stated(solution: Solution) -> str:
@@ -171,7 +167,7 @@ def _estimates(
     from scipy.special import chdtrc
 
     equations, design, bench = solution.equations, solution.equations.sensors[0].design, solution.bench
-    attitudes = _attitudes(solution) if design.jig else ()
+    attitudes = _attitudes(solution) if design.jig else []
     residuals, sigma, first = equations.unexplained(solution.z), solution.near.sigma, 0
     lean = equations.errors[TABLE]
     covered = lean.stop > lean.start or design.table is not None
@@ -195,7 +191,7 @@ def _estimates(
                 chi_square=chi_square if dof else None,
                 p=float(chdtrc(dof, chi_square)) if dof else None,
                 stated=design.jig is not None or not dof,
-                attitudes=tuple(attitude for attitude in attitudes if attitude.position in here),
+                suspects=tuple(one for one in attitudes if one.position in here and one.p < SUSPICION / len(here)),
                 estimated_jig=degrees(bench[JIG]) if design.jig is None and dof else None,
                 estimated_thermometer=bench[THERMOMETER] or None if THERMOMETER in estimated else None,
                 estimated_noise=noise if NOISE in estimated else None,
@@ -224,8 +220,8 @@ def _notes(solution: Solution, estimated: Mapping[str, EstimatedVariance], dof: 
     return notes
 
 
-def _attitudes(solution: Solution) -> tuple[AttitudeError, ...]:
-    """Test each position's attitude error against the variance that its estimate has under the stated jig."""
+def _attitudes(solution: Solution) -> list[AttitudeError]:
+    """Test attitude errors against the variance that their estimates have under the stated jig, the worst first."""
     from scipy.special import chdtrc
 
     equations, columns = solution.equations, solution.equations.errors[JIG]
@@ -239,11 +235,12 @@ def _attitudes(solution: Solution) -> tuple[AttitudeError, ...]:
     squares = np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1)
     count = seen.sum(axis=1)
     p = np.where(count > 0, chdtrc(np.maximum(count, 1), squares), 1.0)
-    turns = rotation_vectors(equations.gravity, equations.basis, angles[equations.settings])
-    return tuple(
-        AttitudeError(name, np.degrees(turn), float(squares[setting]), float(p[setting]))
-        for name, turn, setting in zip(equations.places, turns, equations.settings, strict=True)
-    )
+    off = np.degrees(np.linalg.norm(angles, axis=1))
+    errors = [
+        AttitudeError(name, float(off[setting]), float(squares[setting]), float(p[setting]))
+        for name, setting in zip(equations.places, equations.settings, strict=True)
+    ]
+    return sorted(errors, key=lambda error: error.chi_square, reverse=True)
 
 
 # Grossly wrong positions
@@ -285,10 +282,7 @@ def _agree(sensors: Sequence[SensorObservations], without: str, limit: float) ->
         for sensor in sensors
     ]
     try:
-        require_sound(kept)
-        equations = Equations(kept)
-        start = start_as_set(equations)
-        require_determined(equations, start)
+        equations, start = _begun(kept)
     except EstimateError:  # nothing checks what the others give
         return False
     for sensor, sizes in zip(kept, _sizes(equations, start), strict=True):

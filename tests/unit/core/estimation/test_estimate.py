@@ -68,7 +68,7 @@ class TestRecordedSession:
     ) -> None:
         """With the angles in doubt the face pair along an axis says its offset, as in imucal's formula."""
         found = estimate(observations, Design(("x", "y", "z"), ("x", "y", "z"), jig=0.2))
-        u, factors = found.uncertainty(), found.coverage_factors()
+        u, factors = found.uncertainty(), found.uncertain.by_name(found.uncertain.factors)
         for axis, offset, published in zip("xyz", found.coefficients.offset, self.TWO_FACE_OFFSET, strict=True):
             assert abs(offset - published) < factors[f"offset.{axis}"] * u[f"offset.{axis}"]
             assert u[f"offset.{axis}"] < 0.001

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tiltcal.core.attitude import gravity_from_tilt, mounting_matrix, solve_mounting
-from tiltcal.core.estimation.design import PlannedPosition, predict_uncertainty
+from tiltcal.core.estimation.design import predict_uncertainty
 from tiltcal.core.estimation.estimate import Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
 from tiltcal.core.model import Mounting
@@ -43,7 +43,8 @@ def test_a_thermometer_that_is_not_stated_is_shown_by_the_residuals() -> None:
     line = scipy.stats.linregress(told, [one.mean[0] for one in observations])
     name = "temperature.offset.x.1"
     assert found.uncertainty()[name] == pytest.approx(line.stderr, rel=0.01)
-    assert found.coverage_factors()[name] == pytest.approx(scipy.stats.t.ppf(0.975, 10), rel=0.01)
+    factor = found.uncertain.by_name(found.uncertain.factors)[name]
+    assert factor == pytest.approx(scipy.stats.t.ppf(0.975, 10), rel=0.01)
     left = [one.mean[0] for one in observations] - (line.intercept + line.slope * told)
     assert found.estimated_thermometer == pytest.approx(sqrt(left @ left / 10 - 0.05**2) / line.slope, rel=0.01)
     exact = estimate(observations, replace(wanted, thermometer=0.0))
@@ -79,7 +80,7 @@ def plane(
 
 
 def inside(found: Estimate, names: tuple[str, ...], truth: float = 0.0) -> Array:
-    known, u, factors = found.coefficients.offset, found.uncertainty(), found.coverage_factors()
+    known, u, factors = found.coefficients.offset, found.uncertainty(), found.uncertain.by_name(found.uncertain.factors)
     return np.array([abs(known[k] - truth) <= factors[n] * u[n] for k, n in enumerate(names)])
 
 
@@ -99,10 +100,13 @@ class TestLean:
         assert sqrt(found.uncertain.sources["table"][0]) == pytest.approx(by_lean, rel=0.12)
 
     def test_plan_counts_it_and_says_what_a_heading_brings(self) -> None:
-        positions = [PlannedPosition(f"p{k}", gravity_from_tilt(tilt)) for k, tilt in enumerate(PLANE)]
-        plan = predict_uncertainty(Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2), positions, NOISE)
+        positions = [
+            Observation(f"p{k}", np.array(gravity_from_tilt(tilt)), np.zeros(2), np.full(2, NOISE))
+            for k, tilt in enumerate(PLANE)
+        ]
+        plan = predict_uncertainty(Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2), positions)
         by_lean = radians(0.2) * (1 + cos(radians(30))) / 2
-        assert plan.uncertainty()["offset.x"] == pytest.approx(by_lean, rel=0.12)
+        assert plan.uncertain.u[0] == pytest.approx(by_lean, rel=0.12)
         name, _, share = plan.worth_adding[0]
         assert name == "p0 with the fixture turned by 180°"
         assert share < 0.6
