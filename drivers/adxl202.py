@@ -37,7 +37,7 @@ from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.columns import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.converters import SCHEMES as CONVERTERS
 from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, link_in_words
-from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth, VirtualLine, uniform
+from tiltcal.drivers.virtual import SILENCE, HeldPose, StreamingPart, Tolerances, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 ROUND_NUMBERS = (100, 128, 256, 1000, 1024, 10_000, 65_536, 100_000, 1_000_000, 1 << 24, 1 << 31, 1 << 32)
@@ -348,18 +348,17 @@ def virtual_sentences(truth: Truth, fixture: HeldPose, clock: Clock) -> Streamin
     return StreamingPart(truth, fixture, clock, sentence)
 
 
-class VirtualEdges(VirtualLine):
+class VirtualEdges(VirtualPart):
     """Both outputs of a virtual part on two captured lines, the pulses of x and y with common centres.
 
     The answer depends on the time alone: the edges of the next whole period, to whose end the clock advances. An edge
     that was not read at once is lost, and leaves a gap in the numbers.
     """
 
-    letter = "e"
+    letter, silence = "e", SILENCE
 
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Wait for the edges of a period; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        self._require_line(silent=count > 0)
+    def _answered(self, out: bytes, count: int) -> bytes:
+        """Wait for the edges of a period."""
         if not count:
             return b""
         period_ns, now_ns = round(period_of(self._truth) * 1e9), self._clock.now_ns()

@@ -29,8 +29,8 @@ from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.converters import (
     NOMINAL,
     Converter,
+    Held,
     Supply,
-    Wiring,
     find_converter,
     require_apart,
     take_input,
@@ -62,23 +62,25 @@ class Wired:
     numbers: tuple[int, ...]
     supply: Supply
 
-    def facts(self, configure: Any) -> dict[str, Any]:
-        """Return the facts of a model that do not depend on the part."""
-        return {
-            "schemes": self.converter.schemes,
-            "spi": self.converter.spi,
-            "driver": partial(AnalogSensor, self),
-            "twin": self.virtual,
-            "configure": configure,
-        }
+    def model(self, **facts: Any) -> Model:
+        """Return the model of the part by those of its facts that do not depend on the converter."""
+        options = (*facts.pop("options"), "supply", "vdd", *self.converter.options)
+        driver, converter = partial(AnalogSensor, self), self.converter
+        return Model(
+            schemes=converter.schemes, spi=converter.spi, driver=driver, twin=self.virtual, options=options, **facts
+        )
 
     def virtual(self, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-        """Return a virtual converter with the part at its inputs."""
-        return self.converter.virtual(Wiring(truth, fixture, clock, self.supply, self._share))
+        """Return a virtual converter with the part at its inputs; an input without a wire is at ground."""
+        held = truth, fixture, clock
 
-    def _share(self, wiring: Wiring, number: int) -> float:
-        """Return the voltage at an input as a share of the supply; that of an input without a wire is 0."""
-        return self.part.output(wiring, self.numbers.index(number)) if number in self.numbers else 0.0
+        def volts(number: int) -> float:
+            if number == self.supply.number:
+                return truth.supply
+            share = self.part.output(held, self.numbers.index(number)) if number in self.numbers else 0.0
+            return min(max(share, 0.0), 1.0) * truth.supply
+
+        return self.converter.virtual(held, volts, truth.supply if self.supply.reference else self.converter.full_scale)
 
 
 class AnalogSensor(Sensor):
@@ -141,13 +143,14 @@ class TiltPart:
             )
         return Reading(values)
 
-    def output(self, wiring: Wiring, place: int) -> float:
+    def output(self, held: Held, place: int) -> float:
         """Return a virtual output as a share of the supply."""
-        truth, now_ns = wiring.truth, wiring.clock.now_ns()
+        truth, fixture, clock = held
+        now_ns = clock.now_ns()
         channel = truth.channels[place]
         if self.parity_signal and truth.fault(now_ns / 1e9).kind == "parity":
             return 0.05 * uniform(truth.seed, f"parity {channel}", now_ns)
-        return truth.sample(channel, wiring.fixture, wiring.clock, now_ns) / NOMINAL
+        return truth.sample(channel, fixture, clock, now_ns) / NOMINAL
 
     def at(self, address: Address) -> Model:
         """Return the model of the part as it is connected at an address."""
@@ -155,7 +158,7 @@ class TiltPart:
         numbers = {channel: take_input(address, channel, converter, place) for place, channel in enumerate(CHANNELS)}
         supply = take_supply(address, converter, *self.supply)
         require_apart(address, {**numbers, "supply": supply.number})
-        return Model(
+        return Wired(self, converter, tuple(numbers.values()), supply).model(
             name=f"{self.digital.name}-analog",
             title=self.title,
             channels=CHANNELS,
@@ -181,8 +184,8 @@ class TiltPart:
                 "an input without a wire, which floats on the real part: it reads 0 V",
             ),
             default_truth=self.draw,
-            options=(*CHANNELS, "supply", "vdd", *converter.options),
-            **Wired(self, converter, tuple(numbers.values()), supply).facts(self.at),
+            options=CHANNELS,
+            configure=self.at,
         )
 
     def draw(self, seed: int) -> Truth:
@@ -202,8 +205,8 @@ class TiltPart:
         )
 
 
-def _sca100t(digital: Model, share_per_g: float) -> TiltPart:
-    return TiltPart(
+SCA100T = tuple(
+    TiltPart(
         title=digital.title.replace("SPI", "analog outputs behind a converter"),
         digital=digital,
         share_per_g=share_per_g,
@@ -215,13 +218,13 @@ def _sca100t(digital: Model, share_per_g: float) -> TiltPart:
             "self-test pins, and its digital port, which the analog outputs do not need",
         ),
     )
-
-
-def _adxl202(digital: Model) -> TiltPart:
-    """Return the part whose filter gives the duty cycle, as a share of the supply."""
-    return TiltPart(
+    for digital, share_per_g in ((sca100t.D01, 0.8), (sca100t.D02, 0.4))
+)
+ADXL202 = tuple(
+    TiltPart(
         title=f"{digital.title} through an RC filter behind a converter",
         digital=digital,
+        # The filter gives the duty cycle, as a share of the supply.
         share_per_g=digital.sensitivity,
         supply=(3.0, 5.25),
         parity_signal=False,
@@ -233,6 +236,8 @@ def _adxl202(digital: Model) -> TiltPart:
             "the memory fault (parity) of other parts: this part has no such memory",
         ),
     )
+    for digital in adxl202.MODELS.values()
+)
 
 
 # --- Thermistors ---
@@ -299,11 +304,12 @@ class Divider:
         ratio = share / (1.0 - share)
         return Reading((), self.curve.celsius(self.fixed * (ratio if self.grounded else 1.0 / ratio)))
 
-    def output(self, wiring: Wiring, place: int) -> float:
+    def output(self, held: Held, place: int) -> float:
         """Return the virtual output as a share of the supply."""
-        stuck = wiring.truth.fault(wiring.clock.now_ns() / 1e9).kind == "stuck"
-        celsius = wiring.truth.ambient if stuck else wiring.fixture.temperature()
-        ohms = self.curve.ohms(celsius + wiring.truth.thermometer_error)
+        truth, fixture, clock = held
+        stuck = truth.fault(clock.now_ns() / 1e9).kind == "stuck"
+        celsius = truth.ambient if stuck else fixture.temperature()
+        ohms = self.curve.ohms(celsius + truth.thermometer_error)
         return (ohms if self.grounded else self.fixed) / (ohms + self.fixed)
 
 
@@ -327,14 +333,12 @@ def _curve(address: Address) -> Curve:
 def thermistor_at(address: Address) -> Model:
     """Return the thermistor as it is connected at an address."""
     converter = find_converter(address)
-    tied = address.text("to", "ground")
-    if tied not in ("ground", "supply"):
-        address.refuse(f"option to={tied} is neither ground nor supply")
+    grounded = address.choice("to", {"ground": True, "supply": False}, True)
     fixed = address.number("fixed", 10_000.0 if address.simulated else None, low=1.0)
     number = take_input(address, "channel", converter, 3)
     supply = take_supply(address, converter, *THERMISTOR_SUPPLY)
     require_apart(address, {"channel": number, "supply": supply.number})
-    return Model(
+    return Wired(Divider(_curve(address), fixed, grounded), converter, (number,), supply).model(
         name="thermistor",
         title="NTC thermistor in a divider behind a converter, temperature only",
         channels=(),
@@ -358,11 +362,12 @@ def thermistor_at(address: Address) -> Model:
             "converter: offset, gain error, nonlinearity, noise, charge taken from the divider",
         ),
         default_truth=lambda seed: Truth((), {}, {}, seed=seed, jig=JIG, time_constant=TIME_CONSTANT),
-        options=("channel", *THERMISTOR_OPTIONS, "supply", "vdd", *converter.options),
-        **Wired(Divider(_curve(address), fixed, tied == "ground"), converter, (number,), supply).facts(thermistor_at),
+        options=("channel", *THERMISTOR_OPTIONS),
+        configure=thermistor_at,
     )
 
 
-_PARTS = (_sca100t(sca100t.D01, 0.8), _sca100t(sca100t.D02, 0.4), *map(_adxl202, adxl202.MODELS.values()))
-
-MODELS = {model.name: model for model in (at(parse_address("sim:")) for at in (*(p.at for p in _PARTS), thermistor_at))}
+MODELS = {
+    model.name: model
+    for model in (at(parse_address("sim:")) for at in (*(part.at for part in (*SCA100T, *ADXL202)), thermistor_at))
+}

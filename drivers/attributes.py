@@ -147,10 +147,8 @@ class VirtualAttributes(VirtualPart):
         super().__init__(truth, fixture, clock)
         self._columns = columns
 
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
+    def _answered(self, out: bytes, count: int) -> bytes:
         """Return the text of a value; see :class:`~tiltcal.drivers.bus.attributes.AttributeLink`."""
-        if self._fault().kind == "silent":
-            raise BusError("the virtual device does not answer, a fault that its truth sets")
         name = out.decode()
         if self._columns is not None:
             return self._columns.line(self._numbers(self._columns)).strip() + b"\n"

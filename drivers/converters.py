@@ -35,7 +35,7 @@ from tiltcal.drivers.bus import SpiPort
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link, check_data_line, require_length
-from tiltcal.drivers.virtual import HeldPose, Truth, VirtualChip, VirtualPart, uniform
+from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 SCHEMES = ("ads1115+i2c", "mcp3208+spi")
@@ -43,6 +43,13 @@ SCHEMES = ("ads1115+i2c", "mcp3208+spi")
 
 NOMINAL = 5.0
 """Nominal supply of analog sensors, V."""
+
+
+Held = tuple[Truth, HeldPose, Clock]
+"""A virtual sensor, what holds it, and the time of the session."""
+
+Volts = Callable[[int], float]
+"""The voltage at an input now, V, by its number."""
 
 
 class Converter(ABC):
@@ -72,8 +79,8 @@ class Converter(ABC):
         """Measure one input against ground, V; a converter that misbehaves is a HardwareError."""
 
     @abstractmethod
-    def virtual(self, wiring: Wiring) -> Link:
-        """Return a virtual one with this wiring."""
+    def virtual(self, held: Held, volts: Volts, reference: float) -> Link:
+        """Return a virtual one by the voltages at its inputs and at its reference pin, V."""
 
     @property
     def schemes(self) -> tuple[str, ...]:
@@ -105,7 +112,8 @@ class Supply:
     number: the input that measures it; None if it is stated.
     volts: as stated; if it is measured, the nominal value.
     low, high: within these limits the sensor is ratiometric, V.
-    full_scale: of the converter, V; reference: at its pin, V, None if that is tied to this supply or does not exist.
+    full_scale: of the converter, V.
+    reference: whether it is tied to the reference pin of the converter as well.
     """
 
     number: int | None
@@ -113,7 +121,7 @@ class Supply:
     low: float
     high: float
     full_scale: float = inf
-    reference: float | None = None
+    reference: bool = False
 
     def shares(self, measure: Callable[[int], float], numbers: Sequence[int]) -> tuple[tuple[float, ...], float]:
         """Measure inputs as shares of the supply, and the supply, V.
@@ -160,12 +168,12 @@ def take_supply(address: Address, converter: Converter, low: float, high: float)
         address.refuse("options 'supply' and 'vdd' exclude each other: the supply is either measured or stated")
     supply = partial(Supply, low=low, high=high, full_scale=converter.full_scale)
     if "vdd" in address.options:
-        return supply(None, address.number("vdd", low=low, high=high), reference=converter.reference)
+        return supply(None, address.number("vdd", low=low, high=high))
     if "supply" in address.options or (converter.reference is None and address.simulated):
         number = take_input(address, "supply", converter, 2)
         if converter.full_scale <= low:
             address.refuse(f"{converter.description} cannot measure a supply of {low:g} V or more")
-        return supply(number, min(NOMINAL, high), reference=converter.reference)
+        return supply(number, min(NOMINAL, high))
     if converter.reference is None:
         address.refuse(
             "the supply of the sensor is unknown: wire it to an input and add supply=N, or state it with vdd=VOLTS"
@@ -175,7 +183,7 @@ def take_supply(address: Address, converter: Converter, low: float, high: float)
             f"the sensor needs a supply of {low:g} to {high:g} V, so the reference of {converter.reference:g} V is "
             "not its supply: wire that to an input and add supply=N, or state it with vdd=VOLTS"
         )
-    return supply(None, converter.reference)
+    return supply(None, converter.reference, reference=True)
 
 
 def require_apart(address: Address, wiring: dict[str, int | None]) -> None:
@@ -186,38 +194,6 @@ def require_apart(address: Address, wiring: dict[str, int | None]) -> None:
             address.refuse(f"options {seen[number]!r} and {option!r} name the same input {number}")
         if number is not None:
             seen[number] = option
-
-
-@dataclass(frozen=True)
-class Wiring:
-    """The wiring of a virtual converter: its voltages, V, at the inputs; ``share`` is that of an input now."""
-
-    truth: Truth
-    fixture: HeldPose
-    clock: Clock
-    supply: Supply
-    share: Callable[[Wiring, int], float]
-
-    @property
-    def reference(self) -> float:
-        """The true voltage at the converter's reference pin, V."""
-        return self.truth.supply if self.supply.reference is None else self.supply.reference
-
-    def volts(self, number: int) -> float:
-        """Return the voltage at an input now, V."""
-        if number == self.supply.number:
-            return self.truth.supply
-        return min(max(self.share(self, number), 0.0), 1.0) * self.truth.supply
-
-
-class VirtualConverter(VirtualPart):
-    """A converter whose inputs have the voltages of a wiring."""
-
-    device = "converter"
-
-    def __init__(self, wiring: Wiring) -> None:
-        super().__init__(wiring.truth, wiring.fixture, wiring.clock)
-        self._wiring = wiring
 
 
 # --- TI ADS1115 ---
@@ -256,8 +232,8 @@ class Ads1115(Converter):
         self.rate = address.choice("rate", {str(rate): rate for rate in RATES}, 128)
         self.description = f"ADS1115, ±{self.full_scale:g} V, {self.rate} conversions per second"
 
-    def virtual(self, wiring: Wiring) -> Link:
-        return VirtualAds1115(wiring)
+    def virtual(self, held: Held, volts: Volts, reference: float) -> Link:
+        return VirtualAds1115(held, volts)
 
     def config(self, number: int) -> int:
         """Return the config register that starts one conversion of an input, 0 to 3, against ground."""
@@ -308,21 +284,20 @@ def _register(link: Link, pointer: int) -> bytes:
 ADS1115_BIT_SECONDS = 1.0 / 100_000
 
 
-class VirtualAds1115(VirtualConverter):
+class VirtualAds1115(VirtualPart):
     """An ADS1115 on the I2C bus at 100 kHz: the pointer, the config register and the last conversion of one input."""
 
     letter = "i"
 
-    def __init__(self, wiring: Wiring) -> None:
-        super().__init__(wiring)
+    def __init__(self, held: Held, volts: Volts) -> None:
+        super().__init__(*held)
+        self._volts = volts
         self._pointer = CONVERSION
         self._config = RESET & ~START
         self._code = self._former_code = self._done_ns = 0
 
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Write, then read the register of the pointer; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        if self._fault().kind == "silent":
-            raise BusError("no device acknowledges, a fault that the virtual sensor's truth sets")
+    def _answered(self, out: bytes, count: int) -> bytes:
+        """Write, then read the register of the pointer."""
         # Each byte has a ninth bit for its acknowledge, and each direction begins with the device's address.
         self._clock.sleep(9 * (1 + len(out)) * ADS1115_BIT_SECONDS)
         if out:
@@ -346,7 +321,7 @@ class VirtualAds1115(VirtualConverter):
         seconds = 1.0 - TOLERANCE + 2.0 * TOLERANCE * uniform(self._truth.seed, "oscillator", 0)
         seconds /= RATES[self._config >> 5 & 0b111]
         full_scale = (*RANGES, RANGES[-1], RANGES[-1])[self._config >> 9 & 0b111]
-        volts = self._wiring.volts(self._config >> 12 & 0b011)
+        volts = self._volts(self._config >> 12 & 0b011)
         self._former_code, self._code = self._code, min(max(round(volts / full_scale * 32768), -32768), 32767)
         self._done_ns = self._clock.now_ns() + round(seconds * 1e9)
 
@@ -371,8 +346,8 @@ class Mcp3208(Converter):
         self.reference = self.full_scale
         self.description = f"MCP3208, reference {self.full_scale:g} V"
 
-    def virtual(self, wiring: Wiring) -> Link:
-        return VirtualMcp3208(wiring)
+    def virtual(self, held: Held, volts: Volts, reference: float) -> Link:
+        return VirtualMcp3208(held, volts, reference)
 
     def volts(self, link: Link, clock: Clock, number: int) -> float:
         command = bytes([0b110 | number >> 2, (number & 0b11) << 6, 0])
@@ -383,17 +358,21 @@ class Mcp3208(Converter):
         return ((answer[1] & 0x0F) << 8 | answer[2]) * self.full_scale / CODES
 
 
-class VirtualMcp3208(VirtualConverter, VirtualChip):
+class VirtualMcp3208(VirtualPart):
     """An MCP3208 on the SPI bus at 1 MHz, without state between frames."""
 
     letter, bit_seconds = "s", 1.0 / 1_000_000
+
+    def __init__(self, held: Held, volts: Volts, reference: float) -> None:
+        super().__init__(*held)
+        self._volts, self._reference = volts, reference
 
     def _answered(self, out: bytes, count: int) -> bytes:
         # The line floats but for the null bit and the result.
         answer = bytearray(self._filler() for _ in out)
         if len(out) == 3 and out[0] >> 1 == 0b11:
             number = (out[0] & 1) << 2 | out[1] >> 6
-            code = round(self._wiring.volts(number) / self._wiring.reference * CODES)
+            code = round(self._volts(number) / self._reference * CODES)
             code = min(max(code, 0), CODES - 1)
             answer[1:] = bytes([answer[1] & 0xE0 | code >> 8, code & 0xFF])
         return bytes(answer)

@@ -207,17 +207,14 @@ NO_SUCH_FUNCTION, NO_SUCH_REGISTER = 1, 2
 class VirtualModbus(VirtualPart):
     """A device with the columns of an address in its registers."""
 
-    letter = "m"
+    letter, silence = "m", VIRTUAL_TIMEOUT
 
     def __init__(self, layout: RegisterLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         super().__init__(truth, fixture, clock)
         self._layout = layout
 
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
+    def _answered(self, out: bytes, count: int) -> bytes:
         """Answer one request; see :class:`~tiltcal.drivers.bus.modbus.ModbusLink`."""
-        if self._fault().kind == "silent":
-            self._clock.sleep(VIRTUAL_TIMEOUT)
-            raise BusError("the virtual device does not answer: a fault that its twin file names")
         self._clock.sleep(ANSWER_SECONDS)
         function, first, number = struct.unpack(">BHH", out)
         if function != self._layout.function:

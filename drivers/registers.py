@@ -20,7 +20,7 @@ from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link, check_data_line, require_length
 from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, typical_nonlinearity
-from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualChip
+from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
 Registers = Mapping[int, int]
@@ -437,7 +437,7 @@ class RegisterSensor(Sensor):
         )
 
 
-class VirtualRegisters(VirtualChip):
+class VirtualRegisters(VirtualPart):
     """The virtual part of a row, in its state after power-up; it measures once its registers hold what is set up.
 
     truth: in counts of the range that the driver sets.

@@ -34,7 +34,7 @@ from tiltcal.drivers.virtual import (
     Polynomial,
     Tolerances,
     Truth,
-    VirtualChip,
+    VirtualPart,
     part_errors,
     uniform,
 )
@@ -227,7 +227,7 @@ SATURATION = 25e-3
 """Typical time to 95 % of the deflection of a self-test, s."""
 
 
-class VirtualSca100t(VirtualChip):
+class VirtualSca100t(VirtualPart):
     """An SCA100T on the SPI bus at 500 kHz; its state is the self-test that is in progress."""
 
     letter, bit_seconds = "s", 1.0 / 500_000

@@ -34,7 +34,7 @@ from tiltcal.drivers.model import (
     typical_nonlinearity,
 )
 from tiltcal.drivers.registers import choose_range
-from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualChip, uniform
+from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 ACC_X, ACC_Y, ACC_Z = (bytes.fromhex(frame) for frame in ("040000F7", "080000FD", "0C0000FB"))
@@ -348,7 +348,7 @@ POWER, MODE_CHANGE, MEMORY = 0x10, 0x02, 0x08
 WORDS_PER_SECOND = 2000.0
 
 
-class VirtualScl3300(VirtualChip):
+class VirtualScl3300(VirtualPart):
     """A part on the SPI bus at 2 MHz, in its state after power-up.
 
     measuring: what the driver is going to set; the truth is in counts of this mode.

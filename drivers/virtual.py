@@ -305,33 +305,47 @@ def _rotated(vector: Vector, angles: list[float]) -> Vector:
 
 
 class VirtualPart(ABC):
-    """Base of the links to virtual parts; a transaction moves the clock by the time that its bits take."""
+    """Base of the links to virtual parts.
+
+    letter: the bus in a journal line.
+    bit_seconds: the time of a bit on SPI or I2C, by which a transaction moves the clock after its answer; 0 where the
+        part moves the clock by itself.
+    silence: seconds without an answer that are an error, on the buses where only time shows it.
+    """
 
     letter: str
-    """The bus in a journal line."""
+    bit_seconds: float = 0.0
+    silence: float = 0.0
 
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         self._truth = truth
         self._fixture = fixture
         self._clock = clock
 
-    @abstractmethod
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Carry out one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        silent = self._fault().kind == "silent" and bool(out or count)
+        if silent and self.letter != "s":
+            self._clock.sleep(self.silence)
+            raise BusError("the virtual sensor does not answer, a fault that its truth sets")
+        answer = b"\xff" * len(out) if silent else self._answered(out, count)
+        # On I2C each byte has an acknowledge; write and read each begin with an address byte.
+        bits = 9 * (1 + len(out) + (1 + count if count else 0)) if self.letter == "i" else 8 * len(out)
+        self._clock.sleep(bits * self.bit_seconds)
+        return answer
+
+    @abstractmethod
+    def _answered(self, out: bytes, count: int) -> bytes:
+        """Return the bytes of an answer."""
 
     def close(self) -> None:  # noqa: B027 - a virtual part holds nothing
         """Do nothing: there is nothing to release."""
-
-    device = "sensor"
-    """What a message calls it."""
 
     def _fault(self) -> Fault:
         """Return the fault that is present now; of an unplugged part it is a BusError."""
         fault = self._truth.fault(self._clock.now_ns() / 1e9)
         if fault.kind == "unplugged":
-            raise BusError(
-                f"the virtual {self.device} is unplugged, a fault that its truth sets: resume the session later"
-            )
+            raise BusError("the virtual sensor is unplugged, a fault that its truth sets: resume the session later")
         return fault
 
     def _word(self, channel: str, rate: float, low: int, high: int, scale: float = 1.0) -> int:
@@ -339,7 +353,6 @@ class VirtualPart(ABC):
 
         ``scale`` is the counts of the measuring range that is set, to those of the truth.
         """
-        self._fault()
         number = int(self._clock.now_ns() / 1e9 * rate)
         return min(max(round(scale * self._truth.sample(channel, self._fixture, self._clock, number)), low), high)
 
@@ -352,45 +365,14 @@ class VirtualPart(ABC):
         return int(uniform(self._truth.seed, "filler", self._clock.now_ns()) * 256)
 
 
-class VirtualChip(VirtualPart):
-    """A chip on SPI or I2C; a transaction takes the time of its bits."""
-
-    bit_seconds: float
-
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Answer one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        silent = self._fault().kind == "silent"
-        if silent and self.letter == "i":
-            raise BusError("no device acknowledges, a fault that the virtual sensor's truth sets")
-        answer = b"\xff" * len(out) if silent else self._answered(out, count)
-        # On I2C each byte has an acknowledge; write and read each begin with an address byte.
-        bits = 9 * (1 + len(out) + (1 + count if count else 0)) if self.letter == "i" else 8 * len(out)
-        self._clock.sleep(bits * self.bit_seconds)
-        return answer
-
-    @abstractmethod
-    def _answered(self, out: bytes, count: int) -> bytes:
-        """Return the bytes of an answer."""
-
-
-class VirtualLine(VirtualPart):
-    """A virtual device on a line of its own: serial, or captured edge by edge."""
-
-    def _require_line(self, *, silent: bool = True) -> None:
-        """Raise the BusError of a line that is unplugged, or silent where ``silent`` is set."""
-        if self._fault().kind == "silent" and silent:
-            self._clock.sleep(SILENCE)
-            raise BusError(f"the virtual sensor was silent for {SILENCE:g} s, a fault that its truth sets")
-
-
-class StreamingPart(VirtualLine):
-    """A device that sends message number n at ``n * period`` (s); one that is not read at once is lost.
+class StreamingPart(VirtualPart):
+    """A device on a serial line that sends message number n at ``n * period`` (s); one not read at once is lost.
 
     message: ``message(number)`` returns its bytes, which take less time than the period.
     baudrate: with ten bits a byte; the clock moves to the arrival of the last byte that is returned.
     """
 
-    letter = "r"
+    letter, silence = "r", SILENCE
 
     def __init__(
         self,
@@ -407,9 +389,8 @@ class StreamingPart(VirtualLine):
         self._period_ns = round(period * 1e9)
         self._byte_ns = round(10e9 / baudrate)
 
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Wait for the next message; see :class:`~tiltcal.drivers.bus.link.Link`."""
-        self._require_line(silent=count > 0)
+    def _answered(self, out: bytes, count: int) -> bytes:
+        """Wait for the next message."""
         if not count:
             return b""
         now_ns = self._clock.now_ns()

@@ -23,7 +23,7 @@ from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.model import Model, Reading, Sensor, in_words, link_in_words
-from tiltcal.drivers.virtual import HeldPose, Truth, VirtualLine
+from tiltcal.drivers.virtual import SILENCE, HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
 REQUEST, HEADER = bytes.fromhex("55AA02FD"), bytes.fromhex("55AA")
@@ -87,17 +87,16 @@ class Dfrobot(Sensor):
         return dict(self._counts)
 
 
-class VirtualDfrobot(VirtualLine):
+class VirtualDfrobot(VirtualPart):
     """The virtual module at 9600 baud: the virtual SCA100T behind a serial line."""
 
-    letter = "r"
+    letter, silence = "r", SILENCE
 
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         super().__init__(truth, fixture, clock)
         self._sensor = sca100t.VirtualSca100t(truth, fixture, clock)
 
-    def exchange(self, out: bytes, count: int = 0) -> bytes:
-        self._require_line(silent=count > 0)
+    def _answered(self, out: bytes, count: int) -> bytes:
         if out != REQUEST:
             return b""
         payload = b""
