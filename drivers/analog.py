@@ -178,11 +178,10 @@ class TiltPart:
             interval=self.interval,
             not_modelled=(
                 *self.not_modelled,
-                "response time: a new position and a new temperature take effect at once, without ringing",
-                "supply: ripple, drift, start-up time, ratiometric error",
                 "converter: offset, gain error, nonlinearity, noise, charge taken from the sensor's output",
                 "an input without a wire, which floats on the real part: it reads 0 V",
             ),
+            memory_fault=self.parity_signal,
             default_truth=self.draw,
             options=CHANNELS,
             configure=self.at,
@@ -213,10 +212,7 @@ SCA100T = tuple(
         supply=(4.75, 5.25),
         parity_signal=True,
         interval=digital.interval,
-        not_modelled=(
-            "long-term drift, temperature hysteresis, shock",
-            "self-test pins, and its digital port, which the analog outputs do not need",
-        ),
+        not_modelled=("long-term drift, temperature hysteresis, shock; self-test",),
     )
     for digital, share_per_g in ((sca100t.D01, 0.8), (sca100t.D02, 0.4))
 )
@@ -231,9 +227,7 @@ ADXL202 = tuple(
         interval=0.5 / BANDWIDTH,
         not_modelled=(
             "the pulses: their ripple after the RC filter, and the load of the filter",
-            "offsets, cross-axis sensitivity and drift of a part are our estimates: no source states them",
-            "nonlinearity",
-            "the memory fault (parity) of other parts: this part has no such memory",
+            "tolerances of a real part, which no source states: a virtual part has ours",
         ),
     )
     for digital in adxl202.MODELS.values()
@@ -354,13 +348,7 @@ def thermistor_at(address: Address) -> Model:
         rails=(-inf, inf),
         interval=0.01,
         thermometer=True,
-        not_modelled=(
-            "lag behind the chamber, self-heating, noise",
-            "the memory fault (parity) of other parts",
-            "tolerance of the curve and of the fixed resistor, resistance of the wires",
-            "supply: ripple, drift",
-            "converter: offset, gain error, nonlinearity, noise, charge taken from the divider",
-        ),
+        not_modelled=("tolerance of the curve, the resistors and the converter; lag, self-heating, noise",),
         default_truth=lambda seed: Truth((), {}, {}, seed=seed, jig=JIG, time_constant=TIME_CONSTANT),
         options=("channel", *THERMISTOR_OPTIONS),
         configure=thermistor_at,

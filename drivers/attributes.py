@@ -171,10 +171,6 @@ def _stated(address: Address, unit: str, **of_the_virtual: str) -> Address:
     return replace(address, options={**defaults, **address.options})
 
 
-_NOT_MODELLED = (
-    "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
-    "the memory fault (parity) of other parts",
-)
 _NUMBERS = ("unit", "offset", "sensitivity", "low", "high")
 
 
@@ -192,7 +188,7 @@ def iio_at(address: Address) -> Model:
         interval=0.01,
         driver=IioSensor,
         twin=partial(VirtualAttributes, None),
-        not_modelled=(*_NOT_MODELLED, "other attributes than name, scale, rate and raw values"),
+        not_modelled=("other attributes than name, scale, rate and raw values",),
         options=_NUMBERS[1:],
         configure=iio_at,
     )
@@ -212,7 +208,6 @@ def python_at(address: Address) -> Model:
         interval=0.01,
         driver=partial(PythonSensor, columns),
         twin=partial(VirtualAttributes, columns),
-        not_modelled=_NOT_MODELLED,
         options=("columns", *_NUMBERS),
         configure=python_at,
     )

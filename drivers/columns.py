@@ -329,12 +329,6 @@ def serial_columns_at(address: Address) -> Model:
         addresses=("serial:///dev/ttyUSB0?columns=x,y,temperature",),
         driver=partial(ColumnsSensor, columns),
         twin=partial(virtual_columns, columns),
-        not_modelled=(
-            "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
-            "loss and damage on the line",
-            "a receive buffer: lines that are not read at once are lost",
-            "the memory fault (parity) of other parts",
-        ),
         options=("columns", "separator", "unit", "offset", "sensitivity", "low", "high"),
         configure=serial_columns_at,
     )

@@ -303,12 +303,7 @@ def modbus_columns_at(address: Address) -> Model:
         interval=1.0 / address.number("rate", RATE, low=0.001, high=1000.0),
         driver=partial(ModbusColumns, layout),
         twin=partial(VirtualModbus, layout),
-        not_modelled=(
-            "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
-            "frames and checksums of RTU and TCP: the twin answers what is inside them",
-            "how often a real device renews its registers, and whether it does so between two of them",
-            "the memory fault (parity) of other parts",
-        ),
+        not_modelled=("how often a real device renews its registers, and whether it does so between two of them",),
         options=("columns", "table", "order", "rate", UNIT, "offset", "sensitivity", "low", "high"),
         configure=modbus_columns_at,
     )

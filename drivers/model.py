@@ -21,6 +21,12 @@ OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
 """What 1 g is in the units that imply a nominal sensitivity."""
 
 
+NO_TWIN_MODELS = (
+    "response time and bandwidth: a new position takes effect at once, and the noise of two samples is independent",
+    "supply and start-up; noise, loss and damage on the line",
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Reading:
     """One sample of every channel.
@@ -116,7 +122,8 @@ class Model:
     driver: ``driver(link, clock)`` returns the :class:`Sensor`.
     twin: ``twin(truth, fixture, clock)`` returns a :class:`~tiltcal.drivers.bus.link.Link` that answers as the part
         would: ``fixture`` holds it, in the sensor frame, and ``clock`` has the time of the session.
-    not_modelled: what the twin does not model, for ``tiltcal devices``.
+    not_modelled: what the twin does not model, beyond what no twin does (:attr:`omissions`).
+    memory_fault: whether the part shows a fault of its memory, and its twin the fault ``parity``.
     default_truth: ``default_truth(seed)`` draws a plausible part, the same one for one seed, for a ``sim:`` address
         without a twin file.
     spi: None where the part has no SPI.
@@ -148,6 +155,7 @@ class Model:
     driver: Callable[[Link, Clock], Sensor]
     twin: Callable[[Truth, HeldPose, Clock], Link]
     not_modelled: tuple[str, ...] = ()
+    memory_fault: bool = False
     default_truth: Callable[[int], Truth] | None = None
     spi: SpiPort | None = None
     options: tuple[str, ...] = ()
@@ -167,6 +175,11 @@ class Model:
     def senses_tilt(self) -> bool:
         """Whether the readings are components of gravity, x, y and z, and nothing else."""
         return set(self.channels) <= {"x", "y", "z"}
+
+    @property
+    def omissions(self) -> tuple[str, ...]:
+        """What the twin does not model, for ``tiltcal devices``."""
+        return (*NO_TWIN_MODELS, *self.not_modelled, *(() if self.memory_fault else ("a fault of a memory (parity)",)))
 
     def drawn(self, seed: int) -> Truth:
         """Return a plausible part, the same one for one seed."""

@@ -111,12 +111,9 @@ ADXL355 = RegisterPart(
     corner=0.25,
     nonlinearity=0.001,
     not_modelled=(
-        "response time and bandwidth: a new position is there with the next sample, whose noise is independent",
-        "overrange, self-test, FIFO, high-pass filter, interrupts, offset trim",
-        "a reset that fails to load the trim; the tolerance of the part's clock",
+        "overrange, self-test, FIFO, high-pass filter, interrupts, offset trim; a reset that fails to load the trim",
         "settings that are written while it measures: they take effect here",
-        "samples of two moments in one burst; thermometer noise",
-        "supply: brown-out; the memory fault (parity) of other parts",
+        "samples of two moments in one burst; thermometer noise; the tolerance of the part's clock",
     ),
 )
 
@@ -162,12 +159,9 @@ IIS2ICLX = RegisterPart(
     noise_density=15e-6,
     nonlinearity=0.001,
     not_modelled=(
-        "response time and bandwidth: a new position is there with the next sample, whose noise is independent",
-        "filters, self-test, FIFO, user offset, interrupts, machine learning core",
+        "filters, self-test, FIFO, user offset, interrupts; what reserved registers do to a real part",
         "unsettled samples after power-down; bytes of two samples where they are not held",
-        "what reserved registers do to a real part",
         "thermometer noise; cross-axis sensitivity of a real part, which no source names",
-        "supply: brown-out; the memory fault (parity) of other parts",
     ),
 )
 
@@ -281,12 +275,8 @@ SCA3000 = RegisterPart(
     spread=(0.1, 0.05),
     noise_counts=1.5,
     not_modelled=(
-        "the real noise, tolerances and drift, which no source states: a virtual part has ours (noise 1.5 count)",
-        "response time and bandwidth: a new position takes effect at the next output word, without ringing",
-        "modes other than normal, ring buffer, motion detection, free fall, interrupts",
-        "writes, which the driver never sends: they change nothing",
-        "supply: start-up time, brown-out",
-        "bytes damaged by noise, clock too fast, clock stretching",
+        "the real noise, tolerances and drift, which no source states: a virtual part has ours",
+        "modes other than normal, ring buffer, motion detection, free fall, interrupts, writes",
     ),
     take=in_unchanged_mode,
     probe=with_revision_and_mode,

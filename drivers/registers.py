@@ -193,7 +193,7 @@ class RegisterPart:
     corner: float = 0.5
     noise_counts: float = 1.0
     nonlinearity: float = 0.0
-    not_modelled: tuple[str, ...] = ("the real tolerances, noise and response time", "the memory fault (parity)")
+    not_modelled: tuple[str, ...] = ("the real tolerances and noise",)
     begin: Callable[[RegisterSensor], None] = lambda sensor: sensor.begin()
     take: Callable[[RegisterSensor], Registers] = lambda sensor: sensor.bursts()
     probe: Callable[[RegisterSensor], Mapping[str, str]] = lambda sensor: {
@@ -277,6 +277,7 @@ class RegisterPart:
             driver=partial(RegisterSensor, self),
             twin=partial(VirtualRegisters, self),
             not_modelled=self.not_modelled,
+            memory_fault=self.memory_fault is not None,
             default_truth=partial(self.limits.draw, tuple(self.channels), self.counts_per_g, noise),
             spi=port if "spi" in self.schemes else None,
             options=self.options,

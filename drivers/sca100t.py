@@ -66,16 +66,10 @@ SLOPES = (0.008, 0.014)
 """Typical deviation of the slopes of offset (°/°C) and sensitivity (%/°C) from the mean of the parts."""
 
 NOT_MODELLED = (
-    "response time: a new position and a new temperature take effect at once, without ringing",
     "output registers that reload every 150 µs: each read has the word of its moment",
-    "bandwidth: the noise of two samples 150 µs apart is independent",
-    "thermometer noise, and a lag between thermometer and sensing element",
-    "supply: start-up time, ratiometric error, brown-out",
-    "long-term drift, temperature hysteresis, shock",
-    "chip select released for less than 15 µs, clock above 500 kHz, bytes damaged by noise",
-    "status register and reload command (RDSR, RLOAD): answered as invalid commands",
-    "self-test of both axes at once, which the datasheet forbids, and of an axis that points down",
-    "how the push of a self-test builds up and dies away: it ends at once",
+    "thermometer noise; ratiometric error; long-term drift, temperature hysteresis, shock",
+    "clock and pauses that the part does not allow; status register and reload command (RDSR, RLOAD)",
+    "self-test of both axes at once, of an axis that points down, and how a push builds up and dies away",
 )
 
 
@@ -379,6 +373,7 @@ def _inclinometer(
         # The data sheets state the cross-axis sensitivity where they state the nonlinearity.
         cross_axis_limit=CROSS_AXIS_LIMIT if bend else 0.0,
         not_modelled=NOT_MODELLED,
+        memory_fault=True,
         spi=SpiPort(modes=(0, 3), fastest=500_000),
         **facts,
     )

@@ -160,12 +160,7 @@ WITMOTION = Model(
     resolution=1.0,
     driver=partial(WitMotionSensor, None),
     twin=partial(_virtual, None),
-    not_modelled=(
-        "response time and bandwidth: a new position takes effect at once, the noise of two samples is independent",
-        "loss and damage on the line; frames that are not read at once are lost",
-        "offset, noise and tolerances of a real part: no source states them",
-        "the memory fault (parity) of other parts",
-    ),
+    not_modelled=("offset, noise and tolerances of a real part, which no source states",),
     default_truth=lambda seed: Tolerances(OFFSET, SENSITIVITY).draw(CHANNELS, COUNT_PER_G, NOISE, seed),
     options=("thermometer",),
     configure=_configured,

@@ -38,7 +38,7 @@ def _show(model: Model) -> None:
         click.echo(f"  {'' if number else 'address':<10} {address}")
     click.echo("             sim: for the virtual twin (sim:?twin=FILE&seed=N)")
     click.echo("  the twin does not model")
-    for effect in model.not_modelled:
+    for effect in model.omissions:
         click.echo(f"    - {effect}")
 
 
@@ -59,5 +59,5 @@ def _facts(model: Model) -> dict[str, Any]:
         "sensitivity": model.sensitivity if model.scaled else None,
         "thermometer": model.thermometer,
         "addresses": [*model.addresses, "sim:"],
-        "twin_does_not_model": list(model.not_modelled),
+        "twin_does_not_model": list(model.omissions),
     }
