@@ -24,10 +24,9 @@ from typing import Any
 
 from tiltcal.bench.sensors import RecordedLink, Recorder
 from tiltcal.drivers import find_model
-from tiltcal.drivers.bus import open_link
+from tiltcal.drivers.bus import Link, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import SystemClock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.files.journal import JournalWriter
 
 KERNEL_BUFFER = 1024

@@ -27,10 +27,10 @@ NINE = (
     ("registers.py", "if self.signed and word >> self.bits - 1", "if False"),
     ("parts.py", "Range(1, 256e3)", "Range(1, 256410.0)"),
     ("registers.py", "ready, self._ready = self._ready, False", "ready = self._ready"),
-    ("bus/link.py", "if set(answers) == {byte}:", "if False:"),
+    ("bus/__init__.py", "if set(answers) == {byte}:", "if False:"),
     ("sca100t.py", "if word < LOWEST_SANE_WORD:", "if word < 0:"),
     ("converters.py", "before + slope * place", "before"),
-    ("bus/link.py", "if len(answer) != length:", "if len(answer) > length:"),
+    ("bus/__init__.py", "if len(answer) != length:", "if len(answer) > length:"),
     ("scl3300.py", "self.intact and self.operation == request[0] >> 2 and not unlike", "self.intact"),
 )
 """A shift, a sign, a constant, set-up after an error, a stuck line, a fault word, a supply, a short line, and an answer

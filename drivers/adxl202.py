@@ -30,10 +30,10 @@ from functools import partial, reduce
 from operator import xor
 from typing import NamedTuple
 
+from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.columns import UNUSABLE, LineBuffer, shown
 from tiltcal.drivers.converters import SCHEMES as CONVERTERS
 from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, link_in_words

@@ -23,9 +23,9 @@ from math import cbrt, exp, inf, log, sqrt
 from typing import Any
 
 from tiltcal.drivers import adxl202, sca100t
+from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.converters import (
     NOMINAL,
     Converter,

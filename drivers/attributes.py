@@ -16,10 +16,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
+from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.attributes import ACCELERATION, LETTER, as_text
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.columns import (
     TEMPERATURE,
     ColumnLayout,

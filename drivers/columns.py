@@ -18,9 +18,9 @@ from functools import cached_property, partial
 from math import isfinite
 from typing import Any
 
+from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.model import OF_G, Model, Reading, Sensor, in_words, link_in_words
 from tiltcal.drivers.sketch import bare
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth

@@ -31,10 +31,9 @@ from functools import partial
 from math import inf
 from typing import ClassVar
 
-from tiltcal.drivers.bus import SpiPort
+from tiltcal.drivers.bus import Link, SpiPort, check_data_line, require_length
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link, check_data_line, require_length
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from functools import partial
 from math import isfinite
 
+from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT, WRITE, WRITE_ONE
 from tiltcal.drivers.columns import (
     TEMPERATURE,

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from math import sqrt
 from typing import NamedTuple
 
-from tiltcal.drivers.bus import Bus, SpiPort
+from tiltcal.drivers.bus import Device, Link
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.virtual import HeldPose, Truth
 from tiltcal.errors import UsageError
 
@@ -106,13 +105,12 @@ class Population:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
+class Model(Device):
     """The facts of one sensor model, with its driver and its twin.
 
-    name, title: what the user types, such as ``sca100t-d02``; maker, part and interface.
+    title: maker, part and interface.
     channels, unit: names of the readings (x, y, z of a tilt sensor, any others of another device); their unit, such as
         ``count``, ``V`` or ``duty``.
-    schemes, addresses: address schemes that it can be connected by; an example for each way, the preferred one first.
     offset, sensitivity: nominal reading at 0 g, unit; nominal, unit/g.
     offset_spread, sensitivity_spread: standard deviation between parts, g; relative.
     rails: a reading at or beyond one of these is not a measurement, unit.
@@ -120,29 +118,23 @@ class Model:
     interval: shortest time between two samples that gives a new reading, s.
     thermometer, thermometer_step: whether the sensor reports its own temperature, and its step, °C (0: continuous).
     driver: ``driver(link, clock)`` returns the :class:`Sensor`.
-    twin: ``twin(truth, fixture, clock)`` returns a :class:`~tiltcal.drivers.bus.link.Link` that answers as the part
+    twin: ``twin(truth, fixture, clock)`` returns a :class:`~tiltcal.drivers.bus.Link` that answers as the part
         would: ``fixture`` holds it, in the sensor frame, and ``clock`` has the time of the session.
     not_modelled: what the twin does not model, beyond what no twin does (:attr:`omissions`).
     memory_fault: whether the part shows a fault of its memory, and its twin the fault ``parity``.
     default_truth: ``default_truth(seed)`` draws a plausible part, the same one for one seed, for a ``sim:`` address
         without a twin file.
-    spi: None where the part has no SPI.
-    options: those of an address that belong to the device and not to its bus, such as the input of x.
     configure: ``configure(address)`` returns this model with the facts that these options state.
     population: its mean temperature curves, if the maker states them.
     scaled: whether the nominal offset and sensitivity are known; without them, a wrong position and a small movement
         cannot be detected.
     cross_axis_limit: largest sensitivity to each of the other axes, relative; 0 where no source states it.
     nonlinearity: typical square and cube of the response to a g, pure numbers; empty where no source states them.
-    bus: what opens its ``package:`` addresses: the bus of a package that adds the model, where tiltcal has none.
     """
 
-    name: str
     title: str
     channels: tuple[str, ...]
     unit: str = "count"
-    schemes: tuple[str, ...]
-    addresses: tuple[str, ...]
     offset: float = 0.0
     sensitivity: float
     offset_spread: float
@@ -157,14 +149,11 @@ class Model:
     not_modelled: tuple[str, ...] = ()
     memory_fault: bool = False
     default_truth: Callable[[int], Truth] | None = None
-    spi: SpiPort | None = None
-    options: tuple[str, ...] = ()
     population: Population | None = None
     scaled: bool = True
     configure: Callable[[Address], Model] | None = None
     cross_axis_limit: float = 0.0
     nonlinearity: tuple[float, ...] = ()
-    bus: Bus | None = None
 
     @property
     def thermometer_rounding(self) -> float:

@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from tiltcal.drivers.bus import SpiPort
+from tiltcal.drivers.bus import SpiPort, check_data_line
 from tiltcal.drivers.bus.address import Address
-from tiltcal.drivers.bus.link import check_data_line
 from tiltcal.drivers.model import in_words
 from tiltcal.drivers.registers import (
     I2C,

@@ -15,10 +15,9 @@ from itertools import chain
 from math import ceil, inf, sqrt
 from typing import Any, Literal, NamedTuple, TypeVar
 
-from tiltcal.drivers.bus import Bus, SpiPort
+from tiltcal.drivers.bus import Bus, Link, SpiPort, check_data_line, require_length
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link, check_data_line, require_length
 from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, typical_nonlinearity
 from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault

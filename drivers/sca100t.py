@@ -24,9 +24,8 @@ from functools import partial
 from math import comb, radians, sin, sqrt
 from typing import Any, ClassVar
 
-from tiltcal.drivers.bus import SpiPort
+from tiltcal.drivers.bus import Link, SpiPort, check_data_line, require_length
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link, check_data_line, require_length
 from tiltcal.drivers.model import Model, Population, Reading, SelfTest, Sensor, deviation_within, typical_nonlinearity
 from tiltcal.drivers.virtual import (
     REFERENCE,

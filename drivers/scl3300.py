@@ -20,10 +20,9 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
-from tiltcal.drivers.bus import SpiPort
+from tiltcal.drivers.bus import Link, SpiPort, check_data_line, require_length
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link, check_data_line, require_length
 from tiltcal.drivers.model import (
     Model,
     Reading,

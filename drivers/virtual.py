@@ -323,7 +323,7 @@ class VirtualPart(ABC):
         self._clock = clock
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Carry out one transaction; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        """Carry out one transaction; see :class:`~tiltcal.drivers.bus.Link`."""
         silent = self._fault().kind == "silent" and bool(out or count)
         if silent and self.letter != "s":
             self._clock.sleep(self.silence)

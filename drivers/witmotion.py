@@ -14,9 +14,9 @@ from dataclasses import replace
 from functools import partial
 from struct import Struct
 
+from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, link_in_words
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError

@@ -12,7 +12,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from tiltcal.drivers.bus import Device
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import import_library
 from tiltcal.errors import BusError, HardwareError
@@ -49,14 +48,13 @@ class AttributeLink:
         """Do nothing: each value is read by itself."""
 
 
-def open_iio(address: Address, model: Device) -> AttributeLink:
+def open_iio(address: Address) -> AttributeLink:
     """Open ``iio:device0`` of this machine, or ``iio:ip:HOST/device0`` of another one.
 
     UsageError: the address is neither.
     BusError: there is no such device.
     HardwareError: another machine needs libiio with its Python package.
     """
-    address.allow(*model.options)
     host, _, device = address.path.rpartition("/")
     if not device.startswith("device") or not device[6:].isdigit() or (host and not host.startswith("ip:")):
         address.refuse("name a device of Linux, such as iio:device0, or of another machine, iio:ip:HOST/device0")
@@ -92,13 +90,12 @@ def _remote(host: str, device: str) -> Callable[[str], str]:
     return read
 
 
-def open_python(address: Address, model: Device) -> AttributeLink:
+def open_python(address: Address) -> AttributeLink:
     """Import a module, also of the present folder, and call its factory: ``python:MODULE:FACTORY``.
 
     UsageError: the address names no module and factory, or the module has none of this name.
     HardwareError: the module cannot be imported, or the factory fails.
     """
-    address.allow(*model.options)
     make, made = made_by(address)
     if hasattr(made, ACCELERATION):
         return AttributeLink(address.written, lambda _: as_text(made.acceleration))

@@ -16,7 +16,6 @@ from struct import Struct
 from time import sleep
 from typing import Any, NamedTuple
 
-from tiltcal.drivers.bus import Device
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import Node, import_library
 from tiltcal.errors import BusError, HardwareError
@@ -68,9 +67,8 @@ def unpack_edges(records: bytes) -> Iterator[Edge]:
         yield Edge(time_ns, line, bool(rising), number)
 
 
-def open_gpio(address: Address, model: Device) -> GpioLink:
+def open_gpio(address: Address) -> GpioLink:
     """Open a GPIO chip: options ``x`` and ``y`` are its lines, ``timeout`` the seconds without an edge."""
-    address.allow("x", "y", "timeout", *model.options)
     x, y = (address.integer(name, low=0, high=MOST_LINES - 1) for name in ("x", "y"))
     if x == y:
         address.refuse(f"x and y are both line {x}; they are two wires")
@@ -103,7 +101,7 @@ class GpioLink:
             raise self._error(cause, OPENING, *ERRORS) from cause
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Take the records of edges that have arrived; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        """Take the records of edges that have arrived; see :class:`~tiltcal.drivers.bus.Link`."""
         try:
             if not count:
                 while self._request.wait_edge_events(0):

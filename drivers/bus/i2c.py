@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 from typing import Any
 
-from tiltcal.drivers.bus import Device
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import Node, import_library
 from tiltcal.errors import BusError
@@ -20,9 +19,8 @@ OPENING = (
 )
 
 
-def open_i2c(address: Address, model: Device) -> I2cLink:
+def open_i2c(address: Address) -> I2cLink:
     """Open an ``i2c:`` address for one device, whose 7-bit ``address`` is required."""
-    address.allow("address", *model.options)
     return I2cLink(address.path, address.integer("address", low=LOWEST, high=HIGHEST))
 
 
@@ -50,7 +48,7 @@ class I2cLink:
         """Write ``out``, then read ``count`` bytes after a repeated start; either part may be empty.
 
         With both empty, the exchange only tests whether the device acknowledges its address. See
-        :class:`~tiltcal.drivers.bus.link.Link`.
+        :class:`~tiltcal.drivers.bus.Link`.
         """
         message = self._library.i2c_msg
         messages = [message.write(self._address, out)] if out or not count else []

@@ -8,7 +8,6 @@ import time
 from contextlib import suppress
 from typing import Any
 
-from tiltcal.drivers.bus import Device
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.nodes import SERIAL_PORT, error_number, import_library
 from tiltcal.errors import BusError
@@ -29,10 +28,8 @@ with suppress(ImportError):  # not on Windows
 
     _PORT_ERRORS += (termios.error,)
 
-PARITIES = ("N", "E", "O", "M", "S")
 HANDLERS = ("socket", "rfc2217", "hwgrep", "loop")
 """pyserial's URL handlers that can be used. Others do more than open a line: ``spy://`` writes to any file."""
-STOP_BITS = {"1": 1.0, "1.5": 1.5, "2": 2.0}
 
 ERRORS = (
     ((errno.EBUSY, errno.EAGAIN), "{place} is in use by another program: stop that one first"),
@@ -45,20 +42,9 @@ ERRORS = (
 )
 
 
-def open_serial(address: Address, model: Device) -> SerialLink:
+def open_serial(address: Address) -> SerialLink:
     """Open a port, or a URL of pyserial's with one of :data:`HANDLERS`; ``timeout`` is the longest silence, s."""
-    address.allow(*dict.fromkeys(("baudrate", "parity", "stopbits", "timeout", *model.options)))
-    parity, stop_bits = address.text("parity", "N").upper(), address.text("stopbits", "1")
-    if parity not in PARITIES:
-        address.refuse(f"option parity={parity} is none of {', '.join(PARITIES)}")
-    if stop_bits not in STOP_BITS:
-        address.refuse(f"option stopbits={stop_bits} is none of {', '.join(STOP_BITS)}")
-    settings = {
-        "baudrate": address.integer("baudrate", BAUDRATE, low=50, high=20_000_000),
-        "parity": parity,
-        "stopbits": STOP_BITS[stop_bits],
-    }
-    require_line(address)
+    settings = line_settings(address, BAUDRATE)
     timeout = address.number("timeout", TIMEOUT, low=0.05, high=3600.0)
     serial = import_library("serial", "a serial line needs the Python package pyserial", "pyserial")
     try:
@@ -70,11 +56,16 @@ def open_serial(address: Address, model: Device) -> SerialLink:
     return SerialLink(address.path, port, timeout)
 
 
-def require_line(address: Address) -> None:
-    """Refuse a URL of pyserial's whose handler does more than open a line."""
+def line_settings(address: Address, baudrate: int) -> dict[str, Any]:
+    """Return the settings of a serial line; a URL of pyserial's whose handler does more than open one is refused."""
     handler, url, _ = address.path.partition("://")
     if url and handler.lower() not in HANDLERS:
         address.refuse(f"{handler}:// cannot be used: name a port, or {', '.join(f'{known}://' for known in HANDLERS)}")
+    return {
+        "baudrate": address.integer("baudrate", baudrate, low=50, high=20_000_000),
+        "parity": address.choice("parity", {letter: letter for letter in "NEOMS"}, "N"),
+        "stopbits": address.choice("stopbits", {"1": 1, "1.5": 1.5, "2": 2}, 1),
+    }
 
 
 class SerialLink:
@@ -95,7 +86,7 @@ class SerialLink:
             raise BusError(_why(place, cause)) from cause
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Send ``out``, then take what has arrived; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        """Send ``out``, then take what has arrived; see :class:`~tiltcal.drivers.bus.Link`."""
         try:
             if out:
                 self._port.write(out)

@@ -26,7 +26,6 @@ ERRORS = (
 
 def open_spi(address: Address, model: Device) -> SpiLink:
     """Open a ``spi:`` address; its options ``mode`` (0 to 3) and ``speed`` (Hz) are within those of the model."""
-    address.allow("mode", "speed", *model.options)
     port = model.spi
     if port is None:
         address.refuse(f"{model.name} has no SPI port")
@@ -65,7 +64,7 @@ class SpiLink:
             raise self._error(cause) from cause
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Shift one frame out and in, chip select low throughout; see :class:`~tiltcal.drivers.bus.link.Link`."""
+        """Shift one frame out and in, chip select low throughout; see :class:`~tiltcal.drivers.bus.Link`."""
         try:
             return bytes(self._bus.xfer2(list(out)))
         except OSError as cause:

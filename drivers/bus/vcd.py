@@ -10,10 +10,9 @@ from itertools import islice
 from operator import attrgetter
 from typing import Any
 
-from tiltcal.drivers.bus import Device
+from tiltcal.drivers.bus import CaptureEnded
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges
-from tiltcal.drivers.bus.link import CaptureEnded
 from tiltcal.drivers.bus.nodes import import_library
 from tiltcal.errors import BusError
 
@@ -26,9 +25,8 @@ MOST_NS = 1 << 63
 """The record of an edge holds times up to 292 years."""
 
 
-def open_vcd(address: Address, model: Device) -> VcdLink:
+def open_vcd(address: Address) -> VcdLink:
     """Open a capture; ``x`` and ``y`` name its signals, with the scope (``top.D0``) if several scopes have the name."""
-    address.allow("x", "y", *model.options)
     x, y = address.text("x"), address.text("y")
     if x == y:
         address.refuse(f"x and y are both signal {x!r}; they are two wires")
@@ -47,7 +45,7 @@ class VcdLink:
         self._open()
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
-        """Take the records of the next edges; see :class:`~tiltcal.drivers.bus.link.Link`.
+        """Take the records of the next edges; see :class:`~tiltcal.drivers.bus.Link`.
 
         With a ``count`` of 0, if the file has changed since it was opened, reading starts again with the new capture.
         """

@@ -21,10 +21,9 @@ from typing import Any
 import pytest
 
 from tiltcal.drivers import find_model
-from tiltcal.drivers.bus import link_letter, open_link
+from tiltcal.drivers.bus import Link, link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.gpio import RECORD, Edge, pack_edges, unpack_edges
-from tiltcal.drivers.bus.link import Link
 from tiltcal.errors import BusError, HardwareError, UsageError
 
 gpiod = pytest.importorskip("gpiod", reason="the gpiod package is not installed")
@@ -241,8 +240,8 @@ REFUSED = (
     ("gpio:///dev/gpiochip0?x=17&y=-1", "too small"),
     ("gpio:///dev/gpiochip0?x=17&y=4294967323", "too large"),
     (f"{COM}?baud=9600", "did you mean 'baudrate'"),
-    (f"{COM}?parity=maybe", "none of N, E, O"),
-    (f"{COM}?stopbits=3", "none of 1, 1.5, 2"),
+    (f"{COM}?parity=maybe", "is not one of N, E, O"),
+    (f"{COM}?stopbits=3", "is not one of 1, 1.5, 2"),
     (f"{COM}?timeout=0", "too small"),
     ("serial:nosuch://somewhere", "cannot be used: name a port"),
     ("serial:hwgrep://(", "pyserial cannot use it .*unterminated subpattern"),
@@ -250,7 +249,7 @@ REFUSED = (
     ("modbus:tcp://host:²?columns=x@0", "'²' is no port number"),
     (f"modbus:tcp://host:{'9' * 5000}?columns=x@0", "'99999999999999999999' is no port number"),
     ("modbus:tcp://:502?columns=x@0", "names no host"),
-    ("modbus:tcp://host?columns=x@0&baudrate=9600", "unknown option 'baudrate'"),
+    ("modbus:tcp://host?columns=x@0&baudrate=9600", "option 'baudrate' is of a serial line"),
 )
 
 

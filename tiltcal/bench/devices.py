@@ -13,10 +13,9 @@ from msgspec import Meta
 
 from tiltcal.core.attitude import STRAIGHT, Orientation, Vector, orientation
 from tiltcal.drivers import find_model
-from tiltcal.drivers.bus import link_letter, open_link
+from tiltcal.drivers.bus import Link, link_letter, open_link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock, session_clock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.errors import BusError, HardwareError
 from tiltcal.files.record import Record, Text, about

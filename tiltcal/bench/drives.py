@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
-from tiltcal.drivers.bus import open_link
+from tiltcal.drivers.bus import Device, Link, open_link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.attributes import made_by
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.bus.modbus import HOLDING
 from tiltcal.drivers.modbus import ORDERS, TABLES, ModbusColumns, RegisterLayout, column_of
 from tiltcal.errors import BusError, HardwareError
@@ -29,24 +27,13 @@ Angles = Mapping[str, float]
 """Numbers by the axes of a machine: degrees, or °C."""
 
 
-@dataclass(frozen=True)
-class MachineDevice:
-    """A machine as a bus takes it: see :class:`~tiltcal.drivers.bus.Device`."""
-
-    name: str
-    schemes: tuple[str, ...]
-    addresses: tuple[str, ...]
-    options: tuple[str, ...] = ()
-    spi: None = None
-    bus: None = None
-
-
 DEVICES = {
-    "text": MachineDevice("a machine of kind text", ("serial",), ("serial:///dev/ttyUSB0?baudrate=115200",)),
-    "modbus": MachineDevice(
-        "a machine of kind modbus", ("modbus",), ("modbus:tcp://192.168.1.7:502?unit=1",), ("table", "order")
-    ),
-    "object": MachineDevice("a machine of kind object", ("python",), ("python:rig:table_x",)),
+    kind: Device(name=f"a machine of kind {kind}", schemes=(scheme,), addresses=(example,), options=options)
+    for kind, scheme, example, options in (
+        ("text", "serial", "serial:///dev/ttyUSB0?baudrate=115200", ()),
+        ("modbus", "modbus", "modbus:tcp://192.168.1.7:502?unit=1", ("table", "order")),
+        ("object", "python", "python:rig:table_x", ()),
+    )
 }
 
 

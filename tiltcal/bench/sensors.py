@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from tiltcal.bench import devices as bench_devices
 from tiltcal.bench.devices import BenchDevice, VirtualBench
+from tiltcal.drivers.bus import CaptureEnded, Link
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import CaptureEnded, Link
 from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.errors import BusError, HardwareError, SensorError
 from tiltcal.files.journal import HARDWARE_ERROR, JournalWriter

@@ -19,9 +19,9 @@ from functools import reduce
 from operator import xor
 
 from tiltcal.drivers import sca100t
+from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.bus.link import Link
 from tiltcal.drivers.model import Model, Reading, Sensor, in_words, link_in_words
 from tiltcal.drivers.virtual import SILENCE, HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
