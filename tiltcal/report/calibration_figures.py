@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
-from math import degrees
-from operator import mul
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tiltcal.calibration.record import USUAL, TiltUncertainty
+from tiltcal.calibration.stated import uncertain_coefficients
 from tiltcal.core.model import Array, Thermal, polynomial
 from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.files.calibration import CalibrationRecord
@@ -78,9 +76,6 @@ def residual_figure(calibration: CalibrationRecord) -> SvgFigure | None:
             _plot_residuals_of(panel, calibration, positions, channel)
         panels[0].set_yticks(range(len(positions)), positions)
         panels[0].set_ylim(len(positions) - 0.4, -0.6)
-        for label, name in zip(panels[0].get_yticklabels(), positions, strict=True):
-            if name in calibration.fit.suspect_positions:
-                label.set(color=RED, fontweight="bold")
 
     worst = "; ".join(
         f"channel {channel}: none beyond {max(abs(residuals[name].get(channel, 0.0)) for name in positions):.3g}"
@@ -93,14 +88,12 @@ def residual_figure(calibration: CalibrationRecord) -> SvgFigure | None:
         title="Residuals of the positions",
         description=f"Measured minus modelled, in {unit} for {len(positions)} positions; {worst}.",
         caption="Residual of every position, measured minus modelled, with the position as it was set. Bars: ±1.96 "
-        "standard uncertainties of the mean, from noise alone. Above: the residual as an angle near level.",
+        "standard uncertainties of the mean, from noise alone.",
     )
 
 
 def _plot_residuals_of(panel: Axes, calibration: CalibrationRecord, positions: list[str], channel: str) -> None:
-    from matplotlib.ticker import MaxNLocator
-
-    residuals, coefficients = calibration.fit.residuals, calibration.coefficients
+    residuals = calibration.fit.residuals
     # The first one where a name occurs twice: positions of a mounting come last and were not fitted.
     u = {one.position: (one.u or {}).get(channel, 0.0) for one in reversed(calibration.positions)}
     colour, mark, _ = CHANNELS[channel]
@@ -114,13 +107,6 @@ def _plot_residuals_of(panel: Axes, calibration: CalibrationRecord, positions: l
     panel.set_xlabel(f"residual of {channel} [{calibration.sensor.unit}]")
     panel.tick_params(axis="y", length=0)
     panel.spines["left"].set_visible(False)
-    if channel in coefficients.axes:
-        per_unit = degrees(1.0 / coefficients.own_sensitivity(channel))
-        above = panel.secondary_xaxis("top", functions=(partial(mul, per_unit), partial(mul, 1.0 / per_unit)))
-        above.spines["top"].set(visible=True, linewidth=0.4)
-        above.tick_params(labelsize=7, width=0.4)
-        above.set_xlabel("as an angle [°]", fontsize=7)
-        above.xaxis.set_major_locator(MaxNLocator(5))
 
 
 def temperature_figure(calibration: CalibrationRecord) -> SvgFigure | None:
@@ -190,16 +176,13 @@ def _plot_positions(panel: Axes, calibration: CalibrationRecord, thermal: Therma
 
 def _half_width(calibration: CalibrationRecord, names: list[str], dt: Array, lowest: int) -> Array | None:
     """Return half the 95 % interval of a polynomial from the power ``lowest``; None where no uncertainty is stated."""
-    covariance = calibration.uncertainty.covariance
-    if covariance is None or any(name not in calibration.uncertainty for name in names):
+    uncertainty = calibration.uncertainty
+    if any(name not in uncertainty for name in names):
         return None
-    stated = [name for name in names if name in covariance.parameters]
-    powers = np.array([dt ** (lowest + names.index(name)) for name in stated])
-    places = [covariance.parameters.index(name) for name in stated]
-    matrix = np.array(covariance.matrix)[np.ix_(places, places)]
-    factor = max((calibration.uncertainty.coverage_factor.get(name, 0.0) for name in names), default=0.0)
-    variance = np.einsum("in,ij,jn->n", powers, matrix, powers)
-    return np.asarray((factor or NORMAL_FACTOR) * np.sqrt(np.maximum(variance, 0.0)))
+    uncertain = uncertain_coefficients(uncertainty, calibration.coefficients).named(names)
+    powers = np.array([dt ** (lowest + names.index(name)) for name in uncertain.names])
+    curve = uncertain.through(powers.T.reshape(len(dt), -1), [""] * len(dt))
+    return np.asarray(curve.factors * curve.u)
 
 
 def draw_tilt_error(

@@ -29,38 +29,35 @@ def measured(value: float, uncertainty: float | None, digits: int = 6) -> str:
         return signed(bracketed(value, uncertainty, LABORATORY))
     power = max(Decimal(abs(value)).adjusted(), Decimal(uncertainty).adjusted())
     mantissa = bracketed(value * 10.0**-power, uncertainty * 10.0**-power, LABORATORY)
-    return signed(mantissa) + _power_of_ten(power)
-
-
-def _power_of_ten(power: int) -> str:
-    return f" × 10{str(power).translate(SUPERSCRIPT)}"
+    return f"{signed(mantissa)} × 10{str(power).translate(SUPERSCRIPT)}"
 
 
 def plain(value: float, digits: int) -> str:
-    """Return a number with this number of significant digits, in plain decimals where possible."""
+    """Return a number with this number of significant digits, without zeros at its end."""
+    number, times, power = _rounded(value, digits).partition(" × ")
+    return (number.rstrip("0").rstrip(".") if "." in number else number) + times + power
+
+
+def half_width(value: float) -> str:
+    """Return half the width of an interval with two digits: ``0.28``, ``310``."""
+    return _rounded(value, LABORATORY) if isfinite(value) and value > 0.0 else ""
+
+
+def _rounded(value: float, digits: int) -> str:
+    """Return a number with this number of significant digits, in plain decimals where they are not too many."""
     if not isfinite(value):
         return str(value)
     exact = Decimal(f"{value:.{digits - 1}e}")
-    if exact and exact.adjusted() - digits < -2 * _MOST_DECIMALS:
-        return signed(f"{exact.scaleb(-exact.adjusted()):f}") + _power_of_ten(exact.adjusted())
-    text = f"{exact:f}"
-    return signed(text.rstrip("0").rstrip(".") if "." in text else text)
+    if not exact or exact.adjusted() - (digits - 1) >= -_MOST_DECIMALS:
+        return signed(f"{exact:f}")
+    power = exact.adjusted()
+    return f"{signed(f'{exact.scaleb(-power):f}')} × 10{str(power).translate(SUPERSCRIPT)}"
 
 
 def three_digits(values: Iterable[float]) -> int:
     """Return the number of decimals that gives the largest of some numbers three digits."""
     scale = max(map(abs, values), default=0.0)
     return min(max(2 - floor(log10(scale)), 0), 12) if scale > 0.0 else 2
-
-
-def half_width(value: float) -> str:
-    """Return half the width of an interval with two digits: ``0.28``, ``310``."""
-    if not (isfinite(value) and value > 0.0):
-        return ""
-    rounded = Decimal(f"{value:.{LABORATORY - 1}e}")
-    if rounded.adjusted() - (LABORATORY - 1) < -_MOST_DECIMALS:
-        return f"{rounded.scaleb(-rounded.adjusted()):f}{_power_of_ten(rounded.adjusted())}"
-    return f"{rounded:f}" if rounded.adjusted() < LABORATORY else f"{rounded:.0f}"
 
 
 def at_place(value: float, decimals: int) -> str:

@@ -67,7 +67,6 @@ def tilt_page(
         facts=sentences.facts(calibration, source),
         coefficients=tables.coefficient_table(calibration),
         budget=tables.budget_table(calibration),
-        shaded=tuple(tables.SOURCES),
         derived=tables.derived_groups(calibration),
         tilt=tilt_figure(calibration, curves),
         temperature=temperature_figure(calibration),
@@ -76,7 +75,6 @@ def tilt_page(
         verdict=list(sentences.verdict(calibration)),
         remarks=sentences.remarks(calibration),
         residuals=residual_figure(calibration),
-        correlations=tables.correlation_table(calibration),
         covered=sentences.covered(calibration),
         not_covered=sentences.not_covered(calibration),
         changes=[

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import pairwise
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tiltcal.calibration.season import CoefficientDistribution, ModelFleet
 from tiltcal.calibration.wording import unit_of, words
@@ -30,17 +28,11 @@ if TYPE_CHECKING:
 ANGLE_BINS = 48
 """Intervals of the histogram of an angle."""
 
-SPECTRUM_BINS = 400
-"""Intervals of a spectrum on a logarithmic scale, in each of which its peaks and troughs are drawn."""
-
 SECONDS = (("s", 1.0, 300.0), ("min", 60.0, 4 * 3600.0), ("h", 3600.0, 4 * 86400.0), ("d", 86400.0, float("inf")))
 """Units of a time axis: name, seconds, and the longest log for it."""
 
 FEW = 100
 """Largest number of rows that are drawn one by one."""
-
-GAP = 5.0
-"""Distance of two groups of rows, in usual distances, that counts as a gap."""
 
 _KINDS = {
     "offset": "offset",
@@ -75,21 +67,17 @@ def log_figure(log: ReportedLog, number: int) -> SvgFigure:
     """Return each angle over time with its histogram, and a strip of flagged rows below."""
     overview = log.overview
     count, (time, label) = len(overview.angles), _clock(log)
-    steps = np.diff(time)
-    usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
-    gaps = np.flatnonzero((steps > GAP * usual) & (usual > 0.0)) + 1
 
     def plot(figure: Figure) -> None:
         panels = figure.subplots(
             count + 1, 2, sharex="col", squeeze=False, width_ratios=[5, 1], height_ratios=[*([1.0] * count), 0.12]
         )
-        at = np.insert(time, gaps, np.nan)
         for k, angle in enumerate(overview.angles):
             panel, beside = panels[k]
-            low, high = (np.insert(values[:, k], gaps, np.nan) for values in (overview.low, overview.high))
-            panel.fill_between(at, low, high, color=BLUE, linewidth=0.5, edgecolor=BLUE)
+            low, high = overview.low[:, k], overview.high[:, k]
+            panel.fill_between(time, low, high, color=BLUE, linewidth=0.5, edgecolor=BLUE)
             if len(time) <= FEW:
-                panel.plot(at, low, ".", color=BLUE, markersize=4.0)
+                panel.plot(time, low, ".", color=BLUE, markersize=4.0)
             panel.set_ylabel(f"{angle_words(angle)} [°]")
             panel.margins(x=0.0)
             edges, counts = overview.histogram(ANGLE_BINS)[k]
@@ -193,18 +181,18 @@ def draw_matching(path: Path, drawing: PairDrawing) -> None:
 
     def plot(figure: Figure) -> None:
         panels = figure.subplots(2 if drawing.course else 1, 1, squeeze=False)[:, 0]
-        _plot_spectra(panels[0], drawing, slice(1, None))
+        _plot_spectra(panels[0], drawing)
         if drawing.course:
             _plot_course(panels[1], drawing)
 
     write_figure(path, 8.0 if drawing.course else 4.5, plot)
 
 
-def _plot_spectra(panel: Axes, drawing: PairDrawing, places: slice | NDArray[np.intp]) -> None:
-    """Plot amplitude densities at some frequencies, with a line at the spin frequency."""
+def _plot_spectra(panel: Axes, drawing: PairDrawing) -> None:
+    """Plot amplitude densities at all frequencies above 0, with a line at the spin frequency."""
     panel.axvline(drawing.spin, color=INK, linewidth=0.8, linestyle=":", label="spin frequency")
     for (name, density), colour in zip(drawing.densities.items(), _STAGES, strict=False):
-        panel.loglog(drawing.frequency[places], density[places] ** 0.5, color=colour, linewidth=0.9, label=name)
+        panel.loglog(drawing.frequency[1:], density[1:] ** 0.5, color=colour, linewidth=0.9, label=name)
     panel.set_xlabel(f"frequency [{drawing.unit}]")
     panel.set_ylabel(f"amplitude density [reading/√({drawing.unit})]")
     panel.legend(**LEGEND)
@@ -229,26 +217,15 @@ def _plot_course(panel: Axes, drawing: PairDrawing) -> None:
 
 
 def spectra_figure(name: str, number: int, drawing: PairDrawing) -> SvgFigure:
-    """Return the spectra of a log, drawn with few points that keep all peaks and troughs."""
+    """Return the spectra of a log; matplotlib draws no more points than can be seen."""
     return picture(
         f"spectra{number}",
         3.1,
-        lambda figure: _plot_spectra(figure.subplots(), drawing, _outstanding(drawing)),
+        lambda figure: _plot_spectra(figure.subplots(), drawing),
         title=f"Amplitude spectra of {name}",
         description=f"Amplitude densities over frequency of {', '.join(drawing.densities)}.",
         caption="Amplitude density of one accelerometer, and of the sum after p and after p and q.",
     )
-
-
-def _outstanding(drawing: PairDrawing) -> NDArray[np.intp]:
-    """Return the places where a density is largest or smallest within its interval, but the first."""
-    last = len(drawing.frequency)
-    edges = np.unique(np.geomspace(1, last, min(SPECTRUM_BINS, last) + 1).astype(np.intp)).tolist()
-    chosen = set()
-    for low, high in pairwise(edges):
-        for density in drawing.densities.values():
-            chosen |= {low + int(np.argmax(density[low:high])), low + int(np.argmin(density[low:high]))}
-    return np.array(sorted(chosen), dtype=np.intp)
 
 
 def distribution_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:

@@ -14,22 +14,10 @@ from tiltcal.calibration.wording import fit_lines, mounting_fit_lines, objection
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files import record
 from tiltcal.files.calibration import CalibrationRecord
+from tiltcal.files.moments import moment
 from tiltcal.files.pair import PairRecord
 from tiltcal.files.results import FileRecord, PairProvenance, PositionSet, Provenance, Reference
 from tiltcal.report.numbers import at_place, half_width, plain, signed
-
-_LABELS = {
-    "bench.axes": "Axes on the bench",
-    "bench.address": "Address",
-    "bench.thermometer": "Thermometer",
-    "base.name": "Calibration it builds on",
-    "sources": "Combined of",
-    "log.missing": "Rows left out",
-}
-"""What the page calls a value of the provenance where its name alone does not say it."""
-
-ALIKE = 2.0
-"""Temperatures that are no further apart count as one, °C."""
 
 
 class Fact(NamedTuple):
@@ -103,8 +91,8 @@ def provenance_facts(provenance: Provenance | PairProvenance, source: FileRecord
     facts = [Fact("Calibrated", period(provenance))]
     for name, value in _leaves(record.plain(provenance.replaced(references={}))):
         if name not in ("started", "ended") and not (name == "made_by" and notice(provenance)):
-            label = _LABELS.get(name) or _label(name)
-            facts.append(Fact(label, value, code=name.endswith(("sha256", "address"))))
+            label = name.removesuffix(".name").replace("_", " ").replace(".", ": ")
+            facts.append(Fact(f"{label[:1].upper()}{label[1:]}", value, code=name.endswith(("sha256", "address"))))
     facts += [Fact(f"Reference: {name}", _reference(name, one)) for name, one in provenance.references.items()]
     facts += [Fact("Calibration file", source.name), Fact("SHA-256 of the file", source.sha256 or "", code=True)]
     return [fact for fact in facts if fact.value]
@@ -118,27 +106,11 @@ def _reference(name: str, reference: Reference) -> str:
     return ", ".join([*parts, *([f"due {reference.due}"] if reference.due else [])])
 
 
-def _label(name: str) -> str:
-    """Return a dotted name in words: ``SHA-256 of the journal``, ``Link statistics: damaged``."""
-    record_name, _, key = name.replace("_", " ").partition(".")
-    match key:
-        case "sha256":
-            return f"SHA-256 of the {record_name}"
-        case "rows":
-            return f"Rows of the {record_name}"
-        case "" | "name":
-            return record_name[:1].upper() + record_name[1:]
-    return f"{record_name[:1].upper()}{record_name[1:]}: {key}"
-
-
 def period(provenance: Provenance | PairProvenance) -> str:
     """Return the start and end of the session in UTC, to the second."""
-    started, ended = provenance.started, provenance.ended
-    if not started or not ended:
-        return _moment(started or ended or "")
-    first, last = _moment(started), _moment(ended)
-    day, _, _ = first.partition(" ")
-    return f"{first} to {last.removeprefix(day + ' ')}" if last != first else first
+    moments = [moment(one) for one in (provenance.started, provenance.ended) if one]
+    times = dict.fromkeys(f"{one:%Y-%m-%d %H:%M:%S}" for one in moments)
+    return f"{' to '.join(times)} UTC" if times else ""
 
 
 def dated(name: str, provenance: Provenance) -> str:
@@ -180,21 +152,12 @@ def _leaves(content: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, s
 def _in_words(value: Any) -> str:
     """Return a value as text."""
     if isinstance(value, float):
-        return f"{value:g}" if abs(value) < 1e6 else str(value)
+        return f"{value:g}"
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_in_words(member)}" for key, member in value.items())
     if isinstance(value, list):
         return ", ".join(_in_words(member) for member in value)
     return str(value)
-
-
-def _moment(stamp: str) -> str:
-    """Return a time of the file without its fractions: ``2026-05-01 12:00:00 UTC``."""
-    day, _, clock = stamp.partition("T")
-    if not clock:
-        return stamp
-    seconds, _, _ = clock.removesuffix("Z").partition(".")
-    return f"{day} {seconds}{' UTC' if clock.endswith('Z') else ''}"
 
 
 def as_set(position: PositionSet) -> str:
@@ -266,14 +229,12 @@ def covered(calibration: CalibrationRecord) -> list[Fact]:
 def not_covered(calibration: CalibrationRecord) -> Iterator[str]:
     """Yield what the calibration does not cover, in sentences."""
     coefficients, limits = calibration.coefficients, calibration.limits
-    if notice(calibration.provenance):
-        yield "Any real sensor: the readings are those of a virtual one."
     if limits.tilt:
         yield "Tilts beyond the ranges above; apply flags them."
     else:
         yield "The tilt: no range of tilts was covered."
     if coefficients.thermal is None:
-        yield f"Temperature: its effect was not measured{_temperatures(calibration)}."
+        yield "Temperature: its effect was not measured."
     elif not coefficients.thermal.gain.any():
         yield "Drift of the sensitivity with temperature."
     if coefficients.nonlinearity is None:
@@ -283,35 +244,8 @@ def not_covered(calibration: CalibrationRecord) -> Iterator[str]:
         yield f"Sensitivity to {missing}: it was not measured and counts as zero."
     if coefficients.mounting is None:
         yield "The mounting in an application: tilt is that of the sensor’s own frame."
-    if calibration.derived.assumed:
-        yield "Assumed values, as noted above."
     if calibration.fit.jig_degrees is None and calibration.fit.uncertainty_from != "residuals":
         yield "The angles of the jig: none was stated, and they are not in the uncertainty."
-    if not calibration.uncertainty.coverage_factor:
-        yield "Intervals of 95 %: the file has no coverage factors."
-    if not _closed(calibration):
-        yield "A change of the sensor during the session: the first position was not visited again at its end."
-    yield "Motion, vibration and ageing: all positions were measured at rest, on the dates above."
-
-
-def _closed(calibration: CalibrationRecord) -> bool:
-    """Return whether the last position was the first one again, at its temperature."""
-    positions, attitudes = calibration.positions, calibration.procedure.set
-    if len(positions) < 2 or not {positions[0].position, positions[-1].position} <= set(attitudes):
-        return False
-    first, last = positions[0], positions[-1]
-    warmer = (last.temperature or 0.0) - (first.temperature or 0.0)
-    return attitudes[first.position] == attitudes[last.position] and abs(warmer) <= ALIKE
-
-
-def _temperatures(calibration: CalibrationRecord) -> str:
-    """Return the temperatures of the positions as text."""
-    met = [position.temperature for position in calibration.positions if position.temperature is not None]
-    if not met:
-        return ""
-    low, high = min(met), max(met)
-    where = f"from {_span(low, high, ' °C')}" if high > low else f"at {plain(low, 4)} °C"
-    return f", and all positions were {where}"
 
 
 def _span(low: float, high: float, unit: str) -> str:

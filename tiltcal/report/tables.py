@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from html import escape
-from itertools import accumulate, groupby
-from math import degrees, nan, sqrt
+from itertools import groupby
+from math import degrees, nan
 from typing import NamedTuple
 
 from tiltcal.calibration.comparison import compare_records
@@ -40,8 +40,8 @@ KEPT = 16
 LONGEST_WORD = 24
 """Characters of a name that is not broken into lines."""
 
-SOURCES = {name: name for name in ("noise", "adc", "jig", "table", "thermometer", "assumed")} | {"adc": "ADC"}
-"""The sources of uncertainty: their names in a file and on the page, in the order of the bars."""
+SOURCES = ("noise", "adc", "jig", "table", "thermometer", "assumed")
+"""The sources of uncertainty, in the order of their columns; others follow."""
 
 ROUND = "roll"
 """An angle that wraps from 180° to -180°, so that its mean has no meaning."""
@@ -133,62 +133,23 @@ def _quantities(rows: Sequence[Quantity]) -> Table:
     return Table(columns, names=names)
 
 
-def budget_table(calibration: CalibrationRecord) -> tuple[Table, dict[str, str]] | None:
-    """Return the share of the variance of each coefficient by source, and the words of the sources."""
+def budget_table(calibration: CalibrationRecord) -> Table | None:
+    """Return the share of the variance of each coefficient by source; None if the file states none."""
     budget, coefficients = calibration.fit.budget, list(values(calibration.coefficients))
     if not budget:
         return None
     names = sorted(budget, key=lambda name: coefficients.index(name) if name in coefficients else len(coefficients))
     stated = {source for shares in budget.values() for source in shares}
     sources = [*(source for source in SOURCES if source in stated), *sorted(stated - set(SOURCES))]
-    columns = [*_coefficients(names), Column("Share of the variance", [_bar(budget[name], sources) for name in names])]
+    columns = _coefficients(names)
     for source in sources:
         cells = [f"{100 * budget[name][source]:.1f}" if source in budget[name] else "" for name in names]
-        columns.append(Column(f"{SOURCES.get(source, source)} / %", cells, "share"))
-    return Table(columns), {source: SOURCES.get(source, source) for source in sources}
+        columns.append(Column("ADC" if source == "adc" else source, cells, "share", "Share of the variance / %"))
+    return Table(columns)
 
 
 def _coefficients(names: Sequence[str]) -> list[Column]:
     return [Column("Coefficient", [words(name) for name in names]), Column("", [sign(name) for name in names])]
-
-
-def _bar(shares: Mapping[str, float], sources: Sequence[str]) -> Html:
-    """Return the shares of a variance as a bar."""
-    stated = {source: shares[source] for source in sources if source in shares}
-    starts = accumulate(stated.values(), initial=0.0)
-    parts = "".join(
-        f'<rect class="{source if source in SOURCES else "other"}" x="{520 * start:.1f}" width="{520 * share:.1f}" '
-        'height="27"/>'
-        for (source, share), start in zip(stated.items(), starts, strict=False)
-    )
-    label = ", ".join(f"{SOURCES.get(source, source)} {100 * share:.1f} %" for source, share in stated.items())
-    return Html(
-        f'<svg class="bar" viewBox="0 0 520 27" preserveAspectRatio="none" role="img" aria-label="{escape(label)}">'
-        f"{parts}</svg>"
-    )
-
-
-def correlation_table(calibration: CalibrationRecord) -> Table | None:
-    """Return the lower triangle of the correlations of the coefficients; None without a covariance of two."""
-    covariance = calibration.uncertainty.covariance
-    if covariance is None or len(covariance.parameters) < 2:
-        return None
-    matrix, names = covariance.matrix, covariance.parameters
-    u = [sqrt(matrix[i][i]) for i in range(len(names))]
-
-    def cell(i: int, j: int) -> str:
-        return _correlation(matrix[i][j] / (u[i] * u[j]) if u[i] and u[j] else 0.0) if j < i else ""
-
-    columns = [Column(sign(name), [cell(i, j) for i in range(1, len(names))]) for j, name in enumerate(names[:-1])]
-    return Table([Column("", [sign(name) for name in names[1:]]), *columns], style="heat")
-
-
-def _correlation(value: float) -> Html:
-    """Return a correlation on a background: blue if it is positive, red if negative, darker if stronger."""
-    strength, colour = min(abs(value), 1.0), "31 111 139" if value > 0.0 else "192 80 77"
-    text = at_place(value, 2).replace("0.", ".", 1) if strength >= 0.005 else "0"
-    white = ";color:#fff" if strength > 0.6 else ""
-    return Html(f'<span style="background:rgb({colour} / {strength:.2f}){white}">{text}</span>')
 
 
 class Group(NamedTuple):
@@ -267,11 +228,9 @@ def position_table(calibration: CalibrationRecord) -> Table | None:
     names = [record.position for record in records]
     # Positions of a mounting come last and were not fitted; they may bear a name that was.
     fitted = [name in fit.residuals and name not in names[:k] for k, name in enumerate(names)]
-    runs = calibration.procedure.mounting, calibration.procedure.level
-    mounted, levelled = (0 if run is None else len(run.positions) for run in runs)
-    first = len(names) - mounted - levelled
-    settings = [as_set(calibration.procedure.set.get(name, PositionSet())) for name in names[:first]]
-    settings += ["for the mounting"] * mounted + ["level, for the offset"] * levelled
+    own, mounted, levelled = calibration.runs
+    settings = [as_set(calibration.procedure.set.get(one.position, PositionSet())) for one in own]
+    settings += ["for the mounting"] * len(mounted) + ["level, for the offset"] * len(levelled)
     decimals, unit = three_digits(v for row in fit.residuals.values() for v in row.values()), calibration.sensor.unit
     columns = [
         Column("Position", names, "name"),

@@ -26,7 +26,7 @@ def test_half_widths_plain_numbers_and_counts() -> None:
     widths = (0.2756, "0.28"), (1.0, "1.0"), (9.96, "10"), (314.0, "310"), (1e-12, "1.0 × 10⁻¹²"), (0.0, "")
     for value, text in widths:
         assert half_width(value) == text
-    for value, digits, text in ((0.26, 2, "0.26"), (2e-9, 2, "0.000000002"), (-1500.0, 2, "−1500"), (0.0, 4, "0")):
+    for value, digits, text in ((0.26, 2, "0.26"), (2e-9, 2, "2 × 10⁻⁹"), (-1500.0, 2, "−1500"), (0.0, 4, "0")):
         assert plain(value, digits) == text
     assert (at_place(-0.0004, 3), at_place(-0.0006, 3)) == ("0.000", "−0.001")
     assert grouped(10_000_000) == "10\u202f000\u202f000"

@@ -116,9 +116,9 @@ class TestRecords:
             "Operator": provenance["operator"],
             "Software": provenance["software"],
             "Journal": provenance["journal"]["name"],
-            "SHA-256 of the journal": provenance["journal"]["sha256"],
+            "Journal: sha256": provenance["journal"]["sha256"],
             "SHA-256 of the file": "0" * 64,
-            "Calibrated": f"2000-01-01 00:00:00 UTC to {ended[1]} UTC",
+            "Calibrated": f"2000-01-01 00:00:00 to 2000-01-01 {ended[1]} UTC",
         }
         assert complete.headings[0] == (1, "sca100t-d02 SIM-42")
         assert {name: complete.facts[name] for name in expected} == expected
@@ -149,19 +149,14 @@ class TestRecords:
             residual = data["fit"]["residuals"][record["position"]]
             assert [float(number(cell)) for cell in row[6:]] == pytest.approx([residual["x"], residual["y"]], abs=6e-4)
 
-    def test_the_budget_has_the_shares_and_bars_of_their_lengths(self, complete: Page) -> None:
+    def test_the_budget_has_the_shares(self, complete: Page) -> None:
         budget = as_data("complete")["fit"]["budget"]
-        table = next(one for one in complete.root.find("table") if "Share of the variance" in one.text)
-        head, *rows = table.find("tr")
-        sources = [cell.text.removesuffix(" / %").lower() for cell in head.find("th")[3:]]
-        shares = {row.find("th")[0].text: [cell.text for cell in row.find("td")[2:]] for row in rows}
-        stated = budget["sensitivity.x.z"]
+        head, names, *rows = complete.below("Uncertainty budget")
+        assert head[-1] == "Share of the variance / %"
+        shares = {row[0]: row[2:] for row in rows}
+        stated, sources = budget["sensitivity.x.z"], [name.lower() for name in names]
         assert shares["Sensitivity of x to z"] == [f"{100 * stated[s]:.1f}" if s in stated else "" for s in sources]
         assert len(rows) == len(budget)
-        for row in rows:
-            bars = row.find("rect")
-            end = float(bars[-1].attributes["x"]) + float(bars[-1].attributes["width"])
-            assert end == pytest.approx(520.0, abs=2.0)  # the file leaves out shares that round to nothing
 
     def test_derived_quantities(self, complete: Page) -> None:
         derived = as_data("complete")["derived"]
@@ -200,16 +195,9 @@ class TestRecords:
         assert set(notes) <= set(items)
         assert "assumed: sensitivity: nominal of the model" in items
 
-    def test_correlations_are_those_of_the_covariance(self, complete: Page) -> None:
-        matrix = as_data("complete")["uncertainty"]["covariance"]["matrix"]
-        expected = matrix[3][0] / (matrix[3][3] * matrix[0][0]) ** 0.5
-        rows = complete.below("Correlations")
-        assert rows[3][0] == "Sxz"
-        assert float(number(rows[3][1])) == pytest.approx(expected, abs=0.005)
-
     def test_what_is_not_covered_is_said(self) -> None:
         plane = " ".join(one.text for one in page_of(read_calibration(WITHOUT_PRIORS)).root.find("li"))
-        for word in ("Temperature", "Nonlinearity", "mounting", "Sensitivity to z", "virtual", "ageing"):
+        for word in ("Temperature", "Nonlinearity", "mounting", "Sensitivity to z", "jig"):
             assert word in plane
         bent = " ".join(one.text for one in Page(text_of("multi-angle")).root.find("li"))
         assert "Nonlinearity" not in bent
