@@ -32,8 +32,6 @@ from tiltcal.files.journal import (
     Event,
     Journal,
     OperatorAnswer,
-    accepted_position,
-    operator_answer,
 )
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.results import (
@@ -83,9 +81,9 @@ class RecordedSession:
             if isinstance(item, RecordedSample):
                 self._take(item)
             elif item.kind == ANSWER:
-                self._hear(operator_answer(item))
+                self._hear(item.content(OperatorAnswer))
             elif item.kind == POSITION:
-                self._accept(accepted_position(item), item)
+                self._accept(item.content(AcceptedPosition), item)
             elif item.kind == RESUMED and journal.version > 1 and self._channels is None:
                 self._sampling = False  # until the position is asked for again; a stage turns on
 

@@ -22,9 +22,9 @@ from tiltcal.files.journal import (
     LIVE_READING,
     POSITION,
     RESUMED,
+    AcceptedPosition,
     Event,
     Journal,
-    accepted_position,
 )
 
 STREAMS = ("r", "e", "m")  # the buses on which a transaction without bytes drops what has arrived
@@ -82,7 +82,7 @@ class Playback:
         self._events = iter(journal.events)
         self._line = 1
         self._event: Event | None = next(self._events, None)
-        self._coming = deque(map(accepted_position, journal.accepted))
+        self._coming = deque(event.content(AcceptedPosition) for event in journal.accepted)
         self._interrupted = False
         self._given_up: set[str] = set()
         self._lacking: set[str] = set()

@@ -21,7 +21,7 @@ from tiltcal.bench.setup import column_name, sensors_of, thermometer_of
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
 from tiltcal.drivers.model import Model, Reading, link_in_words
 from tiltcal.errors import UsageError
-from tiltcal.files.atomic import append_whole, portable, sync_data
+from tiltcal.files.atomic import BINARY, append_whole, sync_data
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.moments import moment_after, stamp
 
@@ -63,9 +63,7 @@ class CsvRecorder:
 
     def __init__(self, path: Path, header: Sequence[str]) -> None:
         try:
-            self._descriptor = os.open(
-                path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | portable("O_BINARY"), 0o644
-            )
+            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | BINARY, 0o644)
         except FileExistsError:
             raise UsageError(f"{path} exists; a recording never replaces one: name another file") from None
         except OSError as error:

@@ -13,6 +13,9 @@ from typing import BinaryIO
 from tiltcal.errors import UsageError
 from tiltcal.stated_arguments import require_path
 
+BINARY = int(getattr(os, "O_BINARY", 0))
+"""The flag of :func:`os.open` that keeps Windows from changing line ends."""
+
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 """Failures of the output; any other that leaves the caller's block is about something else."""
 
@@ -129,11 +132,6 @@ def _renamed_at_the_end(target: Path) -> Iterator[BinaryIO]:
             os.fsync(handle)
         finally:
             os.close(handle)
-
-
-def portable(flag: str) -> int:
-    """Return a flag of :func:`os.open`, 0 where the system has none of this name, as Windows."""
-    return int(getattr(os, flag, 0))
 
 
 def sync_data(descriptor: int) -> None:

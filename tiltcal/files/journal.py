@@ -21,21 +21,22 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Annotated, Any, BinaryIO, TypeVar
 from zlib import crc32
 
 import msgspec
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from tiltcal.errors import JournalError, UsageError
-from tiltcal.files.atomic import append_whole, portable, sync_data, write_all
+from tiltcal.files.atomic import BINARY, append_whole, sync_data, write_all
 from tiltcal.files.record import Count, Record
+
+T = TypeVar("T")
 
 VERSION, VERSIONS = 2, (1, 2)
 """The format that is written, and those that are read: in format 1 a position does not name its samples."""
@@ -46,11 +47,8 @@ LIVE_READING = "live"
 RESUMED = "resumed"
 END = "end"
 
-HEADER_LIMIT = 16_000_000  # bytes of the first line, which holds the procedure and, of a mounting, the base calibration
-LINE_LIMIT = 4_000_000  # bytes of an event's line
+LINE_LIMIT = 16_000_000  # bytes of a line; the first one holds the procedure and, of a mounting, the base calibration
 
-_BUS = re.compile("[a-z]")
-_BYTES = re.compile("(?:[0-9a-f]{2})*")
 _ARRAY_CHECK = len(',"00000000"]\n')
 _OBJECT_CHECK = len(',"check":"00000000"}\n')
 _CHANGED = "the line is damaged: its check does not fit its content"
@@ -66,6 +64,10 @@ class Event:
     kind: str
     payload: tuple[Any, ...]
 
+    def content(self, record: type[T]) -> T:
+        """Return what follows the kind, of an answer or an accepted position."""
+        return msgspec.convert(self.payload[0], record)
+
 
 @dataclass(frozen=True)
 class Events:
@@ -79,7 +81,7 @@ class Events:
 
     def __iter__(self) -> Iterator[Event]:
         with open(self.path, "rb") as stream:
-            stream.readline(HEADER_LIMIT)
+            stream.readline(LINE_LIMIT)
             for number in range(2, self.count + 2):
                 line = stream.readline(LINE_LIMIT)
                 if not line.endswith(b"\n"):
@@ -132,9 +134,9 @@ def read_journal(path: str | Path) -> Journal:
 
 
 def _read(stream: BinaryIO, path: Path) -> Journal:
-    line = stream.readline(HEADER_LIMIT)
+    line = stream.readline(LINE_LIMIT)
     if not line.endswith(b"\n"):
-        if len(line) == HEADER_LIMIT:
+        if len(line) == LINE_LIMIT:
             raise _damage(_TOO_LONG, path, 1)
         raise JournalError("holds no complete header: nothing was captured; start the session anew", file=path)
     header, written = _header(line, path)
@@ -264,7 +266,7 @@ except ImportError:  # Windows
     fcntl = None
 
 _dumps = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode
-_APPEND = os.O_RDWR | os.O_APPEND | portable("O_CLOEXEC") | portable("O_BINARY")
+_APPEND = os.O_RDWR | os.O_APPEND | BINARY
 
 
 def _lock(descriptor: int, path: Path) -> None:
@@ -292,10 +294,12 @@ def _header(line: bytes, path: Path) -> tuple[dict[str, Any], Written]:
 
 
 def _event_of(line: bytes, path: Path, number: int) -> Event:
-    found = _loads(line[:-_ARRAY_CHECK] + b"]", path, number)
-    if not _is_event(found):
-        raise _damage("the line is no event of a journal, though its check fits", path, number)
-    return Event(number, found[0], found[1], tuple(found[2:]))
+    match found := _loads(line[:-_ARRAY_CHECK] + b"]", path, number):
+        case [dt_ns, str(kind), *payload]:
+            with suppress(msgspec.ValidationError):
+                msgspec.convert(found, _LINES.get(kind, _Transaction))
+                return Event(number, dt_ns, kind, tuple(payload))
+    raise _damage("the line is no event of a journal, though its check fits", path, number)
 
 
 def _loads(body: bytes, path: Path, number: int) -> Any:
@@ -356,32 +360,31 @@ class AcceptedPosition(Struct):
         return self.sensors if isinstance(self.sensors, Mapping) else dict(zip(serials, self.sensors, strict=False))
 
 
-def accepted_position(event: Event) -> AcceptedPosition:
-    """Return the accepted position of an event."""
-    return msgspec.convert(event.payload[0], AcceptedPosition)
+Bytes = Annotated[str, Meta(pattern="^([0-9a-f]{2})*$")]  # in hexadecimal
 
 
-def operator_answer(event: Event) -> OperatorAnswer:
-    """Return the answer of an event."""
-    return msgspec.convert(event.payload[0], OperatorAnswer)
+class _Transaction(Struct, array_like=True, forbid_unknown_fields=True):
+    dt_ns: Count
+    kind: Annotated[str, Meta(pattern="^[a-z]$")]
+    out: Bytes
+    back: Bytes
+    device: Count = 0
 
 
-def _is_event(line: Any) -> bool:
-    """Return whether a line has the elements of its kind, each of its type."""
-    match line:
-        case [int(dt_ns), "live" | "resumed"]:
-            return _is_count(dt_ns)
-        case [int(dt_ns), "a" | "p" as kind, content]:
-            with suppress(msgspec.ValidationError):
-                msgspec.convert(content, OperatorAnswer if kind == ANSWER else AcceptedPosition)
-                return _is_count(dt_ns)
-        case [int(dt_ns), "end", dict()]:
-            return _is_count(dt_ns)
-        case [int(dt_ns), str(kind), str(out), str(back), *device] if len(device) < 2:
-            known = kind == HARDWARE_ERROR or (_BUS.fullmatch(kind) and _BYTES.fullmatch(back))
-            return bool(known and _BYTES.fullmatch(out)) and all(map(_is_count, [dt_ns, *device]))
-    return False
+class _FailedTransaction(Struct, array_like=True, forbid_unknown_fields=True):
+    dt_ns: Count
+    kind: str
+    out: Bytes
+    why: str
+    device: Count = 0
 
 
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**63
+_LINES: dict[str, Any] = {
+    HARDWARE_ERROR: _FailedTransaction,
+    ANSWER: tuple[Count, str, OperatorAnswer],
+    POSITION: tuple[Count, str, AcceptedPosition],
+    END: tuple[Count, str, dict[str, Any]],
+    LIVE_READING: tuple[Count, str],
+    RESUMED: tuple[Count, str],
+}
+"""The elements of a line by its kind; all other kinds are buses."""
