@@ -68,11 +68,9 @@ def test_wrong_bench_files_are_named(tmp_path: Path) -> None:
         (sensor, sensor.replace("d02", "d2"), ":6: sensors[0]: no sensor"),
         (sensor, sensor.replace("sim:", "smi:"), ":6: sensors[0]: address"),
         ("thermometer: {model: sca100t-d02", "thermometer: {model: scb", ":4: thermometer: no sensor model"),
-        ("0.1", "\uff10.1", ":3: jig: a number is needed here, found '\uff10.1'; these are other"),
         ("0.1", "0,1", ":3: jig: a number is needed here, found '0,1'; write the point as '.'"),
         ("0.1", "0.1°", ":3: jig: a number is needed here, found '0.1°'; write the number alone"),
         ("0.1", "0.1 deg", ":3: jig: a number is needed here, found '0.1 deg'; write the number alone"),
-        ("jig", "j\u0456g", "(did you mean 'jig', with other letters than 'j\\u0456g'?)"),
     ):
         assert BENCH.count(old) == 1
         code, said = check(tmp_path, "bench.yaml", BENCH.replace(old, new))

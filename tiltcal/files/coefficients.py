@@ -83,13 +83,20 @@ def coefficients_of(section: CoefficientsSection, place: Document, channels: tup
             if curves := getattr(thermal, key):
                 place.require_keys(curves, channels, "temperature", key, complete=True)
         place.require_order(thermal.range, "temperature", "range")
-    found = Coefficients(channels, axes, np.array([section.offset[channel] for channel in channels]), sensitivity)
-    if thermal is not None:
-        drift, gain = _padded(thermal.offset, channels), _padded(thermal.sensitivity, channels)
-        found = replace(found, thermal=Thermal(thermal.reference, thermal.range, drift, gain, thermal.lag))
-    if mounting is not None:
-        found = replace(found, mounting=Mounting(*(radians(getattr(mounting, name)) for name in ANGLES)))
-    return found if bent is None else replace(found, nonlinearity=_nonlinearity(bent, place, channels, axes))
+    return Coefficients(
+        channels,
+        axes,
+        np.array([section.offset[channel] for channel in channels]),
+        sensitivity,
+        None if thermal is None else _thermal(thermal, channels),
+        None if mounting is None else Mounting(*(radians(getattr(mounting, name)) for name in ANGLES)),
+        None if bent is None else _nonlinearity(bent, place, channels, axes),
+    )
+
+
+def _thermal(section: ThermalSection, channels: Sequence[str]) -> Thermal:
+    drift, gain = _padded(section.offset, channels), _padded(section.sensitivity, channels)
+    return Thermal(section.reference, section.range, drift, gain, section.lag)
 
 
 def coefficients_section(coefficients: Coefficients) -> CoefficientsSection:
@@ -97,24 +104,23 @@ def coefficients_section(coefficients: Coefficients) -> CoefficientsSection:
     channels, axes, thermal = coefficients.channels, coefficients.axes, coefficients.thermal
     bent, mounting = coefficients.nonlinearity, coefficients.mounting
     rows = zip(channels, coefficients.sensitivity.tolist(), strict=True)
-    section = CoefficientsSection(
+    return CoefficientsSection(
         offset=dict(zip(channels, coefficients.offset.tolist(), strict=True)),
         sensitivity={channel: dict(zip(axes, row, strict=True)) for channel, row in rows},
         nonlinearity=None if bent is None else _by_channel(channels, bent),
-    )
-    if thermal is not None:
-        warm = ThermalSection(
+        temperature=None
+        if thermal is None
+        else ThermalSection(
             reference=float(thermal.reference),
             range=thermal.range and (float(thermal.range[0]), float(thermal.range[1])),
             offset=_by_channel(channels, thermal.drift),
             sensitivity=_by_channel(channels, thermal.gain),
             lag=float(thermal.lag),
-        )
-        section = section.replaced(temperature=warm)
-    if mounting is not None:
-        angles = {name: in_degrees(getattr(mounting, name)) for name in ANGLES}
-        section = section.replaced(mounting=MountingSection(**angles))
-    return section
+        ),
+        mounting=None
+        if mounting is None
+        else MountingSection(**{name: in_degrees(getattr(mounting, name)) for name in ANGLES}),
+    )
 
 
 def in_degrees(angle: float) -> float:
@@ -284,19 +290,12 @@ def _check_covariance(covariance: Covariance, place: Document, known: Sequence[s
         if [len(row) for row in rows] != [size] * size:
             raise place.error(f"{size} parameters need a matrix of {size} rows of {size} numbers", key)
         matrix = np.array(rows, dtype=float).reshape(size, size)
-        for k in np.flatnonzero(np.diag(matrix) < 0.0):
-            raise place.error(f"the variance {matrix[k, k]:g} of {names[k]} is negative", key, int(k))
-        sizes = np.maximum(np.abs(matrix), np.abs(matrix.T))
-        for i, j in np.argwhere(np.abs(matrix - matrix.T) > _SYMMETRY * sizes):
-            raise place.error(f"the matrix is not symmetric in {names[j]} and {names[i]}", key, int(j))
-        deviations = np.sqrt(np.diag(matrix))
+        deviations = np.sqrt(np.abs(np.diag(matrix)))
         scales = np.where(deviations > 0.0, deviations, 1.0)
-        if np.linalg.eigvalsh(matrix / np.outer(scales, scales)).min(initial=0.0) < -_ROUNDED:
-            raise place.error(
-                "this is no covariance: its correlations contradict one another; take it from the file that the "
-                "calibration wrote",
-                key,
-            )
+        least = np.linalg.eigvalsh(matrix / np.outer(scales, scales)).min(initial=0.0)
+        if least < -_ROUNDED or not np.allclose(matrix, matrix.T, rtol=_SYMMETRY, atol=0.0):
+            why = "it is not symmetric, or its variances and correlations contradict one another"
+            raise place.error(f"this is no covariance: {why}; take it from the file that the calibration wrote", key)
 
 
 class UncertaintySection(Record, kw_only=True):

@@ -17,7 +17,6 @@ from math import inf, isfinite
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
-from unicodedata import normalize
 
 import msgspec
 
@@ -154,9 +153,9 @@ def read_document(path: str | Path) -> Document:
     return parse_document(read_text(path), file=str(path))
 
 
-def parse_document(text: str, file: str | None = None, language: str = "YAML") -> Document:
+def parse_document(text: str, file: str | None = None) -> Document:
     """Parse one YAML document, or JSON, which is YAML; an InputError names ``file`` and line of what is refused."""
-    return Document(*parse(text, file, language), file)
+    return Document(*parse(text, file), file)
 
 
 def document_of(data: Any, file: str | None = None, line: int | None = None) -> Document:
@@ -309,8 +308,7 @@ def _refusal(value: Any, needed: Any) -> str:
 def _hint(word: str, words: Collection[str]) -> str:
     """Return the word that is meant, where one is near."""
     near = get_close_matches(word, list(words), n=1)
-    alike = "" if word.isascii() else f", with other letters than {word!a}"
-    return f" (did you mean {near[0]!r}{alike}?)" if near else ""
+    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 def _beyond(value: Any, number: float, metas: tuple[msgspec.Meta, ...]) -> str:
@@ -328,8 +326,6 @@ def _beyond(value: Any, number: float, metas: tuple[msgspec.Meta, ...]) -> str:
 
 def _advice(text: str) -> str:
     """Return how a text that looks like a number becomes one."""
-    if not text.isascii() and _FLOAT.fullmatch(normalize("NFKC", text)):
-        return "; these are other characters than the digits 0 to 9"
     if "," in text and _FLOAT.fullmatch(text.replace(",", ".")):
         return "; write the point as '.'"
     return "; write the number alone" if re.match(_FLOAT.pattern + r" ?[°%a-zA-Z]", text) else ""

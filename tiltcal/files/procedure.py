@@ -25,7 +25,7 @@ from tiltcal.files.coefficients import ORDER_LIMIT
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.record import AboveZero, Axis, FromZero, Identifier, Number, Record, Text, about, file_data, one_of
 from tiltcal.printable import counted
-from tiltcal.stated_arguments import is_number, require_path, require_whole, shown
+from tiltcal.stated_arguments import MOST, is_number, require_path, require_whole, shown
 
 ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
 """Limits of a temperature, °C; no sensor is hotter, and the square of a far larger number is infinite."""
@@ -33,8 +33,8 @@ MOST_ASKEW = 10.0  # a sensor that sits further askew has another mounting, degr
 Temperature = Annotated[float, Meta(ge=ABSOLUTE_ZERO, le=HOTTEST)]  # °C, of a position
 Order = Annotated[int, Meta(ge=0, le=ORDER_LIMIT)]
 
-FEWEST_WHOLE_TURNS, MOST_TURNS = int(FEWEST_TURNS), 1_000_000
-Turns = Annotated[int, Meta(ge=FEWEST_WHOLE_TURNS, le=MOST_TURNS)]
+FEWEST_WHOLE_TURNS = int(FEWEST_TURNS)
+Turns = Annotated[int, Meta(ge=FEWEST_WHOLE_TURNS, le=int(MOST))]
 Angle = Annotated[float, Meta(gt=0.0, le=90.0)]
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
@@ -139,15 +139,6 @@ class Rotation(Record):
         """The channels of all pairs, each once."""
         return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
 
-    def with_turns(self, turns: int) -> Rotation:
-        """Return the rotation with another limit of turns; a UsageError where it is too small or too large."""
-        if not FEWEST_WHOLE_TURNS <= turns <= MOST_TURNS:
-            raise UsageError(
-                f"{turns} turns are impossible: at least {FEWEST_WHOLE_TURNS} are needed, and at most {MOST_TURNS} "
-                "counted"
-            )
-        return self.replaced(turns=turns)
-
 
 class NamedProcedure(Record, kw_only=True):
     """What a procedure file says of itself."""
@@ -209,8 +200,8 @@ class Procedure(ProcedureFile, kw_only=True):
             return self
         if self.rotation is None:
             raise UsageError(f"the procedure {self.name!r} has positions and no turns; leave --turns out")
-        require_whole("--turns", turns, 1, "turns")
-        return self.replaced(rotation=self.rotation.with_turns(turns))
+        require_whole("--turns", turns, FEWEST_WHOLE_TURNS, "turns")
+        return self.replaced(rotation=self.rotation.replaced(turns=int(turns)))
 
     def with_alignment(self, alignment: float | None) -> Procedure:
         """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it."""

@@ -30,7 +30,7 @@ def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iter
     if not isinstance(table, str | Path):
         rows: Iterable[Document] = document_of(list(table), str(file)).items()
     elif (text := read_text(table)).lstrip().startswith(("[", "{")):  # a CSV header begins with a name
-        rows = parse_document(text, str(file), "JSON").items()
+        rows = parse_document(text, str(file)).items()
     else:
         rows = _csv_rows(text, str(file), keys)
     for row in rows:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta
+from msgspec.structs import asdict
 
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.model import AXES
@@ -180,22 +181,17 @@ def _truth_of(section: TruthSection, place: Document) -> Truth:
 
 def _stage_of(section: StageSection, place: Document) -> Truth:
     disk, parts = section.disk, section.disk.accelerometers
-    stated = {name: getattr(disk, name) for name in ("spin", "rate", "wander", "noise", "corner", "encoder_noise")}
+    stated = {name: one for name, one in asdict(disk).items() if one is not None}
     if disk.inclination is not None:
         stated["inclination"] = radians(disk.inclination)
     if disk.gradient is not None:
         stated["gradient"] = (disk.gradient.differential, disk.gradient.cross)
     if parts is not None:
         place.require_keys(parts, CHANNELS, "disk", "accelerometers", complete=True)
-        stated["accelerometers"] = tuple(
-            Accelerometer(
-                one.scale,
-                radians(one.misalignment),
-                radians(one.phase_error),
-                one.offset,
-                one.drift,
-                one.second_order,
-            )
-            for one in map(parts.__getitem__, CHANNELS)
-        )
+        stated["accelerometers"] = tuple(_accelerometer(parts[name]) for name in CHANNELS)
     return StageTruth.of(Disk(**stated), Truth.seed)
+
+
+def _accelerometer(section: AccelerometerSection) -> Accelerometer:
+    angles = {name: radians(getattr(section, name)) for name in ("misalignment", "phase_error")}
+    return Accelerometer(**asdict(section) | angles)

@@ -72,7 +72,7 @@ def read_text(path: str | Path) -> str:
         raise InputError(f"not UTF-8 (byte 0x{byte:02x}); save the file as UTF-8", file=path, line=line) from None
 
 
-def parse(text: str, file: str | None = None, language: str = "YAML") -> tuple[Any, dict[Place, int]]:
+def parse(text: str, file: str | None = None) -> tuple[Any, dict[Place, int]]:
     """Return the data of one document, and the lines of its values; an InputError names what is refused."""
     composer = _Composer(file)
     roots: list[Any] = []
@@ -89,12 +89,12 @@ def parse(text: str, file: str | None = None, language: str = "YAML") -> tuple[A
         problem = failure.problem or failure.context or "the parser gives no reason"
         # What is missing at the end is reported for the last line, not for the one after it.
         line = None if mark is None else min(mark.line + 1, len(text.splitlines()))
-        raise composer.error(f"not {language}: {problem}", line) from None
+        raise composer.error(f"not YAML: {problem}", line) from None
     except (yaml.YAMLError, UnicodeError) as failure:
         line = None
         if isinstance(failure, yaml.reader.ReaderError):
             line = text.encode().count(b"\n", 0, failure.position) + 1
-        raise composer.error(f"not {language}: {getattr(failure, 'reason', failure)}", line) from None
+        raise composer.error(f"not YAML: {getattr(failure, 'reason', failure)}", line) from None
     if not roots:
         raise composer.error("the file is empty", None)
     return roots[0], composer.lines

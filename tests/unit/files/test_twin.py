@@ -99,14 +99,8 @@ def test_error_names_line_and_key(tmp_path: Path) -> None:
         ("x: 818.2", "x: 0", 8, "truth.sensitivity.x", "own axis"),
         ("x: 818.2", "x: 1e-200", 8, "truth.sensitivity.x", "own axis"),
         (", z: -1.5", "", 9, "truth.sensitivity.y", "same columns"),
-        ("reference: 24, ", "reference: 1e300, ", 10, "truth.temperature.reference", "at most 1000000000"),
         ("ambient: 20", "ambient: 9e8", 5, "truth", "would read more than 1e+12"),
-        ("reference: 24, ", "", 10, "truth.temperature", "'reference' is missing"),
-        ("noise: {x: 0.6}", "noise: {x: -1}", 12, "truth.noise.x", "at least 0"),
-        ("jig: 0.01", "gig: 0.01", 14, "truth.gig", "unknown key"),
-        ("kind: parity", "kind: party", 18, "truth.faults[0].kind", "did you mean 'parity'"),
         ("end: 12.5", "end: 12", 18, "truth.faults[0].end", "not after its start"),
-        ("seed: 7", "seed: -7", 4, "seed", "at least 0"),
     ]
     refused(tmp_path, FILE, changes)
 
@@ -117,20 +111,15 @@ def test_a_rotary_stage_is_read(tmp_path: Path) -> None:
     disk = truth.disk
     assert (model, disk.spin, disk.rate, disk.gradient) == ("gradiometer", 0.25, 20.0, (2e-6, 1e-6))
     assert [part.scale for part in disk.accelerometers] == [3.0, 3.1, 3.2, 3.3]
-    assert (disk.inclination, disk.accelerometers[0].misalignment) == pytest.approx((0.5235988, 0.02617994))
+    angles = disk.inclination, disk.accelerometers[0].misalignment, disk.accelerometers[2].phase_error
+    assert angles == pytest.approx((0.5235988, 0.02617994, 0.003490659))
     assert (disk.accelerometers[3].drift, disk.accelerometers[3].second_order) == (1e-5, 0.1)
 
 
 def test_what_is_wrong_with_a_rotary_stage_is_named(tmp_path: Path) -> None:
     changes = [
-        ("rate: 20", "rate: 1e-320", 8, "truth.disk.rate", "at least 0.001"),
-        ("rate: 20", "rate: 500", 8, "truth.disk.rate", "at most 400"),
         ("rate: 20", "rate: 0", 8, "truth.disk.rate", "at least 0.001"),
-        ("spin: 0.25", "spins: 0.25", 7, "truth.disk.spins", "did you mean 'spin'"),
-        ("a2: {scale: 3.1}", "a2: {}", 12, "truth.disk.accelerometers.a2", "'scale' is missing"),
         ("      a2: {scale: 3.1}\n", "", 10, "truth.disk.accelerometers", "'a2' is missing"),
-        ("differential: 2e-6, ", "", 9, "truth.disk.gradient", "'differential' is missing"),
-        ("spin: 0.25", "noise: -1", 7, "truth.disk.noise", "at least 0"),
     ]
     refused(tmp_path, DISK, changes)
 
