@@ -62,12 +62,6 @@ class TestColumns:
         assert [isnan(row["U95_tilt_x"]) for row in found] == [True, True, False]
 
 
-class TestSummary:
-    def test_tells_the_median_and_the_largest(self) -> None:
-        said = apply("cal.yaml", "log.csv", "--uncertainty", "-o", "out.csv").stderr.splitlines()
-        assert said[-1] == "  median (largest) U95_tilt_x 0.28° (0.33°), U95_tilt_y 0.28° (0.28°)"
-
-
 class TestWhatTheFileDoesNotSay:
     def test_no_uncertainty_at_all_is_refused_with_what_to_do(self) -> None:
         for silent in (PLAIN, PLAIN + "uncertainty: {}\n"):

@@ -64,9 +64,6 @@ def test_a_log_that_is_compensated_already_says_the_same(log: Path, tmp_path: Pa
     assert run(["apply", CALIBRATION, str(log), "-o", str(tilt)]) == 0
     page = report(CALIBRATION, log, tilt, output=tmp_path / "r.html")
     assert shares(page, "Log night.csv") == shares(page, "Log tilt.csv")
-    said = [one.text for one in page.root.find("p") if "rows." in one.text]
-    assert "was applied to its readings" in said[0]
-    assert "is that of the log" in said[1]
     angles = [[row[1:] for row in table] for table in tables(page, "Angle / °")]
     assert angles[0] == angles[1]
 

@@ -109,7 +109,7 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
 
 
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:
-    """Return the overview of a log; apply the calibration if the log is raw."""
+    """Return the overview of a log, to whose readings the calibration is applied."""
     from tiltcal.logs.apply import look_over
     from tiltcal.logs.columns import TIME, named_columns
     from tiltcal.logs.formats import open_log
@@ -126,8 +126,8 @@ def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: st
     ):
         clock = named_columns(columns, prepared.channels).get(TIME, TIME)
         time = rows.names.index(clock) if clock in rows.names else None
-        overview, compensated = look_over(rows, prepared, options, time)
-        return ReportedLog(Path(rows.name).name, rows.sha256, overview, compensated, time is not None)
+        overview = look_over(rows, prepared, options, time)
+        return ReportedLog(Path(rows.name).name, rows.sha256, overview, time is not None)
 
 
 def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[str, PairDrawing]:

@@ -153,11 +153,6 @@ class EarthFrameCompensation:
         self._own = (*((HEADING,) if magnetometer else ()), *(VELOCITY if velocity else ()))
 
     @property
-    def expanded(self) -> tuple[str, ...]:
-        """Names of the columns that hold half widths of 95 % intervals."""
-        return () if self._uncertain is None else tuple(f"U95_{name}" for name in self._own)
-
-    @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of a call, in order."""
         if self._uncertain is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -16,7 +16,7 @@ from tiltcal.calibration.record import record_in
 from tiltcal.calibration.season import CalibrationFolder
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.earth_frame import VELOCITY, FieldLength
-from tiltcal.core.flags import FLAGS, MISSING, NOT_A_NUMBER, REASONS, count_flags
+from tiltcal.core.flags import FLAGS, REASONS, count_flags
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.files.calibration import CalibrationRecord
@@ -33,7 +33,7 @@ from tiltcal.logs.columns import (
     require_unit,
 )
 from tiltcal.logs.formats import create_log, open_log, require_way
-from tiltcal.logs.kernel import ColumnWidths, PreparedCalibration, RoleValues, prepare, with_lag
+from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare, with_lag
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import BlockOfMeans, Means
 from tiltcal.logs.options import ApplyOptions, require_consistent
@@ -45,9 +45,6 @@ NO_TIME = (
     "note: the log has no column of times, and the sensing element follows its thermometer with a lag: rows are "
     "compensated with the thermometer's temperature, flag 3 (--columns time=NAME)"
 )
-
-_ABSENT = {"flag": MISSING, "reason": NOT_A_NUMBER}
-"""What a cell counts as that holds no flag or no reason."""
 
 Applied = CalibrationRecord | PairRecord | CalibrationFolder | str | Path
 """What can be applied: a calibration, its file, or a folder of them, of which each row takes that of its time."""
@@ -68,6 +65,7 @@ def apply_to_log(
     ready = prepare_any(calibration, options)
     with open_log(log, skip_bad_rows=options["skip_bad_rows"], progress=progress) as reader:
         prepared = ready(reader)
+        _require_new_columns(reader, prepared)
         rows = CompensatedLog(reader, prepared, options)
         with log_sink(str(output)) as sink:
             writer = create_log(output, sink, reader, prepared.columns, prepared.origin, rows.units)
@@ -85,8 +83,15 @@ def apply_frame(
         raise UsageError("--skip-bad-rows is for logs: a frame has no row that cannot be parsed")
     reader = FrameReader(frame)
     prepared = prepare_any(calibration, options)(reader)
+    _require_new_columns(reader, prepared)
     log = CompensatedLog(reader, prepared, options)
     return reader.with_columns(list(log.blocks()), log.channels, log.units)
+
+
+def _require_new_columns(log: LogReader, prepared: PreparedCalibration) -> None:
+    if taken := [name for name in prepared.columns if name in log.names]:
+        why = f"{log.name} has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
+        raise UsageError(why)
 
 
 def prepare_any(calibration: Applied, options: ApplyOptions) -> Callable[[LogReader], PreparedCalibration]:
@@ -127,9 +132,6 @@ class CompensatedLog:
             role: tuple(locate_columns(log, names, {}, option=f"--{role} ")[name] for name in names)
             for role, names in prepared.vectors.items()
         }
-        if taken := [name for name in prepared.columns if name in log.names]:
-            why = f"{log.name} has a column {taken[0]!r} already: rename it, or apply to the log as it was recorded"
-            raise UsageError(why)
         self._sensors = [
             replace(
                 sensor,
@@ -146,7 +148,7 @@ class CompensatedLog:
             self._say(NO_TIME)
         self._needs_time = TIME in prepared.roles or self._lagged
         self._field_length = FieldLength() if "magnetometer" in self._vectors else None
-        self.summary = ApplySummary(widths={name: ColumnWidths() for name in prepared.led(lambda one: one.watched)})
+        self.summary = ApplySummary()
 
     def _require_units(self, where: Mapping[str, int], thermometers: Sequence[str], stated: str | None) -> None:
         log = self.log
@@ -216,32 +218,19 @@ class CompensatedLog:
 
 
 def look_over(
-    log: LogReader, prepared: PreparedCalibration, options: ApplyOptions, time: int | None = None
-) -> tuple[ColumnStatistics, bool]:
-    """Return what a report shows of a log, and whether it has the columns that the calibration would add.
+    log: LogReader, prepared: PreparedCalibration, options: ApplyOptions, time: int | None
+) -> ColumnStatistics:
+    """Return what a report shows of a log, by its readings; columns that a calibration has added count for nothing.
 
     ``time`` is where the time stands, in seconds or ISO 8601; rows are counted where there is none.
     """
     angles = prepared.led(lambda sensor: sensor.angles)
-    wanted = (*angles, *_ABSENT)
-    compensated = set(wanted) <= set(log.names)
-    tables: Iterable[tuple[LogBlock, Table]]
-    if compensated:
-        where = {name: log.names.index(name) for name in wanted}
-        blocks = log.rows(sorted({*where.values(), *(() if time is None else (time,))}), time, needs_time=True)
-        tables = ((block, {name: block.values[index] for name, index in where.items()}) for block in blocks)
-    else:
-        tables = CompensatedLog(log, prepared, options).blocks(time)
     overview = ColumnStatistics(angles)
-    for block, table in read_ahead(iter(tables)):
+    for block, table in read_ahead(CompensatedLog(log, prepared, options).blocks(time)):
+        times = overview.rows + np.arange(float(len(block))) if time is None else block.values[time]
         shown = np.stack([np.asarray(table[angle], float) for angle in angles]).T
-        flag, reason = (
-            np.where((table[name] >= 0) & (table[name] <= 65535), table[name], absent).astype(np.uint16)
-            for name, absent in _ABSENT.items()
-        )
-        times = overview.rows + np.arange(float(len(flag))) if time is None else block.values[time]
-        overview.add(times, shown, flag, reason)
-    return overview, compensated
+        overview.add(times, shown, table["flag"], table["reason"])
+    return overview
 
 
 @dataclass(repr=False)
@@ -252,7 +241,6 @@ class ApplySummary:
     flags: rows by flag.
     reasons: rows by bit of the reason; a row may have several.
     bad_rows: rows that could not be parsed and were kept as missing.
-    widths: the columns that were to be watched, half widths of 95 % intervals: degrees, and of velocities their unit.
     sensors: of each sensor, by serial number, where the log has several; the whole then counts the worst flag of a row,
         and every reason of it.
     """
@@ -261,13 +249,10 @@ class ApplySummary:
     flags: Counter[int] = field(default_factory=Counter)
     reasons: Counter[int] = field(default_factory=Counter)
     bad_rows: int = 0
-    widths: dict[str, ColumnWidths] = field(default_factory=dict)
     sensors: dict[str, ApplySummary] = field(default_factory=dict)
 
     def add(self, table: Table, bad_rows: int = 0) -> None:
         """Count some rows, and those of them that could not be parsed."""
-        for name, widths in self.widths.items():
-            widths.add(np.asarray(table[name], dtype=float))
         flags, reasons = [], []
         for lead in [name.removesuffix("flag") for name in table if name.rpartition("_")[2] == "flag"]:
             flags.append(np.asarray(table[f"{lead}flag"], np.uint16))
@@ -282,8 +267,6 @@ class ApplySummary:
     def as_data(self) -> dict[str, Any]:
         """Return the counts as plain data, every flag and reason that occurred."""
         data = {"rows": self.rows, **self._counts(), "bad_rows": self.bad_rows}
-        if self.widths:
-            data["uncertainty"] = {n: {"median": w.median, "largest": w.largest} for n, w in self.widths.items()}
         if self.sensors:
             data["sensors"] = {serial: sensor._counts() for serial, sensor in self.sensors.items()}
         return data
@@ -303,15 +286,6 @@ class ApplySummary:
                 lines += [f"{lead}{what} {code} {name}: {counts[code]}" for code, name in names.items() if counts[code]]
         if self.bad_rows:
             lines.append(f"  {counted(self.bad_rows, 'row')} could not be parsed and kept as missing")
-        if self.widths:
-            lines.append(f"  median (largest) {', '.join(_told(name, width) for name, width in self.widths.items())}")
         return "\n".join(lines)
 
     __repr__ = __str__
-
-
-def _told(name: str, widths: ColumnWidths) -> str:
-    if widths.median is None or widths.largest is None:
-        return f"{name} none"
-    unit = "" if name.startswith("U95_v_") else "°"
-    return f"{name} {widths.median:.2g}{unit} ({widths.largest:.2g}{unit})"

@@ -32,6 +32,7 @@ from tiltcal.options import complete
 from tiltcal.printable import counted
 
 _USUAL = 0.005  # g, by which the median length of gravity of a log may differ from 1 g without a remark
+_STEP, _LONGEST = 0.0005, 40_000  # g, in which lengths are counted, and so many steps
 
 
 @dataclass(frozen=True)
@@ -59,59 +60,27 @@ Kernel = Callable[[RoleValues], Table]
 """Columns from the rows of one log, block after block in order; a kernel may remember the rows before."""
 
 
-class ColumnWidths:
-    """Positive numbers, counted by size: by some bits of the mantissa, from one power of 2 to another; NaN is none."""
-
-    def __init__(self, bits: int = 7, powers: tuple[int, int] = (-127, 128)) -> None:
-        self._shift = 23 - bits
-        self._first, end = ((127 + power) << bits for power in powers)
-        self._counts = np.zeros(end - self._first, np.int64)
-        self._largest = 0.0
-
-    def add(self, widths: Array) -> None:
-        """Count some more."""
-        finite = np.isfinite(widths)
-        known = widths if finite.all() else widths[finite]
-        if len(known):
-            self._largest = max(self._largest, float(known.max()))
-            codes = (known.astype(np.float32).view(np.int32) >> self._shift) - self._first
-            np.clip(codes, 0, len(self._counts) - 1, out=codes)
-            self._counts += np.bincount(codes, minlength=len(self._counts))
-
-    @property
-    def median(self) -> float | None:
-        """The median, to half the distance of neighbours; None where there is no value."""
-        total = int(self._counts.sum())
-        if not total:
-            return None
-        code = self._first + int(np.searchsorted(np.cumsum(self._counts), (total + 1) // 2))
-        ends = np.array([code << self._shift, (code + 1) << self._shift], np.int32).view(np.float32)
-        return min(float(ends.mean()), self._largest)
-
-    @property
-    def largest(self) -> float | None:
-        """The largest value; None where there is none."""
-        return self._largest if self._counts.any() else None
-
-
 class RowRemarks:
     """The remarks on all rows of a log: on the length of gravity, and on a sign that nothing shows."""
 
     def __init__(self) -> None:
-        self._squares = ColumnWidths(11, (-8, 24))
+        self._lengths = np.zeros(_LONGEST, np.int64)  # how many rows have each length
         self._unknown = 0
 
     def add(self, chunk: KernelChunk, *, on_edge: bool) -> None:
         """Count some rows, before a heading marks them."""
         if len(chunk.own) == 3:
-            self._squares.add(np.einsum("an,an->n", chunk.own, chunk.own))
+            lengths = np.sqrt(np.einsum("an,an->n", chunk.own, chunk.own)) / _STEP
+            steps = np.minimum(lengths[lengths == lengths], _LONGEST - 1).astype(np.int64)
+            self._lengths += np.bincount(steps, minlength=_LONGEST)
         if on_edge:
             self._unknown += int(np.count_nonzero(chunk.out.reason & NO_DIRECTION))
 
     def __iter__(self) -> Iterator[str]:
         """Yield the remarks."""
-        length = (self._squares.median or 1.0) ** 0.5
-        if abs(length - 1.0) > _USUAL:
+        so_far = np.cumsum(self._lengths)
+        length = (float(np.searchsorted(so_far, so_far[-1] / 2.0)) + 0.5) * _STEP
+        if so_far[-1] and abs(length - 1.0) > _USUAL:
             yield f"|g| is {round(length, 3):g}: supply, unit, place or zero differ from the calibration's"
         if self._unknown:
             rows = counted(self._unknown, "row")
@@ -155,8 +124,7 @@ class TiltKernel:
     """The compensation of a tilt sensor, then the uncertainty of its angles, then heading and earth velocities.
 
     Where ``averaged`` rows are means of :attr:`RoleValues.count` rows, and uncertainties have a random and a common
-    share. ``remarks`` counts the rows. Of the ``columns`` that a call gives ``expanded`` are half widths of 95 %
-    intervals.
+    share. ``remarks`` counts the rows.
     """
 
     def __init__(
@@ -172,8 +140,6 @@ class TiltKernel:
         uncertain = () if uncertain_angles is None else uncertainty_columns(self.angles, averaged=averaged)
         self._uncertain = len(uncertain)
         self.columns = (*compensation.columns, *uncertain, *(() if earth is None else earth.columns))
-        own = () if uncertain_angles is None else tuple(f"U95_{angle}" for angle in self.angles)
-        self.expanded = (*own, *(() if earth is None else earth.expanded))
 
     def __call__(self, values: RoleValues) -> Table:
         out = Compensated.empty(len(values), len(self._compensation.axes))
@@ -205,10 +171,10 @@ class PreparedSensor:
     """A sensor, or pairs, ready for the rows of one log.
 
     ``added`` are the columns of its kernel; ``units`` are those of the readings, of pairs that of the stage angle
-    alone; ``origin`` is what a file made with it should state: software, calibration, sha256, serial; ``watched`` are
-    columns to be summed up; ``lag`` is by how much the element is later than the thermometer, s; ``judge`` judges the
-    readings of which means are made; ``named`` are columns of the log of the fit; its own names begin with ``lead``.
-    In the log ``columns`` are where its readings stand and, where it has one of its own, its ``thermometer``.
+    alone; ``origin`` is what a file made with it should state: software, calibration, sha256, serial; ``lag`` is by how
+    much the element is later than the thermometer, s; ``judge`` judges the readings of which means are made; ``named``
+    are columns of the log of the fit; its own names begin with ``lead``. In the log ``columns`` are where its readings
+    stand and, where it has one of its own, its ``thermometer``.
     """
 
     kernel: Kernel
@@ -217,7 +183,6 @@ class PreparedSensor:
     units: Mapping[str, str]
     origin: Mapping[str, str]
     angles: tuple[str, ...] = ()
-    watched: tuple[str, ...] = ()
     lag: float = 0.0
     judge: Kernel | None = None
     remarks: RowRemarks = field(default_factory=RowRemarks)
@@ -300,7 +265,6 @@ def prepare(
         dict.fromkeys(coefficients.channels, sensor.unit),
         {**stated, "serial": sensor.serial},
         kernel.angles,
-        kernel.expanded,
         0.0 if coefficients.thermal is None else coefficients.thermal.lag,
         judge,
         remarks,

@@ -92,7 +92,6 @@ def _log(log: ReportedLog, number: int) -> dict[str, Any]:
         "name": log.name,
         "sha256": log.sha256,
         "rows": "1 row" if overview.rows == 1 else f"{grouped(overview.rows)} rows",
-        "how": "The tilt is that of the log." if log.compensated else "The calibration was applied to its readings.",
         "flags": tables.flag_table(overview),
         "angles": tables.angle_table(overview) if any_angle else None,
         "figure": log_figure(log, number) if any_angle else None,

@@ -50,16 +50,11 @@ _STAGES = (GREY, RED, BLUE)  # the colours of one accelerometer, the sum after p
 
 @dataclass(frozen=True)
 class ReportedLog:
-    """A log file and its summary.
-
-    compensated: whether the log brought its tilt along; otherwise the calibration of the page was applied to it.
-    timed: whether its time is in seconds; otherwise rows are counted.
-    """
+    """A log file and its summary; ``timed``: its time is in seconds, otherwise rows are counted."""
 
     name: str
     sha256: str
     overview: ColumnStatistics
-    compensated: bool
     timed: bool
 
 
