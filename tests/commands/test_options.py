@@ -24,7 +24,7 @@ from tiltcal.stated_arguments import require_from_zero
     [
         ("measure", measure, "operator"),
         ("plan", plan, "as_json"),
-        ("fit", fit, "log topic segments_out output"),
+        ("fit", fit, "log topic output"),
         ("apply", apply_log, "files calibrations scheduler as_json topic"),
     ],
 )

@@ -106,7 +106,6 @@ def test_library_refuses_in_the_words_of_the_command_with_its_own_names() -> Non
         (lambda: apply(average="two"), (*applied, "--average", "two")),
         (lambda: apply(every=-5), (*applied, "--every", "-5")),
         (lambda: apply(mounting={"roll": 200}), (*applied, "--mounting", "roll=200")),
-        (lambda: fit(window=3), (*FIT, "--window", "3")),
         (lambda: fit(gravity=5), (*FIT, "--gravity", "5")),
         (lambda: fit(table_lean=-0.1), (*FIT, "--table-lean", "-0.1")),
         (lambda: fit(thermometer=float("nan")), (*FIT, "--thermometer", "nan")),

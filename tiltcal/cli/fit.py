@@ -10,13 +10,11 @@ import click
 
 from tiltcal.cli import options
 from tiltcal.cli.talk import progress_bar, remark
-from tiltcal.errors import UsageError
 from tiltcal.files.atomic import check_writable
 from tiltcal.logs.options import FitOptions
 
 if TYPE_CHECKING:
     from tiltcal.files.calibration import CalibrationRecord
-    from tiltcal.library.calibration import Calibration
 
 _EXAMPLES = """\b
 Examples:
@@ -32,12 +30,9 @@ Examples:
 @click.argument("procedure")
 @click.argument("log", type=click.Path(path_type=Path))
 @options.file_option("-o", "--output", required=True, help="The calibration file to write.")
-@options.file_option("--segments-out", metavar="FILE", help="Write the static intervals that were found.")
 @options.topic
 @options.declared(FitOptions)
-def command(
-    procedure: str, log: Path, segments_out: Path | None, output: Path, topic: str | None, **settings: Any
-) -> None:
+def command(procedure: str, log: Path, output: Path, topic: str | None, **settings: Any) -> None:
     """Calibrate from a recorded LOG and its segments, by the positions of PROCEDURE.
 
     LOG is CSV, Parquet, NetCDF-4 or a bag of ROS. PROCEDURE free needs no known positions: a three-axis sensor is held
@@ -46,22 +41,14 @@ def command(
     from tiltcal.calibration.wording import level_summary, mounting_summary, summary
     from tiltcal.files.procedure import find_procedure
     from tiltcal.library.recorded import fit
-    from tiltcal.logs.fit import FOUND_ONLY, finds_intervals
 
     log = Path(options.of_topic(str(log), topic))
-    steps = find_procedure(procedure, settings["tilt"])
-    if segments_out is not None and not finds_intervals(steps, settings["table"], settings["segments"]):
-        raise UsageError(FOUND_ONLY)
-    for path in filter(None, (output, segments_out)):
-        check_writable(path, log, *filter(None, [settings["segments"]]))
+    check_writable(output, log, *filter(None, [settings["segments"]]))
     with progress_bar("fit") as progress:
         calibration = fit(procedure, log, say=remark, progress=progress, **settings)
     calibration.save(output)
-    if segments_out is not None:
-        _write_segments(segments_out, calibration)
-        remark(f"wrote {segments_out}")
     record = calibration.record
-    determines = steps.determines
+    determines = find_procedure(procedure, settings["tilt"]).determines
     in_words = mounting_summary if determines.mounting else level_summary if determines.level else summary
     click.echo(in_words(record))
     if determines.free:
@@ -80,13 +67,3 @@ def _print_misfit(calibration: CalibrationRecord) -> None:
     )
     if fit.warning:
         remark(f"warning: {fit.warning}")
-
-
-def _write_segments(path: Path, calibration: Calibration) -> None:
-    """Write the static intervals that were found, by position."""
-    from tiltcal.files.atomic import write_whole
-
-    lines = ["position,start,end"]
-    for position in calibration.positions:
-        lines += [f"{position.position},{start},{end}" for start, end in position.row_ranges]
-    write_whole(path, "\n".join(lines) + "\n")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,7 +37,6 @@ from tiltcal.files.results import FileRecord, LogRecord, Provenance, SegmentsRec
 from tiltcal.files.tables import (
     Segment,
     SegmentRow,
-    TabledPosition,
     TabledRow,
     read_positions,
     read_segments,
@@ -52,28 +51,17 @@ from tiltcal.logs.columns import (
     require_celsius,
     require_unit,
 )
-from tiltcal.logs.formats import CSV, log_format, open_log
+from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
-from tiltcal.logs.log import Progress
+from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.numbers import RecordedColumns, read_readings
 from tiltcal.logs.options import FitOptions
-from tiltcal.logs.positions import (
-    SOAKS,
-    TO_THE_END,
-    Rails,
-    StaticInterval,
-    intervals_of,
-    intervals_of_table,
-    placed,
-    require_positions,
-)
-from tiltcal.logs.still import WINDOWS, Judge, choice_table, find_still, judge_of
+from tiltcal.logs.positions import SOAKS, Rails, intervals_of, intervals_of_table, placed, require_positions
+from tiltcal.logs.still import Judge, find_still, judge_of
 from tiltcal.logs.streams import sha256_of
 from tiltcal.stated_arguments import require_name
 
 R = TypeVar("R", LogRecord, FileRecord, SegmentsRecord)
-
-FOUND_ONLY = "--window and --segments-out are for static intervals that are found: leave --segments and --table out"
 
 
 def fit_recorded(
@@ -86,32 +74,31 @@ def fit_recorded(
     steps = find_procedure(procedure, options["tilt"]).with_alignment(options["alignment"])
     steps.require_positions()
     table = _is_table(data, options["segments"]) if options["table"] is None else options["table"]
-    source = FitSource(data, options["segments"], table, options["columns"], options["window"], progress)
-    source.require_sound(steps)
+    if table:
+        _require_table_alone(steps, options)
     require_no_jig(steps, options["jig"])
     bench = BenchUncertainty(options["jig"], options["thermometer"], options["table_lean"], options["heading"])
-    gravity, base, say = options["gravity"], options["base"], options["say"]
     model = find_model(options["sensor"]) if options["sensor"] else None
     if model is not None:
         require_tilt(steps, model)
-    serial = _serial(options["serial"], base)
-    known = bases_of(steps, base, [serial]).get(serial)
+    serial = _serial(options["serial"], options["base"])
+    known = bases_of(steps, options["base"], [serial]).get(serial)
     own = None if known is None else known.calibration
-    unit = options["unit"] or (source.header.unit if own is None and model is None else None)
-    identity = _identity(own, model, steps, unit, serial)
-    if own is None and model is None:
-        identity = identity.replaced(channels=source.channels(steps, say))
-    columns = {axis: name for axis, name in source.header.columns.items() if axis in identity.channels and name != axis}
-    identity = identity.replaced(columns=columns or identity.columns)
-    nominal = None if model is None or model.unit != identity.unit else model
-    source = replace(source, rails=rails_of(identity.channels, nominal, own))
-    source.require_unit(identity.unit)
-    positions = source.ramp(identity, steps) if steps.ramp is not None else source.positions(identity, steps, say)
-    for measurement in positions.measurements:
-        if "left_out" in measurement.when:
-            far = measurement.when["left_out"]
-            which = "1 sample is" if far == 1 else f"{far} samples are"
-            say(f"{measurement.position}: {which} far off the others or missing, and left out")
+    with nullcontext() if table else open_log(data, digest=isinstance(data, str | Path), progress=progress) as log:
+        header = LogHeader() if log is None else _header_of(log, options["columns"])
+        unknown = own is None and model is None
+        identity = _identity(own, model, steps, options["unit"] or (header.unit if unknown else None), serial)
+        if unknown:
+            identity = identity.replaced(channels=_channels(data, header, steps, options))
+        columns = {axis: name for axis, name in header.columns.items() if axis in identity.channels and name != axis}
+        identity = identity.replaced(columns=columns or identity.columns)
+        nominal = None if model is None or model.unit != identity.unit else model
+        if log is None:
+            positions = _of_table(data, identity, steps)
+        elif steps.ramp is not None:
+            positions = _of_ramp(data, log, identity, steps, options)
+        else:
+            positions = _of_log(data, log, identity, steps, options, rails_of(identity.channels, nominal, own))
     measured = MeasuredSensor(
         identity,
         positions.measurements,
@@ -120,7 +107,7 @@ def fit_recorded(
         base=own,
         ramp=positions.ramp,
     )
-    (found,) = calibrate([measured], steps, bench, table=source.table, gravity=gravity)
+    (found,) = calibrate([measured], steps, bench, table=table, gravity=options["gravity"])
     origin = None if known is None else known.origin
     return replace(found, provenance=positions.provenance.replaced(base=origin))
 
@@ -142,223 +129,169 @@ class LogHeader:
     unit: str | None = None
 
 
-@dataclass(frozen=True)
-class FitSource:
-    """Recorded data as the user names them; the attributes are the arguments of :func:`tiltcal.fit`."""
+def _header_of(log: LogReader, named: Mapping[str, str] | str) -> LogHeader:
+    columns = column_names(log.names, AXES, named_columns(named, AXES))
+    if not columns and any("linear" in name.lower() for name in log.names):
+        without = "it has linear acceleration, without gravity: record the acceleration with gravity"
+        raise InputError(without, file=log.name, line=1)
+    units = {
+        spelt(log.unit(log.names.index(name)) or "") or ("g" if name.lower().startswith(("gf", "g-f")) else None)
+        for name in columns.values()
+    }
+    return LogHeader(columns, units.pop() if len(units) == 1 else None)
 
-    data: Any
-    segments: Any
-    table: bool
-    columns: Mapping[str, str] | str
-    window: int | None
-    progress: Progress | None = None
-    rails: Rails = field(default_factory=dict)
 
-    def require_sound(self, procedure: Procedure) -> None:
-        """Raise UsageError for what contradicts itself."""
-        if self.table and self.segments is not None:
-            raise UsageError("a --table has its positions already: leave --segments out")
-        if self.table and self.columns:
-            raise UsageError("a --table names its columns itself (position, x, y, z, ...): leave --columns out")
-        if procedure.ramp is not None and self.table:
-            raise UsageError(f"{procedure.name} takes a continuous record, not a --table of positions")
-        if finds_intervals(procedure, self.table, self.segments):
-            _judge(procedure, procedure.determines.axes or AXES)
-        elif self.window is not None:
-            raise UsageError(FOUND_ONLY)
+def _require_table_alone(procedure: Procedure, options: FitOptions) -> None:
+    """Raise UsageError for what contradicts a table of positions."""
+    if options["segments"] is not None:
+        raise UsageError("a --table has its positions already: leave --segments out")
+    if options["columns"]:
+        raise UsageError("a --table names its columns itself (position, x, y, z, ...): leave --columns out")
+    if procedure.ramp is not None:
+        raise UsageError(f"{procedure.name} takes a continuous record, not a --table of positions")
 
-    @property
-    def _is_stream(self) -> bool:
-        """Whether the log is read once."""
-        if not isinstance(self.data, str | Path) or log_format(self.data) != CSV or os.path.isfile(self.data):
-            return False
-        return str(self.data) == "-" or os.path.exists(self.data)
 
-    @cached_property
-    def header(self) -> LogHeader:
-        """What the log says of its readings before the first row; nothing of a table and of a stream."""
-        if self.table or self._is_stream:
-            return LogHeader()
-        with open_log(self.data) as log:
-            columns = column_names(log.names, AXES, named_columns(self.columns, AXES))
-            if not columns and any("linear" in name.lower() for name in log.names):
-                without = "it has linear acceleration, without gravity: record the acceleration with gravity"
-                raise InputError(without, file=log.name, line=1)
-            units = {
-                spelt(log.unit(log.names.index(name)) or "")
-                or ("g" if name.lower().startswith(("gf", "g-f")) else None)
-                for name in columns.values()
-            }
-        return LogHeader(columns, units.pop() if len(units) == 1 else None)
+def _channels(data: Any, header: LogHeader, procedure: Procedure, options: FitOptions) -> tuple[str, ...]:
+    """Return the axes of a procedure that the data have a reading of: a sensor of two axes has no column z."""
+    axes = procedure.determines.axes
+    if procedure.determines.free or not axes:
+        return axes or AXES
+    if header.columns or options["columns"]:
+        found = tuple(axis for axis in axes if axis in {**named_columns(options["columns"], axes), **header.columns})
+    else:
+        found = tabled_channels(_path_or_rows(data, "the table", TabledRow), axes)
+    absent = [axis for axis in axes if axis not in found]
+    if found and absent:
+        options["say"](f"there is no {' and no '.join(absent)}: the sensor has {' and '.join(found)}")
+    return found or axes
 
-    def require_unit(self, unit: str) -> None:
-        """Raise InputError for a table in an xarray Dataset whose means are in another unit; a log is checked later."""
-        if not (self.table and hasattr(self.data, "data_vars")):
-            return
-        table = FrameReader(self.data, name="the table")
+
+def _of_table(data: Any, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
+    """Return the positions that a table states, with their means."""
+    if hasattr(data, "data_vars"):  # an xarray Dataset states units
+        table = FrameReader(data, name="the table")
         where = {name: index for index, name in enumerate(table.names)}
         means = [where[name] for axis in AXES for name in (axis, f"u{axis}") if name in where]
-        require_unit(table, means, unit, "the --unit")
+        require_unit(table, means, sensor.unit, "the --unit")
         require_celsius(table, where)
+    file = _name_of(data, "the table")
+    positions = read_positions(_path_or_rows(data, "the table", TabledRow), sensor.channels)
+    provenance = _provenance("table of positions", table=_origin(data, FileRecord))
+    if procedure.determines.free:
+        return FitPositions([one.measurement for one in intervals_of_table(positions)], provenance)
+    require_positions(positions, procedure, file=file)
+    return FitPositions(placed(intervals_of_table(positions), procedure, file=file), provenance)
 
-    def channels(self, procedure: Procedure, say: Callable[[str], None]) -> tuple[str, ...]:
-        """Return the axes of a procedure that the data have a reading of: a sensor of two axes has no column z."""
-        axes = procedure.determines.axes
-        if procedure.determines.free or not axes or self._is_stream:
-            return axes or AXES
-        if self.table:
-            found = tabled_channels(_path_or_rows(self.data, "the table", TabledRow), axes)
-        else:
-            named = named_columns(self.columns, axes)
-            found = tuple(axis for axis in axes if axis in named or axis in self.header.columns)
-        if not found:
-            return axes
-        absent = [axis for axis in axes if axis not in found]
-        if absent:
-            say(f"there is no {' and no '.join(absent)}: the sensor has {' and '.join(found)}")
-        return found
 
-    def positions(self, sensor: SensorIdentity, procedure: Procedure, say: Callable[[str], None]) -> FitPositions:
-        """Return positions in the directions of a procedure or of the segments, or free ones.
+def _of_log(
+    data: Any, log: LogReader, sensor: SensorIdentity, procedure: Procedure, options: FitOptions, rails: Rails
+) -> FitPositions:
+    """Return what the sensor read in the segments of a log, given or found; of one position it is the whole log.
 
-        Names are checked before the log is read, which may be long, if the procedure has to say directions.
-        """
-        free, thermal = procedure.determines.free, procedure.determines.drift or procedure.determines.gain
-        soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if thermal else 0.0
-        named: Sequence[Segment] | Sequence[TabledPosition] = ()
-        if self.table:
-            named = table = read_positions(_path_or_rows(self.data, "the table", TabledRow), sensor.channels)
-        elif self.segments is not None:
-            named = segments = read_segments(_path_or_rows(self.segments, "the segments", SegmentRow))
-        if not free:
-            require_positions(named, procedure, file=self._name)
-        if self.table:
-            intervals, provenance = intervals_of_table(table), self._provenance()
-        else:
-            origin = _origin(self.segments, SegmentsRecord)
-            judge = _judge(procedure, sensor.channels) if self.segments is None else None
-            record = self._record(sensor)
-            if judge is not None:
-                intervals, origin = self._found(record, sensor, judge, soak, say)
-            else:
-                if self.segments is None:  # the whole log is the one position
-                    segments = [Segment(procedure.positions[0].name, 0, TO_THE_END, None, None)]
-                file = record.name if self.segments is None else self._name
-                intervals = intervals_of(record, sensor.channels, segments, self.rails, file=file, soak=soak)
-            times = [interval.times for interval in intervals if interval.times is not None]
-            provenance = self._provenance(record, origin, times)
-        found = [interval.measurement for interval in intervals]
-        return FitPositions(found if free else placed(intervals, procedure, file=self._name), provenance)
-
-    def _found(
-        self,
-        record: RecordedColumns,
-        sensor: SensorIdentity,
-        judge: Judge,
-        soak: float,
-        say: Callable[[str], None],
-    ) -> tuple[list[StaticInterval], SegmentsRecord]:
-        """Return what the sensor read in the static intervals of a log, and how these were found."""
-        windows = WINDOWS if self.window is None else (self.window,)
-        chosen, tried = find_still(record.of(sensor.channels), windows, judge)
-        say(choice_table(chosen, tried, sensor.unit))
+    Names are checked before the log is read, which may be long.
+    """
+    determines, given = procedure.determines, options["segments"]
+    file, judge, segments = log.name, None, list[Segment]()
+    if given is not None:
+        file, segments = (
+            _name_of(given, "the segments"),
+            read_segments(_path_or_rows(given, "the segments", SegmentRow)),
+        )
+        if not determines.free:
+            require_positions(segments, procedure, file=file)
+    elif determines.free or len(procedure.positions) > 1:
+        judge = _judge(procedure, sensor.channels)
+    record = read_readings(log, sensor.channels, options["columns"], sensor.unit)
+    origin = _origin(given, SegmentsRecord)
+    if judge is not None:
+        chosen = find_still(record.of(sensor.channels), judge)
         segments = chosen.segments
-        intervals = intervals_of(record, sensor.channels, segments, self.rails, file=record.name, soak=soak)
-        for interval, (x, y, z) in zip(intervals, chosen.directions.tolist(), strict=True):
-            measured = interval.measurement
-            rows = measured.when["rows"]
-            first, last = (rows[0][0], rows[-1][1]) if isinstance(rows[0], tuple) else rows
-            n = measured.summaries[sensor.channels[0]].n
-            say(f"  {measured.position}: {n} of rows {first} to {last - 1}, up ({x:+.3f}, {y:+.3f}, {z:+.3f})")
-        return intervals, SegmentsRecord(
+        options["say"](chosen.in_words(sensor.unit))
+        origin = SegmentsRecord(
             found="standard deviation in a window below a threshold",
             window_rows=chosen.window,
             threshold=significant(chosen.threshold, 4),
             times_noise=chosen.multiple,
         )
-
-    def ramp(self, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
-        """Return the continuous record of a ramp: the whole log, or the rows of its one segment."""
-        segment = None
-        if self.segments is not None:
-            segment, *more = read_segments(_path_or_rows(self.segments, "the segments", SegmentRow))
-            if more:
-                raise InputError(
-                    f"{procedure.name} takes one continuous record, and these are {1 + len(more)} segments: name the "
-                    "first row and the last of the whole ramp",
-                    file=self._name,
-                )
-        record = self._record(sensor, (TIME, TEMPERATURE))
-        start, end = (0, len(record)) if segment is None else (segment.start, segment.end)
-        if segment is not None and end > len(record):
-            why = f"segment {segment.name} ends at row {end}, and the log has {len(record)}"
-            raise InputError(why, file=record.name)
-        *readings, temperature, time = (c[start:end] for c in record.of((*sensor.channels, TEMPERATURE, TIME)))
-        ramp = ramp_record(time, temperature, readings, start)
-        first = procedure.positions[0]
-        gravity = first.gravity
-        if segment is not None:
-            known = {position.name: position.gravity for position in procedure.positions}
-            gravity = segment.gravity or known.get(segment.name, gravity)
-        attitude = Measurement(
-            first.name if segment is None else segment.name,
-            gravity,
-            first.tilt if gravity == first.gravity else None,
-            None,
-            dict.fromkeys(sensor.channels, SampleSummary(0.0, 0.0, 1, 0.0)),
-        )
-        origin = _origin(self.segments, SegmentsRecord)
-        missing = end - start - ramp.rows or None
-        times = [(ramp.time[0], ramp.time[-1])]
-        return FitPositions([attitude], self._provenance(record, origin, times, missing), ramp)
-
-    @property
-    def _name(self) -> str:
-        """Where the positions are named, for messages."""
-        if self.segments is not None:
-            return str(self.segments) if isinstance(self.segments, str | Path) else "the segments"
-        return str(self.data) if isinstance(self.data, str | Path) else "the table"
-
-    def _record(self, sensor: SensorIdentity, others: Sequence[str] = ()) -> RecordedColumns:
-        """Read the log."""
-        named = named_columns(self.columns, sensor.channels)
-        return read_readings(self.data, sensor.channels, named, sensor.unit, self.progress, others)
-
-    def _provenance(
-        self,
-        record: RecordedColumns | None = None,
-        segments: SegmentsRecord | None = None,
-        times: Sequence[tuple[float, float]] = (),
-        missing: int | None = None,
-    ) -> Provenance:
-        """Return what was read; ``times`` are those of the first and the last row of each interval, s."""
-        log = None
-        if record is not None and record.sha256 is not None:
-            name = Path(self.data).name
-            log = LogRecord(name=name, sha256=record.sha256, rows=len(record), missing=missing)
-        return Provenance(
-            made_by=f"fit of a {'table of positions' if self.table else 'recorded log'}",
-            log=log,
-            table=_origin(self.data, FileRecord) if self.table else None,
-            segments=segments,
-            software=f"tiltcal {tiltcal.__version__}",
-            started=stamp_of(min(begin for begin, _ in times)) if times else None,
-            ended=stamp_of(max(end for _, end in times)) if times else None,
-        )
+    segments = segments or [Segment(procedure.positions[0].name, 0, len(record), None, None)]
+    thermal = determines.drift or determines.gain
+    soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if thermal else 0.0
+    intervals = intervals_of(record, sensor.channels, segments, rails, file=file, soak=soak)
+    measurements = [one.measurement for one in intervals]
+    for one in measurements:
+        if far := one.when.get("left_out"):
+            which = "1 sample is" if far == 1 else f"{far} samples are"
+            options["say"](f"{one.position}: {which} far off the others or missing, and left out")
+    times = [interval.times for interval in intervals if interval.times is not None]
+    provenance = _provenance("recorded log", times, log=_log_record(data, record), segments=origin)
+    return FitPositions(measurements if determines.free else placed(intervals, procedure, file=file), provenance)
 
 
-def finds_intervals(procedure: Procedure, table: bool | None, segments: Any) -> bool:
-    """Return whether the static intervals of a log are to be found: of one position the whole log is taken."""
-    several = procedure.determines.free or len(procedure.positions) > 1
-    return several and procedure.ramp is None and not table and segments is None
+def _of_ramp(
+    data: Any, log: LogReader, sensor: SensorIdentity, procedure: Procedure, options: FitOptions
+) -> FitPositions:
+    """Return the continuous record of a ramp: the whole log, or the rows of its one segment."""
+    given, segment = options["segments"], None
+    if given is not None:
+        segment, *more = read_segments(_path_or_rows(given, "the segments", SegmentRow))
+        if more:
+            raise InputError(
+                f"{procedure.name} takes one continuous record, and these are {1 + len(more)} segments: name the "
+                "first row and the last of the whole ramp",
+                file=_name_of(given, "the segments"),
+            )
+    record = read_readings(log, sensor.channels, options["columns"], sensor.unit, (TIME, TEMPERATURE))
+    start, end = (0, len(record)) if segment is None else (segment.start, segment.end)
+    if segment is not None and end > len(record):
+        raise InputError(f"segment {segment.name} ends at row {end}, and the log has {len(record)}", file=record.name)
+    *readings, temperature, time = (c[start:end] for c in record.of((*sensor.channels, TEMPERATURE, TIME)))
+    ramp = ramp_record(time, temperature, readings, start)
+    first = procedure.positions[0]
+    gravity = first.gravity
+    if segment is not None:
+        known = {position.name: position.gravity for position in procedure.positions}
+        gravity = segment.gravity or known.get(segment.name, gravity)
+    attitude = Measurement(
+        first.name if segment is None else segment.name,
+        gravity,
+        first.tilt if gravity == first.gravity else None,
+        None,
+        dict.fromkeys(sensor.channels, SampleSummary(0.0, 0.0, 1, 0.0)),
+    )
+    read = _log_record(data, record, end - start - ramp.rows or None)
+    times = [(ramp.time[0], ramp.time[-1])]
+    return FitPositions(
+        [attitude], _provenance("recorded log", times, log=read, segments=_origin(given, SegmentsRecord)), ramp
+    )
 
 
-def _judge(procedure: Procedure, channels: Sequence[str]) -> Judge | None:
-    """Return what judges static intervals; None of one position. A UsageError where readings do not tell positions."""
+def _log_record(data: Any, record: RecordedColumns, missing: int | None = None) -> LogRecord | None:
+    """Return what was read of a file; None of a frame."""
+    if record.sha256 is None:
+        return None
+    return LogRecord(name=Path(data).name, sha256=record.sha256, rows=len(record), missing=missing)
+
+
+def _provenance(what: str, times: Sequence[tuple[float, float]] = (), **origins: Any) -> Provenance:
+    """Return where a calibration came from; ``times`` are those of first and last row of each interval, s."""
+    return Provenance(
+        made_by=f"fit of a {what}",
+        software=f"tiltcal {tiltcal.__version__}",
+        started=stamp_of(min(begin for begin, _ in times)) if times else None,
+        ended=stamp_of(max(end for _, end in times)) if times else None,
+        **origins,
+    )
+
+
+def _name_of(source: Any, otherwise: str) -> str:
+    """Return the name of a file, for messages."""
+    return str(source) if isinstance(source, str | Path) else otherwise
+
+
+def _judge(procedure: Procedure, channels: Sequence[str]) -> Judge:
+    """Return what judges static intervals; a UsageError where readings do not tell the positions apart."""
     if procedure.determines.free:
         return fit_free
-    if len(procedure.positions) == 1:
-        return None
     gravity = {position.name: position.gravity for position in procedure.positions}
     judge = judge_of(gravity, channels) if procedure.determines.axes else None
     if judge is None:

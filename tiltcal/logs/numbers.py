@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 from tempfile import TemporaryFile, gettempdir
 from typing import IO
 
@@ -13,9 +12,8 @@ import numpy as np
 
 from tiltcal.core.model import Array
 from tiltcal.errors import UsageError
-from tiltcal.logs.columns import TIME, locate_readings
-from tiltcal.logs.formats import open_log
-from tiltcal.logs.log import LogReader, Progress
+from tiltcal.logs.columns import TIME, locate_readings, named_columns
+from tiltcal.logs.log import LogReader
 
 _MEMORY = 256 << 20
 """Keep the columns in memory up to so many bytes, and in temporary files beyond."""
@@ -66,23 +64,18 @@ def read_columns(log: LogReader, where: Mapping[str, int], *, needs_time: bool =
 
 
 def read_readings(
-    log: object,
-    channels: Sequence[str],
-    named: Mapping[str, str],
-    unit: str,
-    progress: Progress | None = None,
-    others: Sequence[str] = (),
+    log: LogReader, channels: Sequence[str], columns: Mapping[str, str] | str, unit: str, others: Sequence[str] = ()
 ) -> RecordedColumns:
     """Read the readings of a log in a unit to its end, with temperature and time where it has them, and ``others``.
 
-    ``named`` are column names by role, from ``--columns``.
+    ``columns`` names columns by role, as ``--columns`` does.
     """
-    with open_log(log, digest=isinstance(log, str | Path), progress=progress) as reader:
-        needs_time = TIME in named or TIME in others
-        where = locate_readings(reader, channels, named, unit, (*others, TIME) if needs_time else others)
-        if TIME not in where and reader.has_times(TIME, where[channels[0]]):
-            where[TIME] = reader.names.index(TIME)
-        return read_columns(reader, where, needs_time=needs_time)
+    named = named_columns(columns, channels)
+    needs_time = TIME in named or TIME in others
+    where = locate_readings(log, channels, named, unit, (*others, TIME) if needs_time else others)
+    if TIME not in where and log.has_times(TIME, where[channels[0]]):
+        where[TIME] = log.names.index(TIME)
+    return read_columns(log, where, needs_time=needs_time)
 
 
 def _to_files(blocks: Sequence[list[Array]], files: Sequence[IO[bytes]]) -> None:

@@ -24,9 +24,6 @@ from tiltcal.stated_arguments import (
 LOCAL_GRAVITY = (9.7, 9.9)
 """Gravity on the ground is between these, m/s²."""
 
-SHORTEST_WINDOW = 4
-"""Rows of a window over which a sensor can be still."""
-
 _DURATION = re.compile(r"([0-9.]+) *(ms|s|min|h|d)?")
 _SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
@@ -36,10 +33,6 @@ _flag = partial(Option, metavar="", default=False, check=require_boolean)
 _size = partial(Option, check=require_from_zero)
 
 Remark = Callable[[str], None]
-
-
-def _rows_from(least: int) -> Callable[[str, Any], None]:
-    return partial(require_whole, least=least, what="rows")
 
 
 def silent(line: str) -> None:
@@ -58,7 +51,13 @@ class ApplyOptions(TypedDict, total=False):
     ]
     skip_bad_rows: Annotated[bool, _flag("Keep rows that cannot be parsed, with flag 9.")]
     average: Annotated[
-        int | None, Option("Average readings of each N rows first; adds count.", "N", _MEANS, check=_rows_from(1))
+        int | None,
+        Option(
+            "Average readings of each N rows first; adds count.",
+            "N",
+            _MEANS,
+            check=partial(require_whole, least=1, what="rows"),
+        ),
     ]
     every: Annotated[
         str | float | timedelta | None,
@@ -229,14 +228,6 @@ class FitOptions(TypedDict, total=False):
             "scale error.",
             "M/S2",
             check=_require_local_gravity,
-        ),
-    ]
-    window: Annotated[
-        int | None,
-        Option(
-            "Shortest static interval that is found, 4 rows or more; several are tried without it.",
-            "ROWS",
-            check=_rows_from(SHORTEST_WINDOW),
         ),
     ]
     jig: Annotated[float | None, _uncertainty("a set angle", "without it, it is estimated from the residuals.")]

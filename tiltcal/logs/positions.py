@@ -9,7 +9,6 @@ from decimal import Decimal
 from difflib import get_close_matches
 from itertools import groupby
 from math import sqrt
-from sys import maxsize
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,11 @@ from tiltcal.calibration.measurement import Measurement, at_rail
 from tiltcal.core.detection import (
     LEFT_OUT,
     TEMPERATURE_JUMP,
-    TILTED,
     identical_by_chance,
     noise_of_positions,
     outliers,
 )
-from tiltcal.core.model import AXES, Array
+from tiltcal.core.model import Array
 from tiltcal.core.samples import SampleSummary, resolution, summarise
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
@@ -37,9 +35,6 @@ FEWEST_ROWS = 2
 
 UP = (0.0, 0.0, 1.0)
 """Stands for a direction that nothing has said yet."""
-
-TO_THE_END = maxsize
-"""The end of a segment that has the rest of the log."""
 
 SOAKS = 3
 """Soaks up to the end of a segment over which the temperature is judged."""
@@ -81,8 +76,7 @@ def intervals_of(
     temperature is judged over ``soak`` seconds.
     """
     step = resolution(record.of(channels))
-    whole = [replace(one, end=len(record)) if one.end == TO_THE_END else one for one in segments]
-    groups = [list(parts) for _, parts in groupby(whole, key=lambda segment: (segment.name, segment.gravity))]
+    groups = [list(parts) for _, parts in groupby(segments, key=lambda segment: (segment.name, segment.gravity))]
     names = _distinct([parts[0].name for parts in groups])
     ends = [0, *(parts[-1].end for parts in groups)]
     intervals = []
@@ -109,7 +103,7 @@ def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: s
     """Return measurements in known directions.
 
     The procedure says the direction of a position that is only named, and its temperature where none was recorded.
-    Refused are a temperature that did not stand still where it counts or is missing in some, and a stuck channel.
+    Refused is a temperature that did not stand still where it counts, or is missing in some.
     """
     known = {position.name: position for position in procedure.positions}
     if procedure.determines.drift or procedure.determines.gain:
@@ -129,13 +123,6 @@ def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: s
             if measured.temperature is None:
                 measured = replace(measured, temperature=position.temperature)
         measurements.append(measured)
-    for axis, channel in enumerate(AXES):
-        read = [measurement for measurement in measurements if channel in measurement.summaries]
-        reach = [measurement.gravity[axis] for measurement in read]
-        means = {measurement.summaries[channel].mean for measurement in read}
-        if len(means) == 1 and max(reach) - min(reach) > TILTED:
-            why = f"{channel} reads {means.pop():g} in every position: it is stuck; is it connected?"
-            raise InputError(why, file=file)
     return measurements
 
 

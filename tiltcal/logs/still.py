@@ -62,14 +62,11 @@ class PositionFit:
     """The attitudes of a log in the positions of a procedure, and the linear fit of their readings.
 
     ``names`` are the positions by attitude, empty where it is none; ``absent`` are those that no attitude is in.
-    ``attitudes`` are estimates of up, g, (n, 3); ``rms`` is the misfit and ``expanded`` the expanded uncertainty (95 %)
-    of the coefficients on average, g; infinite where positions are absent.
+    ``expanded`` is the expanded uncertainty (95 %) of the coefficients on average, g; infinite where some are absent.
     """
 
     names: tuple[str, ...]
     absent: tuple[str, ...]
-    attitudes: Array
-    rms: float
     dof: int
     expanded: float
 
@@ -121,25 +118,23 @@ class StaticDetection:
             if name
         ]
 
-    @property
-    def directions(self) -> Array:
-        """Up in the sensor's frame, by attitude that has segments, shape (n, 3)."""
-        if isinstance(self.fit, PositionFit):
-            return np.compress([*map(bool, self.fit.names)], self.fit.attitudes, axis=0)
-        return np.empty((0, 3)) if self.fit is None else self.fit.attitudes
+    def in_words(self, unit: str) -> str:
+        """Return what was found, and at which threshold, in the unit of the readings."""
+        return (
+            f"{sum(map(len, self.intervals))} static intervals in {len(self.intervals)} attitudes: standard deviation "
+            f"over {self.window} rows up to {self.threshold:.4g} {unit}, {self.multiple:g} times the noise of the "
+            "stillest part"
+        )
 
 
-def find_still(
-    columns: Sequence[Array], windows: Sequence[int] = WINDOWS, judge: Judge = fit_free
-) -> tuple[StaticDetection, tuple[StaticDetection, ...]]:
+def find_still(columns: Sequence[Array], judge: Judge = fit_free) -> StaticDetection:
     """Find the still intervals of columns of readings, unit, NaN where a value is missing, by the best threshold.
 
-    It returns the choice, and all that were tried, the strictest of each window first. An EstimateError where no
-    threshold finds attitudes that determine the sensor and are judged.
+    An EstimateError where no threshold finds attitudes that determine the sensor and are judged.
     """
     lost = lost_rows(columns, stuck_spans(columns, STUCK))
     changes = np.cumsum(~repeated_rows(columns), dtype=np.int32)
-    tried = tuple(choice for window in windows for choice in _choices(columns, lost, changes, window, judge))
+    tried = tuple(choice for window in WINDOWS for choice in _choices(columns, lost, changes, window, judge))
     best = min(tried, key=lambda choice: choice.expanded, default=None)
     if best is None or best.fit is None or best.expanded == inf:
         raise EstimateError(_too_few(tried, int(lost.sum())))
@@ -149,7 +144,7 @@ def find_still(
     good = [
         (choice.fit.distinct, -choice.expanded, choice) for choice in tried if choice.fit and choice.expanded <= limit
     ]
-    return max(good, key=lambda each: each[:2])[2], tried
+    return max(good, key=lambda each: each[:2])[2]
 
 
 def judge_of(positions: Mapping[str, Vector], channels: Sequence[str]) -> Judge | None:
@@ -171,40 +166,19 @@ def judge_of(positions: Mapping[str, Vector], channels: Sequence[str]) -> Judge 
         up = middle + half * (means - (means.max(axis=0) + means.min(axis=0)) / 2.0) / reach
         distance = np.linalg.norm(up[:, None] - gravity, axis=2)
         nearest, near = distance.argmin(axis=1), distance.min(axis=1) < limit
-        attitudes = np.zeros((len(up), 3))
-        attitudes[:, axes] = up
         names = tuple(name if there else "" for name, there in zip(np.array([*positions])[nearest], near, strict=True))
         absent = tuple(name for name in positions if name not in names)
         rows, dof = design[nearest[near]], int(near.sum()) - design.shape[1]
         if absent or dof < 1:
-            return PositionFit(names, absent, attitudes, inf, dof, inf)
+            return PositionFit(names, absent, dof, inf)
         readings = means[near] * half / reach  # g
         misfit = readings - rows @ np.linalg.lstsq(rows, readings, rcond=None)[0]
         squares = max(float(np.sum(misfit**2)) / (dof * len(axes)), float(np.mean((u[near] * half / reach) ** 2)))
         student = float(coverage_factor(np.array([float(dof * len(axes))]))[0])
         expanded = student * sqrt(squares * float(np.mean(np.diag(np.linalg.inv(rows.T @ rows)))))
-        return PositionFit(names, absent, attitudes, sqrt(float(np.mean(misfit**2))), dof, expanded)
+        return PositionFit(names, absent, dof, expanded)
 
     return judge
-
-
-def choice_table(chosen: StaticDetection, tried: Sequence[StaticDetection], unit: str) -> str:
-    """Return what was tried with the chosen window, and what was chosen, as a table in the unit of the readings."""
-    windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried))
-    lines = [
-        f"still: standard deviation over {chosen.window} rows up to {chosen.threshold:.4g} {unit}, "
-        f"{chosen.multiple:g} times the noise of the stillest part (windows tried: {windows} rows)",
-        f"  {'threshold':>10}{'intervals':>11}{'attitudes':>11}{'distinct':>10}{'misfit rms':>14}{'expanded u':>14}",
-    ]
-    for choice in tried:
-        if choice.window == chosen.window:
-            fit = choice.fit
-            row = f"{choice.threshold:>10.4g}{sum(map(len, choice.intervals)):>11}{len(choice.intervals):>11}"
-            row += f"{'-':>10}" if fit is None else f"{fit.distinct:>10}"
-            row += f"{'-':>14}" if fit is None or fit.rms == inf else f"{1e3 * fit.rms:>11.3f} mg"
-            row += f"{'-':>14}" if choice.expanded == inf else f"{1e3 * choice.expanded:>11.3f} mg"
-            lines.append(f"{'*' if choice is chosen else ' '} {row}")
-    return "\n".join(lines)
 
 
 def _choices(
@@ -260,19 +234,15 @@ def mean_of(columns: Sequence[Array], spans: Sequence[Span]) -> tuple[Array, Arr
 
 
 def _too_few(tried: Sequence[StaticDetection], lost: int) -> str:
-    most = max((len(choice.intervals) for choice in tried), default=0)
-    windows = ", ".join(str(window) for window in dict.fromkeys(choice.window for choice in tried)) or "any number of"
-    why = f" ({lost} rows are missing, or stuck at one value)" if lost else ""
-    placed = [choice.fit for choice in tried if isinstance(choice.fit, PositionFit)]
-    if placed:
-        absent = min((fit.absent for fit in placed), key=len)
-        return (
-            f"no threshold finds the sensor still in every position{why}: {', '.join(absent) or 'a further one'} is "
-            f"missing in windows of {windows} rows. Hold the sensor still for longer in each; try a shorter --window; "
-            "or give the intervals with --segments"
-        )
+    """Return why no choice will do; ``lost`` rows are missing, or stuck at one value."""
+    absent = min((choice.fit.absent for choice in tried if isinstance(choice.fit, PositionFit)), key=len, default=None)
+    if absent is not None:
+        found = f"the sensor still in every position: {', '.join(absent) or 'a further one'} is missing"
+    else:
+        most = max((len(choice.intervals) for choice in tried), default=0)
+        found = f"enough attitudes to determine the sensor and check the result (12 to 18 or more): at most {most}"
+    lost_too = f"; {lost} rows are missing, or stuck at one value" if lost else ""
     return (
-        "no threshold finds enough attitudes to determine the sensor and check the result: at most "
-        f"{most} static intervals in windows of {windows} rows{why}. Hold the sensor still for longer and in more "
-        "attitudes, 12 to 18 or more; try a shorter --window; or give the intervals with --segments"
+        f"no threshold finds {found} in windows of {WINDOWS[-1]} rows or more{lost_too}. Hold the sensor still for "
+        "longer in each; or give the intervals with --segments"
     )

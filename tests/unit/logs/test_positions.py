@@ -10,7 +10,7 @@ import pytest
 from tiltcal.core.model import Array
 from tiltcal.files.tables import Segment
 from tiltcal.logs.numbers import RecordedColumns
-from tiltcal.logs.positions import TO_THE_END, StaticInterval, intervals_of, rise
+from tiltcal.logs.positions import StaticInterval, intervals_of, rise
 
 
 def intervals(values: Array, segments: Sequence[Segment]) -> list[StaticInterval]:
@@ -46,15 +46,6 @@ def test_samples_far_off_are_left_out() -> None:
     assert found.measurement.when["left_out"] == 3
     assert found.measurement.summaries["y"].mean == pytest.approx(kept[1].mean(), rel=1e-12)
     assert found.measurement.summaries["x"].std == pytest.approx(kept[0].std(ddof=1), rel=1e-12)
-
-
-def test_a_log_that_is_one_position_need_not_say_how_long_it_is() -> None:
-    values = np.random.default_rng(3).normal(0.0, 1.0, (2, 30_720))
-    (found,) = intervals(values, [segment(0, TO_THE_END)])
-    means = values[0].reshape(10, 3072).mean(axis=1)
-    assert found.measurement.when["rows"] == (0, 30_720)
-    assert found.measurement.summaries["x"].mean == pytest.approx(values[0].mean(), rel=1e-12)
-    assert found.measurement.summaries["x"].noise == pytest.approx(means.std(ddof=1) / np.sqrt(10), rel=1e-12)
 
 
 def test_the_rise_is_that_of_the_line_less_its_scatter() -> None:
