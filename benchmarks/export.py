@@ -50,7 +50,7 @@ def of_formulas(target: str, calibrations: int) -> float:
         record = random_calibration(seed, "m/s2" if target in ("px4", "ardupilot") else "count")
         if target in THREE_AXES and len(record.sensor.channels) < 3:
             continue
-        export = TARGETS[target].export(Source(record, record.limits))
+        export = TARGETS[target](Source(record, record.limits))
         u, celsius = readings(record, ROWS, seed)
         if export.step:
             u, celsius = np.rint(u / export.step) * export.step, np.rint(celsius * 100.0) / 100.0

@@ -12,14 +12,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import wraps
 from textwrap import fill
-from types import UnionType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 from tiltcal.errors import TiltcalError
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
+INDENT = "    "
 _OPTION = re.compile(r"(?<![\w-])--([a-z]+(?:-[a-z]+)*)")
 _SEE_HELP = re.compile(r"; see `?tiltcal \w+ --help`?$")
 
@@ -91,7 +91,10 @@ def takes(declaration: type) -> Callable[[F], F]:
         )
         text = inspect.getdoc(function)
         if text is not None:
-            entries = [f"{name} : {_in_words(kind)}\n{_wrapped(one.help)}\n" for name, (one, kind) in options.items()]
+            entries = []
+            for name, (option, kind) in options.items():
+                help = fill(option.help, 100, initial_indent=INDENT, subsequent_indent=INDENT)
+                entries.append(f"{name} : {_written(kind).replace(' | ', ' or ')}\n{help}\n")
             function.__doc__ = text.replace("**options\n", "".join(entries))
         return function
 
@@ -120,20 +123,5 @@ def names_arguments(function: F) -> F:
 
 
 def _written(kind: Any) -> str:
-    """Return a type as an annotation."""
-    return (
-        inspect.formatannotation(kind).replace("collections.abc.", "").replace("datetime.", "").replace("pathlib.", "")
-    )
-
-
-def _in_words(kind: Any) -> str:
-    """Return a type as a section of parameters names it: ``float, optional``."""
-    if get_origin(kind) is Callable:
-        return "callable"
-    kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
-    named = " or ".join(_written(one) for one in kinds if one is not type(None))
-    return f"{named}, optional" if type(None) in kinds else named
-
-
-def _wrapped(text: str) -> str:
-    return fill(text, 100, initial_indent="    ", subsequent_indent="    ")
+    """Return a type as an annotation, without the modules of Python's own types."""
+    return re.sub(r"\b(collections\.abc|datetime|pathlib)\.", "", inspect.formatannotation(kind))

@@ -48,7 +48,7 @@ def test_the_bound_is_never_exceeded(target: str) -> None:
         if target in ("fusion", "ros", "px4") and len(record.sensor.channels) < 3:
             continue
         source = Source(record, record.limits)
-        export = TARGETS[target].export(source)
+        export = TARGETS[target](source)
         u, celsius = readings(record, 300, seed)
         if export.step:
             u, celsius = np.rint(u / export.step) * export.step, np.rint(celsius * 100.0) / 100.0

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from importlib import import_module
-from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -122,7 +120,7 @@ def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tup
     if captured is None or not (os.path.isfile(path) and os.path.isfile(path.parent / captured.name)):
         return [], []
     from tiltcal.bench.journal import calibrations_of
-    from tiltcal.calibration.comparison import changes_between, compare_records, judge
+    from tiltcal.calibration.comparison import compare_records
     from tiltcal.files.calibration import CalibrationRecord
 
     journal = path.parent / captured.name
@@ -131,10 +129,7 @@ def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tup
         return [], []
     for new in made.calibrations.values():
         if isinstance(new, CalibrationRecord) and isinstance(found, CalibrationRecord) and new.sensor == found.sensor:
-            # Of the same positions also coefficients that hold a share of others agree within what is stated of it.
-            every = compare_records(found, new).changes, changes_between(found, new, None)
-            # No chance is between two fits of the same readings: few residuals widen no threshold.
-            verdicts = [judge([replace(change, dof=inf) for change in changes]) for changes in every]
-            if new.provenance.journal == captured and "unchanged" in [verdict.word for verdict in verdicts]:
+            agrees = compare_records(found, new).verdict.word == "unchanged"
+            if agrees and new.provenance.journal == captured:
                 return [], [f"{journal} gives other digits with this version, which agree within their uncertainty"]
     return [f"{journal} does not give this file"], []

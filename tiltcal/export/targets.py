@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -64,42 +64,22 @@ class Source:
                 f"{target} takes three axes, and {self.record.sensor.serial} has fewer: export to c or python"
             )
 
-    def in_metres(self, target: str) -> Affine:
-        """Return the map from readings in m/s² to m/s², each axis for itself; a UsageError where there are none."""
-        self.require_three_axes(target)
-        unit, affine = self.record.sensor.unit, self.affine
-        if unit not in ("m/s2", "g"):
-            raise UsageError(
-                f"{target} corrects readings in m/s2, and this calibration is of readings in {unit}: record what the "
-                "autopilot's own driver gives, and fit that with --unit m/s2"
-            )
-        metres = self.gravity if unit == "m/s2" else 1.0
-        return Affine(
-            np.diag(np.diag(affine.matrix) * metres), affine.offset * (1.0 if unit == "m/s2" else self.gravity)
-        )
-
 
 @dataclass(frozen=True)
 class Export:
     """A calibration as a program reads it.
 
     text: returns what is written, with the bound. formula: gravity as the program computes it.
+    holds: the terms of a calibration that the program holds beside offsets and own sensitivities.
     rounding: how far each component may be off beside the formula, g, shape (axes,).
     step: that of readings which the program takes in whole numbers, unit; 0 where it takes any.
     """
 
     text: Callable[[float], str]
     formula: Formula
+    holds: tuple[str, ...]
     rounding: Array
     step: float = 0.0
-
-
-@dataclass(frozen=True)
-class Target:
-    """A program that a calibration is exported to: how, and which of a calibration's terms it holds."""
-
-    export: Callable[[Source], Export]
-    holds: frozenset[str]
 
 
 CROSS_AXIS, TEMPERATURE, NONLINEARITY = "cross-axis sensitivity and mounting", "drift with temperature", "non-linearity"
@@ -135,9 +115,9 @@ def exported(source: Source, target: str) -> Exported:
             "the mounting is on edge, where two channels leave the sign of the third open: only apply says which rows "
             "have one; export the calibration without its mounting"
         )
-    export, holds = TARGETS[target].export(source), TARGETS[target].holds
+    export = TARGETS[target](source)
     bound = largest_error(source.coefficients, source.limits, export.formula, export.rounding, export.step)
-    left_out = tuple(term for term in terms(source.coefficients) if term not in holds)
+    left_out = tuple(term for term in terms(source.coefficients) if term not in export.holds)
     return Exported(export.text(bound), left_out, bound)
 
 
@@ -146,9 +126,10 @@ def _stated(source: Source, bound: float) -> str:
     return f"{source.origin}.\n   {limit}"
 
 
-def _of_affine(text: Callable[[float], str], affine: Affine) -> Export:
+def _of_affine(lines: Sequence[str], affine: Affine, *holds: str) -> Export:
     """Return the export to a program that holds an affine map alone."""
-    return Export(text, lambda readings, _: affine(readings), np.zeros(len(affine.matrix)))
+    text = "\n".join(lines) + "\n"
+    return Export(lambda _: text, lambda readings, _: affine(readings), holds, np.zeros(len(affine.matrix)))
 
 
 def _c(source: Source) -> Export:
@@ -159,7 +140,8 @@ def _c(source: Source) -> Export:
     def text(bound: float) -> str:
         return header(source.name, _stated(source, bound), single_precision(source.coefficients, source.name))
 
-    return Export(text, lambda u, celsius: np.array(compensation(u, celsius).gravity), rounding)
+    holds = CROSS_AXIS, TEMPERATURE, NONLINEARITY, THIRD
+    return Export(text, lambda u, celsius: np.array(compensation(u, celsius).gravity), holds, rounding)
 
 
 def _c_fixed(source: Source) -> Export:
@@ -170,7 +152,7 @@ def _c_fixed(source: Source) -> Export:
     def text(bound: float) -> str:
         return header(source.name, _stated(source, bound), integers.lines(source.name))
 
-    return Export(text, integers, np.full(len(source.affine.matrix), 2e-6), 1.0 / per_unit)
+    return Export(text, integers, (CROSS_AXIS, TEMPERATURE), np.full(len(source.affine.matrix), 2e-6), 1.0 / per_unit)
 
 
 def _fusion(source: Source) -> Export:
@@ -183,7 +165,7 @@ def _fusion(source: Source) -> Export:
     rows = ", ".join(_floats(row) for row in affine.matrix / sensitivity)
     lines.append(f"const FusionMatrix accelerometerMisalignment = {{{rows}}};")
     lines += [f"const FusionVector accelerometer{name} = {{{_floats(row)}}};" for name, row in vectors.items()]
-    return _of_affine(lambda bound: "\n".join(lines) + "\n", affine)
+    return _of_affine(lines, affine, CROSS_AXIS)
 
 
 def _ros(source: Source) -> Export:
@@ -197,7 +179,7 @@ def _ros(source: Source) -> Export:
     }
     lines = [f"# {source.origin}: readings in {source.record.sensor.unit}, result in m/s2."]
     lines += [f"{name}: [{', '.join(_number(value) for value in values)}]" for name, values in numbers.items()]
-    return _of_affine(lambda bound: "\n".join(lines) + "\n", source.affine)
+    return _of_affine(lines, source.affine, CROSS_AXIS)
 
 
 def _px4(source: Source) -> Export:
@@ -214,11 +196,17 @@ def _ardupilot(source: Source) -> Export:
 
 def _of_autopilot(source: Source, target: str, remark: str, lines: str) -> Export:
     """Return the parameters of an autopilot, the lines of each axis made of a template."""
-    metres = source.in_metres(target)
-    axes = zip("XYZ", map(_number, metres.offset), map(_number, np.diag(metres.matrix)), strict=True)
-    parameters = [lines.format(axis=axis, offset=offset, scale=scale) for axis, offset, scale in axes]
-    text = "\n".join([f"# {source.origin}", remark, *parameters, ""])
-    return _of_affine(lambda bound: text, _diagonal(source.affine))
+    source.require_three_axes(target)
+    unit, affine = source.record.sensor.unit, source.affine
+    if unit not in ("m/s2", "g"):
+        raise UsageError(
+            f"{target} corrects readings in m/s2, and this calibration is of readings in {unit}: record what the "
+            "autopilot's own driver gives, and fit that with --unit m/s2"
+        )
+    to_metres, per_g = (1.0, source.gravity) if unit == "m/s2" else (source.gravity, 1.0)
+    axes = zip("XYZ", affine.offset * to_metres, np.diag(affine.matrix) * per_g, strict=True)
+    parameters = [lines.format(axis=axis, offset=_number(offset), scale=_number(scale)) for axis, offset, scale in axes]
+    return _of_affine([f"# {source.origin}", remark, *parameters], _diagonal(affine))
 
 
 def _iio(source: Source) -> Export:
@@ -242,7 +230,7 @@ def _iio(source: Source) -> Export:
         metres = _number(per_count * STANDARD_GRAVITY)
         lines.append(f"set_value in_accel_{axis}_calibbias {-round(bias)}")
         lines.append(f'set_value in_accel_{axis}_calibscale "$(awk "BEGIN {{ print {metres} / $scale }}")"')
-    return _of_affine(lambda bound: "\n".join(lines) + "\n", whole)
+    return _of_affine(lines, whole)
 
 
 def _python(source: Source) -> Export:
@@ -266,7 +254,7 @@ def _python(source: Source) -> Export:
             "    polynomial = lambda rows: sum(np.array(row) * dt ** (k + 1) for k, row in enumerate(rows))",
             "    return ((np.asarray(u) - b - polynomial(drift)) / (1 + polynomial(gain))) @ A.T",
         ]
-    return Export(lambda bound: "\n".join(lines) + "\n", _with_temperature(coefficients), np.zeros(len(affine.matrix)))
+    return _with_temperature(lambda _: "\n".join(lines) + "\n", coefficients, affine)
 
 
 def _json(source: Source) -> Export:
@@ -285,19 +273,19 @@ def _json(source: Source) -> Export:
         }
         return json.dumps(data, indent=1) + "\n"
 
-    return Export(text, _with_temperature(source.coefficients), np.zeros(len(source.affine.matrix)))
+    return _with_temperature(text, source.coefficients, source.affine)
 
 
-TARGETS = {
-    "c": Target(_c, frozenset({CROSS_AXIS, TEMPERATURE, NONLINEARITY, THIRD})),
-    "c-fixed": Target(_c_fixed, frozenset({CROSS_AXIS, TEMPERATURE})),
-    "fusion": Target(_fusion, frozenset({CROSS_AXIS})),
-    "ros": Target(_ros, frozenset({CROSS_AXIS})),
-    "px4": Target(_px4, frozenset()),
-    "ardupilot": Target(_ardupilot, frozenset()),
-    "iio": Target(_iio, frozenset()),
-    "python": Target(_python, frozenset({CROSS_AXIS, TEMPERATURE})),
-    "json": Target(_json, frozenset({CROSS_AXIS, TEMPERATURE})),
+TARGETS: dict[str, Callable[[Source], Export]] = {
+    "c": _c,
+    "c-fixed": _c_fixed,
+    "fusion": _fusion,
+    "ros": _ros,
+    "px4": _px4,
+    "ardupilot": _ardupilot,
+    "iio": _iio,
+    "python": _python,
+    "json": _json,
 }
 """By name; ``c-fixed`` is ``c`` with ``--fixed``."""
 
@@ -306,18 +294,18 @@ def _diagonal(affine: Affine) -> Affine:
     return Affine(np.diag(np.diag(affine.matrix)), affine.offset)
 
 
-def _with_temperature(coefficients: Coefficients) -> Formula:
-    """Return the affine map with its temperature terms."""
-    affine, thermal = affine_of(coefficients), coefficients.thermal
-    if thermal is None:
-        return lambda readings, _: affine(readings)
+def _with_temperature(text: Callable[[float], str], coefficients: Coefficients, affine: Affine) -> Export:
+    """Return the export to a program that holds the affine map with its temperature terms."""
+    thermal = coefficients.thermal
 
     def gravity(readings: Array, celsius: Array) -> Array:
+        if thermal is None:
+            return affine(readings)
         dt = celsius - thermal.reference
         drift, gain = polynomial(thermal.drift, dt).T, polynomial(thermal.gain, dt).T
         return np.asarray(((readings - affine.offset - drift) / (1.0 + gain)) @ affine.matrix.T)
 
-    return gravity
+    return Export(text, gravity, (CROSS_AXIS, TEMPERATURE), np.zeros(len(affine.matrix)))
 
 
 def _covariance(source: Source) -> Array:
