@@ -35,14 +35,9 @@ def test_a_wrong_calibration_file(folder: Path) -> None:
     assert tiltcal("check", "cal.yaml", cwd=folder).returncode == 0
     for old, new, line, key in (
         ("  offset:", "  ofset:", 5, "ofset"),
-        ("serial: S-0042, ", "", 3, "serial"),
         ("y: 1021.9", "y: .nan", 5, "calibration.offset.y"),
-        ("y: 1021.9", "y: 10:21", 5, "calibration.offset.y"),
-        ("y: 1021.9", "y: 1021.9, y: 1021.8", 5, "y"),
         ("{x: -6.4, y: 820.7}", "{x: 818.2, y: 9.1}", 6, "calibration.sensitivity"),
-        ("tiltcal: 1", "tiltcal: 99", 1, "tiltcal"),
         ("kind: tilt", "kind: tilted", 2, "kind"),
-        ("channels: [x, y]", "channels: [x, x]", 3, "sensor.channels"),
     ):
         (folder / "cal.yaml").write_text(CALIBRATION.replace(old, new))
         for name, *rest in (("apply", "log.csv", "-o", "out.csv"), ("check",)):
@@ -51,17 +46,6 @@ def test_a_wrong_calibration_file(folder: Path) -> None:
             assert f"cal.yaml:{line}: " in result.stderr, (name, new)
             assert key in result.stderr, (name, new)
             assert not (folder / "out.csv").exists()
-
-
-def test_an_alias_bomb_and_a_file_of_1_gb(folder: Path) -> None:
-    levels = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 12))
-    (folder / "cal.yaml").write_text("a0: &a0 [lol]\n" + levels)
-    result = tiltcal("check", "cal.yaml", cwd=folder)
-    assert (result.returncode, "cal.yaml:1: " in result.stderr) == (2, True)
-    with open(folder / "cal.yaml", "ab") as stream:
-        stream.truncate(1 << 30)
-    result = tiltcal("apply", "cal.yaml", "log.csv", cwd=folder)
-    assert (result.returncode, "cal.yaml" in result.stderr) == (2, True)
 
 
 def test_a_wrong_log_and_a_file_that_is_not_there(folder: Path) -> None:
@@ -84,31 +68,17 @@ def test_a_wrong_log_and_a_file_that_is_not_there(folder: Path) -> None:
 
 
 FIT = ("log.csv", "--segments", "seg.csv", "--unit", "count", "--serial", "S-1", "-o", "new.yaml")
-STUCK = "1,2,3\n1.5,2,3\n" * 20
-GAPS = "".join("1.0,,3.0\n" if k in (3, 8) else f"1.{k % 3},2.{k % 2},3.{k % 5}\n" for k in range(12))
+ROWS = "1,2,3\n1.5,2,3\n" * 20
 TWO = "9.8,0.1,0.2\n9.9,0.2,0.1\n" * 10 + "0.1,9.8,0.3\n0.2,9.7,0.2\n" * 10
 
 
 def test_wrong_segments(folder: Path) -> None:
-    """A value that stays while the sensor is turned is stuck; within one position a coarse converter does that."""
     for segments, rows, says in (
-        ("position,start,end\nx-upp,0,9\n", STUCK, "seg.csv:2: "),
-        ("position,start,end\nx-upp,0,9\n", STUCK, "'x-up'"),
-        ("position,start,end\nx-up,0,99\n", STUCK, "seg.csv:2: segment x-up: ends at row 99; log.csv has 40 rows"),
-        ("position,start,end\nx-up,3,4\n", STUCK, "seg.csv:2: segment x-up: has 1 row; at least 2 are needed"),
-        (
-            "position,start,end\nx-up,2,5\nx-up,7,10\n",
-            GAPS,
-            "2 of its 6 samples are far off or missing: y has no number",
-        ),
-        ("position,start,end,gx,gy,gz\nup,0,20,0,0,1\nside,20,40,1,0,0\n", STUCK, "stuck"),
-        (
-            "position,start,end\nx-up,0,20\ny-up,20,40\n",
-            TWO,
-            "sensitivity.x.z: add the positions level (+z up) and upside down (+z down)",
-        ),
+        ("x-upp,0,9\n", ROWS, "seg.csv:2: six-face has no position 'x-upp' (did you mean 'x-up'?)"),
+        ("x-up,0,99\n", ROWS, "seg.csv:2: segment x-up: ends at row 99; log.csv has 40 rows"),
+        ("x-up,0,20\ny-up,20,40\n", TWO, "add the positions level (+z up) and upside down (+z down)"),
     ):
-        (folder / "seg.csv").write_text(segments)
+        (folder / "seg.csv").write_text("position,start,end\n" + segments)
         (folder / "log.csv").write_text("x,y,z\n" + rows)
         result = tiltcal("fit", "six-face", *FIT, cwd=folder)
         assert (result.returncode, says in result.stderr) == (2, True), (says, result.stderr)

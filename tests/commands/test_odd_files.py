@@ -31,14 +31,10 @@ def folder(tmp_path: Path) -> Path:
     [
         ("apply", "plane.yaml", "log.csv", "-o", "log.csv"),
         ("apply", "plane.yaml", "log.csv", "-o", "link.csv"),
-        ("apply", "plane.yaml", "log.csv", "-o", "plane.yaml"),
-        ("report", "plane.yaml", "-o", "plane.yaml"),
-        ("fit", "level", "log.csv", "--base", "plane.yaml", "-o", "log.csv"),
         ("fit", "level", "log.csv", "--segments", "segments.csv", "--base", "plane.yaml", "-o", "segments.csv"),
         ("match", "log.csv", "--pair", "x,y", "--orthogonal", "z", "-o", "log.csv"),
         ("noise", "log.csv", "--figure", "log.csv"),
         ("replay", "plane.journal.jsonl", "-o", "plane.journal.jsonl"),
-        ("replay", "plane.journal.jsonl", "--samples", "plane.journal.jsonl"),
     ],
 )
 def test_an_output_replaces_no_input(command: tuple[str, ...], folder: Path) -> None:
@@ -59,21 +55,11 @@ def test_a_calibration_does_not_replace_its_journal(tmp_path: Path) -> None:
     "command",
     [
         ("check", LONG),
-        ("apply", LONG, "log.csv"),
-        ("apply", "plane.yaml", LONG),
         ("report", LONG + ".yaml", "-o", "page.html"),
-        ("history", LONG),
-        ("replay", LONG),
-        ("replay", "plane.journal.jsonl", "-o", LONG),
-        ("fit", LONG, "log.csv", "--serial", "S", "-o", "o.yaml"),
         ("fit", "plane", "log.csv", "--segments", LONG, "--unit", "V", "--serial", "S", "-o", "o.yaml"),
-        ("measure", "plane", "--bench", LONG, "-o", "."),
         ("measure", "plane", "--sensor", "sca100t-d02", "--address", "sim:", "--serial", "S", "-o", LONG),
         ("measure", "plane", "--sensor", "sca100t-d02", "--address", f"sim:?twin={LONG}", "--serial", "S", "-o", "o"),
-        ("measure", "--resume", LONG),
-        ("verify", LONG, "--address", "sim:"),
         ("record", "--sensor", "sca100t-d02", "--address", "sim:", "--rows", "2", "-o", LONG),
-        ("combine", LONG, LONG, "-o", "o.yaml"),
         ("demo", LONG),
     ],
 )

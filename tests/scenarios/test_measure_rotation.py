@@ -14,12 +14,12 @@ from support import accelerometer_disk as disk
 from support.command import tiltcal
 from support.json_program import Event, ProgramSession, lead
 from support.pair_files import read_pair
-from support.stage_part import on_a_pty, printed
+from support.stage_part import on_a_pty
 from support.warm_start import WarmStart, wait_until_grown
 
 # 50 lines a turn: 60 turns and more.
 RECORD = disk.record(seconds=125.0, rate=25.0, spin=0.5, noise=3e-4, wander=0.01)
-LINES = printed(RECORD)
+LINES = RECORD.lines(time=True)
 PAIRS = {"a1_a2": (0, 1, 3), "a3_a4": (2, 3, 0)}
 JOURNAL = "pair.journal.jsonl"
 
@@ -180,7 +180,7 @@ def test_in_plain_lines_what_waits_for_the_last_question_is_left_for_it(tmp_path
 
 def test_a_person_stops_it_with_a_key(warm: WarmStart, tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text(OWN.replace("turns: 12", "turns: 100000"))
-    with on_a_pty(printed(disk.record(seconds=800.0, rate=25.0, spin=0.5))) as path:
+    with on_a_pty(disk.record(seconds=800.0, rate=25.0, spin=0.5).lines(time=True)) as path:
         command, *arguments = [*warm.program, *options(serial(path))]
         person = pexpect.spawn(
             command, arguments, cwd=str(tmp_path), encoding="utf-8", timeout=60, dimensions=(24, 200)

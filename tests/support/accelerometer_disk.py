@@ -15,6 +15,10 @@ PHASES = np.deg2rad([0.0, 180.0, 90.0, 270.0])
 NAMES = ("a1", "a2", "a3", "a4")
 
 
+def line(*values: float) -> bytes:
+    return ",".join(f"{value:.10g}" for value in values).encode() + b"\r\n"
+
+
 @dataclass(frozen=True)
 class Record:
     """Time in seconds, stage angle in degrees, readings of a1 to a4."""
@@ -25,6 +29,11 @@ class Record:
 
     def rows(self, where: slice | NDArray[np.bool_]) -> Record:
         return Record(self.time[where], self.theta[where], self.readings[where])
+
+    def lines(self, *, time: bool = False) -> list[bytes]:
+        """The stage angle and four readings as the device prints them, behind the time on request."""
+        rows = np.column_stack([self.time, self.theta, self.readings])[:, 0 if time else 1 :]
+        return [line(*row) for row in rows.tolist()]
 
     def write(self, path: Path) -> Path:
         table = np.column_stack([self.time, self.theta, self.readings])
@@ -94,8 +103,18 @@ def truth(
                 ]
             )
         )
+    return nulled(vectors)
+
+
+def nulled(vectors: Sequence[Array]) -> tuple[float, float]:
+    """p and q that leave no component of the first vector plus the second and q times the third over 1 - p."""
     rest, q = np.linalg.solve(np.stack([vectors[0], vectors[2]], axis=1), -vectors[1])
     return 1.0 - float(rest), float(q)
+
+
+def regressed(taken: Record, pair: tuple[int, int, int]) -> tuple[float, float]:
+    """p and q of a record by a regression of its own, that the sum has no component left."""
+    return nulled([np.array(judged(taken, taken.readings[:, index])) for index in pair])
 
 
 def judged(taken: Record, signal: Array, harmonic: int = 1) -> tuple[float, float]:

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-
-from support import accelerometer_disk as disk
 from tiltcal.bench import devices
-from tiltcal.bench.journal import SessionResult, calibrations_of
+from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import Message, Operator
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, single
-from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.errors import BusError, Stopped
@@ -30,15 +25,6 @@ A1_A2 = Pair("a1", "a2", "a4")
 A3_A4 = Pair("a3", "a4", "a1")
 
 Line = bytes | BusError
-
-
-def line(theta: float, readings: Sequence[float]) -> bytes:
-    return ",".join(f"{value:.9g}" for value in (theta, *readings)).encode() + b"\r\n"
-
-
-def lines(taken: disk.Record) -> list[Line]:
-    """A record as the device prints it: the stage angle and four readings."""
-    return [line(theta, row) for theta, row in zip(taken.theta, taken.readings.tolist(), strict=True)]
 
 
 class Device:
@@ -105,41 +91,6 @@ class Attendant(Operator):
                 self.accepted = event
 
 
-@dataclass(frozen=True)
-class Turned:
-    """What a session at the stage gave."""
-
-    record: PairRecord
-
-    @property
-    def matchings(self) -> tuple[Matching, ...]:
-        return self.record.matchings
-
-    @property
-    def turns(self) -> float:
-        return self.record.spin.turns
-
-    @property
-    def frequency(self) -> float | None:
-        return self.record.spin.frequency
-
-    @property
-    def ended(self) -> str | None:
-        return self.record.provenance.stopped
-
-    @property
-    def samples(self) -> int:
-        return self.record.provenance.samples.used  # type: ignore[union-attr]
-
-    @property
-    def left_out(self) -> int:
-        return self.record.provenance.samples.left_out  # type: ignore[union-attr]
-
-    @property
-    def unmatched(self) -> tuple[str, ...]:
-        return self.record.provenance.not_matched
-
-
 def turned(
     printed: Iterable[Line],
     attendant: Attendant,
@@ -150,7 +101,7 @@ def turned(
     interval: float = 0.02,
     journal: Path | None = None,
     resume: bool = False,
-) -> Turned:
+) -> PairRecord:
     """Let a session take the lines; its journal is captured in a file, gone on with on request, and replayed."""
     with TemporaryDirectory() as folder:
         path = journal or Path(folder) / "stage.journal.jsonl"
@@ -165,10 +116,6 @@ def turned(
         finally:
             devices.open_device = opening
         assert calibrations_of(read_journal(path)).texts() == result.texts()
-    return Turned(record_of(result))
-
-
-def record_of(result: SessionResult) -> PairRecord:
     (record,) = result.calibrations.values()
     assert isinstance(record, PairRecord)
     return record
@@ -187,10 +134,3 @@ def _setup(pairs: Sequence[Pair], turns: int, converged: float | None, journal: 
     return Setup.begin(
         procedure_in(document_of(stated)), bench, [journal.with_suffix(".yaml")], journal, operator="json"
     )
-
-
-def regressed(taken: disk.Record, pair: tuple[int, int, int]) -> tuple[float, float]:
-    """p and q of a record by a regression of its own, that the sum has no component left."""
-    vectors = [np.array(disk.judged(taken, taken.readings[:, index])) for index in pair]
-    rest, q = np.linalg.solve(np.stack([vectors[0], vectors[2]], axis=1), -vectors[1])
-    return 1.0 - float(rest), float(q)

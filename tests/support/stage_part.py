@@ -9,18 +9,9 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from itertools import chain, repeat
 
-from support import accelerometer_disk as disk
 from support.pty_device import printing
 
 LINES_A_SECOND = 1500
-
-
-def printed(taken: disk.Record) -> list[bytes]:
-    """A record as lines: ``time,theta,a1,a2,a3,a4``."""
-    return [
-        ",".join(f"{value:.10g}" for value in (time, theta, *row)).encode() + b"\r\n"
-        for time, theta, row in zip(taken.time, taken.theta, taken.readings.tolist(), strict=True)
-    ]
 
 
 def on_a_pty(lines: Sequence[bytes]) -> AbstractContextManager[str]:
