@@ -33,13 +33,13 @@ TEMPERATURES = (-60.0, 150.0)  # the range of temperatures at a bench, °C: a DS
 TEMPERATURE_JUMP = 5.0  # a temperature this far from those around it is a failed conversion, °C
 FLICKER = 0.5  # standard deviation of a reading that takes two neighbouring values, at most, in steps
 TILTED = 0.1  # how far a channel's axis has to move before its reading must change, g
+STUCK = 25  # rows of a log that are identical in all channels where the noise would have changed them
 STILLEST = 0.01  # the share of the windows of a record that counts as its stillest part
 _SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their distance from the median
 _SIGMA_OF_NEAREST = 1.267  # and over the root mean square of the nearest 90 % of them
 _EXACT = 1.0 + 1e-9  # arithmetic may leave the last digits of a scatter that is the largest of a flicker
 _PIECE = 1 << 14  # rows whose sums are formed at once: a sum of more would lose the noise in its last digits
 _BLOCK, _MOST_BLOCKS, _FEWEST_BLOCKS = 16, 1 << 16, 8  # rows of a block, doubled where there are too many blocks
-_ODD_RUN = 3.0  # a run of identical rows is stuck if it is so many times longer than the longest that chance makes
 
 
 def run_bounds(mask: Mask) -> tuple[Numbers, Numbers]:
@@ -80,7 +80,7 @@ def repeated_rows(columns: Sequence[Array]) -> Mask:
     return same
 
 
-def stuck_spans(columns: Sequence[Array], shortest: int) -> list[Span]:
+def stuck_spans(columns: Sequence[Array], shortest: int = STUCK) -> list[Span]:
     """Return runs of so many identical rows or more, where the noise of the rest makes such runs no chance."""
     starts, ends = run_bounds(repeated_rows(columns))
     long = ends - starts >= shortest - 1
@@ -97,22 +97,6 @@ def stuck_spans(columns: Sequence[Array], shortest: int) -> list[Span]:
         if noise >= float(np.min(changes, initial=inf, where=changes > 0.0)) / 2:
             return stuck
     return []
-
-
-def stuck_rows(columns: Sequence[Array]) -> Span | None:
-    """Return the longest run of rows that are identical in all columns, if it is longer than chance makes one."""
-    same = repeated_rows(columns)
-    starts, ends = run_bounds(same)
-    if not len(starts):
-        return None
-    longest = int(np.argmax(ends - starts))
-    start, end = int(starts[longest]) - 1, int(ends[longest])  # a run begins with the row that the others repeat
-    rows, length = len(same), end - start
-    others = max(int(same.sum()) - length + 1, 1) / max(rows - length, 2)
-    if others >= 0.9:
-        return None  # a reading that hardly ever changes: rest looks like that
-    likely = log(max(rows, 3)) / -log(others)
-    return (start, end) if length > 10 + _ODD_RUN * likely else None
 
 
 # Still

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.detection import Span, moved_rows, stuck_rows
+from tiltcal.core.detection import Span, moved_rows, stuck_spans
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.noise import (
     FEWEST_SAMPLES,
@@ -187,7 +187,8 @@ def characterise_readings(
         noises = dict(zip(channels, each, strict=True))
     missing = {channel: pace.rows - noise.count for channel, noise in noises.items() if noise.count < pace.rows}
     moved = moved_rows(samples, [noise.step for noise in noises.values()])
-    return SensorNoise(pace, noises, missing, numbers.faulty, moved, stuck_rows(samples), scale.of(channels), target)
+    stuck = max(stuck_spans(samples), key=lambda span: span[1] - span[0], default=None)
+    return SensorNoise(pace, noises, missing, numbers.faulty, moved, stuck, scale.of(channels), target)
 
 
 def _time_column(log: LogReader, named: Mapping[str, str]) -> int:

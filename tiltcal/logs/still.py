@@ -46,9 +46,6 @@ WINDOWS = (200, 100, 50, 25)
 MULTIPLES = (1.4, 1.7, 2.0, 2.4, 2.8, 3.4, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Thresholds that are tried, in units of the noise of the stillest part."""
 
-STUCK = 25
-"""Rows that are identical in all channels, one after the other, where the noise would have changed them."""
-
 SAME_DIRECTION_COSINE = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
 
@@ -132,7 +129,7 @@ def find_still(columns: Sequence[Array], judge: Judge = fit_free) -> StaticDetec
 
     An EstimateError where no threshold finds attitudes that determine the sensor and are judged.
     """
-    lost = lost_rows(columns, stuck_spans(columns, STUCK))
+    lost = lost_rows(columns, stuck_spans(columns))
     changes = np.cumsum(~repeated_rows(columns), dtype=np.int32)
     tried = tuple(choice for window in WINDOWS for choice in _choices(columns, lost, changes, window, judge))
     best = min(tried, key=lambda choice: choice.expanded, default=None)

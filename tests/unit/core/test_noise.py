@@ -9,7 +9,6 @@ import pytest
 from support import coloured_noise as coloured
 
 import tiltcal
-from tiltcal.core.detection import stuck_rows
 from tiltcal.core.noise import ChannelNoise, allan_variance, characterise, degrees_of_freedom, limits, sample_size
 
 DT = 0.01
@@ -105,16 +104,6 @@ def test_filtered_samples_are_not_taken_for_independent() -> None:
 def test_a_vibration_is_none_of_them() -> None:
     swaying = np.sin(2.0 * pi * 0.05 * DT * np.arange(50_000))
     assert not noise_of(white(50_000, 0.1) + swaying).terms.follows
-
-
-def test_a_reading_that_hangs() -> None:
-    samples = np.round(white(5000, 2.0))
-    samples[1500:1700] = samples[1500]
-    stuck = stuck_rows([samples])
-    assert stuck is not None
-    assert stuck[0] <= 1500 < 1700 <= stuck[1] < stuck[0] + 210
-    assert stuck_rows([np.round(white(50_000, 0.25))]) is None  # coarse rounding repeats values too
-    assert stuck_rows([white(5000)]) is None
 
 
 def test_within_the_record_more_samples_still_help() -> None:

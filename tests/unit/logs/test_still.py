@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tiltcal.core.detection import STUCK
 from tiltcal.errors import EstimateError
-from tiltcal.logs.still import STUCK, PositionFit, StaticDetection, judge_of, mean_of
+from tiltcal.logs.still import PositionFit, StaticDetection, judge_of, mean_of
 from tiltcal.logs.still import find_still as find_in_columns
 
 Array = NDArray[np.float64]
