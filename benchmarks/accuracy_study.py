@@ -330,8 +330,9 @@ def _tilt_inside(rng: Generator, plan: Plan, found: Estimate, truth: Part) -> ND
     readings = truth.reading(gravity, dt) + plan.noise * rng.standard_normal((1, channels))
     known = found.uncertain
     inputs = uncertain_readings(known.names, known.covariance, known.factors, np.full(channels, plan.noise))
-    result = CompensationWithUncertainty(Compensation(found.coefficients), found.coefficients, inputs)(readings, dt)
-    return np.asarray(np.abs(result.compensated.tilt[0, :2] - [x, y]) <= result.expanded[0, :2])
+    kernel = CompensationWithUncertainty(Compensation(found.coefficients), found.coefficients, inputs)
+    compensated, (_, expanded) = kernel(readings, dt)
+    return np.asarray(np.abs(compensated.tilt[0, :2] - [x, y]) <= expanded[:2, 0])
 
 
 def _bound(session: SimulatedSession) -> Array:

@@ -56,8 +56,8 @@ def test_the_spread_of_the_parts_is_in_the_angles(calibration) -> None:
     inputs, _ = stated_uncertainty(calibration.uncertainty, known)
     temperatures = known.thermal.reference + np.array([40.0, 0.0])
     readings = known.predict(np.array([[0.0, 0.0, 1.0]] * 2), temperatures)
-    found = CompensationWithUncertainty(Compensation(known), known, inputs)(readings, temperatures)
-    warm, usual = found.standard[:, :2]
+    _, (standard, _) = CompensationWithUncertainty(Compensation(known), known, inputs)(readings, temperatures)
+    warm, usual = standard[:2].T
     assert np.sqrt(warm**2 - usual**2) == pytest.approx(0.32, rel=0.03)
 
 

@@ -45,10 +45,10 @@ def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
         doubt, _ = stated_uncertainty(mounted.uncertainty, mounted.coefficients, reading_noise=0.0)
         kernel = CompensationWithUncertainty(Compensation(mounted.coefficients), mounted.coefficients, doubt)
         gravity = Rotation.from_euler("xy", rng.uniform(-40.0, 40.0, (20, 2)), degrees=True).apply([0.0, 0.0, 1.0])
-        result = kernel(truth.reading(gravity @ turned, np.zeros(20)), np.zeros(20))
-        error = result.compensated.tilt[:, :2] - np.degrees(np.arcsin(gravity[:, :2]))
-        inside.append(np.mean(np.abs(error) <= result.expanded[:, :2]))
-        scatter.append(np.mean((error / result.standard[:, :2]) ** 2))
+        compensated, (standard, expanded) = kernel(truth.reading(gravity @ turned, np.zeros(20)), np.zeros(20))
+        error = (compensated.tilt[:, :2] - np.degrees(np.arcsin(gravity[:, :2]))).T
+        inside.append(np.mean(np.abs(error) <= expanded[:2]))
+        scatter.append(np.mean((error / standard[:2]) ** 2))
     assert np.mean(inside) == pytest.approx(0.95, abs=3 * np.std(inside) / np.sqrt(len(inside)) + 0.005)
     assert np.sqrt(np.mean(scatter)) == pytest.approx(1.0, abs=0.12)
 

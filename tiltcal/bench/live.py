@@ -99,8 +99,8 @@ class TiltOfReadings:
         if self._uncertain is None:
             compensated = self._compensation(readings, element)
         else:
-            result = self._uncertain(readings, element)
-            compensated, expanded = result.compensated, dict(zip(names, result.expanded[0].tolist(), strict=True))
+            compensated, (_, half) = self._uncertain(readings, element)
+            expanded = dict(zip(names, half[:, 0].tolist(), strict=True))
         angles = dict(zip(names, compensated.angles[0].tolist(), strict=True))
         return LiveTilt(
             angles, expanded, reading.temperature, int(compensated.flag[0]), int(compensated.reason[0])

@@ -153,7 +153,8 @@ def half_widths(coefficients: Coefficients, uncertain: Uncertain, limits: Limits
     for place, axis in enumerate(compensation.axes):
         low, high = np.degrees(limits.tilt.get(axis, (radians(-USUAL), radians(USUAL)))).tolist()
         tilt = np.linspace(max(low, -STEEPEST), min(high, STEEPEST), POINTS)
-        found[axis] = tilt, kernel(coefficients.predict(_tilted(axis, tilt)), temperature).expanded[:, place]
+        _, (_, expanded) = kernel(coefficients.predict(_tilted(axis, tilt)), temperature)
+        found[axis] = tilt, expanded[place]
     return found
 
 

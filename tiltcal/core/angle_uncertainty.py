@@ -15,8 +15,8 @@ Intervals of 95 % come from ``wide``, and standard uncertainties alike from ``co
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from math import nan, pi
 
@@ -42,18 +42,6 @@ _CURVED = 0.02  # the second-order part of an arcsine above which its interval i
 _ATTITUDES, _ROUNDING = 9, 1e-9  # values of g_x and of g_y at which the length of gravity is tried; g
 _SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(2048.0) - 1023.0)), 1, 22)  # by biased exponent
 _MANTISSA = np.uint64(52)  # bits behind the exponent of a double
-
-
-@dataclass(frozen=True)
-class AngleUncertainty:
-    """What the kernel makes of n rows, and how uncertain its angles are, degrees, shape (n, angles); NaN if unknown.
-
-    ``standard`` uncertainties (k = 1) and ``expanded`` ones, half widths of 95 % intervals, are rounded up.
-    """
-
-    compensated: Compensated
-    standard: Array
-    expanded: Array
 
 
 _Errors = dict[tuple[int, int], Array]
@@ -94,20 +82,21 @@ class CompensationWithUncertainty:
         if np.any(np.abs(known.factors / NORMAL_FACTOR - 1.0) > NEGLIGIBLE):
             self._kinds.append(known.covariance)
 
-    def __call__(self, readings: ArrayLike, temperature: ArrayLike | None = None) -> AngleUncertainty:
-        """Compensate rows; the arguments are those of :class:`Compensation`."""
+    def __call__(self, readings: ArrayLike, temperature: ArrayLike | None = None) -> tuple[Compensated, Array]:
+        """Compensate rows as :class:`Compensation` does; return them with :meth:`of_angles`, rounded up."""
         rows = len(np.asarray(readings))
         compensated = Compensated.empty(rows, len(self._compensation.axes))
-        standard, expanded = room = np.empty((2, len(self._compensation.angles), rows))
+        room = np.empty((2, len(self._compensation.angles), rows))
         with np.errstate(all="ignore"):
             for chunk in self._compensation.chunks(readings, temperature, compensated):
                 room[:, :, chunk.rows] = self.of_angles(chunk)
-        return AngleUncertainty(compensated, standard.T, expanded.T)
+        _round_up(room)
+        return compensated, room
 
-    def of_angles(self, chunk: KernelChunk, out: Array | None = None, *, rounded: bool = True) -> Array:
-        """Return standard and expanded uncertainty of every angle, rounded up or not, shape (2, angles, n), degrees."""
+    def of_angles(self, chunk: KernelChunk) -> Array:
+        """Return the uncertainty of every angle, k = 1 and half of the 95 % interval, (2, angles, n), degrees."""
         count = len(chunk.out.flag)
-        room = np.empty((2, len(self._compensation.angles), count)) if out is None else out
+        room = np.empty((2, len(self._compensation.angles), count))
         for start in range(0, count, _ROWS):
             part = room[:, :, start : start + _ROWS]
             rows = chunk.part(slice(start, start + _ROWS))
@@ -117,8 +106,6 @@ class CompensationWithUncertainty:
             np.minimum(part[-len(kinds)] / NORMAL_FACTOR, UNKNOWN_ANGLE, out=part[0])
             np.minimum(part[1], HALF_TURN, out=part[1])
             part *= 180.0 / pi
-            if rounded:
-                round_up(part)
         lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)
         if lost.any():
             room[:, :, lost] = np.nan
@@ -290,15 +277,20 @@ def uncertainty_columns(quantities: Sequence[str], *, averaged: bool = False) ->
     return tuple(f"{lead}{name}" for lead in leads for name in quantities)
 
 
-def with_shares(total: Array, common: Array) -> Array:
-    """Return both uncertainties of means, then both shares of the standard one, (4 k, n), from (2, k, n) each."""
-    random = np.sqrt(np.maximum(total[0] ** 2 - common[0] ** 2, 0.0))
-    found = np.concatenate([total[0], total[1], random, common[0]])
-    round_up(found)
-    return found
+def uncertainty_table(
+    uncertainty: Callable[[KernelChunk], Array], chunk: KernelChunk, *, averaged: bool = False
+) -> Array:
+    """Return :func:`uncertainty_columns` of rows, rounded up, (columns, n), from (2, quantities, n) of a function."""
+    table = uncertainty(chunk)
+    if averaged:
+        common = uncertainty(replace(chunk, share=0.0))[0]
+        random = np.sqrt(np.maximum(table[0] ** 2 - common**2, 0.0))
+        table = np.stack([*table, random, common])
+    _round_up(table)
+    return table.reshape(-1, table.shape[-1])
 
 
-def round_up(room: Array) -> None:
+def _round_up(room: Array) -> None:
     """Round numbers that are not negative up to four digits, or five, in place."""
     scale = np.take(_SCALES, (room.view(np.uint64) >> _MANTISSA).view(np.int64), mode="clip")
     room *= scale

@@ -35,15 +35,21 @@ from __future__ import annotations
 
 from bisect import insort
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from math import cos, isfinite, radians, sin
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tiltcal.core import angle_uncertainty, flags
-from tiltcal.core.angle_uncertainty import HALF_TURN, CompensationWithUncertainty
+from tiltcal.core import flags
+from tiltcal.core.angle_uncertainty import (
+    HALF_TURN,
+    CompensationWithUncertainty,
+    uncertainty_columns,
+    uncertainty_table,
+)
 from tiltcal.core.attitude import UNKNOWN_ANGLE
 from tiltcal.core.compensation import CLIP_LIMIT, VANISHES, Compensation, KernelChunk
 from tiltcal.core.flags import CLIPPED, FAIL, MISSING, NO_DIRECTION, SUSPECT, Mask, mark
@@ -157,7 +163,7 @@ class EarthFrameCompensation:
         """Names of the columns of a call, in order."""
         if self._uncertain is None:
             return self._own
-        return (*self._own, *angle_uncertainty.uncertainty_columns(self._own, averaged=self._averaged))
+        return (*self._own, *uncertainty_columns(self._own, averaged=self._averaged))
 
     def __call__(self, chunk: KernelChunk, field: Array | None, heading: Array | None, velocity: Array | None) -> Array:
         """Return the columns of compensated rows, shape (columns, n), and mark their flags.
@@ -184,20 +190,16 @@ class EarthFrameCompensation:
         found = np.stack([*rows, *(() if instrument is None else frame.velocity(instrument))])
         if self._uncertain is None:
             return found
-        total = self._uncertainty(self._uncertain, chunk, frame, turned, instrument)
-        if self._averaged:
-            common = self._uncertainty(self._uncertain, replace(chunk, share=0.0), frame, turned, instrument)
-            return np.concatenate([found, angle_uncertainty.with_shares(total, common)])
-        angle_uncertainty.round_up(total)
-        return np.concatenate([found, *total])
+        uncertainty = partial(self._uncertainty, self._uncertain, frame, turned, instrument)
+        return np.concatenate([found, uncertainty_table(uncertainty, chunk, averaged=self._averaged)])
 
     def _uncertainty(
         self,
         uncertain: CompensationWithUncertainty,
-        chunk: KernelChunk,
         frame: EarthFrame,
         field: Array | None,
         velocity: Array | None,
+        chunk: KernelChunk,
     ) -> Array:
         """Return standard and expanded uncertainty of each column, not rounded, shape (2, columns, n)."""
 

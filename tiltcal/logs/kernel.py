@@ -14,7 +14,7 @@ import tiltcal
 from tiltcal.calibration.record import compensation_of, mounting_in_words, stated_mounting, with_mounting
 from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.calibration.wording import objections
-from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, uncertainty_columns, with_shares
+from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, uncertainty_columns, uncertainty_table
 from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
 from tiltcal.core.earth_frame import EarthFrameCompensation
 from tiltcal.core.flags import NO_DIRECTION, NO_TEMPERATURE, SUSPECT, mark_columns
@@ -152,18 +152,12 @@ class TiltKernel:
                 if values.count is not None:
                     chunk = replace(chunk, share=1.0 / np.maximum(values.count[rows], 1))
                 if self._uncertain_angles is not None:
-                    self._add_uncertainties(self._uncertain_angles, chunk, added[: self._uncertain, rows])
+                    uncertainty = self._uncertain_angles.of_angles
+                    added[: self._uncertain, rows] = uncertainty_table(uncertainty, chunk, averaged=self._averaged)
                 if self._earth is not None:
                     given = (values.magnetometer, values.heading, values.velocity)
                     added[self._uncertain :, rows] = self._earth(chunk, *(g if g is None else g[rows] for g in given))
         return table | dict(zip(self.columns[len(table) :], added, strict=True))
-
-    def _add_uncertainties(self, uncertain_angles: CompensationWithUncertainty, chunk: KernelChunk, out: Array) -> None:
-        if self._averaged:
-            common = uncertain_angles.of_angles(replace(chunk, share=0.0), rounded=False)
-            out[...] = with_shares(uncertain_angles.of_angles(chunk, rounded=False), common)
-        else:
-            uncertain_angles.of_angles(chunk, out.reshape(2, -1, out.shape[1]))
 
 
 @dataclass(frozen=True)
