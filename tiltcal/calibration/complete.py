@@ -200,15 +200,13 @@ def mount(
         # Nothing is stated of the noise, and the residuals show more than the jig.
         found, side, sigma = _solved(own, seen, up, None)
 
-    start = attitude.mounting_rotation(_directions(own, seen, side), up, sigma)
     known = stated.uncertain_coefficients(base.uncertainty, own).without(TURN)
 
     def errors(vector: Array) -> Array:
         """Return the directions and the turn that other coefficients would give, shape (3 positions + 3,)."""
         directions = _directions(with_vector(own, known.names, vector), seen, side)
-        return np.concatenate(
-            [directions.ravel(), attitude.rotation_vector(attitude.mounting_rotation(directions, up, sigma) @ start.T)]
-        )
+        turn = attitude.mounting_rotation(directions, up, sigma) @ found.matrix.T
+        return np.concatenate([directions.ravel(), attitude.rotation_vector(turn)])
 
     slopes = central_differences(errors, vector_of(own, known.names), known.u)
     size = len(known.names)
@@ -242,11 +240,11 @@ def mount(
 
 def _with_angles(base: CalibrationRecord, found: attitude.MountingEstimate, joint: Uncertain) -> CalibrationRecord:
     """Return a calibration with the angles of a mounting, with the digits that their uncertainty warrants."""
-    mounting, before, locked = found.mounting, base.uncertainty, True
+    (mounting, locked), before = attitude.mounting_angles(found.matrix), base.uncertainty
     u: dict[str, float] = {}
     turns = joint.named(TURNS)
     factors = joint.by_name(joint.factors)
-    if found.u is not None:
+    if not locked:
         angles = turns.through(attitude.angle_derivatives(attitude.mounting_matrix(mounting)), ANGLES)
         u = {name: degrees(value) for name, value in angles.by_name(angles.u).items()}
         locked = attitude.is_locked(mounting.pitch, float(angles.u[ANGLES.index("pitch")]))

@@ -234,23 +234,12 @@ def angle_derivatives(matrix: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def angle_uncertainty(matrix: Array, covariance: Array) -> Mounting:
-    """Return the standard uncertainties of the angles, clear of gimbal lock, by a turn's covariance, (3, 3), rad²."""
-    jacobian = angle_derivatives(matrix)
-    roll, pitch, yaw = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T)).tolist()
-    if is_locked(mounting_angles(matrix)[0].pitch, pitch):
-        return Mounting(UNKNOWN_ANGLE, pitch, UNKNOWN_ANGLE)
-    return Mounting(roll, pitch, yaw)
-
-
 @dataclass(frozen=True)
 class MountingEstimate:
-    """A mounting by its angles, with what the directions leave."""
+    """A mounting by its rotation matrix, with what the directions leave."""
 
-    mounting: Mounting
-    gimbal_lock: bool
+    matrix: Array
     covariance: Array  # of its rotation vector in the application's frame, (3, 3), rad²
-    u: Mounting | None  # None in gimbal lock
     residuals: Array  # angles between directions as set and as read, (positions,), radians
     chi_square: float  # sum of their squares over those of their uncertainties
     dof: int
@@ -258,35 +247,29 @@ class MountingEstimate:
 
 
 def mounting_rotation(read: Array, known: Array, sigma: Array | None = None) -> Array:
-    """Return the rotation matrix from directions as read to those as set, (positions, 3), by their u, (positions,)."""
+    """Return the rotation matrix from directions as read to those as set, unit, (n, 3), by their u, (n,)."""
     from scipy.spatial.transform import Rotation
 
-    spread = np.linalg.svd(_units(known), compute_uv=False)
+    spread = np.linalg.svd(known, compute_uv=False)
     if len(known) < 2 or spread[1] < ONE_LINE * spread[0]:
         raise EstimateError(
             "gravity has the same line in every position, so the rotation about it is undetermined: add a position in "
             "which another axis points up"
         )
-    rotation, _ = Rotation.align_vectors(_units(known), _units(read), weights=_weights(known, sigma))
+    rotation, _ = Rotation.align_vectors(known, read, weights=_weights(known, sigma))
     return np.asarray(rotation.as_matrix())
 
 
 def solve_mounting(read: Array, known: Array, sigma: Array | None = None) -> MountingEstimate:
     """Return the mounting by :func:`mounting_rotation`; without ``sigma`` the residuals show the uncertainty."""
-    matrix, known = mounting_rotation(read, known, sigma), _units(known)
-    weights = _weights(known, sigma)
-    turned = _units(read) @ matrix.T
+    matrix, weights = mounting_rotation(read, known, sigma), _weights(known, sigma)
+    turned = read @ matrix.T
     residuals = np.arctan2(np.linalg.norm(np.cross(turned, known), axis=1), np.sum(turned * known, axis=1))
     dof = 2 * len(known) - 3
     variance = 1.0 if sigma is not None else float(np.sum(residuals**2)) / dof
     information = np.einsum("p,pij->ij", weights, np.eye(3) - np.einsum("pi,pj->pij", known, known))
     covariance = variance * np.linalg.inv(information)
-    mounting, locked = mounting_angles(matrix)
-    u = None if locked else angle_uncertainty(matrix, covariance)
-    locked = u is None or u.roll == UNKNOWN_ANGLE
-    return MountingEstimate(
-        mounting, locked, covariance, u, residuals, float(weights @ residuals**2), dof, sigma is not None
-    )
+    return MountingEstimate(matrix, covariance, residuals, float(weights @ residuals**2), dof, sigma is not None)
 
 
 def rotation_vector(matrix: Array) -> Array:
@@ -294,10 +277,6 @@ def rotation_vector(matrix: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
-
-
-def _units(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _weights(known: Array, sigma: Array | None) -> Array:

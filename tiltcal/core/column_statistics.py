@@ -30,9 +30,9 @@ class ColumnStatistics:
         self.flags: Counter[int] = Counter()
         self.reasons: Counter[int] = Counter()
         self._length = 1
-        shape = (2 * STRETCHES, len(self.angles))
-        self._low, self._high = np.full(shape, np.nan), np.full(shape, np.nan)
-        self._begin = np.full(2 * STRETCHES, np.nan)
+        self._least = np.full(
+            (2 * STRETCHES, 1 + 2 * len(self.angles)), np.nan
+        )  # of the time, the angles, and these with the other sign
         self._bad = np.zeros((2 * STRETCHES, 2), np.int64)
         self._counts = np.zeros((len(self.angles), round(2 * _REACH / STEP) + 1), np.int64)
         self._sums = np.zeros(len(self.angles))
@@ -47,9 +47,8 @@ class ColumnStatistics:
             self._join()
         where = np.arange(self.rows // self._length, (self.rows + len(flag) - 1) // self._length + 1)
         starts = np.maximum(where * self._length - self.rows, 0)
-        self._low[where] = np.fmin(self._low[where], np.fmin.reduceat(angles.T, starts, axis=1).T)
-        self._high[where] = np.fmax(self._high[where], np.fmax.reduceat(angles.T, starts, axis=1).T)
-        self._begin[where] = np.fmin(self._begin[where], np.fmin.reduceat(time, starts))
+        values = np.concatenate([time[None], angles.T, -angles.T])
+        self._least[where] = np.fmin(self._least[where], np.fmin.reduceat(values, starts, axis=1).T)
         for k, bad in enumerate((flag == SUSPECT, flag >= FAIL)):
             self._bad[where, k] += np.add.reduceat(bad, starts, dtype=np.int64)
         self.rows += len(flag)
@@ -57,17 +56,17 @@ class ColumnStatistics:
     @property
     def time(self) -> Array:
         """When each stretch begins, shape (stretches,)."""
-        return self._begin[: self._used]
+        return self._least[: self._used, 0]
 
     @property
     def low(self) -> Array:
         """Smallest angles of each stretch, shape (stretches, angles), degrees."""
-        return self._low[: self._used]
+        return self._least[: self._used, 1 : 1 + len(self.angles)]
 
     @property
     def high(self) -> Array:
         """Largest angles of each stretch, shape (stretches, angles), degrees."""
-        return self._high[: self._used]
+        return -self._least[: self._used, 1 + len(self.angles) :]
 
     @property
     def flagged(self) -> Array:
@@ -110,9 +109,6 @@ class ColumnStatistics:
 
     def _join(self) -> None:
         """Make one stretch of every two."""
-        with np.errstate(invalid="ignore"):
-            for table, join in ((self._low, np.fmin), (self._high, np.fmax), (self._begin, np.fmin)):
-                joined = join(table[::2], table[1::2])
-                table[:STRETCHES], table[STRETCHES:] = joined, np.nan
+        self._least[:STRETCHES], self._least[STRETCHES:] = np.fmin(self._least[::2], self._least[1::2]), np.nan
         self._bad[:STRETCHES], self._bad[STRETCHES:] = self._bad[::2] + self._bad[1::2], 0
         self._length *= 2

@@ -186,12 +186,12 @@ def average(samples: Array, size: int) -> Average:
 def allan_variance(samples: Array) -> tuple[NDArray[np.int64], Array]:
     """Return samples per average by octaves, 1, 2, 4, ..., and the overlapping Allan variances above 0, unit²."""
     zero = next(some[np.isfinite(some)][0] for some in _chunks(samples) if np.isfinite(some).any())
-    variances = _variances(samples, None, zero, 1, _WIDTHS, len(samples))
-    size, (sums, counts) = 2, (np.concatenate(parts) for parts in zip(*_sums(samples, 2, zero), strict=True))
-    while len(samples) >= _FEWEST_STRETCHES * size * _WIDTHS[-1]:
-        variances |= _variances(sums, counts, 0.0, size, _WIDTHS[-1:], len(samples))
+    size, (sums, counts) = 1, (np.concatenate(parts) for parts in zip(*_sums(samples, 1, zero), strict=True))
+    variances = _variances(sums, counts, size, _WIDTHS, len(samples))
+    while len(samples) >= _FEWEST_STRETCHES * 2 * size * _WIDTHS[-1]:
         even, size = len(sums) // 2 * 2, 2 * size
         sums, counts = (values[:even:2] + values[1:even:2] for values in (sums, counts))
+        variances |= _variances(sums, counts, size, _WIDTHS[-1:], len(samples))
     usable = {factor: variance for factor, variance in variances.items() if variance > 0.0}
     return np.array(list(usable), dtype=np.int64), np.array(list(usable.values()))
 
@@ -211,18 +211,15 @@ def _sums(samples: Array, size: int, zero: float = 0.0) -> Iterator[tuple[Array,
         yield np.sum(stretches, axis=1, where=there), there.sum(axis=1).astype(np.float64)
 
 
-def _variances(
-    sums: Array, counts: Array | None, zero: float, size: int, widths: Sequence[int], samples: int
-) -> dict[int, float]:
+def _variances(sums: Array, counts: Array, size: int, widths: Sequence[int], samples: int) -> dict[int, float]:
     """Return the Allan variances of means over ``widths`` stretches of ``size`` samples, by samples; NaN of gaps."""
     widths = [width for width in widths if samples >= _FEWEST_STRETCHES * size * width]
     squares, pairs = np.zeros((2, len(widths)))
     for start in range(0, len(sums), _CHUNK):
-        part = np.asarray(sums[start : start + _CHUNK + 2 * widths[-1] - 1]) - zero
-        number = np.isfinite(part).astype(float) if counts is None else counts[start : start + len(part)]
-        total, there = (np.concatenate([[0.0], np.cumsum(np.where(number > 0.0, one, 0.0))]) for one in (part, number))
+        rows = slice(start, start + _CHUNK + 2 * widths[-1] - 1)
+        total, there = (np.concatenate([[0.0], np.cumsum(one[rows])]) for one in (sums, counts))
         for place, width in enumerate(widths):
-            last = min(_CHUNK, len(part) - 2 * width + 1) + 2 * width
+            last = min(_CHUNK, len(total) - 2 * width) + 2 * width
             present = there[width:last] - there[: max(last - width, 0)]
             mean = (total[width:last] - total[: max(last - width, 0)]) / np.maximum(present, 1.0)
             usable = present >= _PRESENT * width * size

@@ -1,7 +1,6 @@
 """The samples of a position: their mean and its uncertainty, from one position and from several.
 
-Sums of up to some thousand samples are rounded once (:func:`math.fsum`), so a replayed session gives the same digits
-everywhere.
+Sums are rounded once (:func:`math.fsum`), so a replayed session gives the same digits everywhere.
 
 Ten block means leave nine degrees of freedom: weights made of such variances would cost a fifth of what weighting can
 give. Positions at one bench have much the same noise. Where their variances scatter no more than chance makes them, all
@@ -31,7 +30,6 @@ import numpy as np
 from tiltcal.core.model import Array
 
 BLOCKS = 10  # number of blocks whose means show correlation that std/sqrt(n) does not see
-_FEW, _MANY = 4096, 1 << 14  # samples up to which a sum is rounded once, and those that are summed up together
 _FLOOR = 1e-5  # of the median variance, that a reading that never changed counts as: 0 has no logarithm
 _COARSE = 0.5  # of the reading's step, below which noise leaves a rounding error in a mean
 _FEW_POSITIONS = 0.25  # relative standard deviations by which the scatter of rounded readings counts as lower
@@ -97,12 +95,12 @@ def summarise(samples: Sequence[float] | Array, resolution: float = 0.0) -> Samp
     values = np.asarray(samples, dtype=float)
     n, low = len(values), float(values.min())
     # Of samples that are all alike the mean would be rounded, and they would scatter about it in the last digit.
-    mean = low if low == values.max() else exact_sum(values) / n
-    std = sqrt(exact_sum(values, mean) / (n - 1)) if n > 1 else 0.0
+    mean = low if low == values.max() else fsum(values) / n
+    std = sqrt(fsum(np.square(values - mean)) / (n - 1)) if n > 1 else 0.0
     noise, dof, correlation = std / sqrt(n), float(max(n - 1, 1)), None
     if n >= 2 * BLOCKS:
         size = n // BLOCKS
-        means = [exact_sum(values[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
+        means = [fsum(values[k * size : (k + 1) * size]) / size for k in range(BLOCKS)]
         centre = fsum(means) / BLOCKS
         off = [value - centre for value in means]
         squares = fsum(value**2 for value in off)
@@ -110,16 +108,6 @@ def summarise(samples: Sequence[float] | Array, resolution: float = 0.0) -> Samp
         correlation = fsum(value * other for value, other in pairwise(off)) / squares if squares > 0.0 else None
     step = rounding_uncertainty(std, resolution)
     return SampleSummary(mean, std, n, sqrt(noise**2 + step**2), step, dof, resolution, correlation)
-
-
-def exact_sum(values: Array, mean: float | None = None) -> float:
-    """Return the sum of values, (n,), or of their squared distances from a mean; of few values it is rounded once."""
-    parts: list[float] = []
-    for begin in range(0, len(values), _MANY):
-        some = values[begin : begin + _MANY]
-        some = some if mean is None else np.square(some - mean)
-        parts += some.tolist() if len(values) <= _FEW else [float(some.sum())]
-    return fsum(parts)
 
 
 def drift(times: Sequence[float], samples: Sequence[float]) -> tuple[float, float]:
