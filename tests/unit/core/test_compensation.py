@@ -1,4 +1,4 @@
-"""The compensation kernel against a calculation written separately, row by row, with nothing but ``math``."""
+"""The compensation kernel against a calculation written separately, row by row."""
 
 from __future__ import annotations
 
@@ -58,20 +58,14 @@ def signals(row: Array, temperature: float, known: Coefficients) -> list[float]:
     return result
 
 
-def cramer_2(s: Array, v: list[float]) -> tuple[float, float]:
-    (a, b), (c, d) = s.tolist()
-    det = a * d - b * c
-    return (v[0] * d - b * v[1]) / det, (a * v[1] - v[0] * c) / det
-
-
-def cramer_3(s: Array, v: list[float]) -> tuple[float, ...]:
-    def det(m: list[list[float]]) -> float:
-        (a, b, c), (d, e, f), (g, h, i) = m
-        return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-
-    m = s.tolist()
-    whole = det(m)
-    return tuple(det([[v[r] if c == k else m[r][c] for c in range(3)] for r in range(3)]) / whole for k in range(3))
+def cramer(s: Array, v: list[float]) -> list[float]:
+    """The components of gravity by Cramer's rule."""
+    solved = []
+    for k in range(len(v)):
+        replaced = s.copy()
+        replaced[:, k] = v
+        solved.append(float(np.linalg.det(replaced) / np.linalg.det(s)))
+    return solved
 
 
 def document_matrix(m: Mounting) -> list[list[float]]:
@@ -84,9 +78,9 @@ def document_matrix(m: Mounting) -> list[list[float]]:
 
 
 class TestAgainstASeparateCalculation:
-    """20,000 rows with second-order temperature terms, to 1e-6 degrees."""
+    """2,000 rows with second-order temperature terms, to 1e-6 degrees."""
 
-    COUNT = 20_000
+    COUNT = 2_000
 
     def measured(self, known: Coefficients, gravity: Array) -> tuple[Array, Array]:
         temperature = np.random.default_rng(7).uniform(-40.0, 85.0, len(gravity))
@@ -97,7 +91,7 @@ class TestAgainstASeparateCalculation:
         readings, temperature = self.measured(known, directions(self.COUNT, 1))
         result = Compensation(known)(readings, temperature)
         expected = [
-            [degrees(asin(g)) for g in cramer_2(known.sensitivity, signals(row, t, known))]
+            [degrees(asin(g)) for g in cramer(known.sensitivity, signals(row, t, known))]
             for row, t in zip(readings, temperature.tolist(), strict=True)
         ]
         np.testing.assert_allclose(result.tilt, expected, rtol=0, atol=1e-6)
@@ -107,39 +101,29 @@ class TestAgainstASeparateCalculation:
     def test_one_channel_takes_the_other_axes_to_be_level(self) -> None:
         """A sensor of one axis from `plane`, which determines what y adds to it as well."""
         known = Coefficients(("x",), ("x", "y"), np.array([3.0]), np.array([[6554.0, 120.0]]))
-        kernel = Compensation(known)
-        assert kernel.axes == ("x",)
-        result = kernel(np.array([[3.0], [3.0 + 6554.0 * 0.17], [3.0 - 6554.0 * 0.1]]))
+        result = Compensation(known)(np.array([[3.0], [3.0 + 6554.0 * 0.17], [3.0 - 6554.0 * 0.1]]))
         assert result.tilt[:, 0] == pytest.approx([0.0, degrees(asin(0.17)), degrees(asin(-0.1))])
 
     def test_three_channels_with_a_mounting(self) -> None:
         mounting = Mounting(radians(-170), radians(35), radians(100))
         known = coefficients(THREE, thermal=second_order(3), mounting=mounting)
         readings, temperature = self.measured(known, directions(self.COUNT, 2))
-        result = Compensation(known)(readings, temperature)
-        matrix = document_matrix(mounting)
-        expected = []
+        result, expected = Compensation(known)(readings, temperature), []
         for row, t in zip(readings, temperature.tolist(), strict=True):
-            sensor = cramer_3(known.sensitivity, signals(row, t, known))
-            x, y, z = (sum(m * g for m, g in zip(line, sensor, strict=True)) for line in matrix)
-            tilts = [degrees(atan2(a, hypot(b, c))) for a, b, c in ((x, y, z), (y, x, z), (z, x, y))]
-            expected.append(
-                [*tilts, degrees(atan2(x, hypot(y, z))), degrees(atan2(y, z)), degrees(atan2(hypot(x, y), z))]
-            )
+            x, y, z = np.array(document_matrix(mounting)) @ cramer(known.sensitivity, signals(row, t, known))
+            tilts = [atan2(a, hypot(b, c)) for a, b, c in ((x, y, z), (y, x, z), (z, x, y), (x, y, z))]
+            expected.append(np.degrees([*tilts, atan2(y, z), atan2(hypot(x, y), z)]))
         np.testing.assert_allclose(result.angles, expected, rtol=0, atol=1e-6)
 
     def test_first_order_is_eq_6_on_each_channel(self) -> None:
-        known = coefficients(TWO)
         (xx, xy), (yx, yy) = TWO
-        readings = known.predict(directions(500, 4) * 0.9)
-        result = Compensation(known, first_order=True)(readings)
+        readings = coefficients(TWO).predict(directions(500, 4) * 0.9)
         expected = []
         for u_x, u_y in readings.tolist():
             x = first_order_compensation(u_x, u_y, OFFSET[1], xy, yy)
             y = first_order_compensation(u_y, u_x, OFFSET[0], yx, xx)
-            expected.append(
-                [degrees(tilt_from_channel(x, OFFSET[0], xx)), degrees(tilt_from_channel(y, OFFSET[1], yy))]
-            )
+            expected.append(np.degrees([tilt_from_channel(x, OFFSET[0], xx), tilt_from_channel(y, OFFSET[1], yy)]))
+        result = Compensation(coefficients(TWO), first_order=True)(readings)
         np.testing.assert_allclose(result.tilt, expected, rtol=0, atol=1e-9)
 
 
@@ -164,165 +148,109 @@ def test_the_kernel_undoes_the_model(g_x: float, g_y: float, temperature: float,
         np.testing.assert_allclose(result.gravity, expected[:, :2], rtol=0, atol=1e-11)
 
 
-class TestLengthOfGravity:
-    """Three axes of 1000 per g around 0."""
-
-    KNOWN = coefficients(((1000.0, 0.0, 0.0), (0.0, 1000.0, 0.0), (0.0, 0.0, 1000.0)), offset=(0.0, 0.0, 0.0))
-    UP = np.array([0.6, 0.0, -0.8])
-
-    @pytest.mark.parametrize(
-        ("length", "verdict"),
-        [
-            (1.0, (1, 0)),
-            (1.02, (1, 0)),
-            (0.98, (1, 0)),
-            (1.0201, (3, 256)),
-            (0.9799, (3, 256)),
-            (0.5, (3, 256)),
-            (2.0, (3, 256)),
-            (0.4999, (4, 256)),
-            (2.0001, (4, 256)),
-            (9.81, (4, 256)),
-            (1e200, (4, 256)),
-        ],
-    )
-    def test_every_row_is_judged(self, length: float, verdict: tuple[int, int]) -> None:
-        out = Compensation(self.KNOWN)([length * 1000.0 * self.UP])
-        assert (out.flag[0], out.reason[0]) == verdict
-        expected = [degrees(asin(0.6)), 0.0, -degrees(asin(0.8)), degrees(asin(0.6)), 180.0, degrees(acos(-0.8))]
-        np.testing.assert_allclose(out.angles[0], expected if verdict[0] < 4 else 6 * [nan], atol=1e-12)
-        np.testing.assert_allclose(out.gravity[0], length * self.UP, rtol=1e-12)
-
-    def test_a_tolerance_of_its_own(self) -> None:
-        rows = [[0.0, 0.0, 1049.0], [0.0, 0.0, 1051.0], [0.0, 0.0, 499.0]]
-        assert Compensation(self.KNOWN, Limits(length=0.05))(rows).flag.tolist() == [1, 3, 4]
-        assert Compensation(self.KNOWN, Limits(length=0.7))(rows).flag.tolist() == [1, 1, 4]
+THOUSAND = coefficients(((1000.0, 0.0, 0.0), (0.0, 1000.0, 0.0), (0.0, 0.0, 1000.0)), offset=(0.0, 0.0, 0.0))
+PLAIN = coefficients(((1000.0, 0.0), (0.0, 1000.0)), offset=(0.0, 0.0))
 
 
-class TestOnEdge:
-    """Two axes in a mounting on edge: nothing shows the sign of the third where the sensor itself is not near level."""
+def verdicts(result: Compensated) -> list[tuple[int, int]]:
+    return list(zip(result.flag.tolist(), result.reason.tolist(), strict=True))
 
-    def turned(self, roll: float, known: Coefficients, up: Array) -> tuple[Compensated, Array]:
-        """What the kernel makes of directions of up in the application's frame, and up in the sensor's."""
-        own = up @ np.array(document_matrix(Mounting(radians(roll), 0.0, 0.0)))
-        mounted = replace(known, mounting=Mounting(roll=radians(roll)))
-        return Compensation(mounted)(known.predict(own)), own
 
-    @pytest.mark.parametrize("roll", [90.0, -90.0, 60.0, -60.0, 92.0, 120.0, -120.0])
-    def test_rows_without_a_sign_have_no_number(self, roll: float) -> None:
-        up = directions(5000, 4)
-        out, own = self.turned(roll, coefficients(((800.0, 0.0), (0.0, 800.0))), up)
-        unknown = np.abs(own[:, 2]) < cos(radians(45.0))
-        assert 0.6 < np.mean(unknown) < 0.8
-        assert out.flag[unknown].tolist() == [4] * int(unknown.sum())
-        assert (out.reason[unknown] & 128 > 0).all()
-        assert np.isnan(out.gravity[unknown, 1]).all()
-        assert np.isnan(out.tilt[unknown, 1]).all()
-        np.testing.assert_allclose(out.gravity[:, 0], up[:, 0], atol=1e-9)  # x lies along the line of the roll
-        side = -1.0 if abs(roll) > 95.0 else 1.0
-        stands = ~unknown & (side * own[:, 2] > 0.0)
-        np.testing.assert_allclose(out.gravity[stands], up[stands, :2], atol=1e-9)
-        assert out.flag[stands].tolist() == [1] * int(stands.sum())
+def test_the_length_of_gravity_is_judged_in_every_row() -> None:
+    up = np.array([0.6, 0.0, -0.8])
+    angles = [degrees(asin(0.6)), 0.0, -degrees(asin(0.8)), degrees(asin(0.6)), 180.0, degrees(acos(-0.8))]
+    for verdict, lengths in {
+        (1, 0): (1.0, 1.02, 0.98),
+        (3, 256): (1.0201, 0.9799, 0.5, 2.0),
+        (4, 256): (0.4999, 2.0001, 9.81, 1e200),
+    }.items():
+        out = Compensation(THOUSAND)(np.outer(lengths, 1000.0 * up))
+        assert verdicts(out) == [verdict] * len(lengths)
+        np.testing.assert_allclose(out.angles, [angles if verdict[0] < 4 else 6 * [nan]] * len(lengths), atol=1e-12)
+        np.testing.assert_allclose(out.gravity, np.outer(lengths, up), rtol=1e-12)
+    rows = [[0.0, 0.0, 1049.0], [0.0, 0.0, 1051.0], [0.0, 0.0, 499.0]]
+    assert Compensation(THOUSAND, Limits(length=0.05))(rows).flag.tolist() == [1, 3, 4]
+    assert Compensation(THOUSAND, Limits(length=0.7))(rows).flag.tolist() == [1, 1, 4]
+
+
+@pytest.mark.parametrize("roll", [90.0, -60.0, 92.0, -120.0])
+def test_on_edge_rows_without_a_sign_have_no_number(roll: float) -> None:
+    """Nothing shows the sign of the third axis where the sensor itself is not near level."""
+    up = directions(5000, 4)
+    own = up @ np.array(document_matrix(Mounting(radians(roll), 0.0, 0.0)))
+    mounted = replace(coefficients(((800.0, 0.0), (0.0, 800.0))), mounting=Mounting(roll=radians(roll)))
+    out = Compensation(mounted)(mounted.predict(own))
+    unknown = np.abs(own[:, 2]) < cos(radians(45.0))
+    assert set(out.flag[unknown].tolist()) == {4}
+    assert (out.reason[unknown] & 128 > 0).all()
+    assert np.isnan([out.gravity[unknown, 1], out.tilt[unknown, 1]]).all()
+    np.testing.assert_allclose(out.gravity[:, 0], up[:, 0], atol=1e-9)  # x lies along the line of the roll
+    side = -1.0 if abs(roll) > 95.0 else 1.0
+    stands = ~unknown & (side * own[:, 2] > 0.0)
+    np.testing.assert_allclose(out.gravity[stands], up[stands, :2], atol=1e-9)
+    assert set(out.flag[stands].tolist()) == {1}
 
 
 class TestFlags:
     """SPEC 10, one rule after the other. The sensor reads 1000 per g around 0."""
 
-    PLAIN = coefficients(((1000.0, 0.0), (0.0, 1000.0)), offset=(0.0, 0.0))
-
-    def judged(
-        self,
-        readings: list[list[float]],
-        temperature: list[float] | None = None,
-        *,
-        known: Coefficients | None = None,
-        limits: Limits | None = None,
-    ) -> Compensated:
-        return Compensation(known or self.PLAIN, limits)(np.array(readings), temperature)
-
-    def verdicts(self, result: Compensated) -> list[tuple[int, int]]:
-        return list(zip(result.flag.tolist(), result.reason.tolist(), strict=True))
-
-    @pytest.mark.parametrize(
-        ("reading", "tilt", "verdict"),
-        [
-            (500.0, 30.0, (1, 0)),
-            (1000.0, 90.0, (1, 0)),
-            (-1000.0, -90.0, (1, 0)),
-            (1000.001, 90.0, (3, 1)),
-            (-1010.0, -90.0, (3, 1)),
-            (1020.0, 90.0, (3, 1)),
-            (1020.001, nan, (4, 1)),
-            (-5000.0, nan, (4, 1)),
-        ],
-    )
-    def test_the_arcsine_is_trapped(self, reading: float, tilt: float, verdict: tuple[int, int]) -> None:
-        result = self.judged([[reading, 0.0]])
-        assert result.tilt[0].tolist() == pytest.approx([tilt, 0.0], abs=1e-12, nan_ok=True)
-        assert self.verdicts(result) == [verdict]
+    def test_the_arcsine_is_trapped(self) -> None:
+        readings = [500.0, 1000.0, -1000.0, 1000.001, -1010.0, 1020.0, 1020.001, -5000.0]
+        result = Compensation(PLAIN)([[reading, 0.0] for reading in readings])
+        assert result.tilt[:, 0] == pytest.approx([30.0, 90.0, -90.0, 90.0, -90.0, 90.0, nan, nan], nan_ok=True)
+        assert result.tilt[:, 1].tolist() == [0.0] * 8
+        assert verdicts(result) == [(1, 0)] * 3 + [(3, 1)] * 3 + [(4, 1)] * 2
 
     @pytest.mark.parametrize("mounting", [None, Mounting(roll=0.3, pitch=-0.2)])
     def test_three_axes_that_read_0_g_have_no_direction(self, mounting: Mounting | None) -> None:
-        """As `atan2(0, 0)` they were level with flag 1. Of two axes 0 g is level."""
         out = Compensation(coefficients(THREE, mounting=mounting))([[*OFFSET, -30.0], [*OFFSET, 1290.0]])
-        assert (out.flag.tolist(), out.reason.tolist()) == ([4, 1], [128 + 256, 0])
-        assert np.isnan(out.angles).all(axis=1).tolist() == [True, False]
-        assert np.isfinite(out.angles[1]).all()
+        assert verdicts(out) == [(4, 128 + 256), (1, 0)]
+        assert np.isfinite(out.angles).all(axis=1).tolist() == np.isfinite(out.angles).any(axis=1).tolist()
+        assert np.isfinite(out.angles[:, 0]).tolist() == [False, True]
         assert out.gravity[0].tolist() == [0.0, 0.0, 0.0]
-        level = Compensation(coefficients(TWO))([[*OFFSET]])
-        assert (level.flag.tolist(), level.tilt.tolist()) == ([1], [[0.0, 0.0]])
 
     @pytest.mark.parametrize("odd", [nan, inf, -inf])
     def test_a_reading_that_is_no_number_makes_the_row_missing_and_nothing_else(self, odd: float) -> None:
         limits = Limits(reading={"x": (-900.0, 900.0)}, temperature=(0.0, 10.0))
-        result = self.judged([[odd, 0.0], [0.0, odd], [0.0, 0.0]], [50.0, 5.0, 5.0], limits=limits)
-        assert self.verdicts(result) == [(9, 32), (9, 32), (1, 0)]
-        assert np.isnan(result.tilt[:2]).all()
-        assert np.isnan(result.gravity[:2]).all()
+        result = Compensation(PLAIN, limits)([[odd, 0.0], [0.0, odd], [0.0, 0.0]], [50.0, 5.0, 5.0])
+        assert verdicts(result) == [(9, 32), (9, 32), (1, 0)]
+        assert np.isnan([result.tilt[:2], result.gravity[:2]]).all()
 
     @pytest.mark.parametrize("temperature", [None, [nan, nan], [inf, -inf]])
     def test_without_temperature_the_reference_temperature_is_taken(self, temperature: list[float] | None) -> None:
         known = coefficients(TWO, thermal=second_order(2))
         readings = known.predict(np.array([[0.5, 0.0, 0.0], [0.0, -0.5, 0.0]]), np.array([24.0, 24.0]))
-        result = self.judged(readings.tolist(), temperature, known=known)
+        result = Compensation(known)(readings, temperature)
         np.testing.assert_allclose(result.tilt, [[30.0, 0.0], [0.0, -30.0]], atol=1e-9)
-        assert self.verdicts(result) == [(3, 16), (3, 16)]
+        assert verdicts(result) == [(3, 16), (3, 16)]
 
-    def test_a_reading_at_the_rail_fails_and_its_tilt_is_still_there(self) -> None:
-        result = self.judged(
-            [[-800.0, 0.0], [800.0, 0.0], [900.0, 0.0], [799.0, 0.0]], limits=Limits(reading={"x": (-800.0, 800.0)})
-        )
-        assert self.verdicts(result) == [(4, 4), (4, 4), (4, 4), (1, 0)]
-        assert result.tilt[0, 0] == pytest.approx(degrees(asin(-0.8)))
-
-    def test_a_tilt_outside_the_calibrated_range(self) -> None:
-        limits = Limits(tilt={"x": (radians(-30), radians(45)), "y": (-pi / 2, pi / 2)})
+    def test_rails_and_tilts_outside_the_calibrated_range(self) -> None:
+        """At the rail the row fails, and its tilt is still there."""
+        limits = Limits(tilt={"x": (radians(-30), radians(45)), "y": (-pi / 2, pi / 2)}, reading={"x": (-800.0, 800.0)})
         edge = 1000.0 * sin(radians(45))
-        result = self.judged([[edge, 0.0], [edge + 0.001, 0.0], [-500.001, 0.0], [0.0, 1010.0]], limits=limits)
-        assert self.verdicts(result) == [(1, 0), (3, 8), (3, 8), (3, 1)]
+        readings = [[edge, 0.0], [edge + 0.001, 0.0], [-500.001, 0.0], [0.0, 1010.0], [-800.0, 0.0], [800.0, 0.0]]
+        result = Compensation(PLAIN, limits)(readings)
+        assert verdicts(result) == [(1, 0), (3, 8), (3, 8), (3, 1), (4, 4 + 8), (4, 4 + 8)]
+        assert result.tilt[4, 0] == pytest.approx(degrees(asin(-0.8)))
 
     def test_reasons_add_up_and_the_worst_flag_stays(self) -> None:
-        thermal = Thermal(24.0, (5.5, 24.0), np.zeros((2, 1)), np.zeros((2, 1)))
-        known = coefficients(((1000.0, 0.0), (0.0, 1000.0)), offset=(0.0, 0.0), thermal=thermal)
+        known = replace(PLAIN, thermal=Thermal(24.0, (5.5, 24.0), np.zeros((2, 1)), np.zeros((2, 1))))
         limits = Limits(tilt={"x": (-1.0, 1.0)}, reading={"y": (-500.0, 500.0)})
-        result = self.judged(
-            [[1010.0, 600.0], [1010.0, 0.0], [0.0, 500.0]], [30.0, 30.0, nan], known=known, limits=limits
-        )
-        assert self.verdicts(result) == [(4, 1 + 2 + 4 + 8), (3, 1 + 2 + 8), (4, 4 + 16)]
+        result = Compensation(known, limits)([[1010.0, 600.0], [1010.0, 0.0], [0.0, 500.0]], [30.0, 30.0, nan])
+        assert verdicts(result) == [(4, 1 + 2 + 4 + 8), (3, 1 + 2 + 8), (4, 4 + 16)]
 
 
-class TestShape:
-    @pytest.mark.parametrize(
-        ("known", "said"),
-        [
-            (coefficients(((1.0, 2.0), (2.0, 4.0))), "singular"),
-            (coefficients(((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))), "3 channels .* 2 axes"),
-            (coefficients(((1.0,),), mounting=Mounting(roll=0.1)), "mounting"),
-        ],
-    )
-    def test_what_cannot_be_turned_round_is_refused(self, known: Coefficients, said: str) -> None:
-        with pytest.raises(EstimateError, match=said):
-            Compensation(known)
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        (coefficients(((1.0, 2.0), (2.0, 4.0))), "singular"),
+        (coefficients(((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))), "3 channels .* 2 axes"),
+        (coefficients(((1.0,),), mounting=Mounting(roll=0.1)), "mounting"),
+    ],
+)
+def test_what_cannot_be_turned_round_is_refused(known: Coefficients, said: str) -> None:
+    with pytest.raises(EstimateError, match=said):
+        Compensation(known)
 
 
 @given(st.lists(st.lists(st.floats(width=64), min_size=2, max_size=2), min_size=1, max_size=20), st.floats())
