@@ -7,10 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from datetime import UTC, date, timedelta
-from decimal import Decimal
 from io import BytesIO
-from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,6 +92,15 @@ class FrameReader(LogReader):
         typed = pl.DataFrame({name: column for name, column in alike.items() if len(column) in rows})
         return LogBlock(values, frame=typed, times=times)
 
+    def cells(self, keys: Collection[str]) -> list[dict[str, Any]]:
+        """Return the rows of a small table, by column, without the cells that are empty."""
+        names = [name for name in self.names if name in keys or name not in self._frame.beside]
+        self.dimension([self.names.index(name) for name in names])
+        columns = [self._frame.column(name).to_list() for name in names]
+        if len({*map(len, columns)}) > 1:
+            raise InputError("the columns differ in length", file=self.name)
+        return [_present(dict(zip(names, row, strict=True))) for row in zip(*columns, strict=True)]
+
     def with_columns(self, blocks: Sequence[tuple[LogBlock, Table]], channels: Sequence[int], units: Units) -> Any:
         """Return the frame, or means of its rows, of its own kind, with columns made of its ``channels`` behind."""
         import polars as pl
@@ -109,22 +115,13 @@ class FrameReader(LogReader):
 def rows_of(frame: Any, name: str, keys: Collection[str] = ()) -> list[dict[str, Any]]:
     """Return the rows of a frame, or of a sequence of mappings, without the cells that are empty.
 
-    Messages call it ``name``; the coordinates of an xarray Dataset are columns where ``keys`` has them.
+    Messages call it ``name``; coordinates of a Dataset and an index without a name are columns where ``keys`` has them.
     """
-    if hasattr(frame, "data_vars"):
-        frame = {key: frame[key].values for key in frame.variables if key in frame.data_vars or key in keys}
-    if isinstance(frame, Mapping):
-        arrays = [_array(values) for values in frame.values()]
-        if len({values.shape[:1] for values in arrays}) > 1 or any(values.ndim == 0 for values in arrays):
-            raise InputError("the columns differ in length", file=name)
-        rows = [dict(zip(frame, cells, strict=True)) for cells in zip(*(a.tolist() for a in arrays), strict=True)]
-    elif isinstance(frame, Sequence):
-        if not all(isinstance(row, Mapping) for row in frame):
-            raise UsageError(f"{name} is a list of rows: each is a mapping, such as {{'position': 'level', 'x': 2.5}}")
-        rows = [dict(row) for row in frame]
-    else:
-        rows = TableFrame(_eager(frame, name)).rows()
-    return [{key: _cell(cell) for key, cell in row.items() if not _is_missing(cell)} for row in rows]
+    if not isinstance(frame, Sequence):
+        return FrameReader(frame, name=name).cells(keys)
+    if not all(isinstance(row, Mapping) for row in frame):
+        raise UsageError(f"{name} is a list of rows: each is a mapping, such as {{'position': 'level', 'x': 2.5}}")
+    return [_present(row) for row in frame]
 
 
 def _eager(frame: Any, name: str) -> Any:
@@ -159,10 +156,7 @@ class TableFrame:
         self._given = frame
         self._frame = frame if self._index is None else nw.from_native(frame.to_native().reset_index(names=name))
         self.named = {str(name): name for name in self._frame.columns}  # a pandas frame may have numbers for names
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Return the rows by column; an index without a name is none of them."""
-        return list((self._given if self._index_name is None else self._frame).rows(named=True))
+        self.beside = {self._index} if self._index_name is None else set()  # are no columns of a small table
 
     def unit(self, name: str) -> str | None:
         return None
@@ -174,8 +168,7 @@ class TableFrame:
         import polars as pl
 
         column = self._frame.get_column(self.named[name])
-        failures = (TypeError, ValueError, NotImplementedError, pl.exceptions.PolarsError, pl.exceptions.PanicException)
-        with suppress(*failures):
+        with _suppress_failures():
             typed: pl.Series = column.to_polars()
             if typed.dtype != pl.Object:
                 return typed
@@ -209,7 +202,7 @@ class ArrayFrame:
     """A dict of arrays."""
 
     def __init__(self, arrays: Mapping[str, Any]) -> None:
-        self._given = dict(arrays)
+        self._given, self.beside = dict(arrays), set[str]()
         self.named = {str(name): _array(values) for name, values in arrays.items()}
 
     def unit(self, name: str) -> str | None:
@@ -234,6 +227,7 @@ class DatasetFrame:
     def __init__(self, data: Any) -> None:
         self._data = data
         self.named = {str(variable): variable for variable in data.variables}  # a number may be a name
+        self.beside = {str(name) for name in data.coords}
 
     def _variable(self, name: str) -> Any:
         return self._data[self.named[name]]
@@ -271,10 +265,8 @@ def _array(values: Any) -> Any:
         return values
     try:
         return np.asarray(values)
-    except ValueError as failure:
-        raise InputError(
-            f"a column holds lists of different lengths: give an array of numbers ({failure})"
-        ) from failure
+    except ValueError:  # lists of different lengths
+        return np.array(values, dtype=object)
 
 
 def _series(values: Any) -> pl.Series:
@@ -288,44 +280,34 @@ def _series(values: Any) -> pl.Series:
         array = np.char.decode(array, errors="replace")
     if array.dtype.kind in "mM" and np.datetime_data(array.dtype) not in (("ms", 1), ("us", 1), ("ns", 1)):
         array = array.astype(f"{array.dtype.kind}8[us]")
-    if array.dtype.kind == "f" and array.dtype.itemsize not in (4, 8):
-        array = array.astype(float)
-    try:
-        column = pl.Series(array)
-    except TypeError:  # such as complex numbers
-        column = pl.Series(array.tolist(), dtype=pl.Object)
-    return column.scatter(masked, None) if len(masked) else column
+    return pl.Series(array).scatter(masked, None) if len(masked) else pl.Series(array)
 
 
 def _of_objects(cells: Sequence[Any]) -> pl.Series:
-    """Return Python's own numbers, moments, durations or texts as a column of that type, all others as objects.
-
-    A moment without a zone is UTC.
-    """
+    """Return values of Python as a column of the type that holds them, else as objects."""
     import polars as pl
 
-    cells = [None if _is_missing(cell) else cell for cell in cells]
-    present = [cell for cell in cells if cell is not None]
-    kind: Any = pl.Object
-    if all(isinstance(cell, Real | Decimal) and not isinstance(cell, bool) for cell in present):
-        cells, kind = [None if cell is None else float(cell) for cell in cells], pl.Float64
-    elif all(isinstance(cell, date) for cell in present):
-        cells = [cell.astimezone(UTC).replace(tzinfo=None) if getattr(cell, "tzinfo", None) else cell for cell in cells]
-        kind = pl.Datetime("us")
-    elif all(isinstance(cell, timedelta) for cell in present):
-        kind = pl.Duration("us")
-    elif all(isinstance(cell, str) for cell in present):
-        kind = pl.String
-    return pl.Series("", cells, dtype=kind, strict=False)
+    cells = [None if _is_missing(cell) else of_python(cell) for cell in cells]
+    with _suppress_failures():
+        return pl.Series("", cells, strict=False)
+    return pl.Series("", cells, dtype=pl.Object)
 
 
-def _cell(cell: Any) -> Any:
-    """Return a number of numpy or a Decimal as one of Python, whole where it is.
+def _suppress_failures() -> suppress:
+    """Leave out what polars says of values that it has no type for."""
+    import polars as pl
+
+    panic, error = pl.exceptions.PanicException, pl.exceptions.PolarsError
+    return suppress(TypeError, ValueError, NotImplementedError, panic, error)
+
+
+def _present(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the cells that are not empty, as Python has them, whole numbers whole.
 
     A column of whole numbers is one of floats where pandas or an array has none for a row.
     """
-    cell = float(cell) if isinstance(cell, Decimal) else of_python(cell)
-    return int(cell) if isinstance(cell, float) and cell.is_integer() else cell
+    cells = {key: of_python(cell) for key, cell in row.items() if not _is_missing(cell)}
+    return {key: int(cell) if isinstance(cell, float) and cell.is_integer() else cell for key, cell in cells.items()}
 
 
 def _is_missing(cell: Any) -> bool:
