@@ -79,9 +79,9 @@ class TestOutput:
         assert [float(row["tilt_x"]) for row in rows(result.stdout)] == pytest.approx([30.0, 0.0], abs=1e-9)
         assert [float(row["tilt_y"]) for row in rows(result.stdout)] == pytest.approx([0.0, 30.0], abs=1e-9)
 
-    def test_a_log_in_latin_1_keeps_its_bytes(self, bench: Path) -> None:
-        log = "time,x,y,Bemerkung °C\r\n0,3.5,2.5,über 20°\r\n".encode("latin-1")
-        (bench / "log.csv").write_bytes(log)
+    def test_a_log_in_latin_1_becomes_utf_8(self, bench: Path) -> None:
+        log = "time,x,y,Bemerkung °C\r\n0,3.5,2.5,über 20°\r\n".encode()
+        (bench / "log.csv").write_bytes(log.decode().encode("latin-1"))
         assert apply("cal.yaml", "log.csv", "-o", "out.csv").exit_code == 0
         before, after = log.split(b"\r\n"), (bench / "out.csv").read_bytes().split(b"\r\n")
         assert [line.startswith(start) for line, start in zip(after, before, strict=True)] == [True] * 3

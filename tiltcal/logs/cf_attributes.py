@@ -29,8 +29,12 @@ _JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
         "flag_meanings": " ".join("_".join(re.findall(r"\w+", why.replace("the ", ""))) for why in REASONS.values()),
     },
 }
-_SHARES = {"u_random_": ("random", ", random"), "u_common_": ("systematic", ", common to all rows")}
-"""The shares of an uncertainty, as obsarray and punpy call them (obsarray, user guide, templater) and in words."""
+_UNCERTAINTIES = {
+    "u_random_": "standard uncertainty of {}, random",
+    "u_common_": "standard uncertainty of {}, common to all rows",
+    "u_": "standard uncertainty of {}",
+    "U95_": "half width of the 95 % interval of {}",
+}
 
 _LONG_NAMES = {
     "g": "share of gravity along {}, up",
@@ -46,20 +50,18 @@ COUNT = "count"
 _SECONDS = {
     name: seconds
     for seconds, names in {
-        1e-9: "ns nsec nsecs nanosec nanosecs nanosecond nanoseconds",
-        1e-6: "us µs μs usec usecs microsec microsecs microsecond microseconds",
-        1e-3: "ms msec msecs millisec millisecs millisecond milliseconds",
-        1.0: "s sec secs second seconds",
-        60.0: "min mins minute minutes",
-        3600.0: "h hr hrs hour hours",
+        1e-9: "ns nanosecond nanoseconds",
+        1e-6: "us µs μs microsecond microseconds",
+        1e-3: "ms millisecond milliseconds",
+        1.0: "s sec second seconds",
+        60.0: "min minute minutes",
+        3600.0: "h hr hour hours",
         86400.0: "d day days",
-        604800.0: "week weeks",
     }.items()
     for name in names.split()
 }
-"""Of the units of a time, in the spellings of UDUNITS and cftime; what is none of them counts as seconds."""
+"""Of the units of a time, as CF and UDUNITS spell them."""
 
-_UNEVEN = ("month", "months", "year", "years", "yr", "common_year", "common_years")
 _SINCE = re.compile(r"\s+since\s+", re.IGNORECASE)
 _SINGLE_DIGIT = re.compile(r"(?<![\d.])(\d)(?!\d)")
 _ZONE = re.compile(r"\.?\s*(?:Z|UTC|GMT)?$|\.?\s+(?=[+-]\d)")
@@ -81,16 +83,13 @@ _DIMENSIONLESS = ("", "1")
 def seconds_since_1970(time: Array, unit: str | None, file: str | None = None) -> Array:
     """Return a time as seconds since 1970 where its unit names a moment, such as ``days since 2026-05-01``.
 
-    Without one it is in seconds since the moment that it counts from.
+    Without one it is in seconds since the moment that it counts from, and without a unit in seconds.
     """
     name, *since = _SINCE.split((unit or "").strip(), maxsplit=1)
     lower = name if len(name) <= 2 else name.casefold()  # symbols such as ms and Ms differ in their letters alone
-    if lower in _UNEVEN or (since and lower not in _SECONDS):
-        why = "a unit that differs in length" if lower in _UNEVEN else "no unit of time that is known"
-        raise InputError(
-            f"the time is in {unit!r}, and {name!r} is {why}: convert it, such as to 'seconds since 1970-01-01'",
-            file=file,
-        )
+    if lower not in _SECONDS and lower not in _DIMENSIONLESS:
+        why = f"the time is in {unit!r}, and {name!r} is no unit of time: convert it, such as to"
+        raise InputError(f"{why} 'seconds since 1970-01-01'", file=file)
     length = _SECONDS.get(lower, 1.0)
     seconds = time * length if length >= 1.0 else time / round(1.0 / length)
     return np.asarray(seconds + _epoch(since[0].strip(), unit, file) if since else seconds)
@@ -137,17 +136,16 @@ def describe(
     added: Sequence[str],
     like: Mapping[str, Any],
     units: Mapping[str, str | None] | None = None,
-    dimension: str = "",
 ) -> dict[str, Any]:
     """Return the attributes of one of the ``added`` columns.
 
     ``like`` are those of a reading, whose unit the matched sum of a pair has; ``units`` are those of columns that have
-    the unit of another column of the log; errors are random or systematic along ``dimension``.
+    the unit of another column of the log.
     """
     lead = next((one[:-4] for one in added if one.endswith("_flag") and name.startswith(one[:-4])), "")
     if lead:
         of_sensor = [column.removeprefix(lead) for column in added if column.startswith(lead)]
-        attributes = describe(name.removeprefix(lead), of_sensor, like, units, dimension)
+        attributes = describe(name.removeprefix(lead), of_sensor, like, units)
         attributes["long_name"] += f", of {lead.removesuffix('_')}"
         if "ancillary_variables" in attributes:
             beside = attributes["ancillary_variables"].split()
@@ -158,8 +156,7 @@ def describe(
         return {**_JUDGEMENTS[name], **place}
     if name == COUNT:
         return {"long_name": "number of rows of which each row is the mean", "units": "1", **place}
-    share = next((lead for lead in _SHARES if name.startswith(lead)), "")
-    lead = share or next((lead for lead in ("u_", "U95_") if name.startswith(lead)), "")
+    lead = next((lead for lead in _UNCERTAINTIES if name.startswith(lead)), "")
     quantity = name.removeprefix(lead)
     kind, _, of = quantity.partition("_")
     attributes = {"long_name": _LONG_NAMES.get(kind, "gradient signal").format(of)}
@@ -168,16 +165,9 @@ def describe(
         unit = (units or {}).get(quantity, like.get("units"))
     if unit is not None:
         attributes["units"] = unit
-    if lead == "U95_":
-        attributes["long_name"] = f"half width of the 95 % interval of {quantity}"
-    elif lead:
-        attributes["long_name"] = f"standard uncertainty of {quantity}{_SHARES[share][1] if share else ''}"
+    if lead:
+        attributes["long_name"] = _UNCERTAINTIES[lead].format(quantity)
     else:
-        beside = ("flag", "reason", f"u_{quantity}", f"U95_{quantity}")
+        beside = ("flag", "reason", *(f"{lead}{quantity}" for lead in _UNCERTAINTIES))
         attributes["ancillary_variables"] = " ".join(column for column in beside if column in added)
-        if shares := [lead + quantity for lead in _SHARES if lead + quantity in added]:
-            attributes["unc_comps"] = shares
-    if share:
-        attributes |= {"err_corr_1_dim": dimension, "err_corr_1_form": _SHARES[share][0], "pdf_shape": "gaussian"}
-        attributes |= {"err_corr_1_units": [], "err_corr_1_params": []}
     return attributes | place

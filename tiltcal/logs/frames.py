@@ -253,7 +253,7 @@ class DatasetFrame:
     def with_columns(self, table: Table, reading: str, units: Units) -> Any:
         variable = self._variable(reading)
         (dimension,) = variable.dims
-        attributes = {name: describe(name, tuple(table), variable.attrs, units, str(dimension)) for name in table}
+        attributes = {name: describe(name, tuple(table), variable.attrs, units) for name in table}
         return self._data.assign(
             {name: (dimension, np.ascontiguousarray(values), attributes[name]) for name, values in table.items()}
         )

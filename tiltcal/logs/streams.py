@@ -19,7 +19,7 @@ from select import select
 from types import FrameType
 from typing import BinaryIO, TypeVar, cast
 
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import InputError, TiltcalError, UsageError
 
 T = TypeVar("T")
 
@@ -27,7 +27,7 @@ STANDARD = "-"
 """The name of standard input and standard output."""
 
 _LOOK = 0.2  # seconds until a wait for bytes looks whether Ctrl-C came
-_OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$")  # how the engine ends its message where the system refuses
+_OF_THE_SYSTEM = re.compile(r"\(os error (\d+)\)$|errno = (\d+)")  # in what libraries say where the system refuses
 _SPOOL = 64 << 20  # bytes of a result for standard output that stay in memory
 _WRITEBACK = 32 << 20  # bytes of a result that go to the disk together
 
@@ -109,17 +109,22 @@ def keep_freed_memory() -> None:
 
 
 @contextmanager
-def refused_by_system() -> Iterator[None]:
-    """Raise an OSError with its number, such as for a full disk, where the engine only quotes the system."""
+def refusing(what: str, file: str) -> Iterator[None]:
+    """Raise an InputError that says ``what`` for whatever a library raises about a file, damaged ones raise anything.
+
+    What the system refuses, such as on a full disk, becomes an OSError with its number, which the libraries only quote.
+    """
     import polars as pl
 
     try:
         yield
-    except (pl.exceptions.PolarsError, OSError) as failure:
-        if (quoted := _OF_THE_SYSTEM.search(str(failure))) is None:
-            raise
-        code = int(quoted[1])
-        raise OSError(code, os.strerror(code)) from failure
+    except (TiltcalError, MemoryError):
+        raise
+    except (Exception, pl.exceptions.PanicException) as failure:
+        if (quoted := _OF_THE_SYSTEM.search(str(failure))) is not None:
+            code = int(quoted[1] or quoted[2])
+            raise OSError(code, os.strerror(code)) from failure
+        raise InputError(f"{what}: {failure or type(failure).__name__}", file=file) from failure
 
 
 def read_ahead(items: Iterator[T], count: int = 2) -> Iterator[T]:

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, Dialect, RowGrammar, between_commas, dialect_of
+from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, Dialect, RowGrammar, between_commas, dialect_of, in_utf8
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
-from tiltcal.logs.streams import refused_by_system
+from tiltcal.logs.streams import refusing
 from tiltcal.logs.text_to_numbers import numbers
 
 if TYPE_CHECKING:
@@ -47,14 +47,14 @@ class CsvReader(LogReader):
         self._digest = sha256() if source.digest else None
         top = self._top()
         first, end, self._pending = top.partition(b"\n")
-        self.header = first.removesuffix(b"\r")
-        self.line_end = "\r\n" if self.header != first and end else "\n"
+        self.header = in_utf8(first.removesuffix(b"\r"))
+        self.line_end = "\r\n" if first.endswith(b"\r") and end else "\n"
         if self.header.startswith(_UTF16_BOMS) or b"\0" in self.header:
             raise self._error("this is no CSV text: save the log as CSV in UTF-8")
         if b"\r" in self.header:
             raise self._error("the lines end in CR alone: save the log with LF or CRLF")
         top = top.removeprefix(UTF8_BOM)
-        self.dialect = self._dialect(top[: max(_TOP, len(first))])
+        self.dialect = self._dialect(top[: top.rfind(b"\n", 0, max(_TOP, len(first) + 1)) + 1] or top)
         self.names = self.dialect.names
         if not self.dialect.has_header:
             self.header, self._pending = self.dialect.separator.join(self.names).encode(), top
@@ -87,11 +87,7 @@ class CsvReader(LogReader):
 
     def _dialect(self, top: bytes) -> Dialect:
         try:
-            text = top.decode()
-        except UnicodeDecodeError:
-            text = top.decode("latin-1")
-        try:
-            dialect = dialect_of(text)
+            dialect = dialect_of(in_utf8(top).decode())
         except csv.Error as failure:
             raise self._error(f"the header cannot be parsed: {failure}") from None
         named = [name for name in dialect.names if name]
@@ -159,8 +155,8 @@ class ColumnTypes:
 
     Text has none, so the first block of rows decides: a column whose cells are all numbers there, or missing, is one of
     numbers. Numbers that would not come back as they were written, such as a serial number ``0042`` or more digits than
-    a double holds, are text. The needed columns are numbers anyway, but for a time: in ISO 8601 it is a moment, whole
-    numbers of many digits stay whole, and what is neither is text. Empty columns are text.
+    a double holds, are text. The needed columns are numbers anyway, but for a time: in ISO 8601 it is a moment. Empty
+    columns are text.
     """
 
     def __init__(self, dialect: Dialect, needed: Sequence[int], time: int | None, *, file: str) -> None:
@@ -194,14 +190,8 @@ class ColumnTypes:
         if wrong is not None:
             moments = index == self._time and np.isfinite(block.values[index][wrong]).any()
             return pl.Datetime("us", "UTC") if moments else pl.String()
-        if not np.isfinite(values).any():
-            return pl.String()
-        if not cells.str.contains(_LOSES_ITSELF).any():
-            return pl.Float64()
-        if index != self._time:
-            return pl.String()
-        whole = cells.str.strip_chars().cast(pl.Int64, strict=False)
-        return pl.Int64() if (whole.is_null().to_numpy() == np.isnan(values)).all() else pl.Float64()
+        exact = np.isfinite(values).any() and not cells.str.contains(_LOSES_ITSELF).any()
+        return pl.Float64() if exact else pl.String()
 
     def _column(self, block: CsvBlock, index: int) -> pl.Series:
         import polars as pl
@@ -218,21 +208,18 @@ class ColumnTypes:
             return micros.cast(pl.Int64, strict=False).cast(kind)
         values, wrong = numbers(self._dialect.with_points(cells))
         column = pl.Series(values).fill_nan(None)
-        rows = set() if wrong is None else {*np.flatnonzero(wrong).tolist()}
-        if isinstance(kind, pl.Int64):
-            column = cells.str.strip_chars().cast(kind, strict=False)
-            rows |= {*np.flatnonzero(np.isfinite(values) & column.is_null().to_numpy()).tolist()}
-        if refused := sorted(rows - {*block.faults}):
-            raise InputError(
-                f"row {self._row + refused[0]}: column {self._dialect.names[index]!r} holds {cells[refused[0]]!r}, and "
-                "numbers above it: Parquet and means need one type in a column; mend it, or write CSV without them",
-                file=self._file,
-            )
+        for row in () if wrong is None else np.flatnonzero(wrong).tolist():
+            if row not in block.faults:
+                raise InputError(
+                    f"row {self._row + row}: column {self._dialect.names[index]!r} holds {cells[row]!r}, and numbers "
+                    "above it: Parquet and means need one type in a column; mend it, or write CSV without them",
+                    file=self._file,
+                )
         return column
 
 
 class CsvWriter(LogWriter):
-    """Writes the rows of a CSV log as they stand, byte for byte, with columns behind their own.
+    """Writes the rows of a CSV log as they stand, in UTF-8, with columns behind their own.
 
     The rows of a log whose columns have types become text: numbers with the digits that bring them back, moments in
     ISO 8601, missing values as nothing.
@@ -270,16 +257,7 @@ class CsvWriter(LogWriter):
 
         frame = pl.DataFrame({"": block.lines, **table})
         options = {"quote_style": "never", "line_terminator": cast("CsvReader", self._log).line_end}
-        if block.encoding == "utf-8":
-            return lambda: self._write_csv(self._sink, frame, **options)
-
-        def write() -> None:
-            text = BytesIO()
-            self._write_csv(text, frame, **options)
-            self._sink.write(text.getvalue().decode().encode(block.encoding))
-            self._sink.flush()
-
-        return write
+        return lambda: self._write_csv(self._sink, frame, **options)
 
     def _header_of(self, block: LogBlock) -> bytes:
         import polars as pl
@@ -304,7 +282,7 @@ class CsvWriter(LogWriter):
         if isinstance(self._log, CsvReader):
             options["separator"] = self._log.dialect.separator
             options["decimal_comma"] = self._log.dialect.decimal == ","
-        with refused_by_system():
+        with refusing("this log cannot become CSV", self._log.name):
             frame.write_csv(sink, **{"include_header": False} | options)
 
 

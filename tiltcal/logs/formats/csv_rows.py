@@ -111,6 +111,16 @@ def _numbered(fields: list[str]) -> tuple[str, ...]:
     return () if counted and len(fields) > 1 else tuple(str(place) for place in range(1, len(fields) + 1))
 
 
+def in_utf8(text: bytes) -> bytes:
+    """Return text in UTF-8, which is taken as Latin-1 where it is none."""
+    if not text.isascii():
+        try:
+            text.decode()
+        except UnicodeDecodeError:
+            return text.decode("latin-1").encode()
+    return text
+
+
 def between_commas(lines: bytes) -> bytes:
     """Return whole lines whose fields are separated by blanks as CSV."""
     return _GAPS.sub(b",", _MARGINS.sub(b"", lines))
@@ -120,13 +130,12 @@ def between_commas(lines: bytes) -> bytes:
 class CsvBlock(LogBlock):
     """Some rows of a CSV log, in order, with what is wrong with which row.
 
-    ``text`` has the rows in UTF-8, each with a LF; encoded as ``encoding``, UTF-8 or Latin-1, they are the bytes again.
-    ``texts`` are the text columns that were asked for, null where a cell is empty.
+    ``text`` has the rows in UTF-8, each with a LF; ``texts`` are the text columns that were asked for, null where a
+    cell is empty.
     """
 
     faults: Mapping[int, str]
     text: bytes
-    encoding: str = "utf-8"
     texts: Mapping[int, pl.Series] = field(default_factory=dict)
 
     @property
@@ -154,17 +163,12 @@ class RowGrammar:
 
         Nothing is raised: what breaks a rule is in ``faults``.
         """
-        encoding = "utf-8"
-        if not data.isascii():
-            try:
-                data.decode()
-            except UnicodeDecodeError:
-                data, encoding = data.decode("latin-1").encode(), "latin-1"
+        data = in_utf8(data)
         if b"\r" in data:
             data = data.replace(b"\r\n", b"\n")
-        return (None if unended else self._at_once(data, encoding)) or self._by_line(data, encoding, unended)
+        return (None if unended else self._at_once(data)) or self._by_line(data, unended)
 
-    def _at_once(self, data: bytes, encoding: str) -> CsvBlock | None:
+    def _at_once(self, data: bytes) -> CsvBlock | None:
         """Parse rows that break no rule, as is seen without a look at single rows; None where one might.
 
         The engine gives a short row null in its last field and leaves out what a long row has too much, without a word.
@@ -188,7 +192,7 @@ class RowGrammar:
                 return None
         texts = {index: frame[str(index)].replace("", None) for index in self.texts}
         times = None if self.time is None else frame[str(self.time)]
-        return CsvBlock(values=values, faults={}, text=data, encoding=encoding, texts=texts, times=times)
+        return CsvBlock(values=values, faults={}, text=data, texts=texts, times=times)
 
     def _columns_by_engine(self, data: bytes) -> pl.DataFrame | None:
         """Read needed columns as numbers, or as text where that fails, and the last column; None if both fail."""
@@ -215,7 +219,7 @@ class RowGrammar:
         cells = self.dialect.with_points(cells, moments=index == self.time)
         return (seconds(cells), None) if index == self.time else numbers(cells)
 
-    def _by_line(self, data: bytes, encoding: str, unended: bool) -> CsvBlock:
+    def _by_line(self, data: bytes, unended: bool) -> CsvBlock:
         """Parse rows one by one, and say what is wrong with each."""
         import polars as pl
 
@@ -262,21 +266,17 @@ class RowGrammar:
                 texts[0] = texts[0].scatter([*faults], bad)
             quoted = ['"' + line.replace('"', '""') + '"' + separator * (len(names) - 1) for line in bad]
             data = "".join(f"{line}\n" for line in lines.scatter([*faults], quoted)).encode()
-        return CsvBlock(values=values, faults=faults, text=data, encoding=encoding, texts=texts, times=times)
+        return CsvBlock(values=values, faults=faults, text=data, texts=texts, times=times)
 
 
 def _odd_row(line: str, separator: str) -> tuple[list[str], str]:
     """Return the fields of a row with quotes, NUL or CR in it, and what is wrong with it."""
-    if "\0" in line:
-        return line.split(separator), "the row holds a NUL byte"
-    if '"' not in line:
-        return line.split(separator), "the row holds a bare CR"
+    if "\0" in line or '"' not in line:
+        return line.split(separator), "the row holds a NUL byte or a bare CR"
     try:
         return next(csv.reader([line], delimiter=separator, strict=True)), ""
     except csv.Error as failure:
-        if "unexpected end" in str(failure):
-            return [], "a quoted field does not end in its row: take the line end out of it"
-        return [], f"the row cannot be parsed: {failure}"
+        return [], f"the row cannot be parsed, a line end inside quotes being none of it: {failure}"
 
 
 def _is_rectangular(data: bytes, fields: int, separator: int) -> bool:

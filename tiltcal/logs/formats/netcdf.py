@@ -10,12 +10,9 @@ sensor's x axis points is unknown.
 
 from __future__ import annotations
 
-import os
-import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
@@ -23,19 +20,19 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.errors import InputError, TiltcalError, UsageError
+from tiltcal.errors import InputError, UsageError
 from tiltcal.files.moments import to_the_second
 from tiltcal.logs.cf_attributes import COUNT, describe, is_judgement
 from tiltcal.logs.frames import DatasetFrame, FrameReader
 from tiltcal.logs.log import LogBlock, LogSource, LogWriter, Table
+from tiltcal.logs.streams import refusing
 
 _ROWS, _MOST_ROWS = 1 << 16, 1 << 21
 """Of a block: as many, or as a chunk of the file holds, which is unpacked as a whole, and how many at most."""
 
 _CLASSIC = b"CDF"
 
-_OF_THE_SYSTEM = re.compile(r"errno = (\d+)")
-"""What the library's message holds on a full disk, and on all else that the system refuses."""
+_DAMAGED, _NO_ROOM = "this is no NetCDF-4 file, or a damaged one", "nothing can be added to this file"
 
 
 class NetcdfReader(FrameReader):
@@ -51,8 +48,7 @@ class NetcdfReader(FrameReader):
         if source.stream.read(3) == _CLASSIC:
             why = "this is NetCDF-3: make NetCDF-4 of it first, such as with nccopy -k nc4 OLD NEW"
             raise InputError(why, file=source.name)
-        with _refusing_damage(source.name):
-            _require_own_data(source)
+        with refusing(_DAMAGED, source.name):
             # An index would hold a whole variable in memory, as many rows as the file declares.
             self.data = xarray.open_dataset(
                 Path(source.path),
@@ -68,48 +64,15 @@ class NetcdfReader(FrameReader):
 
     def _blocks(self, columns: Sequence[int], time: int | None, frames: bool) -> Iterator[LogBlock]:
         dimension = self.dimension(columns)
-        self._require_packed_numbers(columns)
         chunks = [self.data[self.names[index]].encoding.get("chunksizes") or (1,) for index in columns]
         longest = max(int(chunk[0]) for chunk in chunks)
         total, step = self.data.sizes[dimension], min(-(-_ROWS // longest) * longest, _MOST_ROWS)
         for start in range(0, max(total, 1), step):
             rows = slice(start, min(start + step, total))
-            with _refusing_damage(self.name):
+            with refusing(_DAMAGED, self.name):
                 block = self._block(DatasetFrame(self.data.isel({dimension: rows})), columns, time, frames)
             self.bytes_read = (self.source.size or 0) * rows.stop // total
             yield block
-
-    def _require_packed_numbers(self, columns: Sequence[int]) -> None:
-        for name in (self.names[index] for index in columns):
-            for attribute in ("scale_factor", "add_offset"):
-                packed = self.data[name].encoding.get(attribute, 1.0)
-                if np.asarray(packed).dtype.kind not in "iuf":
-                    why = f"variable {name!r}: its attribute {attribute} is {packed!r}, no number: correct it"
-                    raise InputError(why, file=self.name)
-
-
-def _require_own_data(source: LogSource) -> None:
-    """Refuse a file whose data stand in other files, which HDF5 would read wherever they are."""
-    import h5py
-
-    with h5py.File(source.path) as file:
-        for name in file:
-            link = file.get(name, getlink=True)
-            variable = None if isinstance(link, h5py.ExternalLink) else file[name]
-            if variable is None or getattr(variable, "external", None) or getattr(variable, "is_virtual", False):
-                why = f"variable {name!r} keeps its data in another file: copy them into this one"
-                raise InputError(why, file=source.name)
-
-
-@contextmanager
-def _refusing_damage(log: str) -> Iterator[None]:
-    """Put the libraries' complaints as ours."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as failure:
-        raise InputError(f"this is no NetCDF-4 file, or a damaged one: {failure}", file=log) from failure
 
 
 class NetcdfWriter(LogWriter):
@@ -127,14 +90,14 @@ class NetcdfWriter(LogWriter):
         history = _history(log.data.attrs.get("history"), self._origin, datetime.now(UTC))
         if first[0].counts is not None:
             means = log.with_columns([first, *rows], columns, self._units)
-            with _refusing_to_add(log.name):
+            with refusing(_NO_ROOM, log.name):
                 means.assign_attrs(history=history).to_netcdf(self._sink, engine="h5netcdf")
             return
         log.source.stream.seek(0)
         shutil.copyfileobj(log.source.stream, self._sink, 1 << 20)
         self._sink.flush()
         dimension, like = log.dimension(columns), log.data[log.names[columns[0]]].attrs
-        with _refusing_to_add(log.name), h5netcdf.File(self._sink, "r+") as file:
+        with refusing(_NO_ROOM, log.name), h5netcdf.File(self._sink, "r+") as file:
             for name in self._added:
                 self._create(file, name, dimension, like, chunk)
             self._write_tables(file, (table for _, table in chain([first], rows)))
@@ -171,21 +134,7 @@ class NetcdfWriter(LogWriter):
             shuffle=True,
             fillvalue=None if whole else np.nan,
         )
-        variable.attrs.update(describe(name, self._added, like, self._units, dimension))
-
-
-@contextmanager
-def _refusing_to_add(log: str) -> Iterator[None]:
-    """Put the library's complaints about what it copied as ours, and a full disk as the system's."""
-    try:
-        yield
-    except TiltcalError:
-        raise
-    except Exception as failure:
-        if quoted := _OF_THE_SYSTEM.search(str(failure)):
-            code = int(quoted[1])
-            raise OSError(code, os.strerror(code)) from failure
-        raise InputError(f"nothing can be added to this file: {failure}", file=log) from failure
+        variable.attrs.update(describe(name, self._added, like, self._units))
 
 
 def _history(before: Any, origin: Mapping[str, str], moment: datetime) -> str:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
-from tiltcal.logs.streams import read_ahead, refused_by_system
+from tiltcal.logs.streams import read_ahead, refusing
 
 if TYPE_CHECKING:
     import polars as pl
@@ -71,15 +71,8 @@ class ParquetReader(LogReader):
             # The engine ends in silence where one of its threads fails on a damaged page.
             raise InputError(f"the file is damaged: it gives {done} of {self._rows} rows", file=self.name)
 
-    @contextmanager
-    def _refusing_damage(self) -> Iterator[None]:
-        """Put the engine's complaints as ours."""
-        import polars as pl
-
-        try:
-            yield
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError, OverflowError) as failure:
-            raise InputError(f"this is no Parquet file, or a damaged one: {failure}", file=self.name) from failure
+    def _refusing_damage(self) -> AbstractContextManager[None]:
+        return refusing("this is no Parquet file, or a damaged one", self.name)
 
 
 class ParquetWriter(LogWriter):
@@ -99,7 +92,7 @@ class ParquetWriter(LogWriter):
         first = next(whole)
         frames = chain([first], read_ahead(whole, _ROW_GROUP // _ROWS))
         notes = {**self._log.notes, **({"tiltcal": json.dumps(self._origin)} if self._origin else {})}
-        with refused_by_system():
+        with refusing("this log cannot become Parquet", self._log.name):
             register_io_source(lambda *_: frames, schema=first.schema).sink_parquet(
                 self._sink,
                 compression_level=_LEVEL,

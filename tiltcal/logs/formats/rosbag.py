@@ -8,7 +8,7 @@ single topic of this type.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
@@ -18,7 +18,7 @@ import numpy as np
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.log import LogBlock, LogReader, LogSource
-from tiltcal.logs.streams import sha256_of
+from tiltcal.logs.streams import refusing, sha256_of
 
 IMU = "sensor_msgs/msg/Imu"
 TOPIC_MARK = "::"
@@ -101,15 +101,5 @@ class RosbagReader(LogReader):
                 acceleration, rate = message.linear_acceleration, message.angular_velocity
                 yield seconds, acceleration.x, acceleration.y, acceleration.z, rate.x, rate.y, rate.z
 
-    @contextmanager
-    def _refusing_damage(self) -> Iterator[None]:
-        """Put what the package raises as ours; a damaged bag may make it raise anything."""
-        try:
-            yield
-        except (InputError, MemoryError):
-            raise
-        except Exception as failure:
-            said = f"{type(failure).__name__}: {failure}"
-            raise InputError(
-                f"this is no bag of ROS, or a damaged or truncated one ({said})", file=self.name
-            ) from failure
+    def _refusing_damage(self) -> AbstractContextManager[None]:
+        return refusing("this is no bag of ROS, or a damaged or truncated one", self.name)

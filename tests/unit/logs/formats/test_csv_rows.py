@@ -52,34 +52,17 @@ def same(found: Array | list[float], expected: list[float]) -> bool:
 
 
 class TestNumbers:
-    @pytest.mark.parametrize(
-        ("cell", "value"),
-        [
-            ("2", 2.0),
-            ("-2.5", -2.5),
-            ("+2.5e-3", 0.0025),
-            ("1E5", 1e5),
-            (".5", 0.5),
-            ("007", 7.0),
-            (" 2.5 ", 2.5),
-            ("1e400", inf),
-            ("inf", inf),
-            ("0.1000000000000000055511151231257827021181583404541015625", 0.1),
-        ],
-    )
-    def test_a_number(self, cell: str, value: float) -> None:
-        assert column(f"time,x,y\n1,{cell},3\n".encode()) == [value]
+    def test_a_number_or_a_missing_value(self) -> None:
+        cells = {"2": 2.0, "-2.5": -2.5, "+2.5e-3": 0.0025, "1E5": 1e5, ".5": 0.5, "007": 7.0, " 2.5 ": 2.5}
+        cells |= {"1e400": inf, "inf": inf, "0.1000000000000000055511151231257827021181583404541015625": 0.1}
+        cells |= dict.fromkeys(["", " ", "NaN", "nan", "-nan", "NA", "N/A", "null", "NULL", "None"], nan)
+        for cell, value in cells.items():
+            assert same(column(f"time,x,y\n1,{cell},3\n1,2,3\n".encode()), [value, 2.0]), cell
 
-    @pytest.mark.parametrize("cell", ["", " ", "NaN", "nan", "-nan", "NA", "N/A", "null", "NULL", "None"])
-    def test_a_missing_value(self, cell: str) -> None:
-        assert same(column(f"time,x,y\n1,{cell},3\n1,2,3\n".encode()), [nan, 2.0])
-
-    @pytest.mark.parametrize(
-        "cell", ["abc", "2.", "1.e3", "1_000", "0x1F", "1e", "-", ".", "2,5".replace(",", ";"), "٣", "1 2", "--1"]
-    )
-    def test_anything_else_is_an_error_that_names_file_line_column_and_text(self, cell: str) -> None:
-        said = complaint(f"time,x,y\n1,2,3\n1,{cell},3\n".encode())
-        assert said == f"night.csv:3: column 'x': {cell!r} is no number"
+    def test_anything_else_is_an_error_that_names_file_line_column_and_text(self) -> None:
+        for cell in ("abc", "2.", "1.e3", "1_000", "0x1F", "1e", "-", ".", "2;5", "٣", "1 2", "--1"):
+            said = complaint(f"time,x,y\n1,2,3\n1,{cell},3\n".encode())
+            assert said == f"night.csv:3: column 'x': {cell!r} is no number"
 
     def test_columns_that_are_not_needed_may_hold_anything(self) -> None:
         content = "time,x,y\n2026-01-01T00:00:00.5Z,1,.\nvor 2. Mai,2,–\n".encode()
@@ -100,11 +83,17 @@ class TestRowsThatAreNone:
             (b"1,2,3,4", "the row has 4 fields, the header 3"),
             (b"1", "the row has 1 field, the header 3"),
             (b"", "the line is empty"),
-            (b"1,2\0,3", "the row holds a NUL byte"),
-            (b"1,2\r,3", "the row holds a bare CR"),
-            (b'"1"x,2,3', "the row cannot be parsed: ',' expected after '\"'"),
+            (b"1,2\0,3", "the row holds a NUL byte or a bare CR"),
+            (b"1,2\r,3", "the row holds a NUL byte or a bare CR"),
+            (
+                b'"1"x,2,3',
+                "the row cannot be parsed, a line end inside quotes being none of it: ',' expected after '\"'",
+            ),
             (b'"1",2', "the row has 2 fields, the header 3"),
-            (b'1,2,"two\nlines"', "a quoted field does not end in its row: take the line end out of it"),
+            (
+                b'1,2,"two\nlines"',
+                "the row cannot be parsed, a line end inside quotes being none of it: unexpected end of data",
+            ),
         ],
     )
     def test_are_named_with_file_and_line(self, row: bytes, said: str) -> None:
@@ -112,41 +101,26 @@ class TestRowsThatAreNone:
         assert complaint(content) == f"night.csv:3: {said}"
         assert complaint(content, block=5) == f"night.csv:3: {said}"
 
-    @pytest.mark.parametrize(
-        "tail", [b"2,2.5,2.", b"2,2.5,2.5e", b"2,2.5,-", b"2,2.5,", b"2,2.5", b"2", b'"2",2.5,1e-']
-    )
-    def test_a_torn_last_row(self, tail: bytes) -> None:
-        content = b"time,x,y\n1,2,3\n" + tail
-        assert complaint(content) == "night.csv:3: the last row is cut short"
-        assert complaint(content, block=4) == "night.csv:3: the last row is cut short"
+    def test_a_torn_last_row(self) -> None:
+        for tail in (b"2,2.5,2.", b"2,2.5,2.5e", b"2,2.5,-", b"2,2.5,", b"2,2.5", b"2", b'"2",2.5,1e-'):
+            for block in (4, 1 << 20):
+                said = complaint(b"time,x,y\n1,2,3\n" + tail, block=block)
+                assert said == "night.csv:3: the last row is cut short", tail
 
-    @pytest.mark.parametrize("tail", [b"2,2.5,2", b"2,2.5,2.25", b"2,2.5,done", b"2,2.5,2\r"])
-    def test_a_last_row_that_only_lacks_its_line_end(self, tail: bytes) -> None:
-        assert column(b"time,x,y\n1,2,3\n" + tail) == [2.0, 2.5]
+    def test_a_last_row_that_only_lacks_its_line_end(self) -> None:
+        for tail in (b"2,2.5,2", b"2,2.5,2.25", b"2,2.5,done", b"2,2.5,2\r"):
+            assert column(b"time,x,y\n1,2,3\n" + tail) == [2.0, 2.5], tail
 
 
 class TestSkippedRows:
-    def kept(self, row: bytes) -> tuple[list[str], list[float]]:
-        content = b"time,x,y\n1,2,3\n" + row + b"\n4,5,6\n"
-        return lines(content, skip=True), column(content, skip=True)
-
-    @pytest.mark.parametrize(
-        ("row", "text"),
-        [
-            (b"1,2", '"1,2",,'),
-            (b"", '"",,'),
-            (b"1,2,3,4", '"1,2,3,4",,'),
-            (b"1,oops,3", '"1,oops,3",,'),
-            (b"1,2\0,3", '"1,2\0,3",,'),
-            (b'"1"x,2,3', '"""1""x,2,3",,'),
-            (b'"1,2",3', '"""1,2"",3",,'),
-        ],
-    )
-    def test_keep_their_text_and_their_place_and_have_no_numbers(self, row: bytes, text: str) -> None:
-        texts, numbers = self.kept(row)
-        assert texts == ["1,2,3", text, "4,5,6"]
-        assert same(numbers, [2.0, nan, 5.0])
-        assert len(next(csv.reader([text]))) == 3
+    def test_keep_their_text_and_their_place_and_have_no_numbers(self) -> None:
+        rows = {b"1,2": '"1,2",,', b"": '"",,', b"1,2,3,4": '"1,2,3,4",,', b"1,oops,3": '"1,oops,3",,'}
+        rows |= {b"1,2\0,3": '"1,2\0,3",,', b'"1"x,2,3': '"""1""x,2,3",,', b'"1,2",3': '"""1,2"",3",,'}
+        for row, text in rows.items():
+            content = b"time,x,y\n1,2,3\n" + row + b"\n4,5,6\n"
+            assert lines(content, skip=True) == ["1,2,3", text, "4,5,6"]
+            assert same(column(content, skip=True), [2.0, nan, 5.0])
+            assert len(next(csv.reader([text]))) == 3
 
     @pytest.mark.parametrize(
         ("content", "line"),
@@ -172,8 +146,6 @@ class TestText:
         "crlf": b"time,x,y\r\n1,2,3\r\n4,5,6\r\n",
         "quotes and crlf": b'time,x,y\r\n"1",2,3\r\n"4,4",5,6\r\n',
         "utf-8": "time,x,y\n20 °C,2,3\n".encode(),
-        "latin-1": "time,x,y\n20 °C,2,3\n".encode("latin-1"),
-        "latin-1 with quotes": 'time,x,y\n"20 °C",2,3\n'.encode("latin-1"),
         "comment signs": b"time,x,y\n#1,2,3\n//,2,3\n",
         "blanks": b"time, x, y\n 1 , 2 , 3 \n",
         "every separator the engine could be given": bytes(range(1, 10))
@@ -181,16 +153,15 @@ class TestText:
         + b",x,y\n\x1f\x1e,2,3\n",
     }
 
-    @pytest.mark.parametrize("name", CONTENTS)
     @pytest.mark.parametrize("block", [1, 7, 1 << 20])
-    def test_passes_through_byte_for_byte(self, name: str, block: int) -> None:
-        content = self.CONTENTS[name]
-        door = log(content, block=block)
-        end = door.line_end.encode()
-        found = door.header + end
-        for rows in door.rows([1]):
-            found += b"".join(line.encode(rows.encoding) + end for line in rows.lines.to_list())
-        assert found == content
+    def test_passes_through_byte_for_byte_in_utf_8(self, block: int) -> None:
+        latin = ['time,x,y °\n20 °C,2,3\n"°",2,3\n'.encode("latin-1")]
+        for content in (*self.CONTENTS.values(), *latin):
+            door = log(content, block=block)
+            end = door.line_end.encode()
+            rows = [line.encode() for rows in door.rows([1]) for line in rows.lines.to_list()]
+            found = b"".join(line + end for line in (door.header, *rows))
+            assert found == (content.decode("latin-1").encode() if content in latin else content)
 
     def test_a_byte_order_mark_belongs_to_no_name(self) -> None:
         door = log(b"\xef\xbb\xbftime,x,y\n1,2,3\n")
