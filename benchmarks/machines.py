@@ -17,19 +17,102 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.moving_machines import CHAMBER, TABLE, VirtualChamber, VirtualTable, by_clock, movers_of
+from support.moving_machines import AMBIENT, CHAMBER, TABLE, VirtualChamber, VirtualTable, by_clock, movers_of
 
 from tiltcal.bench.machines import Machines
 from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import VirtualJig
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup
-from tiltcal.errors import Stopped
+from tiltcal.errors import BusError, Stopped
 from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import find_procedure
 
 RATE = 0.3
+
+
+class Faulty:
+    """Faults by chance, at a ``rate``, some time after a move began; for the machines of the tests."""
+
+    faults = ""
+
+    def __init__(self, rng: np.random.Generator, rate: float) -> None:
+        super().__init__(rng, lambda: 0.0)
+        self.rate, self.fault, self.left, self.silent = rate, "", 0.0, 0
+
+    def draw(self, seconds: float) -> None:
+        """Draw the fault of a move, and the time until it happens."""
+        self.fault = str(self.rng.choice(self.faults.split())) if self.rng.random() < self.rate else ""
+        self.silent, self.left = 3 * (self.fault == "silent"), self.rng.uniform(0.0, seconds)
+
+    def happens(self, seconds: float, *faults: str) -> bool:
+        """Whether one of these faults is there when so many seconds have gone by."""
+        return self.left - seconds < 0.0 and self.fault in faults
+
+    def line(self, text: str) -> str:
+        if self.silent:
+            self.silent -= 1
+            self.advance(self.elapsed())
+            raise BusError("silent")
+        return super().line(text)
+
+    def repair(self) -> None:
+        """Switch it off and on again; it has no further faults."""
+        self.fault, self.silent, self.rate = "", 0, 0.0
+
+
+class FaultyTable(Faulty, VirtualTable):
+    """It may lose steps, stall, hit an end switch, slip some seconds later, or be silent."""
+
+    faults = "lost stall switch slip silent"
+
+    def home(self) -> None:
+        super().home()
+        self.short, self.fault = np.zeros(2), ""
+
+    def repair(self) -> None:
+        super().repair()
+        self.switch_on()
+
+    def go(self, target: np.ndarray) -> None:
+        self.draw(3.0)
+        if self.fault == "lost":  # for good: the next moves are short as well, until the table is homed
+            self.short = self.short + self.rng.choice([-1, 1]) * self.rng.uniform(0.2, 3.0, 2)
+        super().go(target - self.short)
+
+    def advance(self, seconds: float) -> None:
+        if self.happens(seconds, "switch"):
+            self.state = "Alarm"
+        if not self.happens(seconds, "stall", "switch"):
+            super().advance(seconds)
+        if self.happens(seconds, "slip"):
+            self.motor = self.axis = self.target = self.motor - self.rng.uniform(0.2, 5.0, 2)
+            self.fault = ""
+        self.left -= seconds
+
+
+class FaultyChamber(Faulty, VirtualChamber):
+    """Its door may be opened some time later, it may overshoot, or be silent."""
+
+    faults = "door overshoot silent"
+
+    def repair(self) -> None:
+        super().repair()
+        self.temperature = self.target = AMBIENT
+
+    def go(self, target: float) -> None:
+        self.draw(2400.0)
+        super().go(target)
+
+    def advance(self, seconds: float) -> None:
+        asked = self.target
+        if self.happens(seconds, "door"):
+            self.target = AMBIENT
+        elif self.fault == "overshoot" and not self.happens(seconds, "overshoot"):
+            self.target += 4.0 * np.sign(asked - AMBIENT)
+        super().advance(seconds)
+        self.target, self.left = asked, self.left - seconds
 
 
 class FaultySession:
@@ -45,7 +128,7 @@ class FaultySession:
         self.wrong: list[str] = []
         self.refused: list[str] = []
         self.stops = 0
-        self._table, self._chamber = (kind(rng, lambda: 0.0, rate) for kind in (VirtualTable, VirtualChamber))
+        self._table, self._chamber = FaultyTable(rng, rate), FaultyChamber(rng, rate)
         steps, serial = find_procedure(procedure), f"S-{seed}"
         sensors = (BenchSensor(serial, "sca100t-d02", f"sim:?seed={seed}"),)
         chamber = None if steps.positions[0].temperature is None else CHAMBER
@@ -84,8 +167,8 @@ class FaultySession:
         if question["ask"] == "position":
             self._asked, self._said = question, dict(said)  # type: ignore[call-overload]
         elif question["ask"] == "review" and question["position"] == self._asked["position"]:
-            self._table.catch_up()
-            self._chamber.catch_up()
+            for machine in (self._table, self._chamber):
+                machine.advance(machine.elapsed())
             x, y = np.radians(self._table.axis)
             real = np.degrees(np.arcsin([np.sin(x), np.cos(x) * np.sin(y)]))
             off = np.abs(real - [self._said["tilt"]["x"], self._said["tilt"]["y"]]).max()

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from inspect import signature
+from math import inf, nan
 from typing import Any
 
 import click
 import pytest
 
 from tiltcal.cli.main import group
-from tiltcal.cli.options import Number
+from tiltcal.cli.options import Number, json_text
 from tiltcal.cli.talk import wrapped
 from tiltcal.errors import UsageError
 from tiltcal.library.measure import measure
@@ -62,3 +64,9 @@ def test_no_option_takes_what_is_no_finite_number(value: str) -> None:
         if isinstance(one.type, click.FloatRange | click.IntRange) and one.type.max is None
     ]
     assert loose == []
+
+
+def test_json_has_no_number_that_is_not_finite() -> None:
+    text = json_text({"p": nan, "limits": (inf, -inf, 1.5), "rows": [{"n": 3, "°C": None}]})
+    assert text.isascii()
+    assert json.loads(text) == {"p": None, "limits": [None, None, 1.5], "rows": [{"n": 3, "°C": None}]}

@@ -35,12 +35,3 @@ def test_a_class_name_exists_once() -> None:
     )
     assert found
     assert not [name for name, count in found.items() if count > 1]
-
-
-def test_benchmarks_use_what_tests_use_and_no_test_uses_a_benchmark() -> None:
-    benchmarks = {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
-    for test in (ROOT / "tests").glob("**/*.py"):
-        text = test.read_text(encoding="utf-8")
-        assert not [name for name in benchmarks if f"\nfrom {name} import" in text or f"\nimport {name}\n" in text], (
-            test
-        )

@@ -73,7 +73,7 @@ def machines(folder: Path, sensors: str = SENSORS) -> Iterator[VirtualTable]:
     """A table on a socket and a chamber behind pymodbus, whose time goes on with each look at them."""
     rng = np.random.default_rng(1)
     table, chamber = VirtualTable(rng, lambda: 0.1), VirtualChamber(rng, lambda: 10.0)
-    table.repair()
+    table.switch_on()
     with serving(table.line) as place, serving_registers(chamber.line) as registers:
         (folder / "bench.yaml").write_text(BENCH.format(table=place, chamber=registers, sensors=sensors))
         yield table
@@ -101,7 +101,7 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
             (tmp_path / f"A-{number}.yaml").rename(tmp_path / f"whole-{number}.yaml")
         journal = tmp_path / "bench.journal.jsonl"
         os.truncate(journal, int(0.55 * journal.stat().st_size))
-        table.repair()
+        table.switch_on()
         resumed = tiltcal("measure", "--resume", journal, "--operator", "json", cwd=tmp_path)
         assert resumed.returncode == 0, resumed.stderr
         again = [json.loads(line) for line in resumed.stdout.splitlines()]

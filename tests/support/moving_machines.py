@@ -1,4 +1,4 @@
-"""A virtual tilt table and a virtual chamber with the faults of real ones.
+"""A virtual tilt table and a virtual chamber, and links to them.
 
 They know nothing of the code that drives them: each answers lines, and keeps the truth beside what it tells.
 """
@@ -18,7 +18,6 @@ import numpy as np
 from tiltcal.bench.drives import Drive, open_drive
 from tiltcal.bench.machines import Mover
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.errors import BusError
 from tiltcal.files.machine import Machine
 
 PLAY = 0.3
@@ -36,114 +35,81 @@ CHAMBER = Machine(
 )  # fmt: skip
 
 
-class Faulty:
-    """A machine with faults by chance, at a ``rate``; ``elapsed`` gives the seconds since it was called before."""
+class VirtualMachine:
+    """A machine that moves while time goes on; ``elapsed`` gives the seconds since it was called before."""
 
-    faults = ""
-
-    def __init__(self, rng: np.random.Generator, elapsed: Callable[[], float], rate: float = 0.0) -> None:
-        self.elapsed, self.rate = elapsed, rate
-        self._rng = rng
-        self._fault, self._left, self._silent = "", 0.0, 0
-
-    def repair(self) -> None:
-        """Switch it off and on again; it has no further faults."""
-        self._fault, self._silent, self.rate = "", 0, 0.0
-
-    def draw(self, seconds: float) -> None:
-        """Draw the fault of a move, and the time until it happens."""
-        self._fault = str(self._rng.choice(self.faults.split())) if self._rng.random() < self.rate else ""
-        self._silent, self._left = 3 * (self._fault == "silent"), self._rng.uniform(0.0, seconds)
-
-    def catch_up(self) -> None:
-        """Do what happens by now."""
-        seconds = self.elapsed()
-        self._left -= seconds
-        self.advance(seconds, now=self._left < 0.0)
+    def __init__(self, rng: np.random.Generator, elapsed: Callable[[], float]) -> None:
+        self.elapsed, self.rng = elapsed, rng
 
     def line(self, text: str) -> str:
         """Answer one line."""
-        self.catch_up()
-        if self._silent:
-            self._silent -= 1
-            raise BusError("silent")
+        self.advance(self.elapsed())
         return self.answer(text)
 
 
-class VirtualTable(Faulty):
-    """Two axes on steppers with play, zero where the play is taken up from below, and an encoder at each axis.
+class VirtualTable(VirtualMachine):
+    """Two axes on steppers with play, zero where the play is taken up from below, and an encoder at each axis."""
 
-    It may lose steps, stall, hit an end switch, slip some seconds later, or be silent.
-    """
-
-    faults = "lost stall switch slip silent"
     speed = 30.0
 
-    def __init__(self, rng: np.random.Generator, elapsed: Callable[[], float], rate: float = 0.0) -> None:
-        super().__init__(rng, elapsed, rate)
-        self.motor = self.axis = self.target = self._short = np.zeros(2)
-        self._state = "Idle"
+    def __init__(self, rng: np.random.Generator, elapsed: Callable[[], float]) -> None:
+        super().__init__(rng, elapsed)
+        self.home()
 
-    def repair(self) -> None:
-        super().repair()
-        self.motor = self.target = self._rng.uniform(-60.0, 60.0, 2)
-        self.axis, self._state = self.motor + self._rng.uniform(0.0, PLAY, 2), "Alarm"
+    def home(self) -> None:
+        self.motor = self.axis = self.target = np.zeros(2)
+        self.state = "Idle"
+
+    def switch_on(self) -> None:
+        """Stand anywhere, and refuse to move until it is homed."""
+        self.motor = self.target = self.rng.uniform(-60.0, 60.0, 2)
+        self.axis, self.state = self.motor + self.rng.uniform(0.0, PLAY, 2), "Alarm"
 
     def answer(self, text: str) -> str:
         if text == "?":
-            return f"<{self._state}|MPos:{self.axis[0]:.3f},{self.axis[1]:.3f}>\r\n"
+            return f"<{self.state}|MPos:{self.axis[0]:.3f},{self.axis[1]:.3f}>\r\n"
         if text == "$H":
-            self.motor = self.axis = self.target = self._short = np.zeros(2)
-            self._state, self._fault = "Idle", ""
+            self.home()
         elif text == "!":
             self.target = self.motor
-        elif self._state == "Alarm":
+        elif self.state == "Alarm":
             return "error:9\r\n"
         else:
-            self.draw(3.0)
-            if self._fault == "lost":  # for good: the next moves are short as well, until the table is homed
-                self._short = self._short + self._rng.choice([-1, 1]) * self._rng.uniform(0.2, 3.0, 2)
-            self.target = np.array([float(one) for one in re.findall(r"[XY]([-0-9.]+)", text)]) - self._short
-            self._state = "Run" if np.any(self.target != self.motor) else "Idle"
+            self.go(np.array([float(one) for one in re.findall(r"[XY]([-0-9.]+)", text)]))
         return "ok\r\n"
 
-    def advance(self, seconds: float, *, now: bool) -> None:
-        if now and self._fault == "switch":
-            self._state = "Alarm"
-        if now and self._fault in ("stall", "switch"):
-            return
+    def go(self, target: np.ndarray) -> None:
+        """Begin to move."""
+        self.target = target
+        self.state = "Run" if np.any(self.target != self.motor) else "Idle"
+
+    def advance(self, seconds: float) -> None:
+        """Move for so long."""
         way = self.target - self.motor
         self.motor = self.motor + np.clip(way, -self.speed * seconds, self.speed * seconds)
         self.axis = np.clip(self.axis, self.motor, self.motor + PLAY)
-        if self._state == "Run" and np.array_equal(self.motor, self.target):
-            self._state = "Idle"
-        if now and self._fault == "slip":
-            self.motor = self.axis = self.target = self.motor - self._rng.uniform(0.2, 5.0, 2)
-            self._fault = ""
+        if self.state == "Run" and np.array_equal(self.motor, self.target):
+            self.state = "Idle"
 
 
-class VirtualChamber(Faulty):
-    """A chamber that goes 2 °C a minute: its door may be opened some time later, it may overshoot, or be silent."""
+class VirtualChamber(VirtualMachine):
+    """A chamber that goes 2 °C a minute."""
 
-    faults = "door overshoot silent"
     temperature = target = AMBIENT
-
-    def repair(self) -> None:
-        super().repair()
-        self.temperature = self.target = AMBIENT
 
     def answer(self, text: str) -> str:
         if text == "PV":
             return f"PV={self.temperature:.2f}\n"
-        self.target = float(text.split()[1])
-        self.draw(2400.0)
+        self.go(float(text.split()[1]))
         return ""
 
-    def advance(self, seconds: float, *, now: bool) -> None:
-        goal = AMBIENT if now and self._fault == "door" else self.target
-        if not now and self._fault == "overshoot":
-            goal += 4.0 * np.sign(goal - AMBIENT)
-        self.temperature += float(np.clip(goal - self.temperature, -seconds / 30.0, seconds / 30.0))
+    def go(self, target: float) -> None:
+        """Begin to change."""
+        self.target = target
+
+    def advance(self, seconds: float) -> None:
+        """Change for so long."""
+        self.temperature += float(np.clip(self.target - self.temperature, -seconds / 30.0, seconds / 30.0))
 
 
 class LineLink:
@@ -172,10 +138,10 @@ def by_clock(clock: Clock) -> Callable[[], float]:
     return elapsed
 
 
-def movers_of(machines: dict[str, tuple[Machine, Faulty]], clock: Clock) -> list[Mover]:
+def movers_of(machines: dict[str, tuple[Machine, VirtualMachine]], clock: Clock) -> list[Mover]:
     """Return what moves virtual machines, each with what a bench file states of it."""
 
-    def opened(stated: Machine, machine: Faulty) -> Drive:
+    def opened(stated: Machine, machine: VirtualMachine) -> Drive:
         return open_drive(stated, clock, lambda address, device: LineLink(machine.line))
 
     return [Mover(name, one, clock, partial(opened, one, machine)) for name, (one, machine) in machines.items()]

@@ -78,24 +78,6 @@ class Sca3000:
     thermometer: bool = True
 
 
-@dataclass(frozen=True)
-class Accelerometer:
-    """The truth of an accelerometer of a hobby board: see :class:`support.accelerometer_part.AccelerometerPart`."""
-
-    kind: ClassVar[str] = "accelerometer"
-
-    model: str
-    offset: tuple[float, float, float] = (0.043, -0.031, 0.067)
-    sensitivity: tuple[tuple[float, float, float], ...] = (
-        (1.012, 0.006, -0.004),
-        (-0.009, 0.987, 0.005),
-        (0.003, -0.007, 1.021),
-    )
-    noise: float = 0.0025
-    jig: float = 0.0
-    seed: int = 1
-
-
 class Message(NamedTuple):
     """One SPI message or I2C transaction as the kernel's side saw it: times on the monotonic clock, ns."""
 

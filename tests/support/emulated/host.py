@@ -41,7 +41,6 @@ NODES = {"spidev": SpidevNode, "i2c": I2cNode}
 PARTS = {
     "sca100t": "support.sca100t_part:Sca100tPart",
     "sca3000": "support.sca3000_part:Sca3000Part",
-    "accelerometer": "support.accelerometer_part:AccelerometerPart",
 }
 
 

@@ -7,7 +7,6 @@ import json
 import os
 import zlib
 from pathlib import Path
-from threading import Barrier, Thread
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -120,28 +119,6 @@ def test_two_programs_cannot_write_one_journal(path: Path) -> None:
         JournalWriter.resume(read_journal(path))
     writer.close()
     JournalWriter.resume(read_journal(path)).close()
-
-
-def test_of_sessions_that_start_together_one_gets_the_journal(path: Path) -> None:
-    """What the one has written is whole, and the others are refused."""
-    start, refused = Barrier(6), []
-
-    def session() -> None:
-        start.wait()
-        try:
-            captured(path)
-        except UsageError as error:
-            refused.append(str(error))
-
-    together = [Thread(target=session) for _ in range(6)]
-    for thread in together:
-        thread.start()
-    for thread in together:
-        thread.join()
-    assert len(refused) == 5
-    assert all("exists: resume it" in why for why in refused)
-    assert len(read_journal(path).events) == len(EVENTS)
-    assert os.listdir(path.parent) == [path.name]
 
 
 def test_a_link_in_place_of_the_journal_is_not_followed(path: Path) -> None:
