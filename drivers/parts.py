@@ -232,13 +232,13 @@ def _lock_in_words(lock: int) -> str:
 
 
 def at_any_range(part: RegisterPart, address: Address) -> RegisterPart:
-    """Return an SCA3000 with the options of an address; on I2C alone, a real one has to state its sensitivity."""
-    required = len(part.addresses) == 1 and part.addresses[0].startswith("i2c") and not address.simulated
+    """Return an SCA3000 of any range with the options of an address; a real one has to state its sensitivity."""
     # ±1 g must stay clear of the overload codes, and one count must be less than 1 g.
-    counts = address.number("counts_per_g", None if required else part.counts_per_g, low=1.0, high=OVERLOAD[1])
+    stated = part.counts_per_g if address.simulated else None
+    counts = address.number("counts_per_g", stated, low=1.0, high=OVERLOAD[1])
     rate = address.number("rate", part.rate, low=1.0, high=10_000.0)
-    measured = address.choice("thermometer", {"no": False, "yes": True}, part.thermometer is not None)
-    part = _with_thermometer(part) if measured else replace(part, thermometer=None, bursts=(SCA3000.bursts))
+    if address.choice("thermometer", {"no": False, "yes": True}, False):
+        part = _with_thermometer(part)
     by_command = address.choice("pointer", {"register": False, "command": True}, False)
     return replace(part, ranges={"": Range(0, counts, OVERLOAD)}, rate=rate, by_command=by_command)
 
@@ -285,7 +285,7 @@ SCA3000 = RegisterPart(
 
 
 def _sca3000(variant: str, counts_per_g: float, rate: float, buses: str = "SPI", extent: str = "") -> RegisterPart:
-    """Return a part of the family; one with I2C as well has a bit that switches it off."""
+    """Return a part of the family; one with I2C as well has a thermometer."""
     on_i2c = "I2C" in buses
     extent = extent or f"{counts_per_g:g} count/g"
     part = replace(
@@ -295,7 +295,8 @@ def _sca3000(variant: str, counts_per_g: float, rate: float, buses: str = "SPI",
         ranges={"": Range(0, counts_per_g, OVERLOAD)},
         rate=rate,
         addresses=(SPI, f"{I2C}0x1d") if on_i2c else (SPI,),
-        options=SCA3000.options if on_i2c else SCA3000.options[:-1],
+        options=(),
+        configure=lambda part, address: part,
     )
     return _with_thermometer(part) if on_i2c else part
 

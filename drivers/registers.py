@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from math import ceil, inf, sqrt
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 from tiltcal.drivers.bus import Bus, Link, SpiPort, check_data_line, require_length
 from tiltcal.drivers.bus.address import Address
@@ -24,8 +24,6 @@ from tiltcal.errors import BusError, DeviceFault
 
 Registers = Mapping[int, int]
 """Contents by register."""
-
-R = TypeVar("R")
 
 PERIODS = 6
 """Timeout for a sample, in sample periods."""
@@ -245,7 +243,9 @@ class RegisterPart:
             address.refuse(f"option rate={rate:g} is none of {', '.join(f'{one:g}' for one in self.rates)}")
         if address.scheme == "i2c" and known > self.fastest_on_i2c:
             address.refuse(f"option rate={rate:g} is too fast for I2C (at most {self.fastest_on_i2c:g})")
-        return replace(self, rate=known, range=choose_range(address, {word: word for word in self.ranges}, self.range))
+        return replace(
+            self, rate=known, range=address.choice("range", {word: word for word in self.ranges}, self.range)
+        )
 
     def model(self) -> Model:
         """Return the sensor model of the part."""
@@ -490,10 +490,3 @@ class VirtualRegisters(VirtualPart):
                 if (status if part.cleared_by is None else part.cleared_by) in asked:
                     self._taken = sample
         return bytes(held.get(register, 0) for register in asked)
-
-
-def choose_range(address: Address, ranges: Mapping[str, R], default: R) -> R:
-    """Return the value of the option ``range``: one of the words, or the number of one that ends in g."""
-    if f"{address.options.get('range', '')}g" in ranges:
-        return ranges[f"{address.options['range']}g"]
-    return address.choice("range", ranges, default)

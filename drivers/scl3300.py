@@ -32,7 +32,6 @@ from tiltcal.drivers.model import (
     link_in_words,
     typical_nonlinearity,
 )
-from tiltcal.drivers.registers import choose_range
 from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
@@ -459,7 +458,7 @@ _SCA3300 = Scl3300Part(
 def _model(name: str, part: Scl3300Part, address: Address) -> Model:
     """Return the model in the mode of the address."""
     words = {one.word: one for one in part.ranges} | {f"mode{one.mode}": one for one in part.ranges}
-    measuring = choose_range(address, words, part.ranges[0])
+    measuring = address.choice("range", words, part.ranges[0])
     noise = measuring.counts_per_g * measuring.noise
     return Model(
         name=name,

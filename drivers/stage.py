@@ -9,9 +9,8 @@ Each virtual accelerometer measures, along its tangent at θ + φ,
 
     a (sin + δP cos) + R (Γxx - Γyy) / 2 sin 2(θ + φ) + R Γxy cos 2(θ + φ) + noise
 
-and reads scale * (that + second_order * that²) + offset + drift * time. The common acceleration a results from the
-inclination of the stage and may vary. Every number is a function of the seed and the sample's number, so a stream can
-start anywhere.
+and reads scale * that + offset. The common acceleration a results from the inclination of the stage. Every number is a
+function of the seed and the sample's number, so a stream can start anywhere.
 
 Source: Misalignment Angle Compensation during Scale Factor Matching (2018), figure 1 and eq. 1, 3 and 4.
 """
@@ -20,7 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from math import cos, log, pi, radians, sin, sqrt
+from math import cos, pi, radians, sin, sqrt
 from typing import NamedTuple
 
 from tiltcal.drivers.bus.address import Address, parse_address
@@ -46,21 +45,15 @@ BAUDRATE = 921_600
 FASTEST = 400.0
 """Largest number of lines per second at the baud rate."""
 
-_OCTAVES = 20
-_WANDER_PERIODS = (617.0, 1471.0)
-"""Of a slow variation within ±1, seconds; no multiples of a turn."""
-
 
 @dataclass(frozen=True)
 class Accelerometer:
-    """One of the four: unit/g, δP and the error of its place on the disk (radians), unit, unit/s, and K_II (1/g)."""
+    """One of the four: unit/g, δP and the error of its place on the disk (radians), and unit."""
 
     scale: float
     misalignment: float = 0.0
     phase_error: float = 0.0
     offset: float = 0.0
-    drift: float = 0.0
-    second_order: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -71,10 +64,8 @@ class Disk:
     inclination: of the spin axis, radians; its sine is the common acceleration in g.
     spin: Hz; negative for a stage that turns backwards.
     rate: samples per second.
-    wander: largest relative change of the common acceleration.
     gradient: R (Γxx - Γyy) and R Γxy, g.
     noise: white, one-sided amplitude density, g/√Hz.
-    corner: where 1/f noise is as large as the white noise, Hz; 0 for none.
     encoder_noise: standard deviation of the stage angle, degrees.
     """
 
@@ -87,10 +78,8 @@ class Disk:
     inclination: float = 1.5e-3
     spin: float = 0.125
     rate: float = 50.0
-    wander: float = 0.0
     gradient: tuple[float, float] = (0.0, 0.0)
     noise: float = 1.5e-7
-    corner: float = 0.0
     encoder_noise: float = 0.0
 
 
@@ -108,50 +97,27 @@ class Gradiometer:
     def __init__(self, disk: Disk, seed: int = 0) -> None:
         self._disk = disk
         self._seed = seed
-        self._white = disk.noise * sqrt(disk.rate / 2.0)
-        # Octaves of held normals of one variance v add up to the density v / (f ln 2).
-        self._flicker = disk.noise * sqrt(disk.corner * log(2.0))
-        self._octaves = {channel: [0.0] * _OCTAVES for channel in CHANNELS}
-        self._numbers = dict.fromkeys(CHANNELS, -1)
+        self._noise = disk.noise * sqrt(disk.rate / 2.0)
 
     def sample(self, number: int) -> DiskSample:
         """Return the sample with this number, counted from 0."""
         disk = self._disk
         time = number / disk.rate
         turned = disk.spin * time % 1.0
-        wander = 0.5 * sum(sin(2.0 * pi * time / period) for period in _WANDER_PERIODS)
-        common = sin(disk.inclination) * (1.0 + disk.wander * wander)
-        readings = tuple(
-            self._reading(index, 2.0 * pi * turned, time, common, number) for index in range(len(CHANNELS))
-        )
+        readings = tuple(self._reading(index, 2.0 * pi * turned, number) for index in range(len(CHANNELS)))
         theta = 360.0 * turned
         if disk.encoder_noise:
             theta += disk.encoder_noise * normal(self._seed, "encoder", number)
         return DiskSample(time, theta % 360.0, readings)
 
-    def _reading(self, index: int, turned: float, time: float, common: float, number: int) -> float:
+    def _reading(self, index: int, turned: float, number: int) -> float:
         part = self._disk.accelerometers[index]
         angle = turned + radians(PHASES[index]) + part.phase_error
         differential, cross = self._disk.gradient
-        signal = common * (sin(angle) + part.misalignment * cos(angle))
+        signal = sin(self._disk.inclination) * (sin(angle) + part.misalignment * cos(angle))
         signal += 0.5 * differential * sin(2.0 * angle) + cross * cos(2.0 * angle)
-        signal += self._noise(CHANNELS[index], number)
-        return part.offset + part.drift * time + part.scale * (signal + part.second_order * signal**2)
-
-    def _noise(self, channel: str, number: int) -> float:
-        noise = self._white * normal(self._seed, channel, number) if self._white else 0.0
-        if self._flicker:
-            noise += self._flicker * sum(self._held(channel, number))
-        return noise
-
-    def _held(self, channel: str, number: int) -> list[float]:
-        """Return normal numbers, of which each changes half as often as the one before."""
-        octaves, before = self._octaves[channel], self._numbers[channel]
-        changed = _OCTAVES if before < 0 else (number ^ before).bit_length()
-        for octave in range(min(changed, _OCTAVES)):
-            octaves[octave] = normal(self._seed, f"{channel}/{octave}", number >> octave)
-        self._numbers[channel] = number
-        return octaves
+        signal += self._noise * normal(self._seed, CHANNELS[index], number) if self._noise else 0.0
+        return part.offset + part.scale * signal
 
 
 @dataclass(frozen=True)

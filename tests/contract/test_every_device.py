@@ -33,7 +33,7 @@ OPTIONS = {
     "adxl355": ["range=4g", "range=8g&rate=1000", "rate=3.90625"],
     "bmi160": ["range=16g&rate=1600"],
     "icm20948": ["range=8g&rate=225"],
-    "iis2iclx": ["range=0.5&rate=833", "range=3g"],
+    "iis2iclx": ["range=0.5g&rate=833", "range=3g"],
     "lis3dh": ["range=16g&rate=400"],
     "mma8451": ["range=8g&rate=400"],
     "modbus-columns": [
@@ -45,7 +45,7 @@ OPTIONS = {
         "adc=mcp3208&vref=5.2&supply=7",
     ],
     "sca3000-i2c": ["counts_per_g=500&thermometer=yes&pointer=command"],
-    "sca3300-d01": ["range=6", "range=1.5g-10hz"],
+    "sca3300-d01": ["range=6g", "range=1.5g-10hz"],
     "scl3300": ["range=low-noise", "range=2.4g"],
     "serial-columns": ["columns=-,x,y,z,temperature&separator=semicolon&unit=V&offset=2.5&sensitivity=2"],
     "thermistor": ["a=1.129e-3&b=2.341e-4&c=8.775e-8&to=supply", "adc=mcp3208", "vdd=4.9"],

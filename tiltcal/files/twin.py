@@ -77,8 +77,6 @@ class AccelerometerSection(Record, kw_only=True):
     misalignment: Annotated[Number, about("degrees")] = 0.0
     phase_error: Annotated[Number, about("degrees")] = 0.0
     offset: Annotated[Number, about("unit")] = 0.0
-    drift: Annotated[Number, about("of the offset, unit/s")] = 0.0
-    second_order: Annotated[Number, about("1/g")] = 0.0
 
 
 ByChannel = Annotated[
@@ -93,10 +91,8 @@ class DiskSection(Record, kw_only=True):
     inclination: Annotated[Number | None, about("of the spin axis, degrees", usual="0.086")] = None
     spin: Annotated[Number, about("turns a second")] = Disk.spin
     rate: Annotated[Annotated[float, Meta(ge=SLOWEST, le=FASTEST)], about("lines a second")] = Disk.rate
-    wander: Annotated[FromZero, about("of the common acceleration, its largest excursion, relative")] = Disk.wander
     gradient: Annotated[Gradient | None, about("`{differential, cross}`, g", usual="0")] = None
     noise: Annotated[FromZero, about("one-sided amplitude density, g/√Hz")] = Disk.noise
-    corner: Annotated[FromZero, about("where 1/f noise is as large, Hz")] = Disk.corner
     encoder_noise: Annotated[FromZero, about("standard deviation of the angle, degrees")] = Disk.encoder_noise
     accelerometers: Annotated[ByChannel | None, about("`a1` to `a4`", usual="the source's")] = None
 
