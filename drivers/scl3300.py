@@ -74,9 +74,6 @@ GAP = 10e-6
 RESET_SECONDS = 3e-3
 """Seconds after a software reset."""
 
-UNKNOWN = 0xFFFF
-"""Stands for the flags of a start that shows none: with all bits set, it takes none from those that others share."""
-
 ATTEMPTS = 12
 """Unusable samples in a row before an error. If one frame in fifty is damaged, so is one sample in ten."""
 
@@ -167,7 +164,7 @@ class Scl3300(Sensor):
         self._link = link
         self._clock = clock
         self._ready = False
-        self._counts = {"samples": 0, "damaged": 0, "refused": 0, "out of step": 0, "saturated": 0, "restarts": 0}
+        self._counts = {"samples": 0, "damaged": 0, "saturated": 0, "restarts": 0}
 
     def probe(self) -> Mapping[str, str]:
         """Set the part up; return what it is and a sample as text. The errors are those of :meth:`read`."""
@@ -189,21 +186,66 @@ class Scl3300(Sensor):
         return Reading((float(x.signed), float(y.signed), float(z.signed)), -273.0 + temperature.signed / 18.9)
 
     def link_statistics(self) -> Mapping[str, int]:
-        """Return the counts of samples, and of what made frames unusable."""
+        """Return the counts of samples, of those that were asked for again, and of restarts of the part."""
         return dict(self._counts)
 
     def _answers_to(self, requests: Sequence[bytes]) -> list[Answer]:
-        """Return the answers to requests; after an error, set the part up first."""
+        """Return the answers to requests, which are repeated until all are good; after an error, set the part up first.
+
+        DeviceFault: the part was reset, reports a fault, or is saturated.
+        BusError: too many frames are damaged.
+        """
         ready, self._ready = self._ready, False
         if not ready:
             self._set_up()
-        answers = self._good_answers(requests)
-        self._ready = True
-        return answers
+        saturated = False
+        for _ in range(ATTEMPTS):
+            # The answer to the frame that fetches the last one comes with the next sample.
+            late, answers = self._ask(requests, requests[0])
+            statuses = {answer.status for answer in (late, *answers) if answer.intact}
+            if statuses <= {NORMAL} and all(map(Answer.answers, answers, requests)):
+                self._ready = True
+                return answers
+            flags = self._flags() if ERROR in statuses else 0
+            if not statuses <= {NORMAL, ERROR} or (flags or 0) & RESTARTED:
+                self._counts["restarts"] += 1
+                raise DeviceFault(
+                    f"the {self._part.name} was reset or its supply failed since it was set up "
+                    f"({flags_in_words(flags or 0) or 'it is starting up'}): check the supply and its wires; it is set "
+                    "up anew"
+                )
+            if flags is None:
+                self._set_up()
+            elif flags & ~SATURATED:
+                raise DeviceFault(
+                    f"the {self._part.name} reports a fault: {flags_in_words(flags)}: it is reset; if the fault stays, "
+                    "replace the part"
+                )
+            saturated |= bool(flags)
+            self._counts["saturated" if flags else "damaged"] += 1
+        if saturated:
+            raise DeviceFault(
+                "the part's signal path is saturated (SAT): it is shaken, or beyond its range; hold it still, or take "
+                "a wider range="
+            )
+        raise BusError(
+            f"{ATTEMPTS} samples in a row were damaged ({link_in_words(self._counts)}): try a slower clock (such as "
+            "speed=500000), shorter wires, and a pull-up on chip select"
+        )
+
+    def _flags(self) -> int | None:
+        """Return the flags of STATUS before this call; None where the line has damaged too much of them.
+
+        Of three readings the first two find the flags of what is over, and all three those of a fault that stays. A
+        request that was damaged on the way is answered with any data, so what two answers agree on counts.
+        """
+        _, answers = self._ask((STATUS, STATUS, STATUS), STATUS, checked=False)
+        known = [answer.data for answer in answers if answer.answers(STATUS)]
+        return next((flags for flags in known if known.count(flags) > 1), None)
 
     def _set_up(self) -> None:
         """Reset the part, set its mode, and check its identity; repeat this until the part measures."""
-        standing = UNKNOWN
+        standing = 0
         for attempt in range(ATTEMPTS):
             if attempt:
                 # Another program may have left the part in bank 1, where nothing resets it, or in power-down.
@@ -213,8 +255,8 @@ class Scl3300(Sensor):
             flags = self._start(first=not attempt)
             if flags is None:
                 return
-            standing &= flags
-        if standing not in (0, UNKNOWN):
+            standing = flags or standing
+        if standing:
             raise DeviceFault(
                 f"the {self._part.name} reports a fault that its start does not clear: {flags_in_words(standing)}: "
                 "switch its supply off and on; if it stays, replace the part"
@@ -225,7 +267,7 @@ class Scl3300(Sensor):
         )
 
     def _start(self, *, first: bool) -> int | None:
-        """Start the part once; return None where it measures, else the flags of its error, or :data:`UNKNOWN`.
+        """Start the part once; return None where it measures, else the flags of its error, 0 where it shows none.
 
         The first start may fail in any way, because the part may be in bank 1 or in power-down.
         """
@@ -239,15 +281,13 @@ class Scl3300(Sensor):
         echo, answers = self._ask(requests, WHOAMI, checked=not first)
         _, second, third, whoami = answers
         if not echo.answers(mode) or not all(map(Answer.answers, answers, requests)):
-            return UNKNOWN
+            return 0
         right = whoami.data == self._part.identity
         if not first and whoami.status == NORMAL and not right:
             raise DeviceFault(self._other_part(whoami.data))
         # Reading STATUS clears what the start has set: the second answer has to be free of errors.
         if right and second.status == third.status == whoami.status == NORMAL:
             return None
-        if first:
-            return UNKNOWN
         return third.data if third.status == ERROR else 0
 
     def _ask(self, requests: Sequence[bytes], fetch: bytes, *, checked: bool = True) -> tuple[Answer, list[Answer]]:
@@ -261,74 +301,7 @@ class Scl3300(Sensor):
             # An answer is one frame late: what comes at once is the request itself.
             if raw[:-1] == list(requests[1:]):
                 raise BusError("each frame comes back as it was sent: MISO is connected to MOSI")
-        late, answers = decode(first), [decode(frame) for frame in raw]
-        self._counts["damaged"] += sum(not answer.intact for answer in (late, *answers))
-        self._counts["out of step"] += sum(
-            answer.intact and answer.status == NORMAL and not answer.answers(request)
-            for answer, request in zip(answers, requests, strict=True)
-        )
-        return late, answers
-
-    def _good_answers(self, requests: Sequence[bytes]) -> list[Answer]:
-        """Return the answers to requests; repeat the requests until all answers are good."""
-        saturated = self._counts["saturated"]
-        for _ in range(ATTEMPTS):
-            # The answer to the frame that fetches the last one comes with the next sample.
-            late, answers = self._ask(requests, requests[0])
-            statuses = {answer.status for answer in (late, *answers) if answer.intact}
-            if not statuses <= {NORMAL, ERROR}:
-                self._refuse_restart("it is starting up")
-            if ERROR in statuses:
-                flags = self._flags()
-                if flags is None:
-                    self._set_up()
-                else:
-                    self._check_flags(flags)
-            elif all(map(Answer.answers, answers, requests)):
-                return answers
-        if self._counts["saturated"] > saturated:
-            raise DeviceFault(
-                "the part's signal path is saturated (SAT): it is shaken, or beyond its range; hold it still, or take "
-                "a wider range="
-            )
-        raise BusError(
-            f"{ATTEMPTS} samples in a row were damaged ({link_in_words(self._counts)}): try a slower clock (such as "
-            "speed=500000), shorter wires, and a pull-up on chip select"
-        )
-
-    def _flags(self) -> int | None:
-        """Return the flags of STATUS before this call; None where the line has damaged too much of them.
-
-        Of three readings of STATUS the first finds the flags with an error, the second finds them without one, the
-        third finds none. A fault that stays is there with an error in each. A request that was damaged on the way is
-        answered with an error and any data, so an error counts where two answers agree.
-        """
-        _, (first, second, third) = self._ask((STATUS, STATUS, STATUS), STATUS, checked=False)
-        if second.answers(STATUS) and second.status == NORMAL:
-            return second.data
-        if third.answers(STATUS) and third.status == NORMAL and (third.data or second.intact):
-            return third.data
-        known = [answer.data for answer in (first, second, third) if answer.answers(STATUS) and answer.status == ERROR]
-        return next((flags for flags in known if known.count(flags) > 1), None)
-
-    def _check_flags(self, flags: int) -> None:
-        """Count the flags of STATUS; raise an error if the samples before it are not reliable."""
-        if flags & RESTARTED:
-            self._refuse_restart(flags_in_words(flags))
-        if flags & ~SATURATED:
-            raise DeviceFault(
-                f"the {self._part.name} reports a fault: {flags_in_words(flags)}: it is reset; if the fault stays, "
-                "replace the part"
-            )
-        # Without a flag the part has found a wrong CRC in a request.
-        self._counts["saturated" if flags else "refused"] += 1
-
-    def _refuse_restart(self, why: str) -> None:
-        self._counts["restarts"] += 1
-        raise DeviceFault(
-            f"the {self._part.name} was reset or its supply failed since it was set up ({why}): check the supply and "
-            "its wires; it is set up anew"
-        )
+        return decode(first), [decode(frame) for frame in raw]
 
     def _other_part(self, identity: int) -> str:
         other = next((part.name for part in (_SCL3300, _SCA3300) if part.identity == identity), None)
