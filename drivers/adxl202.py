@@ -391,10 +391,8 @@ def _configured(model: Model, address: Address) -> Model:
         return find_model(f"{model.name}-analog").at(address)
     if "wiring" in address.options and not address.simulated:
         address.refuse("option 'wiring' is for sim: addresses; the scheme of a real address states it")
-    wiring = address.text("wiring", "sentences")
-    if wiring not in ("sentences", "edges"):
-        address.refuse(f"option wiring={wiring} is neither sentences nor edges")
-    if wiring == "sentences" and address.scheme in ("serial", "sim"):
+    edges = address.choice("wiring", {"sentences": False, "edges": True}, address.scheme in ("gpio", "vcd"))
+    if not edges:
         return model
     schemes = ("gpio", "vcd", "serial")
     return replace(model, schemes=schemes, thermometer=False, driver=Adxl202Edges, twin=VirtualEdges)

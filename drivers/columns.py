@@ -10,19 +10,18 @@ and without one the device is calibrated without these checks, as the session sa
 from __future__ import annotations
 
 import re
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property, partial
-from math import isfinite
-from typing import Any
+from math import hypot, isfinite
+from typing import Any, NamedTuple
 
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.model import OF_G, Model, Reading, Sensor, in_words, link_in_words
-from tiltcal.drivers.sketch import bare
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 
@@ -267,6 +266,75 @@ def require_name(address: Address, name: str) -> None:
         address.refuse(f"column {name!r} is neither a name of letters and digits nor - (for one that is skipped)")
     if name != TEMPERATURE and get_close_matches(name.lower(), [TEMPERATURE], cutoff=0.8):
         address.refuse(f"column {name!r}: did you mean {TEMPERATURE!r}?")
+
+
+# --- Lines as sketches print them: with labels, units and the monitor's clock ---
+
+_CLOCK = re.compile(rb"^\s*\d{1,2}:\d\d:\d\d(\.\d+)? -> ")
+"""What the monitor of the Arduino IDE prints before a line."""
+_LABEL = re.compile(rb"([A-Za-z_][\w./ ]*?)[ \t]*[:=][ \t]*(?=[-+.\d])")
+_UNIT = re.compile(rb"(?<=[\d.])[ \t]*(m/s\^?2|m/s\xc2\xb2|mg|g|\xc2\xb0C|C)(?![\w/])")
+_PRINTED = re.compile(rb"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
+
+_UNITS = {b"g": "g", b"mg": "mg", b"m/s2": "m/s2", b"m/s^2": "m/s2", b"m/s\xc2\xb2": "m/s2"}
+_AXIS = re.compile(r"(?:a|acc|accel|acceleration|aa|g)?_?([xyz])", re.IGNORECASE)
+_TEMPERATURE = re.compile(r"t|temp|temperature|celsius", re.IGNORECASE)
+_UNNAMED = {1: "x", 2: "x,y", 3: "x,y,z", 6: "x,y,z,-,-,-", 7: "x,y,z,-,-,-,temperature"}
+"""What numbers without a name may be; six are often accelerations and angular rates."""
+
+
+def bare(line: bytes) -> bytes:
+    """Return a line without clock, labels and units: numbers and what separates them."""
+    return _UNIT.sub(b" ", _LABEL.sub(b" ", _CLOCK.sub(b"", line)))
+
+
+class Guess(NamedTuple):
+    """What the numbers of a device's lines may be.
+
+    numbers: how many a line has.
+    columns: as ``columns=`` of an address; empty where no line has numbers.
+    unit: as ``unit=``; empty where no line names it.
+    example: the last line that has as many numbers as most.
+    """
+
+    numbers: int
+    columns: str
+    unit: str
+    example: str
+
+
+def guess(lines: Sequence[bytes]) -> Guess:
+    """Guess the meaning of the numbers of whole lines: by labels, by a line of names, by their number."""
+    counts = [len(_PRINTED.findall(bare(line))) for line in lines]
+    usual = max(Counter(filter(None, counts)).items(), key=lambda item: item[1], default=(0, 0))[0]
+    if not usual:
+        return Guess(0, "", "", "")
+    example = next(line for line, count in zip(reversed(lines), reversed(counts), strict=True) if count == usual)
+    labels = [label.split()[-1].decode() for label in _LABEL.findall(_CLOCK.sub(b"", example))]
+    headings = (re.split(rb"[,;\t ]+", line.strip()) for line, count in zip(lines, counts, strict=True) if not count)
+    heading = next((names for names in headings if len(names) == usual), [])
+    names = labels if len(labels) == usual else [name.decode("latin-1") for name in heading]
+    columns = ",".join(map(_meaning, names)) if names else _UNNAMED.get(usual, "x,y,z" + ",-" * (usual - 3))
+    if not set(columns) & set("xyz"):
+        columns = _UNNAMED.get(usual, columns)
+    unit = next((_UNITS[one] for one in _UNIT.findall(example) if one in _UNITS), "")
+    return Guess(usual, columns, unit, example.decode("latin-1").strip())
+
+
+def unit_of_gravity(guessed: Guess) -> str:
+    """Return the unit in which the reading of three axes is about as long as gravity; empty where none is."""
+    numbers = [float(number) for number in _PRINTED.findall(bare(guessed.example.encode("latin-1")))]
+    columns = guessed.columns.split(",")
+    along = [number for number, column in zip(numbers, columns, strict=False) if column in ("x", "y", "z")]
+    near = (unit for unit, gravity in (("m/s2", 9.81), ("g", 1.0)) if 0.75 < hypot(*along) / gravity < 1.25)
+    return next(near, "") if len(along) == 3 else ""
+
+
+def _meaning(name: str) -> str:
+    """Return what a label or heading means: an axis, the temperature, or - for a number that is skipped."""
+    if axis := _AXIS.fullmatch(name):
+        return "-" if name[:1] in "gG" and len(name) > 1 else axis[1].lower()
+    return "temperature" if _TEMPERATURE.fullmatch(name) else "-"
 
 
 def virtual_columns(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:

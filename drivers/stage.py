@@ -91,33 +91,21 @@ class DiskSample(NamedTuple):
     readings: tuple[float, ...]
 
 
-class Gradiometer:
-    """Four accelerometers on a rotating disk."""
-
-    def __init__(self, disk: Disk, seed: int = 0) -> None:
-        self._disk = disk
-        self._seed = seed
-        self._noise = disk.noise * sqrt(disk.rate / 2.0)
-
-    def sample(self, number: int) -> DiskSample:
-        """Return the sample with this number, counted from 0."""
-        disk = self._disk
-        time = number / disk.rate
-        turned = disk.spin * time % 1.0
-        readings = tuple(self._reading(index, 2.0 * pi * turned, number) for index in range(len(CHANNELS)))
-        theta = 360.0 * turned
-        if disk.encoder_noise:
-            theta += disk.encoder_noise * normal(self._seed, "encoder", number)
-        return DiskSample(time, theta % 360.0, readings)
-
-    def _reading(self, index: int, turned: float, number: int) -> float:
-        part = self._disk.accelerometers[index]
-        angle = turned + radians(PHASES[index]) + part.phase_error
-        differential, cross = self._disk.gradient
-        signal = sin(self._disk.inclination) * (sin(angle) + part.misalignment * cos(angle))
+def disk_sample(disk: Disk, seed: int, number: int) -> DiskSample:
+    """Return the sample with this number, counted from 0."""
+    time = number / disk.rate
+    turned = disk.spin * time % 1.0
+    common, (differential, cross) = sin(disk.inclination), disk.gradient
+    noise = disk.noise * sqrt(disk.rate / 2.0)
+    readings = []
+    for name, phase, part in zip(CHANNELS, PHASES, disk.accelerometers, strict=True):
+        angle = 2.0 * pi * turned + radians(phase) + part.phase_error
+        signal = common * (sin(angle) + part.misalignment * cos(angle))
         signal += 0.5 * differential * sin(2.0 * angle) + cross * cos(2.0 * angle)
-        signal += self._noise * normal(self._seed, CHANNELS[index], number) if self._noise else 0.0
-        return part.offset + part.scale * signal
+        signal += noise * normal(seed, name, number) if noise else 0.0
+        readings.append(part.offset + part.scale * signal)
+    theta = 360.0 * turned + (disk.encoder_noise * normal(seed, "encoder", number) if disk.encoder_noise else 0.0)
+    return DiskSample(time, theta % 360.0, tuple(readings))
 
 
 @dataclass(frozen=True)
@@ -134,11 +122,10 @@ class StageTruth(Truth):
 def virtual_stage(columns: ColumnLayout, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
     """Return a stage that prints the columns of an address, a skipped one as 0; stuck it repeats the first line."""
     disk = truth.disk if isinstance(truth, StageTruth) else Disk()
-    gradiometer = Gradiometer(disk, truth.seed)
 
     def line(number: int) -> bytes:
         fault = truth.fault(number / disk.rate)
-        sample = gradiometer.sample(round(fault.start * disk.rate) if fault.kind == "stuck" else number)
+        sample = disk_sample(disk, truth.seed, round(fault.start * disk.rate) if fault.kind == "stuck" else number)
         readings = dict(zip(CHANNELS, sample.readings, strict=True))
         return columns.line({TIME: number / disk.rate, THETA: sample.theta, **readings})
 

@@ -17,7 +17,7 @@ from time import sleep
 from typing import Any, NamedTuple
 
 from tiltcal.drivers.bus.address import Address
-from tiltcal.drivers.bus.nodes import Node, import_library
+from tiltcal.drivers.bus.nodes import GONE, Node, import_library
 from tiltcal.errors import BusError, HardwareError
 
 RECORD = Struct("<QBBI")
@@ -34,13 +34,9 @@ KERNEL_BUFFER = 1024
 MOST_LINES = 65_536
 """No chip has as many lines."""
 
-NODE = Node("gpio", ("gpiochip*",), "no GPIO chip is present")
+NODE = Node("gpio", ("gpiochip*",), "no GPIO chip is present", "a GPIO chip, as /dev/gpiochip0 is")
 OPENING = ((errno.ENODEV, errno.ENOTTY), "{place} is no GPIO chip, as /dev/gpiochip0 is")
-ERRORS = (
-    ((errno.EBUSY,), "a line of {place} is in use by another program or by the kernel: stop that one first"),
-    ((errno.EINVAL,), "{place} refuses the lines ({cause}): does it have them?"),
-    ((errno.ENODEV, errno.EIO, errno.ENXIO), "{place} is gone: plug it in again, then resume"),
-)
+LINES = ((errno.EINVAL,), "{place} refuses the lines ({cause}): does it have them?"), ((errno.EIO,), GONE)
 
 
 class Edge(NamedTuple):
@@ -98,7 +94,7 @@ class GpioLink:
                 chip, consumer="tiltcal", config={(x, y): settings}, event_buffer_size=KERNEL_BUFFER
             )
         except (OSError, ValueError) as cause:
-            raise self._error(cause, OPENING, *ERRORS) from cause
+            raise self._error(cause, OPENING, *LINES) from cause
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Take the records of edges that have arrived; see :class:`~tiltcal.drivers.bus.Link`."""
@@ -115,7 +111,7 @@ class GpioLink:
             sleep(GATHER)
             return pack_edges(map(self._edge, self._request.read_edge_events(max(count // RECORD.size, 1))))
         except (OSError, ValueError) as cause:
-            raise self._error(cause, *ERRORS) from cause
+            raise self._error(cause, *LINES) from cause
 
     def close(self) -> None:
         """Release the lines; closing twice is allowed."""
@@ -129,9 +125,7 @@ class GpioLink:
 
     def _error(self, cause: Exception, *texts: tuple[tuple[int, ...], str]) -> BusError:
         refused = OSError(errno.EINVAL, str(cause)) if isinstance(cause, ValueError) else cause
-        return BusError(
-            NODE.why(self._chip, refused, texts, "{place} failed ({reason}): check the wiring, then resume")
-        )
+        return BusError(NODE.why(self._chip, refused, texts))
 
 
 def _gpiod() -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,12 +19,23 @@ def import_library(module: str, needed: str, install: str) -> Any:
         raise HardwareError(f"{needed}: install it with  pip install {install}") from cause
 
 
+GONE = "{place} is gone: plug it in again, then resume"
+
+Texts = tuple[tuple[tuple[int, ...], str], ...]
+"""What to say of errors of the operating system by their numbers, with the place, the reason and the cause."""
+
+
 class Node(NamedTuple):
-    """The device nodes of a bus: its subsystem in udev, their names in ``/dev``, and what to say if there is none."""
+    """The device nodes of a bus.
+
+    subsystem, patterns: in udev; their names in ``/dev``.
+    absent, example: what to say if there is none; what a node of the bus is.
+    """
 
     subsystem: str
     patterns: tuple[str, ...]
     absent: str
+    example: str
 
     def missing(self, place: str) -> str:
         """Return the message for a node that does not exist, with those of its kind that do."""
@@ -52,21 +62,27 @@ class Node(NamedTuple):
             f"sudo usermod -aG {group} $USER  and log in again"
         )
 
-    def why(
-        self, place: str, cause: Exception, texts: Iterable[tuple[tuple[int, ...], str]], otherwise: str = ""
-    ) -> str:
-        """Return the message for an error: the text that has its number, with the place, the reason and the cause."""
+    def why(self, place: str, cause: Exception, texts: Texts = ()) -> str:
+        """Return the message for an error: what a bus says of its number, else what all of them do."""
         number = error_number(cause)
         if number == errno.ENOENT:
             return self.missing(place)
         if number in (errno.EACCES, errno.EPERM):
             return self.no_permission(place)
-        text = next((text for numbers, text in texts if number in numbers), otherwise)
+        common = (
+            ((errno.EBUSY, errno.EAGAIN), "{place} is in use by another program: stop that one first"),
+            ((errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN, errno.EBADF), GONE),
+            ((errno.ENOTTY, errno.EINVAL), f"{{place}} refuses a request ({{reason}}): is it {self.example}?"),
+        )
+        otherwise = "{place} failed ({reason}): check the wiring and the adapter, then resume"
+        text = next((text for numbers, text in (*texts, *common) if number in numbers), otherwise)
         reason = str(cause) if number is None else os.strerror(number)
         return text.format(place=place, reason=reason, cause=cause)
 
 
-SERIAL_PORT = Node("tty", ("ttyUSB*", "ttyACM*"), "no USB serial port is present; is the cable plugged in?")
+SERIAL_PORT = Node(
+    "tty", ("ttyUSB*", "ttyACM*"), "no USB serial port is present; is the cable plugged in?", "a serial port"
+)
 
 
 def error_number(cause: BaseException | None) -> int | None:

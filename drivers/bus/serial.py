@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any
 
 from tiltcal.drivers.bus.address import Address
-from tiltcal.drivers.bus.nodes import SERIAL_PORT, error_number, import_library
+from tiltcal.drivers.bus.nodes import GONE, SERIAL_PORT, error_number, import_library
 from tiltcal.errors import BusError
 
 BAUDRATE = 115_200
@@ -32,12 +32,11 @@ HANDLERS = ("socket", "rfc2217", "hwgrep", "loop")
 """pyserial's URL handlers that can be used. Others do more than open a line: ``spy://`` writes to any file."""
 
 ERRORS = (
-    ((errno.EBUSY, errno.EAGAIN), "{place} is in use by another program: stop that one first"),
     (
         (errno.ECONNREFUSED, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT),
         "no server answers at {place} ({reason}): is the server running, and the port number right?",
     ),
-    ((errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF), "{place} is gone: plug it in again, then resume"),
+    ((errno.EIO,), GONE),
     ((errno.ENOTTY, errno.EINVAL), "{place} is no serial port, or does not take these settings ({reason})"),
 )
 
@@ -115,6 +114,4 @@ def _why(place: str, cause: Exception) -> str:
     """Return the message for an error of pyserial or the operating system: the cause and what to try."""
     gone = "disconnected" in str(cause) or (isinstance(cause, TypeError) and error_number(cause) is None)
     under = OSError(errno.ENODEV, str(cause)) if gone else cause
-    return SERIAL_PORT.why(
-        place, under, ERRORS, "{place} failed ({cause}): check the cable and the adapter, then resume"
-    )
+    return SERIAL_PORT.why(place, under, ERRORS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from typing import Any
 
 from tiltcal.drivers.bus import Device
@@ -13,14 +12,11 @@ from tiltcal.errors import BusError
 FASTEST = 100_000_000
 """Highest clock of a part whose own is not known, Hz; spidev would take 2**32 and more for other clocks."""
 
-NODE = Node("spidev", ("spidev*",), "no SPI device is present; switch SPI on in the board's settings")
-ERRORS = (
-    ((errno.EBUSY,), "{place} is in use by another program: stop that one first"),
-    ((errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN), "{place} is gone: plug the SPI adapter in again, then resume"),
-    (
-        (errno.ENOTTY, errno.EINVAL),
-        "{place} refuses an SPI request ({reason}): is it an SPI device, as /dev/spidev0.0 is?",
-    ),
+NODE = Node(
+    "spidev",
+    ("spidev*",),
+    "no SPI device is present; switch SPI on in the board's settings",
+    "an SPI device, as /dev/spidev0.0 is",
 )
 
 
@@ -61,19 +57,15 @@ class SpiLink:
             self._bus.bits_per_word = 8
         except OSError as cause:
             self._bus.close()
-            raise self._error(cause) from cause
+            raise BusError(NODE.why(device, cause)) from cause
 
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Shift one frame out and in, chip select low throughout; see :class:`~tiltcal.drivers.bus.Link`."""
         try:
             return bytes(self._bus.xfer2(list(out)))
         except OSError as cause:
-            raise self._error(cause) from cause
+            raise BusError(NODE.why(self._device, cause)) from cause
 
     def close(self) -> None:
         """Release the device node, so that a new link can open it."""
         self._bus.close()
-
-    def _error(self, cause: OSError) -> BusError:
-        otherwise = "transfer on {place} failed ({reason}): check the wiring and the adapter, then resume"
-        return BusError(NODE.why(self._device, cause, ERRORS, otherwise))

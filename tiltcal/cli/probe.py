@@ -13,8 +13,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.drivers.columns import listened, shown
-from tiltcal.drivers.sketch import guess, unit_of_gravity
+from tiltcal.drivers.columns import guess, listened, shown, unit_of_gravity
 from tiltcal.errors import NEGATIVE_VERDICT, BusError, UsageError
 
 

@@ -12,7 +12,7 @@ from support.pty_device import printing
 import tiltcal as library
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
-from tiltcal.drivers.sketch import guess
+from tiltcal.drivers.columns import guess
 
 PRINTED = {
     "X: 1.55 Y: -0.09 Z: 10.49": ("x,y,z", ""),

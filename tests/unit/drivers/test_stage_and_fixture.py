@@ -15,22 +15,21 @@ from support import accelerometer_disk as disk
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.drivers.stage import Accelerometer, Disk, Gradiometer
+from tiltcal.drivers.stage import Accelerometer, Disk, disk_sample
 from tiltcal.drivers.virtual import Fixture, _rotated
 
 QUIET = Disk(noise=0.0)
 
 
 def taken(made: Disk, count: int, seed: int = 0) -> disk.Record:
-    device = Gradiometer(made, seed)
-    samples = [device.sample(number) for number in range(count)]
+    samples = [disk_sample(made, seed, number) for number in range(count)]
     return disk.Record(*(np.array([getattr(one, name) for one in samples]) for name in ("time", "theta", "readings")))
 
 
 def test_eq_4_by_hand() -> None:
     part = Accelerometer(3.0, misalignment=0.02, offset=0.5)
     made = replace(QUIET, accelerometers=(part,) * 4, inclination=radians(30.0))
-    sample = Gradiometer(made).sample(70)  # 1.4 s at 50 Hz: 63° at 0.125 Hz
+    sample = disk_sample(made, 0, 70)  # 1.4 s at 50 Hz: 63° at 0.125 Hz
     assert sample.theta == pytest.approx(63.0)
     along, across = 1.5 * sin(radians(63)), 1.5 * cos(radians(63))
     radial, tangential = along + 0.02 * across, across - 0.02 * along
@@ -53,7 +52,7 @@ def test_a_line_is_the_next_sample_of_the_disk_in_the_columns_of_the_address() -
         sensor = model.driver(model.twin(truth, None, clock), clock)
         sensor.read()
         for number in range(2, 6):
-            sample = Gradiometer(truth.disk, 5).sample(number)
+            sample = disk_sample(truth.disk, 5, number)
             expected = (sample.readings[3], sample.theta) if options else (sample.theta, *sample.readings)
             assert sensor.read().values == pytest.approx(expected, rel=1e-8)
             assert clock.now_ns() / 1e9 == pytest.approx(number / 50, abs=0.01)
