@@ -59,7 +59,7 @@ def find_model(name: str) -> Model:
         plug-in cannot be loaded.
     """
     require_text("--sensor", name)
-    plug_ins = _plug_ins()
+    plug_ins = _plug_ins(tuple(sys.path))
     claims = plug_ins.get(name, [])
     _refuse_rivals(name, claims)
     if name in _BUILT_IN:
@@ -76,7 +76,7 @@ def models() -> Iterator[Model]:
 
     UsageError: a plug-in claims the name of another model, or cannot be loaded.
     """
-    plug_ins = _plug_ins()
+    plug_ins = _plug_ins(tuple(sys.path))
     for name, claims in plug_ins.items():
         _refuse_rivals(name, claims)
     for name in _BUILT_IN:
@@ -89,14 +89,9 @@ def _built_in(name: str) -> Model:
     return cast("Model", import_module(f"tiltcal.drivers.{_BUILT_IN[name]}").MODELS[name])
 
 
-def _plug_ins() -> Mapping[str, list[EntryPoint]]:
-    """Return the entry points of each name; the caller reports a name with more than one."""
-    return _plug_ins_on(tuple(sys.path))
-
-
 @cache
-def _plug_ins_on(path: tuple[str, ...]) -> Mapping[str, list[EntryPoint]]:
-    """Search every package that is installed on a path, which takes longer than all else at the look-up of a model."""
+def _plug_ins(path: tuple[str, ...]) -> Mapping[str, list[EntryPoint]]:
+    """Return the entry points of each name of all packages on a path, whose search takes long."""
     from importlib.metadata import entry_points
 
     by_name: dict[str, list[EntryPoint]] = {}

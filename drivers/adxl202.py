@@ -48,7 +48,7 @@ FEW = 16
 
 _TICKS = rb"([0-9]{1,12}(?:\.[0-9]{1,9})?)"
 _SENTENCE = re.compile(
-    rb"PTCDC,([0-9]{1,12})," + rb",".join([_TICKS] * 4) + rb"(?:,([+-]?[0-9]{1,4}(?:\.[0-9]{0,9})?)?)?"
+    rb"\$PTCDC,([0-9]{1,12})," + rb",".join([_TICKS] * 4) + rb"(?:,([+-]?[0-9]{1,4}(?:\.[0-9]{0,9})?)?)?"
 )
 
 
@@ -63,23 +63,15 @@ class Sentence(NamedTuple):
 
 def parse_sentence(line: bytes) -> Sentence | None:
     """Return the sentence of a line without its end; None where it is damaged or a pulse is longer than its period."""
-    inside = content(line)
-    fields = _SENTENCE.fullmatch(inside) if inside is not None else None
-    if fields is None:
+    inside, _, digits = line.rpartition(b"*")
+    fields = _SENTENCE.fullmatch(inside)
+    if not fields or not re.fullmatch(b"[0-9A-Fa-f]{2}", digits) or int(digits, 16) != reduce(xor, inside[1:], 0):
         return None
     number, *times, temperature = fields.groups()
     t1x, t1y, t2x, t2y = map(float, times)
     if not (0.0 < t2x >= t1x and 0.0 < t2y >= t1y):
         return None
     return Sentence(int(number), (t1x / t2x, t1y / t2y), (t2x, t2y), float(temperature) if temperature else None)
-
-
-def content(sentence: bytes) -> bytes | None:
-    """Return the content between ``$`` and ``*`` of a sentence; None if the frame or the checksum is wrong."""
-    body, star, digits = sentence.rpartition(b"*")
-    if not star or not body.startswith(b"$") or not re.fullmatch(b"[0-9A-Fa-f]{2}", digits):
-        return None
-    return body[1:] if int(digits, 16) == reduce(xor, body[1:], 0) else None
 
 
 def missing(before: int, now: int) -> int | None:

@@ -28,9 +28,10 @@ from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.converters import (
     NOMINAL,
+    SCHEMES,
     Converter,
-    Held,
     Supply,
+    VirtualAds1115,
     find_converter,
     require_apart,
     take_input,
@@ -66,21 +67,20 @@ class Wired:
         """Return the model of the part by those of its facts that do not depend on the converter."""
         options = (*facts.pop("options"), "supply", "vdd", *self.converter.options)
         driver, converter = partial(AnalogSensor, self), self.converter
-        return Model(
-            schemes=converter.schemes, spi=converter.spi, driver=driver, twin=self.virtual, options=options, **facts
-        )
+        return Model(schemes=SCHEMES, spi=converter.spi, driver=driver, twin=self.virtual, options=options, **facts)
 
     def virtual(self, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
         """Return a virtual converter with the part at its inputs; an input without a wire is at ground."""
-        held = truth, fixture, clock
 
         def volts(number: int) -> float:
             if number == self.supply.number:
                 return truth.supply
-            share = self.part.output(held, self.numbers.index(number)) if number in self.numbers else 0.0
+            if number not in self.numbers:
+                return 0.0
+            share = self.part.output(self.numbers.index(number), truth, fixture, clock)
             return min(max(share, 0.0), 1.0) * truth.supply
 
-        return self.converter.virtual(held, volts, truth.supply if self.supply.reference else self.converter.full_scale)
+        return VirtualAds1115(truth, fixture, clock, volts)
 
 
 class AnalogSensor(Sensor):
@@ -143,9 +143,8 @@ class TiltPart:
             )
         return Reading(values)
 
-    def output(self, held: Held, place: int) -> float:
+    def output(self, place: int, truth: Truth, fixture: HeldPose, clock: Clock) -> float:
         """Return a virtual output as a share of the supply."""
-        truth, fixture, clock = held
         now_ns = clock.now_ns()
         channel = truth.channels[place]
         if self.parity_signal and truth.fault(now_ns / 1e9).kind == "parity":
@@ -189,7 +188,7 @@ class TiltPart:
 
     def draw(self, seed: int) -> Truth:
         """Draw the part of the digital port, in V referred to a supply of 5 V."""
-        digital, truth = self.digital, self.digital.drawn(seed)
+        digital, truth = self.digital, self.digital.default_truth(seed)
         step = self.sensitivity / digital.sensitivity
         return replace(
             truth,
@@ -298,9 +297,8 @@ class Divider:
         ratio = share / (1.0 - share)
         return Reading((), self.curve.celsius(self.fixed * (ratio if self.grounded else 1.0 / ratio)))
 
-    def output(self, held: Held, place: int) -> float:
+    def output(self, place: int, truth: Truth, fixture: HeldPose, clock: Clock) -> float:
         """Return the virtual output as a share of the supply."""
-        truth, fixture, clock = held
         stuck = truth.fault(clock.now_ns() / 1e9).kind == "stuck"
         celsius = truth.ambient if stuck else fixture.temperature()
         ohms = self.curve.ohms(celsius + truth.thermometer_error)

@@ -38,65 +38,40 @@ from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart, uniform
 from tiltcal.errors import BusError, DeviceFault
 
 SCHEMES = ("ads1115+i2c", "mcp3208+spi")
-"""Address schemes of the converters: part and bus of each. The first one is the default of a virtual sensor."""
+"""Address schemes of the converters: part and bus of each. A virtual sensor is behind the first one."""
 
 NOMINAL = 5.0
 """Nominal supply of analog sensors, V."""
 
 
-Held = tuple[Truth, HeldPose, Clock]
-"""A virtual sensor, what holds it, and the time of the session."""
-
-Volts = Callable[[int], float]
-"""The voltage at an input now, V, by its number."""
-
-
 class Converter(ABC):
     """A converter with the settings of an address; it keeps nothing from one conversion to the next.
 
-    name, inputs, steps: the part of the scheme before ``+``; how many it has; of the full scale.
+    inputs, steps: how many it has; of the full scale.
     full_scale: V; a larger voltage reads as full scale.
     reference: voltage at its reference pin, V, if it has one; a sensor with the same supply is then ratiometric.
     description: the converter and its settings, for the operator.
     """
 
-    name: ClassVar[str]
     inputs: ClassVar[int]
     steps: ClassVar[int]
-    options: tuple[str, ...]
+    options: ClassVar[tuple[str, ...]]
     spi: ClassVar[SpiPort | None] = None
     full_scale: float
     reference: float | None = None
     description: str
 
     @abstractmethod
-    def __init__(self, address: Address) -> None:
-        """Take the settings of an address."""
-
-    @abstractmethod
     def volts(self, link: Link, clock: Clock, number: int) -> float:
         """Measure one input against ground, V; a converter that misbehaves is a HardwareError."""
 
-    @abstractmethod
-    def virtual(self, held: Held, volts: Volts, reference: float) -> Link:
-        """Return a virtual one by the voltages at its inputs and at its reference pin, V."""
-
-    @property
-    def schemes(self) -> tuple[str, ...]:
-        """All schemes of converters, this one's first."""
-        return tuple(sorted(SCHEMES, key=lambda scheme: not scheme.startswith(f"{self.name}+")))
-
 
 def find_converter(address: Address) -> Converter:
-    """Return the converter of an address; ``sim:`` selects one with ``adc=``."""
-    name = address.text("adc", "ads1115") if address.simulated else address.scheme.partition("+")[0]
-    kinds: dict[str, type[Converter]] = {"ads1115": Ads1115, "mcp3208": Mcp3208}
-    if name not in kinds:
+    """Return the converter of an address."""
+    if not address.simulated and address.scheme not in SCHEMES:
         known = " or ".join(f"{scheme}:" for scheme in SCHEMES)
-        address.refuse(f"{name!r} is not a known converter (analog sensors are connected by {known})")
-    converter = kinds[name](address)
-    converter.options += ("adc",) if address.simulated else ()
-    return converter
+        address.refuse(f"{address.scheme}: is not a known converter (analog sensors are connected by {known})")
+    return Mcp3208(address) if address.scheme == SCHEMES[1] else Ads1115(address)
 
 
 def take_input(address: Address, option: str, converter: Converter, default: int) -> int:
@@ -112,7 +87,6 @@ class Supply:
     volts: as stated; if it is measured, the nominal value.
     low, high: within these limits the sensor is ratiometric, V.
     full_scale: of the converter, V.
-    reference: whether it is tied to the reference pin of the converter as well.
     """
 
     number: int | None
@@ -120,7 +94,6 @@ class Supply:
     low: float
     high: float
     full_scale: float = inf
-    reference: bool = False
 
     def shares(self, measure: Callable[[int], float], numbers: Sequence[int]) -> tuple[tuple[float, ...], float]:
         """Measure inputs as shares of the supply, and the supply, V.
@@ -182,7 +155,7 @@ def take_supply(address: Address, converter: Converter, low: float, high: float)
             f"the sensor needs a supply of {low:g} to {high:g} V, so the reference of {converter.reference:g} V is "
             "not its supply: wire that to an input and add supply=N, or state it with vdd=VOLTS"
         )
-    return supply(None, converter.reference, reference=True)
+    return supply(None, converter.reference)
 
 
 def require_apart(address: Address, wiring: dict[str, int | None]) -> None:
@@ -220,8 +193,7 @@ _SINGLE_ENDED, _SINGLE_SHOT, _COMPARATOR_OFF = 0b100, 0x0100, 0b00011
 class Ads1115(Converter):
     """An ADS1115, with one single-shot conversion per input: options ``range`` (V) and ``rate`` (per second)."""
 
-    name, inputs, steps = "ads1115", 4, 32768
-    options: tuple[str, ...] = ("range", "rate")
+    inputs, steps, options = 4, 32768, ("range", "rate")
 
     def __init__(self, address: Address) -> None:
         if "address" in address.options and not address.simulated and address.integer("address") not in ADDRESSES:
@@ -230,9 +202,6 @@ class Ads1115(Converter):
         self.full_scale = address.choice("range", {f"{volts:g}": volts for volts in RANGES}, RANGES[0])
         self.rate = address.choice("rate", {str(rate): rate for rate in RATES}, 128)
         self.description = f"ADS1115, ±{self.full_scale:g} V, {self.rate} conversions per second"
-
-    def virtual(self, held: Held, volts: Volts, reference: float) -> Link:
-        return VirtualAds1115(held, volts)
 
     def config(self, number: int) -> int:
         """Return the config register that starts one conversion of an input, 0 to 3, against ground."""
@@ -284,12 +253,15 @@ ADS1115_BIT_SECONDS = 1.0 / 100_000
 
 
 class VirtualAds1115(VirtualPart):
-    """An ADS1115 on the I2C bus at 100 kHz: the pointer, the config register and the last conversion of one input."""
+    """An ADS1115 on the I2C bus at 100 kHz: the pointer, the config register and the last conversion of one input.
+
+    volts: ``volts(number)`` returns the voltage at an input now, V.
+    """
 
     letter = "i"
 
-    def __init__(self, held: Held, volts: Volts) -> None:
-        super().__init__(*held)
+    def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock, volts: Callable[[int], float]) -> None:
+        super().__init__(truth, fixture, clock)
         self._volts = volts
         self._pointer = CONVERSION
         self._config = RESET & ~START
@@ -336,17 +308,12 @@ PORT = SpiPort(modes=(0, 3), fastest=2_000_000, speed=1_000_000)
 class Mcp3208(Converter):
     """An MCP3208 with the option ``vref``, the voltage at its reference pin."""
 
-    name, inputs, steps, spi = "mcp3208", 8, CODES, PORT
-    options: tuple[str, ...] = ("vref",)
+    inputs, steps, options, spi = 8, CODES, ("vref",), PORT
 
     def __init__(self, address: Address) -> None:
         # From 0.25 V up to the part's own supply, which may be 5.5 V.
-        self.full_scale = address.number("vref", 5.0 if address.simulated else None, low=0.25, high=5.5)
-        self.reference = self.full_scale
+        self.full_scale = self.reference = address.number("vref", low=0.25, high=5.5)
         self.description = f"MCP3208, reference {self.full_scale:g} V"
-
-    def virtual(self, held: Held, volts: Volts, reference: float) -> Link:
-        return VirtualMcp3208(held, volts, reference)
 
     def volts(self, link: Link, clock: Clock, number: int) -> float:
         command = bytes([0b110 | number >> 2, (number & 0b11) << 6, 0])
@@ -355,23 +322,3 @@ class Mcp3208(Converter):
         check_data_line(answer, f"answer for input {number}")
         # The bits before the lowest 12 have no meaning.
         return ((answer[1] & 0x0F) << 8 | answer[2]) * self.full_scale / CODES
-
-
-class VirtualMcp3208(VirtualPart):
-    """An MCP3208 on the SPI bus at 1 MHz, without state between frames."""
-
-    letter, bit_seconds = "s", 1.0 / 1_000_000
-
-    def __init__(self, held: Held, volts: Volts, reference: float) -> None:
-        super().__init__(*held)
-        self._volts, self._reference = volts, reference
-
-    def _answered(self, out: bytes, count: int) -> bytes:
-        # The line floats but for the null bit and the result.
-        answer = bytearray(self._filler() for _ in out)
-        if len(out) == 3 and out[0] >> 1 == 0b11:
-            number = (out[0] & 1) << 2 | out[1] >> 6
-            code = round(self._volts(number) / self._reference * CODES)
-            code = min(max(code, 0), CODES - 1)
-            answer[1:] = bytes([answer[1] & 0xE0 | code >> 8, code & 0xFF])
-        return bytes(answer)

@@ -146,9 +146,9 @@ class Model(Device):
     thermometer_step: float = 0.0
     driver: Callable[[Link, Clock], Sensor]
     twin: Callable[[Truth, HeldPose, Clock], Link]
+    default_truth: Callable[[int], Truth]
     not_modelled: tuple[str, ...] = ()
     memory_fault: bool = False
-    default_truth: Callable[[int], Truth] | None = None
     population: Population | None = None
     scaled: bool = True
     configure: Callable[[Address], Model] | None = None
@@ -169,12 +169,6 @@ class Model(Device):
     def omissions(self) -> tuple[str, ...]:
         """What the twin does not model, for ``tiltcal devices``."""
         return (*NO_TWIN_MODELS, *self.not_modelled, *(() if self.memory_fault else ("a fault of a memory (parity)",)))
-
-    def drawn(self, seed: int) -> Truth:
-        """Return a plausible part, the same one for one seed."""
-        if self.default_truth is None:
-            raise UsageError(f"{self.name} has no default twin; name one with twin=FILE")
-        return self.default_truth(seed)
 
     def at(self, address: Address) -> Model:
         """Return this model as it is connected at an address."""

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from math import comb, radians, sin, sqrt
 from typing import Any, ClassVar
 
@@ -374,9 +373,10 @@ def _inclinometer(
         not_modelled=NOT_MODELLED,
         memory_fault=True,
         spi=SpiPort(modes=(0, 3), fastest=500_000),
+        default_truth=lambda seed: _draw(model, population, seed),
         **facts,
     )
-    return replace(model, default_truth=partial(_draw, model, population))
+    return model
 
 
 ABOUT_ZERO: dict[str, Any] = {"offset": float(ZERO), "rails": (float(LOWEST_SANE_WORD - 1), float(FULL_SCALE))}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from fractions import Fraction
 from io import BufferedReader
 from itertools import islice
@@ -50,7 +51,10 @@ class VcdLink:
         With a ``count`` of 0, if the file has changed since it was opened, reading starts again with the new capture.
         """
         if not count:
-            self._renew()
+            with suppress(OSError):
+                if _IDENTITY(os.stat(self._path)) != self._identity:
+                    self.close()
+                    self._open()
             return b""
         edges = list(islice(self._edges, max(count // RECORD.size, 1)))
         if not edges:
@@ -81,15 +85,6 @@ class VcdLink:
         except BaseException:
             self.close()
             raise
-
-    def _renew(self) -> None:
-        try:
-            written_anew = _IDENTITY(os.stat(self._path)) != self._identity
-        except OSError:
-            written_anew = False
-        if written_anew:
-            self.close()
-            self._open()
 
 
 def _skip_preface(path: str, file: BufferedReader) -> None:

@@ -41,14 +41,14 @@ OPTIONS = {
         "columns=x@0:float64,y@9:int32*1e-6,temperature@4:int16*0.1&order=dcba",
     ],
     "sca100t-d02-analog": [
-        *("vdd=4.9", "x=3&y=0&supply=1&rate=860", "adc=mcp3208", "adc=mcp3208&vref=5.2&vdd=4.9"),
-        "adc=mcp3208&vref=5.2&supply=7",
+        "vdd=4.9",
+        "x=3&y=0&supply=1&rate=860",
     ],
     "sca3000-i2c": ["counts_per_g=500&thermometer=yes&pointer=command"],
     "sca3300-d01": ["range=6g", "range=1.5g-10hz"],
     "scl3300": ["range=low-noise", "range=2.4g"],
     "serial-columns": ["columns=-,x,y,z,temperature&separator=semicolon&unit=V&offset=2.5&sensitivity=2"],
-    "thermistor": ["a=1.129e-3&b=2.341e-4&c=8.775e-8&to=supply", "adc=mcp3208", "vdd=4.9"],
+    "thermistor": ["a=1.129e-3&b=2.341e-4&c=8.775e-8&to=supply", "vdd=4.9"],
 }
 
 TILTED = (0.2, -0.25, 0.8975**0.5)

@@ -80,7 +80,7 @@ def registers_of(name: str) -> tuple[dict[int, int], Any, Any]:
     model, clock = find_model(name), VirtualClock()
     fixture = Fixture(clock, ambient=24.0)
     fixture.move(UP)
-    part = model.twin(replace(model.drawn(3), noise={}), fixture, clock)
+    part = model.twin(replace(model.default_truth(3), noise={}), fixture, clock)
     part.letter = "i"
     reading = model.driver(part, clock).read()
     contents = {register: part.exchange(bytes([register]), 1)[0] for register in range(0x80)}

@@ -109,7 +109,7 @@ def test_a_night_without_a_person_and_with_a_power_cut(tmp_path: Path) -> None:
     for number in range(6):
         calibration = read_calibration(tmp_path / f"A-{number}.yaml")
         assert len(calibration.positions) == 9
-        truth = find_model("adxl202-analog").drawn(number)
+        truth = find_model("adxl202-analog").default_truth(number)
         for channel, drift in zip("xy", calibration.coefficients.thermal.drift[:, 0], strict=True):
             u = calibration.uncertainty[f"temperature.offset.{channel}.1"]
             assert abs(drift - truth.drift[channel][0]) < 4 * u

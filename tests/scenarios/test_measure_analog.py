@@ -21,7 +21,7 @@ PROCEDURES = {
 CASES = [
     (model, procedure, address)
     for model, procedures in PROCEDURES.items()
-    for procedure, address in zip(procedures, ("sim:?seed=3", "sim:adc=mcp3208&seed=3"), strict=True)
+    for procedure, address in zip(procedures, ("sim:?seed=3", "sim:vdd=5&seed=3"), strict=True)
 ]
 
 

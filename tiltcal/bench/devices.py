@@ -116,7 +116,7 @@ def truth_of(address: Address, model: Model) -> Truth:
     address.allow("twin", "seed", *model.options)
     seed = address.integer("seed", 0)
     if "twin" not in address.options:
-        return model.drawn(seed)
+        return model.default_truth(seed)
     from tiltcal.files.twin import read_twin
 
     named, truth = read_twin(address.text("twin"), seed if "seed" in address.options else None)

@@ -220,7 +220,7 @@ def _jig_in_words(jig: float | None) -> str:
 
 def _usual_noise(model: Model) -> float:
     """Return the noise of a sample of the model's virtual part, at least that of rounding, unit."""
-    known = max(model.default_truth(0).noise.values(), default=0.0) if model.default_truth else 0.0
+    known = max(model.default_truth(0).noise.values(), default=0.0)
     return hypot(known, model.resolution / sqrt(12))
 
 
@@ -230,6 +230,6 @@ def _usual_drift(model: Model, base: CalibrationRecord | None) -> float:
     if thermal is not None and thermal.drift.size:
         slopes = thermal.drift[:, 0]
     else:
-        usual = model.default_truth(0).drift.values() if model.default_truth else ()
+        usual = model.default_truth(0).drift.values()
         slopes = np.array([terms[0] for terms in usual if terms] or [0.0])
     return float(np.sqrt(np.mean(slopes**2)))

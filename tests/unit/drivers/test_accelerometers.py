@@ -1,4 +1,4 @@
-"""Three of Adafruit's drivers read our virtual parts on a bus of five methods, and are read by ``python:``."""
+"""Two of Adafruit's drivers read our virtual parts on a bus of five methods."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from unittest.mock import MagicMock
 
 import pytest
 
-import tiltcal
 from tiltcal.drivers import find_model
-from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.virtual import Fixture
 
 UP = (0.48, -0.6, 0.64)
+
+COUNTS = {"mpu6050": 16384 / 9.80665, "adxl345": 250 / 9.80665}
+"""What their drivers divide by: counts to 1 m/s²."""
 
 
 class FakeBus:
@@ -47,52 +48,25 @@ class FakeBus:
         self.readfrom_into(address, buffer, start=part["in_start"], end=part["in_end"])
 
 
-@pytest.fixture
-def truths(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[Any, list[float], float]]:
-    """Each driver, with what its part reads (count) and its temperature."""
+@pytest.mark.parametrize(
+    ("name", "module", "kind"), [("mpu6050", "adafruit_mpu6050", "MPU6050"), ("adxl345", "adafruit_adxl34x", "ADXL345")]
+)
+def test_they_read_the_counts_of_our_virtual_parts(
+    name: str, module: str, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for missing in ("busio", "circuitpython_typing", "circuitpython_typing.device_drivers", "digitalio", "micropython"):
         monkeypatch.setitem(sys.modules, missing, MagicMock(const=int))
-    made = {}
-    for name, options, module, kind in (
-        ("mpu6050", "", "adafruit_mpu6050", "MPU6050"),
-        ("adxl345", "", "adafruit_adxl34x", "ADXL345"),
-        ("lis3dh", "rate=400", "adafruit_lis3dh", "LIS3DH_I2C"),
-    ):
-        pytest.importorskip(module, reason=f"Adafruit's {module} is not installed")
-        theirs = import_module(module)
-        for sleeping in ("sleep", "time"):
-            if hasattr(theirs, sleeping):
-                nothing = lambda seconds: None  # noqa: E731
-                monkeypatch.setattr(
-                    theirs, sleeping, nothing if sleeping == "sleep" else SimpleNamespace(sleep=nothing)
-                )
-        model, clock = find_model(name).at(parse_address(f"sim:{options}")), VirtualClock()
-        fixture, truth = Fixture(clock, ambient=24.0), replace(model.drawn(3), noise={})
-        fixture.move(UP)
-        sensor = getattr(theirs, kind)(FakeBus(model.twin(truth, fixture, clock)))
-        if name == "adxl345":
-            sensor.range = theirs.Range.RANGE_2_G  # which sets full resolution
-        counts = [truth.reading(channel, UP, 24.0) for channel in "xyz"]
-        made[name] = sensor, counts, 24.0 + truth.thermometer_error
-    return made
-
-
-COUNTS = {"mpu6050": 16384 / 9.80665, "adxl345": 250 / 9.80665, "lis3dh": 16380 / 16 / 9.806}
-"""What their drivers divide by: counts to 1 m/s²."""
-
-
-def test_they_read_the_counts_of_our_virtual_parts(truths: dict[str, Any]) -> None:
-    for name, (sensor, counts, _) in truths.items():
-        read = [value * COUNTS[name] for value in sensor.acceleration]
-        assert read == pytest.approx(counts, abs=0.51), name
-    sensor, _, celsius = truths["mpu6050"]
-    assert sensor.temperature == pytest.approx(celsius, abs=0.01)
-
-
-def test_python_reads_them(truths: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    boards = SimpleNamespace(**{name: lambda sensor=sensor: sensor for name, (sensor, _, _) in truths.items()})
-    monkeypatch.setitem(sys.modules, "boards", boards)
-    for name, (_, counts, _) in truths.items():
-        with tiltcal.open_sensor("python", f"python:boards:{name}") as sensor:
-            read = [value * COUNTS[name] for value in sensor.read().values]
-        assert read == pytest.approx(counts, abs=0.51), name
+    pytest.importorskip(module, reason=f"Adafruit's {module} is not installed")
+    theirs = import_module(module)
+    monkeypatch.setattr(theirs, "sleep", lambda seconds: None, raising=False)
+    monkeypatch.setattr(theirs, "time", SimpleNamespace(sleep=lambda seconds: None), raising=False)
+    model, clock = find_model(name), VirtualClock()
+    fixture, truth = Fixture(clock, ambient=24.0), replace(model.default_truth(3), noise={})
+    fixture.move(UP)
+    sensor = getattr(theirs, kind)(FakeBus(model.twin(truth, fixture, clock)))
+    if name == "adxl345":
+        sensor.range = theirs.Range.RANGE_2_G  # which sets full resolution
+    else:
+        assert sensor.temperature == pytest.approx(24.0 + truth.thermometer_error, abs=0.01)
+    counts = [truth.reading(channel, UP, 24.0) for channel in "xyz"]
+    assert [value * COUNTS[name] for value in sensor.acceleration] == pytest.approx(counts, abs=0.51)
