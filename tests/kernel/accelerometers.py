@@ -1,4 +1,4 @@
-"""Linux's own drivers of accelerometers read what our virtual parts have in their registers; and a session on ``iio:``.
+"""Linux's own drivers of accelerometers read what our virtual parts have in their registers.
 
 Needs root and a kernel with i2c-stub at the addresses of :data:`PARTS`; ``make test-kernel`` boots one.
 """
@@ -9,15 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from random import Random
-from tempfile import TemporaryDirectory
 from threading import Event, Thread
 from time import sleep
 from typing import Any
 
 from smbus2 import SMBus
 
-import tiltcal
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.virtual import Fixture
@@ -115,71 +112,7 @@ def check_raw(stub: StubBus, name: str) -> str:
     return said
 
 
-class Rig:
-    """A cube in positions, whose accelerometer is the MPU6050 of the stub: 3 mg of noise, anew 500 times a second."""
-
-    OFFSET = (0.031, -0.052, 0.044)
-    MATRIX = ((1.013, 0.008, -0.006), (-0.011, 0.991, 0.004), (0.005, -0.009, 1.008))
-
-    def __init__(self, stub: StubBus) -> None:
-        self._bus, self._chance, self._up, self._done = stub.bus, Random(5), (0.0, 0.0, 1.0), Event()
-        self._thread = Thread(target=self._move)
-
-    def position(self, ask: dict[str, Any]) -> dict[str, str]:
-        self._up = tuple(ask["gravity"])
-        sleep(0.01)
-        return {"answer": "ready"}
-
-    def _move(self) -> None:
-        while not self._done.wait(0.002):
-            data = b""
-            for offset, row in zip(self.OFFSET, self.MATRIX, strict=True):
-                g = offset + sum(k * one for k, one in zip(row, self._up, strict=True))
-                data += round(16384 * self._chance.gauss(g, 0.003)).to_bytes(2, "big", signed=True)
-            self._bus.write_i2c_block_data(PARTS["mpu6050"], 0x3B, list(data), force=True)
-
-    def __enter__(self) -> Rig:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._done.set()
-        self._thread.join()
-
-
-def check_session(stub: StubBus) -> str:
-    """A whole six-face on ``iio:`` is within its intervals of 95 %: ten of twelve, and all within twice of them."""
-    address = PARTS["mpu6050"]
-    stub.fill(address, registers_of("mpu6050")[0])
-    with stub.driven("mpu6050", address) as folder, TemporaryDirectory() as place, Rig(stub) as rig:
-        found = tiltcal.measure(
-            "six-face",
-            operator=rig,
-            sensor="iio",
-            address=f"{folder.name}?sensitivity=16384",
-            serial="iio",
-            output=Path(place, "iio.yaml"),
-            samples=50,
-            settle=0.5,
-        )
-    errors = []
-    for channel, offset, row in zip("xyz", rig.OFFSET, rig.MATRIX, strict=True):
-        true = {
-            f"offset.{channel}": offset,
-            **{f"sensitivity.{channel}.{axis}": k for axis, k in zip("xyz", row, strict=True)},
-        }
-        values = [found.offset[channel], *(found.sensitivity[channel, axis] for axis in "xyz")]
-        for (name, truth), value in zip(true.items(), values, strict=True):
-            expanded = found.uncertainty[name] * found.uncertainty.coverage_factor.get(name, 1.96)
-            errors.append(abs(value - 16384 * truth) / expanded)
-    inside = sum(error <= 1.0 for error in errors)
-    assert inside >= 10, errors
-    assert max(errors) <= 2.0, errors
-    return f"{inside} of 12 coefficients within 95 %, the worst at {max(errors):.2f} of its interval"
-
-
 if __name__ == "__main__":
     stub = StubBus()
     for name in PARTS:
         print(f"test-kernel: {name}: {check_raw(stub, name)}", flush=True)
-    print(f"test-kernel: iio: {check_session(stub)}", flush=True)

@@ -7,25 +7,17 @@ from __future__ import annotations
 
 import errno
 import sys
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import pairwise
 
 import pytest
 from support import ROOT
-from support.emulated.bench import DEVICE, I2C_BUS, Bench, Message, PartFacts, Sca3000, run_on_i2c, run_on_spi
+from support.emulated.bench import DEVICE, I2C_BUS, Message, run_on
+from support.sca3000_part import Sca3000Part
 
 READ = [sys.executable, str(ROOT / "tests" / "support" / "emulated" / "read_sensor.py")]
 SCA100T = [*READ, "sca100t-d02", f"spi://{DEVICE}"]
-CHIP = 0x1D
-QUIET = Sca3000(noise=0.0, jig=0.0)
-
-Run = Callable[[list[str], PartFacts], AbstractContextManager[Bench]]
-
-
-def _on_i2c(program: list[str], part: PartFacts) -> AbstractContextManager[Bench]:
-    return run_on_i2c(program, part, CHIP)
+QUIET = Sca3000Part(noise=0.0, jig=0.0)
 
 
 @dataclass(frozen=True)
@@ -33,18 +25,16 @@ class Wiring:
     """A program that reads an SCA3000, how it is connected, what a sample sends, and the bytes before its data."""
 
     program: list[str]
-    run: Run
+    address: int | None
     sample: list[str]
     unknown: int
     device: str
 
 
-SPI = Wiring(
-    [*READ, "sca3000-d01", f"spi://{DEVICE}"], run_on_spi, ["4c0000", "24000000000000", "0800", "5000"], 1, DEVICE
-)
+SPI = Wiring([*READ, "sca3000-d01", f"spi://{DEVICE}"], None, ["4c0000", "24000000000000", "0800", "5000"], 1, DEVICE)
 I2C = Wiring(
     [*READ, "sca3000-i2c", f"i2c://{I2C_BUS}?address=0x1d&counts_per_g=1333&thermometer=yes"],
-    _on_i2c,
+    0x1D,
     ["13", "09", "02", "14"],
     0,
     I2C_BUS,
@@ -64,7 +54,7 @@ def words(wiring: Wiring, message: Message) -> list[int]:
 
 
 def test_the_driver_reads_the_words_that_the_part_sent_and_never_writes(wiring: Wiring) -> None:
-    with wiring.run(wiring.program, Sca3000()) as bench:
+    with run_on(wiring.program, Sca3000Part(), wiring.address) as bench:
         bench.pose((0.48, -0.6, 0.64), 30.0)
         read = bench.ask("read 5")
         messages = bench.messages()
@@ -83,7 +73,7 @@ def test_the_driver_reads_the_words_that_the_part_sent_and_never_writes(wiring: 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ETIMEDOUT, errno.ENODEV])
 def test_a_failed_transfer_is_a_bus_error_and_a_new_link_may_work(wiring: Wiring, number: int) -> None:
-    with wiring.run(wiring.program, QUIET) as bench:
+    with run_on(wiring.program, QUIET, wiring.address) as bench:
         before = bench.ask("read 1")
         bench.fail(number)
         failed = bench.ask("read 1")
@@ -104,7 +94,7 @@ def test_the_address_sets_mode_and_speed_of_spi() -> None:
         ("", {"mode": 0, "bits": 8, "speed": 500_000}),
         ("?mode=3&speed=125000", {"mode": 3, "bits": 8, "speed": 125_000}),
     ):
-        with run_on_spi([*SCA100T[:3], f"spi://{DEVICE}{options}"]) as bench:
+        with run_on([*SCA100T[:3], f"spi://{DEVICE}{options}"]) as bench:
             bench.ask("probe")
             assert bench.settings() == settings
 
@@ -116,7 +106,7 @@ def test_an_sca100t_has_150_us_before_every_read() -> None:
         """Time between the end of a message and the start of the next, ns."""
         return [after.start_ns - before.end_ns for before, after in pairwise(messages)]
 
-    with run_on_spi(SCA100T) as bench:
+    with run_on(SCA100T) as bench:
         bench.pose((0.5, 0.0, 0.75**0.5), 30.0)
         read = bench.ask("read 50")
         messages = bench.messages()

@@ -14,7 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.command import TILTCAL
-from support.emulated.bench import Part, Sca3000, run_on_i2c, run_on_spi
+from support.emulated.bench import run_on
+from support.sca100t_part import Sca100tPart
+from support.sca3000_part import Sca3000Part
 from support.warm_start import WarmStart
 
 from tiltcal.bench.journal import calibrations_of
@@ -24,7 +26,7 @@ from tiltcal.files.procedure import find_procedure
 
 pytest.importorskip("spidev", reason="the spidev package is not installed")
 
-FLAT = Part(sensitivity=((817.4, 11.2, 0.0), (-7.9, 821.6, 0.0)))
+FLAT = Sca100tPart(sensitivity=((817.4, 11.2, 0.0), (-7.9, 821.6, 0.0)))
 
 
 ON_SPI = ("--sensor", "sca100t-d02", "--address", "spi:///dev/spidev0.0")
@@ -39,8 +41,8 @@ def program(start: Sequence[str], procedure: str, folder: Path, *options: str) -
     ]
 
 
-def led(start: Sequence[str], procedure: str, folder: Path, part: Part) -> CalibrationRecord:
-    with run_on_spi(program(start, procedure, folder), part) as bench:
+def led(start: Sequence[str], procedure: str, folder: Path, part: Sca100tPart) -> CalibrationRecord:
+    with run_on(program(start, procedure, folder), part) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     assert told[-1]["event"] == "done"
@@ -49,7 +51,7 @@ def led(start: Sequence[str], procedure: str, folder: Path, part: Part) -> Calib
 
 
 def test_cross_axis(warm: WarmStart, tmp_path: Path) -> None:
-    part = Part()
+    part = Sca100tPart()
     calibration = led(warm.program, "cross-axis", tmp_path, part)
     np.testing.assert_allclose(calibration.coefficients.offset, part.offset, atol=0.5)
     np.testing.assert_allclose(calibration.coefficients.sensitivity, part.sensitivity, atol=0.9)
@@ -59,7 +61,7 @@ def test_cross_axis(warm: WarmStart, tmp_path: Path) -> None:
 
 
 def test_a_wrong_position_is_refused_and_asked_for_again(warm: WarmStart, tmp_path: Path) -> None:
-    with run_on_spi(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
+    with run_on(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
         first = bench.read()
         bench.take(first, gravity=(-0.5, 0.0, 0.866025404))
         refused = bench.read()
@@ -75,7 +77,7 @@ def test_a_wrong_position_is_refused_and_asked_for_again(warm: WarmStart, tmp_pa
 
 
 def test_unplugged_in_mid_session_and_plugged_in_again(warm: WarmStart, tmp_path: Path) -> None:
-    with run_on_spi(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
+    with run_on(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
         bench.take()
         assert bench.read()["event"] == "accepted"
         bench.fail(errno.EIO)
@@ -94,7 +96,7 @@ def test_unplugged_in_mid_session_and_plugged_in_again(warm: WarmStart, tmp_path
 
 
 def test_a_part_that_stays_away_ends_the_session_and_keeps_it(warm: WarmStart, tmp_path: Path) -> None:
-    with run_on_spi(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
+    with run_on(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
         bench.take()
         assert bench.read()["event"] == "accepted"
         bench.fail(errno.ENODEV)
@@ -107,13 +109,13 @@ def test_a_part_that_stays_away_ends_the_session_and_keeps_it(warm: WarmStart, t
 
 def test_a_captured_real_session_replays_to_the_byte(warm: WarmStart, tmp_path: Path) -> None:
     led(warm.program, "plane", tmp_path, FLAT)
-    with run_on_spi([*warm.program, "replay", str(tmp_path / "S-0042.journal.jsonl")]) as bench:
+    with run_on([*warm.program, "replay", str(tmp_path / "S-0042.journal.jsonl")]) as bench:
         text = bench.process.stdout.read()
     assert text.encode() == (tmp_path / "S-0042.yaml").read_bytes()
 
 
 def test_killed_on_the_real_bus_and_resumed(warm: WarmStart, tmp_path: Path) -> None:
-    with run_on_spi(program(TILTCAL, "plane", tmp_path, "--samples", "30"), FLAT) as bench:
+    with run_on(program(TILTCAL, "plane", tmp_path, "--samples", "30"), FLAT) as bench:
         for _ in range(2):
             bench.take()
             assert bench.read()["event"] == "accepted"
@@ -122,7 +124,7 @@ def test_killed_on_the_real_bus_and_resumed(warm: WarmStart, tmp_path: Path) -> 
         assert bench.exit_code == 128 + signal.SIGKILL
     journal = tmp_path / "S-0042.journal.jsonl"
     before = journal.read_bytes()
-    with run_on_spi([*warm.program, "measure", "--resume", str(journal)], FLAT) as bench:
+    with run_on([*warm.program, "measure", "--resume", str(journal)], FLAT) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     # The third position was being measured; nobody knows how the bench stands now, so it is asked for again.
@@ -140,23 +142,23 @@ def test_killed_on_the_real_bus_and_resumed(warm: WarmStart, tmp_path: Path) -> 
 
 def test_six_face_on_spi_and_on_i2c(warm: WarmStart, tmp_path: Path) -> None:
     pytest.importorskip("smbus2", reason="the smbus2 package is not installed")
-    with run_on_spi(program(TILTCAL, "six-face", tmp_path, *SCA3000_ON_SPI), Sca3000()) as bench:
+    with run_on(program(TILTCAL, "six-face", tmp_path, *SCA3000_ON_SPI), Sca3000Part()) as bench:
         bench.lead()
         assert bench.exit_code == 0, bench.errors()
     found = read_calibration(tmp_path / "S-0042.yaml")
     # The part's own thermometer: 24 °C is raw 257.8, sent as 258, read as 24.1 °C.
     assert [position.temperature for position in found.positions] == pytest.approx([24.11] * 6, abs=0.01)
-    part = Sca3000(thermometer=False, seed=2)
-    with run_on_i2c(program(warm.program, "six-face", tmp_path, *SCA3000_ON_I2C), part, 0x1D) as bench:
+    part = Sca3000Part(thermometer=False, seed=2)
+    with run_on(program(warm.program, "six-face", tmp_path, *SCA3000_ON_I2C), part, 0x1D) as bench:
         bench.lead()
         assert bench.exit_code == 0, bench.errors()
     on_i2c = read_calibration(tmp_path / "S-0042.yaml")
-    for truth, coefficients in ((Sca3000(), found.coefficients), (part, on_i2c.coefficients)):
+    for truth, coefficients in ((Sca3000Part(), found.coefficients), (part, on_i2c.coefficients)):
         np.testing.assert_allclose(coefficients.offset, truth.offset, atol=0.9)
         np.testing.assert_allclose(coefficients.sensitivity, truth.sensitivity, atol=0.9)
 
 
-BY_HAND = Sca3000(jig=6.0, noise=1.5, seed=8)
+BY_HAND = Sca3000Part(jig=6.0, noise=1.5, seed=8)
 
 
 def angles(sensitivity: np.ndarray) -> np.ndarray:
@@ -169,7 +171,7 @@ def test_positions_that_nobody_sets(warm: WarmStart, tmp_path: Path) -> None:
     """Several degrees beside each position. What does not depend on how the part lay comes out right: the offsets,
     the length of each row of the sensitivity matrix, and the angles between the rows."""
     free = ("--settle", "0.12", "--samples", "40", *SCA3000_ON_SPI)
-    with run_on_spi(program(warm.program, "free", tmp_path, *free), BY_HAND) as bench:
+    with run_on(program(warm.program, "free", tmp_path, *free), BY_HAND) as bench:
         told = bench.lead()
         assert bench.exit_code == 0, bench.errors()
     accepted = [one["position"] for one in told if one.get("event") == "accepted"]
@@ -185,7 +187,7 @@ def test_positions_that_nobody_sets(warm: WarmStart, tmp_path: Path) -> None:
 
 
 def test_the_same_attitude_again_is_refused(warm: WarmStart, tmp_path: Path) -> None:
-    with run_on_spi(program(warm.program, "free", tmp_path, *SCA3000_ON_SPI), BY_HAND) as bench:
+    with run_on(program(warm.program, "free", tmp_path, *SCA3000_ON_SPI), BY_HAND) as bench:
         bench.pose([1.0, 0.0, 0.0])
         assert bench.ask('{"answer": "ready"}')["ask"] == "position"
         heard = [bench.ask('{"answer": "ready"}') for _ in range(3)]

@@ -1,7 +1,4 @@
-"""A virtual SCA100T, written from the datasheet for the tests alone.
-
-It shares no line with the drivers or their twins, so that a misreading in one does not hide in the other. It runs under
-the system's Python and needs the standard library only.
+"""A virtual SCA100T, written from the datasheet for the tests alone: see :mod:`support.held_part`.
 
 Modelled: the commands MEAS, RDAX, RDAY and RWTR; 11-bit words with random filler in the command's slot and behind the
 last bit; registers that are not fresh sooner than 150 µs after the end of a frame; offset, a sensitivity matrix with
@@ -13,43 +10,24 @@ Not modelled: self-test, nonlinearity, bandwidth, start-up, the parity fault by 
 
 from __future__ import annotations
 
-from support.held_part import Held
+from dataclasses import dataclass
+
+from support.held_part import Held, Row
 
 REFRESH_NS = 150_000
 
 
+@dataclass(kw_only=True)
 class Sca100tPart(Held):
-    """The part, and the jig that holds it.
+    """The part, and the jig that holds it; ``drift`` is that of each offset, count/°C."""
 
-    Parameters
-    ----------
-    offset : list of float
-        X and Y word at 0 g and 24 °C, count.
-    sensitivity : list of list of float
-        A row for X and one for Y, with columns x, y, z, count/g.
-    drift : list of float
-        Of each offset, count/°C.
-    noise : float
-        Standard deviation of a conversion, count.
-    jig : float
-        Standard deviation of each of the three angles by which a position is missed, degrees.
-    seed : int
-    """
+    offset: Row = (1026.3, 1020.8)
+    sensitivity: tuple[Row, ...] = ((817.4, 11.2, -3.5), (-7.9, 821.6, 5.1))
+    drift: Row = (0.21, -0.05)
+    noise: float = 0.6
 
-    def __init__(
-        self,
-        offset: list[float],
-        sensitivity: list[list[float]],
-        drift: list[float],
-        noise: float,
-        jig: float,
-        seed: int,
-    ) -> None:
-        super().__init__(jig, seed)
-        self.offset = offset
-        self.sensitivity = sensitivity
-        self.drift = drift
-        self.noise = noise
+    def __post_init__(self) -> None:
+        super().__post_init__()
         self.last_end_ns: int | None = None
         self.words = [0, 0]
 
@@ -67,9 +45,7 @@ class Sca100tPart(Held):
         """The word of a channel now."""
         if self.broken:
             return self.chance.randrange(0, 102)
-        value = self.offset[channel] + self.drift[channel] * (self.temperature - 24.0)
-        for sensitivity, g in zip(self.sensitivity[channel], self.gravity):  # noqa: B905
-            value += sensitivity * g
+        value = self.reading(channel) + self.drift[channel] * (self.temperature - 24.0)
         return max(0, min(2047, round(self.chance.gauss(value, self.noise))))
 
     def slot(self, command: int) -> str:

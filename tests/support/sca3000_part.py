@@ -1,7 +1,4 @@
-"""A virtual SCA3000, written from the fact sheet for the tests alone, on SPI and on I2C.
-
-It shares no line with the drivers or their twins, so that a misreading in one does not hide in the other. It runs under
-the system's Python and needs the standard library only.
+"""A virtual SCA3000, written from the fact sheet for the tests alone, on SPI and on I2C: see :mod:`support.held_part`.
 
 Modelled: the command byte (address in bits 7 to 2, bit 1 to write); the register address counting down within one frame
 and wrapping from X_LSB to Z_MSB; REVID, STATUS, MODE, the six data registers and, where the part has one, the
@@ -9,56 +6,33 @@ thermometer; 13-bit two's complement left-aligned in 16 bits; new words at the o
 sensitivity matrix, Gaussian noise of each word, the overflow codes; a jig that misses each position by a random small
 rotation. On I2C a register pointer that the first written byte sets.
 
-Not modelled: the ring buffer, motion detection, interrupts, drift with temperature. A write is carried out by doing
-nothing and counted in ``writes``: no test may cause one.
+Not modelled: the ring buffer, motion detection, interrupts, drift with temperature. A write does nothing.
 """
 
 from __future__ import annotations
 
-from support.held_part import Held
+from dataclasses import dataclass
+
+from support.held_part import Held, Row
 
 REVID, STATUS = 0x00, 0x02
 X_LSB, Z_MSB = 0x04, 0x09
 TEMP_LSB, TEMP_MSB = 0x12, 0x13
 
 
+@dataclass(kw_only=True)
 class Sca3000Part(Held):
-    """The part, and the jig that holds it.
+    """The part, and the jig that holds it; ``rate`` is that of its words, Hz."""
 
-    Parameters
-    ----------
-    offset : list of float
-        X, Y and Z word at 0 g, count.
-    sensitivity : list of list of float
-        A row for each of X, Y and Z, with columns x, y, z, count/g.
-    noise : float
-        Standard deviation of a word, count.
-    jig : float
-        Standard deviation of each of the three angles by which a position is missed, degrees.
-    seed : int
-    rate : float
-        Output data rate, Hz.
-    thermometer : bool
-    """
+    offset: Row = (31.4, -18.7, 44.2)
+    sensitivity: tuple[Row, ...] = ((1341.2, 9.6, -14.3), (-7.1, 1322.5, 11.8), (5.9, -12.4, 1338.7))
+    noise: float = 1.5
+    rate: float = 250.0
+    thermometer: bool = True
 
-    def __init__(
-        self,
-        offset: list[float],
-        sensitivity: list[list[float]],
-        noise: float,
-        jig: float,
-        seed: int,
-        rate: float,
-        thermometer: bool,
-    ) -> None:
-        super().__init__(jig, seed)
-        self.offset = offset
-        self.sensitivity = sensitivity
-        self.noise = noise
-        self.period_ns = round(1e9 / rate)
-        self.thermometer = thermometer
+    def __post_init__(self) -> None:
+        super().__post_init__()
         self.pointer = 0
-        self.writes = 0
         self.slot = -1
         self.words = [0, 0, 0]
 
@@ -73,14 +47,11 @@ class Sca3000Part(Held):
             return b""
         unknown = bytes([self.chance.randrange(256)])
         if out[0] & 0b11:
-            self.writes += 1
             return unknown + bytes(len(out) - 1)
         return unknown + self.burst(out[0] >> 2, len(out) - 1, start_ns)
 
     def message(self, out: bytes, count: int, now_ns: int) -> bytes:
         """Answer one I2C message: a write sets the pointer, a read begins at it."""
-        if len(out) > 1:
-            self.writes += 1
         if out:
             self.pointer = out[0]
         return self.burst(self.pointer, count, now_ns) if count else b""
@@ -96,17 +67,14 @@ class Sca3000Part(Held):
 
     def renew(self, now_ns: int) -> None:
         """Take new words where the output data rate has them."""
-        slot = now_ns // self.period_ns
+        slot = now_ns // round(1e9 / self.rate)
         if slot != self.slot:
             self.slot = slot
             self.words = [self.convert(channel) for channel in range(3)]
 
     def convert(self, channel: int) -> int:
         """The word of a channel now, as 16 bits."""
-        value = self.offset[channel]
-        for sensitivity, g in zip(self.sensitivity[channel], self.gravity):  # noqa: B905
-            value += sensitivity * g
-        count = round(self.chance.gauss(value, self.noise))
+        count = round(self.chance.gauss(self.reading(channel), self.noise))
         if count >= 3455:
             return 0x6BFF
         if count <= -3456:

@@ -2,13 +2,12 @@
 
 ::
 
-    with run_on_spi([sys.executable, "-m", "tiltcal", "measure", ..., "--operator", "json"]) as bench:
+    with run_on([sys.executable, "-m", "tiltcal", "measure", ..., "--operator", "json"]) as bench:
         events = bench.lead()       # takes every position that is asked for, answers "ready"
     assert bench.exit_code == 0
 
 The program uses the real bus library (python-spidev, smbus2) on a real device node; umockdev hands its ioctls to a part
-that was written apart from the drivers: see :mod:`support.sca100t_part` and :mod:`support.sca3000_part` for what they
-model.
+that was written apart from the drivers: see :mod:`support.held_part`.
 """
 
 from __future__ import annotations
@@ -20,62 +19,22 @@ import socket
 import subprocess
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, dataclass
+from contextlib import contextmanager
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Any, ClassVar, NamedTuple, Protocol
+from typing import IO, Any, NamedTuple
 
 import pytest
+
+from support.held_part import Held
+from support.sca100t_part import Sca100tPart
 
 HERE = Path(__file__).parent
 SYSTEM_PYTHON = "/usr/bin/python3"
 DEVICE = "/dev/spidev0.0"
 I2C_BUS = "/dev/i2c-1"
-
-
-class PartFacts(Protocol):
-    """A frozen dataclass of what a part of :mod:`support.emulated.host` is made with."""
-
-    kind: ClassVar[str]
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-
-@dataclass(frozen=True)
-class Part:
-    """The truth of the independent SCA100T: see :class:`support.sca100t_part.Sca100tPart`."""
-
-    kind: ClassVar[str] = "sca100t"
-
-    offset: tuple[float, float] = (1026.3, 1020.8)
-    sensitivity: tuple[tuple[float, float, float], tuple[float, float, float]] = (
-        (817.4, 11.2, -3.5),
-        (-7.9, 821.6, 5.1),
-    )
-    drift: tuple[float, float] = (0.21, -0.05)
-    noise: float = 0.6
-    jig: float = 0.01
-    seed: int = 1
-
-
-@dataclass(frozen=True)
-class Sca3000:
-    """The truth of the independent SCA3000: see :class:`support.sca3000_part.Sca3000Part`."""
-
-    kind: ClassVar[str] = "sca3000"
-
-    offset: tuple[float, float, float] = (31.4, -18.7, 44.2)
-    sensitivity: tuple[tuple[float, float, float], ...] = (
-        (1341.2, 9.6, -14.3),
-        (-7.1, 1322.5, 11.8),
-        (5.9, -12.4, 1338.7),
-    )
-    noise: float = 1.5
-    jig: float = 0.01
-    seed: int = 1
-    rate: float = 250.0
-    thermometer: bool = True
 
 
 class Message(NamedTuple):
@@ -91,13 +50,7 @@ READY = '{"answer": "ready"}'
 
 
 class Bench:
-    """The running program, and the part it talks to.
-
-    Attributes
-    ----------
-    process : Popen
-        The program with text pipes for standard input and output.
-    """
+    """The running program, with text pipes for standard input and output, and the part it talks to."""
 
     def __init__(self, process: subprocess.Popen[str], control: socket.socket, errors: IO[str]) -> None:
         self.process = process
@@ -166,15 +119,7 @@ class Bench:
     def lead(self, answer: Mapping[str, object] | None = None) -> list[dict[str, Any]]:
         """Be the tilt table of ``--operator json``: take each position that is asked for, until the program ends.
 
-        Parameters
-        ----------
-        answer : mapping, optional
-            Said once a position is taken; ``{"answer": "ready"}`` where it is left out.
-
-        Returns
-        -------
-        list of dict
-            Every line the program said.
+        It is told ``answer`` once a position is taken, ready where that is left out. Returns every line that it said.
         """
         said = []
         for line in self.process.stdout:  # type: ignore[union-attr]
@@ -191,61 +136,22 @@ class Bench:
         return answer
 
 
-def run_on_spi(
-    program: Sequence[str | os.PathLike[str]], part: PartFacts | None = None, *, seconds: float = 120.0, **popen: Any
-) -> AbstractContextManager[Bench]:
-    """Start a program on a machine whose ``/dev/spidev0.0`` leads to a part, an SCA100T unless another is named.
-
-    The other parameters are those of :func:`run_on`.
-    """
-    return run_on({"kind": "spidev"}, program, part or Part(), seconds=seconds, **popen)
-
-
-def run_on_i2c(
-    program: Sequence[str | os.PathLike[str]], part: PartFacts, address: int, *, seconds: float = 120.0, **popen: Any
-) -> AbstractContextManager[Bench]:
-    """Start a program on a machine whose ``/dev/i2c-1`` has a part at a 7-bit address.
-
-    The other parameters are those of :func:`run_on`.
-    """
-    return run_on({"kind": "i2c", "address": address}, program, part, seconds=seconds, **popen)
-
-
 @contextmanager
 def run_on(
-    node: Mapping[str, object],
-    program: Sequence[str | os.PathLike[str]],
-    part: PartFacts,
-    *,
-    seconds: float = 120.0,
-    **popen: Any,
+    program: Sequence[str | os.PathLike[str]], part: Held | None = None, address: int | None = None
 ) -> Iterator[Bench]:
-    """Start a program on a machine that has one emulated device node.
+    """Start a program on a machine with one device node, and wait for its end on leaving.
 
-    Parameters
-    ----------
-    node : mapping
-        Its kind and what else it is made with: see :mod:`support.emulated.host`.
-    program : sequence of str
-        Program and arguments.
-    part : PartFacts
-        What is behind the node.
-    seconds : float
-        The program is killed when it runs longer than this.
-    **popen
-        For :class:`subprocess.Popen`, such as ``cwd`` or ``env``.
-
-    Yields
-    ------
-    Bench
-        On leaving, standard input is closed and the program is waited for.
+    The node leads to a part, an SCA100T unless another is named: ``/dev/spidev0.0``, or ``/dev/i2c-1`` where the part
+    has a 7-bit address. A program that runs longer than two minutes is killed.
     """
+    part = part or Sca100tPart()
     if why := missing():
         pytest.skip(why)
     ours, theirs = socket.socketpair()
     command = [
-        *("umockdev-wrapper", SYSTEM_PYTHON, str(HERE / "host.py"), str(theirs.fileno())),
-        *(json.dumps(node), json.dumps({"kind": part.kind, **asdict(part)}), *map(str, program)),
+        *("umockdev-wrapper", SYSTEM_PYTHON, str(HERE / "host.py"), str(theirs.fileno()), json.dumps(address)),
+        *(type(part).__module__, type(part).__name__, json.dumps(asdict(part)), *map(str, program)),
     ]
     with (
         ours,
@@ -258,13 +164,12 @@ def run_on(
             stderr=errors,
             text=True,
             pass_fds=[theirs.fileno()],
-            **popen,
         ) as process,
     ):
         theirs.close()
         bench = Bench(process, ours, errors)
         # The host ends the program when the control socket closes.
-        watchdog = threading.Timer(seconds, ours.shutdown, [socket.SHUT_RDWR])
+        watchdog = threading.Timer(120.0, ours.shutdown, [socket.SHUT_RDWR])
         watchdog.start()
         try:
             yield bench

@@ -1,11 +1,9 @@
 """Runs a program on a machine that has an emulated device node.
 
-    umockdev-wrapper /usr/bin/python3 host.py CONTROL NODE PART PROGRAM ARGUMENT...
+    umockdev-wrapper /usr/bin/python3 host.py CONTROL ADDRESS MODULE CLASS FACTS PROGRAM ARGUMENT...
 
-CONTROL is the number of an inherited socket. NODE and PART are JSON objects: what they hold besides ``kind`` is given
-to the class of that kind::
-
-    {"kind": "spidev"}     {"kind": "i2c", "address": 29}          {"kind": "sca100t", "offset": [1026.3, 1020.8], ...}
+CONTROL is the number of an inherited socket, ADDRESS that of the part on I2C, null on SPI. The part is made of a class
+and a JSON object of its facts.
 
 The program inherits the standard streams; its exit code becomes the host's. One JSON line on the control socket is one
 order, answered by one line once it is in force::
@@ -36,23 +34,11 @@ from spidev_node import SpidevNode  # noqa: E402
 
 Node = SpidevNode | I2cNode
 
-NODES = {"spidev": SpidevNode, "i2c": I2cNode}
 
-PARTS = {
-    "sca100t": "support.sca100t_part:Sca100tPart",
-    "sca3000": "support.sca3000_part:Sca3000Part",
-}
-
-
-def make(node: dict, part: dict) -> Node:
-    """The node, with its part behind it."""
-    module, _, name = PARTS[part.pop("kind")].partition(":")
-    return NODES[node.pop("kind")](getattr(import_module(module), name)(**part), **node)
-
-
-def main(control: str, node_facts: str, part_facts: str, *program: str) -> int:
+def main(control: str, address: str, module: str, kind: str, facts: str, *program: str) -> int:
+    part = getattr(import_module(module), kind)(**json.loads(facts))
+    node = SpidevNode(part) if address == "null" else I2cNode(part, int(address))
     testbed = UMockdev.Testbed.new()
-    node = make(json.loads(node_facts), json.loads(part_facts))
     testbed.add_from_string(
         f"P: /devices/platform/{node.name}\nN: {node.name}\n"
         f"E: DEVNAME=/dev/{node.name}\nE: SUBSYSTEM={node.subsystem}\n"

@@ -20,14 +20,8 @@ TRANSFER = struct.Struct("=QQIIHBBBBBx")
 class SpidevNode(UMockdev.IoctlBase):
     """One chip select, with a part behind it.
 
-    Attributes
-    ----------
-    fault : int
-        errno with which every message fails; 0 for none.
-    messages : list
-        Of every message its start and end on the monotonic clock in ns, the bytes out and the bytes in.
-    settings : dict
-        The values written: mode, bits and speed.
+    ``fault`` is the errno with which every message fails, 0 for none; ``messages`` has of every message its start and
+    end on the monotonic clock in ns, the bytes out and the bytes in; ``settings`` are mode, bits and speed as written.
     """
 
     name = "spidev0.0"
