@@ -26,17 +26,7 @@ from tiltcal.drivers import adxl202, sca100t
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.converters import (
-    NOMINAL,
-    SCHEMES,
-    Converter,
-    Supply,
-    VirtualAds1115,
-    find_converter,
-    require_apart,
-    take_input,
-    take_supply,
-)
+from tiltcal.drivers.converters import NOMINAL, SCHEMES, Inputs, VirtualAds1115, take_inputs
 from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, Truth, uniform
 from tiltcal.errors import DeviceFault
@@ -54,59 +44,51 @@ BANDWIDTH = 10.0
 """Assumed bandwidth of the RC filter of an ADXL202, Hz; it sets the noise of the virtual part."""
 
 
-@dataclass(frozen=True)
-class Wired:
-    """What is wired to the inputs of a converter: the facts of :class:`TiltPart` or :class:`Divider`."""
-
-    part: TiltPart | Divider
-    converter: Converter
-    numbers: tuple[int, ...]
-    supply: Supply
-
-    def model(self, **facts: Any) -> Model:
-        """Return the model of the part by those of its facts that do not depend on the converter."""
-        options = (*facts.pop("options"), "supply", "vdd", *self.converter.options)
-        driver, converter = partial(AnalogSensor, self), self.converter
-        return Model(schemes=SCHEMES, spi=converter.spi, driver=driver, twin=self.virtual, options=options, **facts)
-
-    def virtual(self, truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
-        """Return a virtual converter with the part at its inputs; an input without a wire is at ground."""
-
-        def volts(number: int) -> float:
-            if number == self.supply.number:
-                return truth.supply
-            if number not in self.numbers:
-                return 0.0
-            share = self.part.output(self.numbers.index(number), truth, fixture, clock)
-            return min(max(share, 0.0), 1.0) * truth.supply
-
-        return VirtualAds1115(truth, fixture, clock, volts)
-
-
 class AnalogSensor(Sensor):
-    """The driver of an analog sensor or thermistor behind any converter."""
+    """The driver of an analog sensor or thermistor at some inputs of a converter."""
 
-    def __init__(self, wired: Wired, link: Link, clock: Clock) -> None:
-        self._wired = wired
-        self._measure = partial(wired.converter.volts, link, clock)
-        self._supply = 0.0
-        """Of the last sample, V."""
+    def __init__(self, part: TiltPart | Divider, inputs: Inputs, link: Link, clock: Clock) -> None:
+        self._part, self._inputs = part, inputs
+        self._link, self._clock = link, clock
+        self._volts = 0.0
+        """Of the supply at the last sample, V."""
 
     def probe(self) -> Mapping[str, str]:
         """Return a sample, the supply and the converter as text; the errors are those of :meth:`read`."""
-        reading, wired = self.read(), self._wired
+        reading = self.read()
         said = {
             channel: f"{value:.4f} V, referred to {NOMINAL:g} V"
             for channel, value in zip(CHANNELS, reading.values, strict=False)
         }
         if reading.temperature is not None:
             said["temperature"] = f"{reading.temperature:.2f} °C"
-        return {**said, "supply": wired.supply.said(self._supply), "converter": wired.converter.description}
+        return said | self._inputs.said(self._volts)
 
     def read(self) -> Reading:
         """Take one sample."""
-        shares, self._supply = self._wired.supply.shares(self._measure, self._wired.numbers)
-        return self._wired.part.reading(shares)
+        shares, self._volts = self._inputs.shares(self._link, self._clock)
+        return self._part.reading(shares)
+
+
+def wired(part: TiltPart | Divider, inputs: Inputs, **facts: Any) -> Model:
+    """Return the model of a part at some inputs of a converter, by its further facts."""
+
+    def twin(truth: Truth, fixture: HeldPose, clock: Clock) -> Link:
+        """Return a virtual converter with the part at its inputs; an input without a wire is at ground."""
+
+        def volts(number: int) -> float:
+            if number == inputs.supply:
+                return truth.supply
+            if number not in inputs.numbers:
+                return 0.0
+            share = part.output(inputs.numbers.index(number), truth, fixture, clock)
+            return min(max(share, 0.0), 1.0) * truth.supply
+
+        return VirtualAds1115(truth, fixture, clock, volts)
+
+    options = (*facts.pop("options"), "supply", "vdd", *inputs.converter.options)
+    driver = partial(AnalogSensor, part, inputs)
+    return Model(schemes=SCHEMES, spi=inputs.converter.spi, driver=driver, twin=twin, options=options, **facts)
 
 
 @dataclass(frozen=True)
@@ -153,11 +135,11 @@ class TiltPart:
 
     def at(self, address: Address) -> Model:
         """Return the model of the part as it is connected at an address."""
-        converter = find_converter(address)
-        numbers = {channel: take_input(address, channel, converter, place) for place, channel in enumerate(CHANNELS)}
-        supply = take_supply(address, converter, *self.supply)
-        require_apart(address, {**numbers, "supply": supply.number})
-        return Wired(self, converter, tuple(numbers.values()), supply).model(
+        inputs = take_inputs(address, {"x": 0, "y": 1}, *self.supply)
+        converter = inputs.converter
+        return wired(
+            self,
+            inputs,
             name=f"{self.digital.name}-analog",
             title=self.title,
             channels=CHANNELS,
@@ -173,7 +155,7 @@ class TiltPart:
             cross_axis_limit=self.digital.cross_axis_limit,
             nonlinearity=self.digital.nonlinearity,
             rails=(LOWEST_SANE, HIGHEST_SANE),
-            resolution=converter.full_scale / converter.steps * NOMINAL / supply.volts,
+            resolution=converter.full_scale / converter.steps * NOMINAL / inputs.volts,
             interval=self.interval,
             not_modelled=(
                 *self.not_modelled,
@@ -324,13 +306,11 @@ def _curve(address: Address) -> Curve:
 
 def thermistor_at(address: Address) -> Model:
     """Return the thermistor as it is connected at an address."""
-    converter = find_converter(address)
     grounded = address.choice("to", {"ground": True, "supply": False}, True)
     fixed = address.number("fixed", 10_000.0 if address.simulated else None, low=1.0)
-    number = take_input(address, "channel", converter, 3)
-    supply = take_supply(address, converter, *THERMISTOR_SUPPLY)
-    require_apart(address, {"channel": number, "supply": supply.number})
-    return Wired(Divider(_curve(address), fixed, grounded), converter, (number,), supply).model(
+    return wired(
+        Divider(_curve(address), fixed, grounded),
+        take_inputs(address, {"channel": 3}, *THERMISTOR_SUPPLY),
         name="thermistor",
         title="NTC thermistor in a divider behind a converter, temperature only",
         channels=(),

@@ -1,6 +1,6 @@
 """Analog-to-digital converters, the supply of the sensors behind them, and virtual converters.
 
-A :class:`Supply` is measured with each sample or stated, and gives the readings of ratiometric sensors as shares of it.
+The supply is measured with each sample or stated, and the readings of ratiometric sensors are shares of it.
 
 TI ADS1115, I2C: four inputs, 16 bits. Two registers are used, of two bytes each, most significant first, and a pointer
 that is written first::
@@ -25,10 +25,10 @@ DS21298.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from math import inf
+from itertools import combinations
 from typing import ClassVar
 
 from tiltcal.drivers.bus import Link, SpiPort, check_data_line, require_length
@@ -66,106 +66,98 @@ class Converter(ABC):
         """Measure one input against ground, V; a converter that misbehaves is a HardwareError."""
 
 
-def find_converter(address: Address) -> Converter:
-    """Return the converter of an address."""
-    if not address.simulated and address.scheme not in SCHEMES:
-        known = " or ".join(f"{scheme}:" for scheme in SCHEMES)
-        address.refuse(f"{address.scheme}: is not a known converter (analog sensors are connected by {known})")
-    return Mcp3208(address) if address.scheme == SCHEMES[1] else Ads1115(address)
-
-
-def take_input(address: Address, option: str, converter: Converter, default: int) -> int:
-    """Return the converter input of an option; only a virtual sensor has a default."""
-    return address.integer(option, default if address.simulated else None, low=0, high=converter.inputs - 1)
-
-
 @dataclass(frozen=True, slots=True)
-class Supply:
-    """The supply of a ratiometric sensor.
+class Inputs:
+    """How a ratiometric sensor is wired to a converter.
 
-    number: the input that measures it; None if it is stated.
-    volts: as stated; if it is measured, the nominal value.
-    low, high: within these limits the sensor is ratiometric, V.
-    full_scale: of the converter, V.
+    numbers: the inputs of its signals.
+    supply: the input that measures its supply; None if that is stated.
+    volts: of the supply, as stated; if it is measured, the nominal value.
+    low, high: of the supply, within which the sensor is ratiometric, V.
     """
 
-    number: int | None
+    converter: Converter
+    numbers: tuple[int, ...]
+    supply: int | None
     volts: float
     low: float
     high: float
-    full_scale: float = inf
 
-    def shares(self, measure: Callable[[int], float], numbers: Sequence[int]) -> tuple[tuple[float, ...], float]:
-        """Measure inputs as shares of the supply, and the supply, V.
+    def shares(self, link: Link, clock: Clock) -> tuple[tuple[float, ...], float]:
+        """Measure the signals as shares of the supply, and the supply, V.
 
         The conversions follow each other, so a change of the supply between them would look like tilt. A measured
         supply is therefore read before and after the others and interpolated: drift cancels, and only ripple faster
         than one sample remains.
         """
-        if self.number is None:
-            return tuple(measure(number) / self.volts for number in numbers), self.volts
-        before = self._checked(measure(self.number))
-        volts = [measure(number) for number in numbers]
-        after = self._checked(measure(self.number))
-        slope = (after - before) / (len(numbers) + 1)
+        measure = partial(self.converter.volts, link, clock)
+        if self.supply is None:
+            return tuple(measure(number) / self.volts for number in self.numbers), self.volts
+        before = self._checked(measure(self.supply))
+        volts = [measure(number) for number in self.numbers]
+        after = self._checked(measure(self.supply))
+        slope = (after - before) / (len(volts) + 1)
         shares = tuple(volt / (before + slope * place) for place, volt in enumerate(volts, start=1))
         return shares, (before + after) / 2.0
 
-    def said(self, volts: float) -> str:
-        """Return the supply as text, with its voltage and its source."""
-        return f"{volts:.4f} V, {'stated' if self.number is None else f'measured at input {self.number}'}"
+    def said(self, volts: float) -> dict[str, str]:
+        """Return supply and converter as text, with the voltage of the supply and its source."""
+        source = "stated" if self.supply is None else f"measured at input {self.supply}"
+        return {"supply": f"{volts:.4f} V, {source}", "converter": self.converter.description}
 
     def _checked(self, volts: float) -> float:
         # The largest code also means every larger voltage.
-        if volts > 0.9995 * self.full_scale:
+        if volts > 0.9995 * self.converter.full_scale:
             raise DeviceFault(
-                f"the supply at input {self.number} reads {volts:.3f} V, the full scale of this converter: state "
+                f"the supply at input {self.supply} reads {volts:.3f} V, the full scale of this converter: state "
                 "it with vdd=VOLTS, or give the converter a higher full scale"
             )
         # 1 % allows for the error of the converter, which cancels in the ratio.
         if not 0.99 * self.low <= volts <= 1.01 * self.high:
             raise DeviceFault(
-                f"the supply at input {self.number} reads {volts:.3f} V, where the sensor needs {self.low:g} to "
+                f"the supply at input {self.supply} reads {volts:.3f} V, where the sensor needs {self.low:g} to "
                 f"{self.high:g} V: is it switched on, and wired to this input?"
             )
         return volts
 
 
-def take_supply(address: Address, converter: Converter, low: float, high: float) -> Supply:
-    """Return the supply of an address: ``supply=N`` if it is measured, ``vdd=VOLTS`` if it is stated; allowed, V.
+def take_inputs(address: Address, signals: Mapping[str, int], low: float, high: float) -> Inputs:
+    """Return how the signals of a sensor are wired at an address, and its supply, which may be ``low`` to ``high``, V.
 
-    A converter whose reference pin is the sensor's supply needs neither.
+    The supply is measured (``supply=N``), stated (``vdd=VOLTS``), or the reference of the converter. The inputs of a
+    virtual sensor alone have defaults, those of ``signals``.
     """
+    if not address.simulated and address.scheme not in SCHEMES:
+        known = " or ".join(f"{scheme}:" for scheme in SCHEMES)
+        address.refuse(f"{address.scheme}: is not a known converter (analog sensors are connected by {known})")
+    converter = Mcp3208(address) if address.scheme == SCHEMES[1] else Ads1115(address)
+
+    def number(option: str, default: int) -> int:
+        return address.integer(option, default if address.simulated else None, low=0, high=converter.inputs - 1)
+
+    wires = {name: number(name, default) for name, default in signals.items()}
+    volts = min(NOMINAL, high) if converter.reference is None else converter.reference
     if "supply" in address.options and "vdd" in address.options:
         address.refuse("options 'supply' and 'vdd' exclude each other: the supply is either measured or stated")
-    supply = partial(Supply, low=low, high=high, full_scale=converter.full_scale)
     if "vdd" in address.options:
-        return supply(None, address.number("vdd", low=low, high=high))
-    if "supply" in address.options or (converter.reference is None and address.simulated):
-        number = take_input(address, "supply", converter, 2)
+        volts = address.number("vdd", low=low, high=high)
+    elif "supply" in address.options or address.simulated:
+        wires["supply"] = number("supply", 2)
         if converter.full_scale <= low:
             address.refuse(f"{converter.description} cannot measure a supply of {low:g} V or more")
-        return supply(number, min(NOMINAL, high))
-    if converter.reference is None:
+    elif converter.reference is None:
         address.refuse(
             "the supply of the sensor is unknown: wire it to an input and add supply=N, or state it with vdd=VOLTS"
         )
-    if not low <= converter.reference <= high:
+    elif not low <= volts <= high:
         address.refuse(
-            f"the sensor needs a supply of {low:g} to {high:g} V, so the reference of {converter.reference:g} V is "
-            "not its supply: wire that to an input and add supply=N, or state it with vdd=VOLTS"
+            f"the sensor needs a supply of {low:g} to {high:g} V, so the reference of {volts:g} V is not its supply: "
+            "wire that to an input and add supply=N, or state it with vdd=VOLTS"
         )
-    return supply(None, converter.reference)
-
-
-def require_apart(address: Address, wiring: dict[str, int | None]) -> None:
-    """Refuse two signals on one input."""
-    seen: dict[int, str] = {}
-    for option, number in wiring.items():
-        if number in seen:
-            address.refuse(f"options {seen[number]!r} and {option!r} name the same input {number}")
-        if number is not None:
-            seen[number] = option
+    for (one, first), (other, second) in combinations(wires.items(), 2):
+        if first == second:
+            address.refuse(f"options {one!r} and {other!r} name the same input {first}")
+    return Inputs(converter, tuple(wires[name] for name in signals), wires.get("supply"), volts, low, high)
 
 
 # --- TI ADS1115 ---

@@ -146,7 +146,6 @@ IIS2ICLX = RegisterPart(
     set_up=((Write(0x18, 0xE2), Write(0x12, 0x44), Write(0x10, 0x00, rate=0x10, range=0x04)),),
     dropped=3,
     new_sample=(0x1E, 0x01),
-    cleared_by=0x28,
     probe=lambda sensor: {
         "identity": "0x6B (of other ST parts as well: is it an IIS2ICLX?)",
         **sensor.part.range_in_words,

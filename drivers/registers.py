@@ -138,8 +138,8 @@ class RegisterPart:
         have which.
     set_up: the writes before it measures; each group is read back before the next one begins.
     settling, dropped: sample periods from the last of them to a sample; samples dropped then.
-    new_sample, cleared_by: status register and bit of a new sample, without which a sample is taken at any time; the
-        register whose reading clears that bit, where it is not the status register.
+    new_sample: status register and bit of a new sample, which the first burst clears; without one a sample is taken at
+        any time.
     watched: a register that a reset changes from what is set up, compared before each sample, where no bit shows that.
     held: contents after power-up that are not 0, of the virtual part.
     memory_fault: the status register and the bit of a fault of the part's memory.
@@ -180,7 +180,6 @@ class RegisterPart:
     settling: int = 0
     dropped: int = 0
     new_sample: tuple[int, int] | None = None
-    cleared_by: int | None = None
     watched: int | None = None
     held: Registers = field(default_factory=dict)
     memory_fault: tuple[int, int] | None = None
@@ -487,6 +486,6 @@ class VirtualRegisters(VirtualPart):
                 status, bit = part.new_sample
                 sample = int(self._clock.now_ns() / 1e9 * part.rate)
                 held[status] = bit if sample > self._taken else 0
-                if (status if part.cleared_by is None else part.cleared_by) in asked:
+                if part.bursts[0][0] in asked:
                     self._taken = sample
         return bytes(held.get(register, 0) for register in asked)

@@ -220,12 +220,9 @@ SATURATION = 25e-3
 
 
 class VirtualSca100t(VirtualPart):
-    """An SCA100T on the SPI bus at 500 kHz; its state is the self-test that is in progress."""
+    """An SCA100T on the SPI bus at 500 kHz; its state is the self-test in progress. An SCA61T has its first element."""
 
     letter, bit_seconds = "s", 1.0 / 500_000
-
-    ELEMENTS: ClassVar[Mapping[int | None, str]] = {RDAX: "x", RDAY: "y"}
-    """The sensing element behind each command."""
 
     def __init__(self, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         super().__init__(truth, fixture, clock)
@@ -240,8 +237,8 @@ class VirtualSca100t(VirtualPart):
         """Return the bytes that the part drives; none for an invalid command, where the line floats."""
         command = out[0] if out else None
         filler = int(uniform(self._truth.seed, "filler", self._clock.now_ns()) * 2**24).to_bytes(3, "big")
-        if command in self.ELEMENTS:
-            word = self._output(self.ELEMENTS[command])
+        if command in (RDAX, RDAY):
+            word = self._output("x" if command == RDAX else "y")
             return bytes([filler[0], word >> 3, (word & 0b111) << 5 | filler[2] & 0b11111])
         if command == RWTR:
             return bytes([filler[0], min(max(round(197.0 - 1.083 * self._celsius()), 0), 255)])
@@ -266,12 +263,6 @@ class VirtualSca100t(VirtualPart):
     def _element(self, element: str, number: int) -> float:
         """Return what an element reads in a conversion, count."""
         return self._truth.sample(element, self._fixture, self._clock, number)
-
-
-class VirtualSca61t(VirtualSca100t):
-    """An SCA61T; it does not answer RDAY, because its answer is unknown."""
-
-    ELEMENTS: ClassVar[Mapping[int | None, str]] = {RDAX: "x"}
 
 
 class VirtualSca103t(VirtualSca100t):
@@ -409,7 +400,7 @@ SCA61T: dict[str, Any] = {
     "source": "SCA61T data sheet 8261900, mean temperature curves as a driver quotes them; their spread over parts is "
     "the SCA100T's",
     "driver": Sca61t,
-    "twin": VirtualSca61t,
+    "twin": VirtualSca100t,
     "channels": ("x",),
     **ABOUT_ZERO,
 }
