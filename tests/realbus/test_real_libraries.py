@@ -71,11 +71,10 @@ def test_the_driver_reads_the_words_that_the_part_sent_and_never_writes(wiring: 
     assert all(out[0] & 0b11 == 0 for out in sent) or wiring is I2C
 
 
-@pytest.mark.parametrize("number", [errno.EIO, errno.ETIMEDOUT, errno.ENODEV])
-def test_a_failed_transfer_is_a_bus_error_and_a_new_link_may_work(wiring: Wiring, number: int) -> None:
+def test_a_failed_transfer_is_a_bus_error_and_a_new_link_may_work(wiring: Wiring) -> None:
     with run_on(wiring.program, QUIET, wiring.address) as bench:
         before = bench.ask("read 1")
-        bench.fail(number)
+        bench.fail(errno.ENODEV)
         failed = bench.ask("read 1")
         bench.fail(0)
         bench.ask("reopen")
