@@ -101,16 +101,11 @@ class Coefficients:
 
     def predict(self, gravity: Array, temperature: Array | None = None) -> Array:
         """Compute the readings, (n, channels), for up, (n, 3), g, and temperatures, (n,), °C, else the reference."""
-        columns = [AXES.index(axis) for axis in self.axes]
-        readings = np.asarray(gravity, dtype=float)[:, columns] @ self.sensitivity.T
-        if self.nonlinearity is not None:
-            for i, (channel, shares) in enumerate(zip(self.channels, self.nonlinearity, strict=True)):
-                readings[:, i] *= 1.0 + polynomial(shares, readings[:, i] / self.own_sensitivity(channel))
+        up, dt = np.asarray(gravity, dtype=float), np.zeros(len(gravity))
         if self.thermal is not None and temperature is not None:
             dt = np.asarray(temperature, dtype=float) - self.thermal.reference
-            for i, (drift, gain) in enumerate(zip(self.thermal.drift, self.thermal.gain, strict=True)):
-                readings[:, i] = polynomial(drift, dt) + (1.0 + polynomial(gain, dt)) * readings[:, i]
-        return self.offset + readings
+        models = zip(self.models, self.vectors, strict=True)
+        return np.stack([model.read(theta, up, dt).value for model, theta in models], axis=1)
 
 
 @dataclass(frozen=True)
@@ -134,18 +129,17 @@ def overlap(first: tuple[float, float] | None, second: tuple[float, float] | Non
 
 
 def polynomial(coefficients: Array, variable: Array) -> Array:
-    """Evaluate a polynomial by Horner, of which element k multiplies variable**(k+1); with rows, (..., order), each."""
-    shape = variable.shape if coefficients.ndim == 1 else (*coefficients.shape[:-1], variable.shape[-1])
-    value = np.zeros(shape)
-    for power in range(coefficients.shape[-1], 0, -1):
-        value += coefficients[power - 1] if coefficients.ndim == 1 else coefficients[..., power - 1, None]
+    """Evaluate a polynomial by Horner, of which element k multiplies variable**(k+1)."""
+    value = np.zeros(variable.shape)
+    for coefficient in coefficients[::-1]:
+        value += coefficient
         value *= variable
     return value
 
 
-def nonlinearity_slope(shares: Array, a: Array) -> Array:
-    """Evaluate B'(a), the derivative of a (1 + n2 a + n3 a² + ...); ``shares`` are the n."""
-    return 1.0 + polynomial(shares * np.arange(2, 2 + len(shares)), a)
+def polynomial_slope(coefficients: Array, variable: Array) -> Array:
+    """Evaluate the derivative of a :func:`polynomial` by its variable."""
+    return polynomial(coefficients[1:] * np.arange(2, 1 + len(coefficients)), variable) + float(coefficients[:1].sum())
 
 
 def take_out_nonlinearity(signal: Array, coefficients: Coefficients) -> None:
@@ -155,10 +149,10 @@ def take_out_nonlinearity(signal: Array, coefficients: Coefficients) -> None:
     for row, channel, shares in zip(signal, coefficients.channels, coefficients.nonlinearity, strict=True):
         if shares.any():
             own = coefficients.own_sensitivity(channel)
-            target = row / own
+            target, bend = row / own, np.append(1.0, shares)
             a = target.copy()
             for _ in range(NEWTON_STEPS):
-                a -= (a * (1.0 + polynomial(shares, a)) - target) / nonlinearity_slope(shares, a)
+                a -= (polynomial(bend, a) - target) / polynomial_slope(bend, a)
             np.multiply(a, own, out=row)
 
 
@@ -225,7 +219,7 @@ class ChannelModel:
             place = self.axes.index(self.name)
             own = sensitivity[place]
             a = signal / own if own else np.zeros_like(signal)
-            slope = nonlinearity_slope(shares, a)
+            slope = polynomial_slope(np.append(1.0, shares), a)
             by_signal, signal = scale * slope, signal * (1.0 + polynomial(shares, a))
             table[1:first] *= slope
             table[1 + place] += a * (1.0 + polynomial(shares, a) - slope)
@@ -244,15 +238,6 @@ class ChannelModel:
         to_axes = np.zeros(3)
         to_axes[columns] = sensitivity
         return ModelReading(value, table.T, np.broadcast_to(by_signal, signal.shape), by_temperature, to_axes)
-
-
-def polynomial_slope(coefficients: Array, variable: Array) -> Array:
-    """Evaluate the derivative of a :func:`polynomial`, shape (order,), by its variable."""
-    value = np.zeros(variable.shape)
-    for power in range(len(coefficients), 0, -1):
-        value *= variable
-        value += power * coefficients[power - 1]
-    return value
 
 
 def _multiply_by_powers(table: Array, variable: Array, power: Array | float = 1.0) -> None:

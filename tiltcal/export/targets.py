@@ -302,7 +302,9 @@ def _with_temperature(text: Callable[[float], str], coefficients: Coefficients, 
         if thermal is None:
             return affine(readings)
         dt = celsius - thermal.reference
-        drift, gain = polynomial(thermal.drift, dt).T, polynomial(thermal.gain, dt).T
+        drift, gain = (
+            np.stack([polynomial(row, dt) for row in rows], axis=1) for rows in (thermal.drift, thermal.gain)
+        )
         return np.asarray(((readings - affine.offset - drift) / (1.0 + gain)) @ affine.matrix.T)
 
     return Export(text, gravity, (CROSS_AXIS, TEMPERATURE), np.zeros(len(affine.matrix)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import cos, nan, radians, sin
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from tiltcal.logs.kernel import RoleValues, TiltKernel
 DIP, DECLINATION, FIELD = radians(66.0), 10.0, 50.0
 SLANTED = Mounting(radians(20.0), radians(30.0), radians(130.0))
 UPSIDE_DOWN, RIGHT_ANGLE = Mounting(radians(180.0), 0.0, 0.0), Mounting(0.0, radians(90.0), 0.0)
+Table = Mapping[str, Array]
 ENU = ("v_east", "v_north", "v_up")
 
 
@@ -72,9 +74,7 @@ def visible(truth: Truth, known: Coefficients, least: float) -> np.ndarray[tuple
 
 
 @pytest.mark.parametrize("compass", [True, False])
-@pytest.mark.parametrize(
-    ("channels", "mounting"), [(3, None), (3, SLANTED), (2, None), (2, UPSIDE_DOWN), (2, RIGHT_ANGLE), (2, SLANTED)]
-)
+@pytest.mark.parametrize(("channels", "mounting"), [(3, SLANTED), (2, None), (2, UPSIDE_DOWN), (2, RIGHT_ANGLE)])
 def test_the_earth_as_rotations_have_it(channels: int, mounting: Mounting | None, compass: bool) -> None:
     known, truth = coefficients(channels, mounting), Truth.of(10_000)
     matrix = np.eye(3) if mounting is None else mounting_matrix(mounting)
@@ -158,67 +158,49 @@ def test_intervals_hold_the_truth(channels: int, mounting: Mounting | None, comp
         assert np.isfinite(half).mean() > 0.99
 
 
-def level(**given: object) -> Mapping[str, Array]:
-    """One row, level unless readings say otherwise, with a field that points north along +X."""
-    compensation = Compensation(coefficients(given.pop("channels", 3)))  # type: ignore[call-overload]
+def level(channels: int = 3, up: list[float] | None = None, declination: float = 0.0, **given: list[float]) -> Table:
+    """One row, level unless it is said otherwise, with a field that points north along +X, or a heading."""
+    known = coefficients(channels)
+    compensation = Compensation(known)
     earth = EarthFrameCompensation(
-        compensation, magnetometer="heading" not in given, velocity=True, declination=given.pop("declination", 0.0)
+        compensation, magnetometer="heading" not in given, velocity=True, declination=declination
     )
-    values = {"magnetometer": None if "heading" in given else [[20.0, 0.0, -45.0]], "velocity": [[1.0, 0.0, 0.0]]}
-    up = np.array(given.pop("up", [[0.0, 0.0, 1.0]]))
-    arrays = {name: np.array(value, float) for name, value in {**values, **given}.items() if value is not None}
-    known = coefficients(len(compensation.axes))
-    readings = known.offset + up[:, : len(compensation.axes)] @ known.sensitivity.T
+    vectors = {"velocity": [1.0, 0.0, 0.0], **({} if "heading" in given else {"magnetometer": [20.0, 0.0, -45.0]})}
+    arrays = {name: np.array([value], float) for name, value in {**vectors, **given}.items()}
+    readings = known.offset + np.array([up or [0.0, 0.0, 1.0]])[:, :channels] @ known.sensitivity.T
     return TiltKernel(compensation, earth=earth)(RoleValues(readings, **arrays))
 
 
-def row(table: Mapping[str, Array]) -> tuple[float, ...]:
+def row(table: Table) -> tuple[float, ...]:
     return tuple(float(table[name][0]) for name in ("flag", "reason", "heading", *ENU) if name in table)
 
 
-class TestFlags:
-    def test_level_and_north(self) -> None:
-        assert row(level()) == pytest.approx((PASS, 0, 0.0, 0.0, 1.0, 0.0))
-
-    def test_the_declination_is_positive_east(self) -> None:
-        assert row(level(declination=90.0)) == pytest.approx((PASS, 0, 90.0, 1.0, 0.0, 0.0))
-        assert row(level(declination=-14.3))[2] == pytest.approx(345.7)
-
-    def test_no_heading_where_x_is_vertical(self) -> None:
-        found = row(level(up=[[1.0, 0.0, 0.0]], magnetometer=[[-45.0, 20.0, 0.0]]))
-        assert found == pytest.approx((FAIL, NO_DIRECTION, nan, nan, nan, 1.0), nan_ok=True)
-        found = row(level(up=[[-1.0, 0.0, 0.0]], heading=[10.0]))
-        assert found == pytest.approx((FAIL, NO_DIRECTION, nan, nan, -1.0), nan_ok=True)
-
-    def test_no_heading_where_nothing_points_up(self) -> None:
-        found = row(level(up=[[0.0, 0.0, 0.0]]))
-        assert found == pytest.approx((FAIL, NO_DIRECTION + GRAVITY_LENGTH, nan, nan, nan, nan), nan_ok=True)
-        found = row(level(up=[[0.0, 0.0, 0.49]]))
-        assert found == pytest.approx((FAIL, GRAVITY_LENGTH, nan, nan, nan, nan), nan_ok=True)
-
-    def test_no_heading_where_the_field_is_vertical_or_nothing(self) -> None:
-        for field in ([0.0, 0.0, -45.0], [0.0, 0.0, 0.0]):
-            found = row(level(magnetometer=[field]))
-            assert found == pytest.approx((FAIL, NO_DIRECTION, nan, nan, nan, 0.0), nan_ok=True)
-
-    def test_a_missing_component_fails_and_leaves_the_tilt(self) -> None:
-        table = level(magnetometer=[[20.0, nan, -45.0]])
-        assert row(table)[:3] == pytest.approx((FAIL, NOT_A_NUMBER, nan), nan_ok=True)
-        assert table["tilt_x"][0] == pytest.approx(0.0)
-        assert row(level(velocity=[[1.0, nan, 0.0]]))[:3] == (FAIL, NOT_A_NUMBER, 0.0)
-        assert row(level(up=[[nan, 0.0, 1.0]]))[:3] == pytest.approx((MISSING, NOT_A_NUMBER, nan), nan_ok=True)
-
-    def test_a_field_of_unusual_length(self) -> None:
-        scale = np.array([1.0, 1.0, 1.04, 0.96, 1.06, 0.94])
-        field = scale[:, None] * np.array([20.0, 0.0, -45.0])
-        table = level(up=[[0.0, 0.0, 1.0]] * 6, magnetometer=field, velocity=[[1.0, 0.0, 0.0]] * 6)
-        assert table["heading"] == pytest.approx(np.zeros(6))
-        table = FieldLength().flagged(table, field)
-        assert table["flag"].tolist() == [PASS, PASS, PASS, PASS, SUSPECT, SUSPECT]
-        assert table["reason"].tolist() == [0, 0, 0, 0, NO_DIRECTION, NO_DIRECTION]
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, (PASS, 0, 0.0, 0.0, 1.0, 0.0)),
+        ({"declination": 90.0}, (PASS, 0, 90.0, 1.0, 0.0, 0.0)),
+        ({"up": [1.0, 0.0, 0.0], "magnetometer": [-45.0, 20.0, 0.0]}, (FAIL, NO_DIRECTION, nan, nan, nan, 1.0)),
+        ({"up": [-1.0, 0.0, 0.0], "heading": 10.0}, (FAIL, NO_DIRECTION, nan, nan, -1.0)),
+        ({"up": [0.0, 0.0, 0.0]}, (FAIL, NO_DIRECTION + GRAVITY_LENGTH, nan, nan, nan, nan)),
+        ({"up": [0.0, 0.0, 0.49]}, (FAIL, GRAVITY_LENGTH, nan, nan, nan, nan)),
+        ({"magnetometer": [0.0, 0.0, -45.0]}, (FAIL, NO_DIRECTION, nan, nan, nan, 0.0)),
+        ({"magnetometer": [0.0, 0.0, 0.0]}, (FAIL, NO_DIRECTION, nan, nan, nan, 0.0)),
+        ({"magnetometer": [20.0, nan, -45.0]}, (FAIL, NOT_A_NUMBER, nan, nan, nan, 0.0)),
+        ({"velocity": [1.0, nan, 0.0]}, (FAIL, NOT_A_NUMBER, 0.0, nan, nan, nan)),
+        ({"up": [nan, 0.0, 1.0]}, (MISSING, NOT_A_NUMBER, nan, nan, nan, nan)),
+    ],
+)
+def test_heading_and_flags_of_a_row(given: dict[str, Any], expected: tuple[float, ...]) -> None:
+    """The declination is positive east; without a direction of x, of up or of the field there is no heading."""
+    table = level(**given)
+    assert row(table) == pytest.approx(expected, nan_ok=True)
+    assert np.isfinite(table["tilt_x"][0]) == (
+        GRAVITY_LENGTH & int(table["reason"][0]) == 0 and row(table)[0] < MISSING
+    )
 
 
-def test_the_usual_length_does_not_depend_on_where_blocks_end() -> None:
+def test_the_usual_length_of_the_field_does_not_depend_on_where_blocks_end() -> None:
     lengths = np.random.default_rng(5).normal(50.0, 1.5, 3000)
     lengths[[3, 1500]] = nan
     whole, parts = FieldLength(), FieldLength()
@@ -226,8 +208,9 @@ def test_the_usual_length_does_not_depend_on_where_blocks_end() -> None:
     table = {"flag": np.ones(3000, np.uint8), "reason": np.zeros(3000, np.uint16)}
     blocks = [slice(start, start + 7) for start in range(0, 3000, 7)]
     found = [parts.flagged({name: column[rows] for name, column in table.items()}, field[rows]) for rows in blocks]
-    flags = np.concatenate([some["flag"] for some in found])
-    assert (flags == whole.flagged(table, field)["flag"]).all()
+    flags, flagged = np.concatenate([some["flag"] for some in found]), whole.flagged(table, field)
+    assert (flags == flagged["flag"]).all()
+    assert ((flagged["reason"] == NO_DIRECTION) == (flags == SUSPECT)).all()
     usual = np.nanmedian(lengths[:1001])  # a thousand of them are numbers
     assert (flags == SUSPECT)[1001:].tolist() == (np.abs(lengths[1001:] - usual) > 0.05 * usual).tolist()
 
