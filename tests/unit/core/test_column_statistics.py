@@ -65,10 +65,3 @@ def test_histograms_hold_every_angle(rows: int, bins: int, seed: int) -> None:
     inner = [np.count_nonzero((angles > low + STEP) & (angles < high - STEP)) for low, high in pairwise(edges)]
     outer = [np.count_nonzero((angles > low - STEP) & (angles < high + STEP)) for low, high in pairwise(edges)]
     assert all(least <= count <= most for least, count, most in zip(inner, counts, outer, strict=True))
-
-
-def test_no_rows_at_all() -> None:
-    empty = overview_of(np.zeros(0), np.zeros((0, 1)), np.zeros(0, np.uint8), np.zeros(0, np.uint8), [])
-    assert empty.rows == 0
-    assert len(empty.time) == 0
-    assert len(empty.histogram(10)[0][1]) == 0

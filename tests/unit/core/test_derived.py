@@ -6,7 +6,6 @@ from math import degrees, radians, sqrt
 
 import numpy as np
 import pytest
-import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -52,15 +51,6 @@ def test_a_common_turn_is_uncertain_in_the_mounting_alone() -> None:
     assert turned.by_name(turned.u)["rotation_degrees.yaw"] == pytest.approx(0.1, rel=1e-3)
     assert turned.by_name(turned.u)["rotation_degrees.roll"] < 1e-3
     assert np.all(intrinsic(STRAIGHT, known).u < 1e-3)
-
-
-def test_one_estimated_variance_gives_all_of_them_the_factor_of_student() -> None:
-    """Readings whose variance has 5 degrees of freedom: whatever follows from them straightly has t of 5."""
-    student = float(scipy.stats.t.ppf(0.975, 5))
-    by = np.random.default_rng(3).normal(size=(12, 12))
-    known = uncertain(NAMES, 1e-12 * by @ by.T, student)
-    factors = np.concatenate([intrinsic(STRAIGHT, known).factors, rotation(STRAIGHT, known)[0].factors])
-    np.testing.assert_allclose(factors, np.full(12, student), rtol=1e-4)
 
 
 def test_cross_axis_and_misalignment_with_their_uncertainty() -> None:

@@ -9,10 +9,7 @@ import scipy
 from tiltcal.core.detection import (
     identical_by_chance,
     is_still,
-    lost_rows,
     moved_rows,
-    outliers,
-    run_bounds,
     stuck_spans,
     window_scatter,
 )
@@ -45,19 +42,6 @@ def test_still(change: float, uncertainty: float, shown: bool, still: bool) -> N
     assert is_still(-change, uncertainty, 1.0, shown=shown) is still
 
 
-def test_one_sample_of_a_hundred_that_is_off() -> None:
-    samples = np.rint(1024.0 + 0.6 * REST[:100, 0])
-    assert len(outliers(samples, step=1.0)) == 0
-    samples[37] += 578.0
-    assert outliers(samples, step=1.0).tolist() == [37]
-
-
-def test_runs() -> None:
-    for mask, expected in (("", []), ("..", []), ("##", [(0, 2)]), ("#.#", [(0, 1), (2, 3)]), (".##.", [(1, 3)])):
-        starts, ends = run_bounds(np.array([mark == "#" for mark in mask], dtype=bool))
-        assert list(zip(starts.tolist(), ends.tolist(), strict=True)) == expected
-
-
 def test_a_run_of_a_noisy_reading_is_stuck_and_of_a_coarse_one_not() -> None:
     samples = np.rint(REST)  # noise of a whole step
     samples[100:140] = samples[100]
@@ -72,10 +56,3 @@ def test_small_noise_far_down_a_long_log_is_not_lost() -> None:
     scatter = window_scatter(log.T, np.zeros(200_000, dtype=bool), 100)
     assert scatter[-1] == pytest.approx(np.sqrt(np.sum(np.var(log[-100:], axis=0, ddof=1))), rel=1e-6)
     assert len(scatter) == 199_901
-
-
-def test_a_window_with_a_lost_row_is_never_still() -> None:
-    columns = np.zeros((3, 50))
-    columns[1, 40] = np.nan
-    scatter = window_scatter(columns, lost_rows(columns, [(20, 21)]), 10)
-    assert np.flatnonzero(np.isinf(scatter)).tolist() == [*range(11, 21), *range(31, 41)]

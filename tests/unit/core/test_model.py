@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.core.model import Coefficients, Thermal, referred, values
+from tiltcal.core.model import Coefficients, Thermal, referred
 from tiltcal.core.uncertain import Uncertain, uncertain_at
 
 small = st.floats(-0.01, 0.01)
@@ -41,14 +41,3 @@ def test_an_offset_at_another_reference_has_the_degrees_of_freedom_of_the_drift_
     moved = uncertain_at(part(20.0, [0.5], []), Uncertain.errors(names, np.diag([0.01, 0.01]), dof), 0.0)
     assert moved.u == pytest.approx([np.sqrt(4.01), 0.1])
     assert moved.factors == pytest.approx([12.7, 12.706], abs=0.1)
-
-
-def test_a_small_variance_beside_a_large_one_is_kept() -> None:
-    """Gains of 1e-6 beside sensitivities of 450 counts, correlated by 0.5: u is the root of the diagonal."""
-    thermal = Thermal(24.0, None, np.full((2, 2), 0.5), np.full((2, 1), 1e-4))
-    both = Coefficients(("x", "y"), ("x", "y", "z"), np.full(2, 1e3), np.full((2, 3), 256e3), thermal)
-    names = list(values(both))
-    u = np.array([{"offset": 20.0, "sensitivity": 450.0}.get(name.split(".")[0], 1e-6) for name in names])
-    stated = Uncertain.errors(names, np.outer(u, u) * (0.5 + 0.5 * np.eye(14)))
-    moved = uncertain_at(both, stated, 24.0 + 1e-9)
-    assert moved.u == pytest.approx(u, rel=1e-6)

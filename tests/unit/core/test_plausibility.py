@@ -37,19 +37,10 @@ def test_turned_round_is_named() -> None:
     assert "looks like x-tilt2" in str(sca100t().objection("x-tilt1", PLANE, reading(-0.49, 0.01)))
 
 
-def test_the_wrong_axis_is_named() -> None:
-    assert "looks like y-tilt1" in str(sca100t().objection("x-tilt1", PLANE, reading(0.02, 0.5)))
-
-
 def test_nowhere_near_any_position_tells_what_was_expected() -> None:
     why = str(sca100t().objection("x-tilt1", PLANE, reading(0.0, 0.0)))
     assert "x reads 1024" in why
     assert "1433.5" in why
-
-
-def test_positions_that_a_sensor_cannot_tell_apart_are_no_objection() -> None:
-    faces = {"z-tilt1": (0.0, 0.0, 1.0), "z-tilt2": (0.0, 0.0, -1.0)}
-    assert sca100t().objection("z-tilt1", faces, reading(0.01, -0.02)) is None
 
 
 @pytest.mark.parametrize("offset", [0.38, 0.5, 0.62])

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.core.samples import ReadingStep, drift, even_step, noise_under_rounding, resolution, summarise
+from tiltcal.core.samples import ReadingStep, even_step, noise_under_rounding, summarise
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=50))
@@ -72,13 +72,6 @@ def test_dithered_quantisation_averages_out() -> None:
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.sqrt(np.mean(np.square(claimed))), rel=0.25)
 
 
-def test_drift_is_the_lines_change() -> None:
-    times = [0.1 * k for k in range(50)]
-    change, uncertainty = drift(times, [3.0 + 0.5 * time for time in times])
-    assert change == pytest.approx(0.5 * 4.9)
-    assert uncertainty == pytest.approx(0.0, abs=1e-9)
-
-
 def test_identical_samples_have_no_scatter_at_all() -> None:
     """A hundred times 0.1 is not 10 in binary digits."""
     for value in (0.1, 107.123, 1 / 3):
@@ -87,11 +80,6 @@ def test_identical_samples_have_no_scatter_at_all() -> None:
 
 
 # Rounding
-
-
-def test_resolution_is_the_smallest_step_of_any_channel() -> None:
-    assert resolution([np.array([3.0, 3.0]), np.array([1.0, 1.5, np.nan, 4.0])]) == 0.5
-    assert resolution([np.array([0.3, 0.1 + 0.2])]) == 0.0
 
 
 @pytest.mark.parametrize("noise", [0.15, 0.4, 1.5])
@@ -116,8 +104,3 @@ def test_the_step_of_a_sensor_is_the_smallest_that_it_takes_within_a_position_el
 def test_the_step_of_a_converter() -> None:
     volts = np.round(np.random.default_rng(1).normal(0.0, 0.01, 3000) / 187.5e-6) * 187.5e-6
     assert even_step(np.round(volts, 7)) == pytest.approx(187.5e-6, rel=1e-3)
-
-
-def test_a_continuous_reading_has_no_step() -> None:
-    for rows in (3000, 30_000):
-        assert even_step(np.random.default_rng(1).normal(0.0, 1.0, rows)) == 0.0

@@ -45,12 +45,6 @@ def test_blocks_of_rows_continue_each_other(seconds, lag):
     assert np.concatenate(parts) == pytest.approx(whole, abs=1e-9)
 
 
-def test_rows_far_apart_lie_behind_a_steady_ramp_by_the_lag():
-    seconds = np.arange(0.0, 36000.0, 600.0)
-    element = ThermalLag(120.0)(seconds, 20.0 + seconds * 0.5 / 60.0)
-    assert element[1:] == pytest.approx(20.0 + (seconds[1:] - 120.0) * 0.5 / 60.0, abs=0.01)
-
-
 def test_a_missing_row_and_time_that_goes_back():
     element = ThermalLag(10.0)(np.arange(5.0), np.array([20.0, 20.0, np.nan, 20.0, 20.0]))
     assert element == pytest.approx([20.0, 20.0, np.nan, 20.0, 20.0], nan_ok=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import scipy
@@ -16,15 +14,6 @@ RNG = np.random.default_rng(3)
 def errors(covariance: list[list[float]] | np.ndarray, dof: float = np.inf) -> Uncertain:
     matrix = np.asarray(covariance, dtype=float)
     return Uncertain.errors([f"q{k}" for k in range(len(matrix))], matrix, dof, source="noise")
-
-
-def test_independent_errors_add_with_the_sources_and_the_intervals_of_both() -> None:
-    """Variances of 4 with 5 degrees of freedom and of 5 that is known: the squares of both intervals add."""
-    both = errors([[4.0]], 5.0) + replace(errors([[5.0]]), sources={"jig": np.array([5.0])})
-    assert both.u == pytest.approx([3.0])
-    assert {source: share.tolist() for source, share in both.shares.items()} == {"noise": [4 / 9], "jig": [5 / 9]}
-    half = np.sqrt(4.0 * scipy.stats.t.ppf(0.975, 5) ** 2 + 5.0 * scipy.stats.norm.ppf(0.975) ** 2)
-    assert both.factors * both.u == pytest.approx([half])
 
 
 def test_few_degrees_of_freedom_widen_what_they_are_of_and_nothing_else() -> None:

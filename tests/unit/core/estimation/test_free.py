@@ -61,13 +61,6 @@ def test_nine_attitudes_fit_perfectly_and_are_worth_nothing() -> None:
     assert found.expanded == inf
 
 
-def test_attitudes_taken_again_do_not_count_twice() -> None:
-    up = np.repeat(attitudes(9, 5), 3, axis=0)
-    found = fit_free(readings(up, noise=0.001), np.full((27, 3), 0.001))
-    assert found.distinct == 9
-    assert found.expanded == inf
-
-
 def test_misfits_below_the_noise_are_chance_or_sway() -> None:
     """The noise counts where such small misfits happen by chance; far below it shows that it is no noise of length."""
     up = attitudes(12)

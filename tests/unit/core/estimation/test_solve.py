@@ -177,9 +177,3 @@ class TestPrediction:
         found = estimate_jointly(fixture(measured(rng, plan, [part(rng)]), design(plan, jig=0.1)))[0]
         np.testing.assert_allclose(predicted.uncertain.u, found.uncertain.u, rtol=0.1)
         assert predicted.dof == found.dof
-
-    def test_one_temperature_is_refused_with_another_to_add(self) -> None:
-        tilts = {f"{a}": np.array(gravity_from_tilt({"x": float(a)})) for a in (0, 45)}
-        plan = [Observation(name, up, np.zeros(1), np.full(1, 0.1), 24.0) for name, up in tilts.items()]
-        with pytest.raises(EstimateError, match=r"temperature\.offset\.x\.1.*temperature"):
-            predict_uncertainty(Design(("x",), ("x",), drift=1, jig=0.1), plan)

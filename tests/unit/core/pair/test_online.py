@@ -51,12 +51,6 @@ def test_both_estimators_go_on_once_a_turn_whatever_the_blocks() -> None:
     assert np.array(alone.course) == pytest.approx(np.array(together.course), abs=1e-12)
 
 
-def test_readings_that_drift_far_away_do_not_reach_the_loops() -> None:
-    """Over the record by 20 times their size, within a turn by a quarter of it."""
-    taken = disk.record(drift=(80.0, -40.0, 0.0, 60.0))
-    assert pushed(taken)[0].course[-1] == pytest.approx((*TRUTH, *TRUTH), abs=5e-5)
-
-
 def test_the_recursive_estimator_needs_at_most_half_the_turns_at_the_papers_noise() -> None:
     """Of 200 turns, four times: until the matched sum stays as near to zero as the loops end."""
     needed = []
@@ -127,14 +121,6 @@ def test_the_estimators_are_held_and_go_on(taken: disk.Record, why: str) -> None
     assert online.course[-1] == pytest.approx((*TRUTH, *TRUTH), abs=1e-4)
     if why == "values are missing":
         assert 3000 <= online.stream.left_out < 3000 + 2 * 400
-
-
-def test_while_the_stage_stands_p_and_q_are_held() -> None:
-    online, _ = pushed(BEFORE)
-    before = list(online.course)
-    said = online.push(np.full(20_000, BEFORE.theta[-1]), np.random.default_rng(0).normal(0.0, 1.0, (4, 20_000)))
-    assert [notice.why for notice in said] == [online.stream.why] == ["the stage stands still"]
-    assert np.array(online.course)[-1] == pytest.approx(before[-1], abs=3e-5)
 
 
 def test_p_near_one_is_refused_with_the_reason() -> None:
