@@ -13,7 +13,6 @@ from math import asin, cos, degrees, pi, radians, sqrt
 
 import numpy as np
 import pytest
-import scipy
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
@@ -259,25 +258,6 @@ def test_many_rows_give_what_each_gives_alone() -> None:
     alone = result_of(known, doubt, readings, temperature)
     for found, expected in zip(whole[1:], alone[1:], strict=True):
         np.testing.assert_array_equal(found, np.tile(expected, (60, 1)))
-
-
-def test_95_percent_of_the_truths_of_a_sensor_whose_noise_is_known_from_3_readings() -> None:
-    """A zero from three readings, beside a sensitivity of the data sheet, at level and at 30 degrees."""
-    rng, truth, inside = np.random.default_rng(31), np.array([0.0, 30.0]), np.zeros((3, 2))
-    for row, spread in enumerate((0.0, 1.5, 40.0)):
-        for _ in range(400):
-            slope, readings = 819.0 + spread * rng.normal(), 1024.0 + rng.normal(size=3)
-            known = Coefficients(("x",), ("x",), np.array([readings.mean()]), np.array([[819.0]]))
-            factors = np.array([scipy.stats.t.ppf(0.975, 2.0), NORMAL])
-            covariance = np.diag([readings.var(ddof=1) / 3.0, spread**2])
-            doubt = uncertain_readings(("offset.x", "sensitivity.x.x"), covariance, factors)
-            compensated, _, expanded = result_of(known, doubt, 1024.0 + slope * np.sin(np.radians(truth))[:, None])
-            inside[row] += np.abs(compensated.tilt[:, 0] - truth) <= expanded[:, 0]
-    share = 100.0 * inside / 400.0
-    assert np.all((share > 92.5) & (share < 99.5)), share
-    # Where one part alone is uncertain the interval has its 95 %: the noise at level, the slope at 30 degrees.
-    assert np.all(np.abs(share[:, 0] - 95.0) < 3.5), share
-    assert abs(share[2, 1] - 95.0) < 3.5, share
 
 
 def test_four_digits_or_five_are_rounded_up() -> None:

@@ -12,15 +12,11 @@ from hypothesis import strategies as st
 from tiltcal.core.column_statistics import STEP, STRETCHES, ColumnStatistics
 
 
-def overview_of(
-    time: np.ndarray, angles: np.ndarray, flag: np.ndarray, reason: np.ndarray, cuts: list[int]
-) -> ColumnStatistics:
-    """Of rows that come in blocks."""
-    found = ColumnStatistics([f"tilt_{k}" for k in range(angles.shape[1])])
-    edges = [0, *sorted(cuts), len(time)]
-    for low, high in pairwise(edges):
-        block = slice(low, high)
-        found.add(time[block], angles[block], flag[block], reason[block])
+def overview_of(*columns: np.ndarray, cuts: list[int]) -> ColumnStatistics:
+    """Of rows that come in blocks: their time, angles, flag and reason."""
+    found = ColumnStatistics([f"tilt_{k}" for k in range(columns[1].shape[1])])
+    for low, high in pairwise([0, *sorted(cuts), len(columns[0])]):
+        found.add(*(column[low:high] for column in columns))
     return found
 
 
@@ -32,7 +28,7 @@ def test_envelopes_and_flags_in_any_blocks(rows: int, cuts: list[int], seed: int
     angles[draw.random((rows, 2)) < 0.2] = np.nan
     flag = draw.choice(np.array([1, 3, 4, 9], np.uint8), rows)
     reason = draw.integers(0, 64, rows).astype(np.uint8)
-    found = overview_of(time, angles, flag, reason, [min(cut, rows) for cut in cuts])
+    found = overview_of(time, angles, flag, reason, cuts=[min(cut, rows) for cut in cuts])
     count = len(found.time)
     assert found.rows == rows
     assert min(rows, STRETCHES) <= count <= 2 * STRETCHES
@@ -57,7 +53,7 @@ def test_histograms_hold_every_angle(rows: int, bins: int, seed: int) -> None:
     draw = np.random.default_rng(seed)
     angles = draw.normal(draw.uniform(-60.0, 60.0), draw.uniform(0.01, 30.0), (rows, 1)).clip(-180.0, 180.0)
     none = np.zeros(rows, np.uint8)
-    ((edges, counts),) = overview_of(np.arange(float(rows)), angles, none + 1, none, []).histogram(bins)
+    ((edges, counts),) = overview_of(np.arange(float(rows)), angles, none + 1, none, cuts=[]).histogram(bins)
     assert len(counts) <= bins
     assert counts.sum() == rows
     assert edges[0] - STEP <= angles.min() <= angles.max() <= edges[-1] + STEP
