@@ -49,17 +49,38 @@ _ADVICE = (
 
 
 @dataclass(frozen=True)
-class FreeFit:
-    """A sensor from the length of gravity in n attitudes."""
+class Misfits:
+    """By how much the length of gravity is missed in n attitudes, with some coefficients."""
 
     offset: Array  # (3,), unit
     sensitivity: Array  # upper triangular, (3, 3), unit/g
-    attitudes: Array  # unit vectors that point up, (n, 3)
+    gravity: Array  # (n, 3), g
     misfit: Array  # (n,), g
+    by_reading: Array  # derivatives of the misfits, (n, 3), g/unit
+
+    @property
+    def jacobian(self) -> Array:
+        """Derivatives of the misfits by the offsets and the upper triangle, shape (n, 9)."""
+        rows, columns = _UPPER
+        return np.hstack([-self.by_reading, -self.by_reading[:, rows] * self.gravity[:, columns]])
+
+    def explained(self, u: Array) -> float:
+        """Return the root mean square of the misfits, g, that uncertainties of the readings explain, shape (n, 3)."""
+        return sqrt(float(np.mean(np.sum((self.by_reading * u) ** 2, axis=1))))
+
+
+@dataclass(frozen=True)
+class FreeFit(Misfits):
+    """A sensor from the length of gravity in n attitudes."""
+
     kept: NDArray[np.bool_]  # False for attitudes that were left out, (n,)
     disagreeing: NDArray[np.intp]  # those that do not agree with the others and are too many to be left out
-    jacobian: Array  # of the kept misfits by the unknowns, (kept, 9)
     noise: float  # root mean square of the misfits that the uncertainties of the readings explain, g
+
+    @property
+    def attitudes(self) -> Array:
+        """Unit vectors that point up, (n, 3)."""
+        return np.asarray(self.gravity / np.linalg.norm(self.gravity, axis=1, keepdims=True))
 
     @property
     def distinct(self) -> int:
@@ -69,7 +90,7 @@ class FreeFit:
     @property
     def dof(self) -> int:
         """Degrees of freedom."""
-        return len(self.jacobian) - UNKNOWNS
+        return int(self.kept.sum()) - UNKNOWNS
 
     @property
     def rms(self) -> float:
@@ -79,7 +100,7 @@ class FreeFit:
     @property
     def scatter(self) -> float:
         """Standard deviation of a misfit from the residuals, g; infinite where none is left over."""
-        return self.rms * sqrt(len(self.jacobian) / self.dof) if self.dof > 0 else inf
+        return self.rms * sqrt(self.kept.sum() / self.dof) if self.dof > 0 else inf
 
     @property
     def below_noise(self) -> bool:
@@ -91,15 +112,15 @@ class FreeFit:
         """Expanded uncertainty (95 %) of the nine unknowns on average, g; infinite unless more attitudes differ."""
         if self.distinct <= UNKNOWNS:
             return inf
-        inverse = np.linalg.pinv(self.jacobian * float(np.mean(np.diag(self.sensitivity))))
+        inverse = np.linalg.pinv(self.jacobian[self.kept] * float(np.mean(np.diag(self.sensitivity))))
         student = float(coverage_factor(np.array([float(self.dof)]))[0])
         return student * max(self.noise, self.scatter) * sqrt(float(np.mean(np.sum(inverse**2, axis=1))))
 
     def uncertain(self, noise_dof: float) -> Uncertain:
         """Return the uncertainty of the twelve coefficients, channel by channel; the noise has so many dof."""
-        if self.dof == 0 or self.below_noise:
-            return _uncertain(self.jacobian, self.noise, noise_dof)
-        return _uncertain(self.jacobian, self.scatter, self.dof)
+        by_noise = self.dof == 0 or self.below_noise
+        scatter, dof = (self.noise, noise_dof) if by_noise else (self.scatter, self.dof)
+        return _uncertain(self.jacobian[self.kept], scatter, dof)
 
 
 def fit_free(mean: Array, u: Array, sway: Array | float = 0.0) -> FreeFit:
@@ -117,7 +138,7 @@ def fit_free(mean: Array, u: Array, sway: Array | float = 0.0) -> FreeFit:
     if dof:
         # As many misfits as there are unknowns vanish where the sum of absolute misfits is least.
         scatter = MEDIAN_TO_SIGMA * float(np.median(np.sort(np.abs(near.misfit))[UNKNOWNS:]))
-        scatter = near.noise(u) if _below_noise(scatter, dof, near.noise(u)) else scatter
+        scatter = near.explained(u) if _below_noise(scatter, dof, near.explained(u)) else scatter
         limit = FAR * max(scatter, CLOSE) * float(coverage_factor(np.array([dof]))[0]) / NORMAL_FACTOR
     fewest = max(FEWEST_LEFT, n - int(MOST_LEFT_OUT * n))
     while True:
@@ -131,11 +152,8 @@ def fit_free(mean: Array, u: Array, sway: Array | float = 0.0) -> FreeFit:
         kept[np.flatnonzero(kept)[worst]] = False
     beyond = np.flatnonzero(kept)[studentised > limit]
     disagreeing = np.union1d(np.flatnonzero(~kept), beyond) if len(beyond) else beyond
-    every = _linearised(mean, sway, near.offset, near.sensitivity)
-    attitudes = every.gravity / np.linalg.norm(every.gravity, axis=1, keepdims=True)
-    return FreeFit(
-        near.offset, near.sensitivity, attitudes, every.misfit, kept, disagreeing, near.jacobian, every.noise(u)
-    )
+    every = _misfits(mean, sway, near.offset, near.sensitivity)
+    return FreeFit(**vars(every), kept=kept, disagreeing=disagreeing, noise=every.explained(u))
 
 
 def planned_uncertain(attitudes: Array, noise: float, sensitivity: float) -> Uncertain:
@@ -143,7 +161,7 @@ def planned_uncertain(attitudes: Array, noise: float, sensitivity: float) -> Unc
     if len(attitudes) < UNKNOWNS:
         raise EstimateError(f"{len(attitudes)} free positions for {UNKNOWNS} unknowns: {_ADVICE}")
     readings = attitudes * sensitivity
-    jacobian = _linearised(readings, np.zeros_like(readings), np.zeros(3), np.eye(3) * sensitivity).jacobian
+    jacobian = _misfits(readings, np.zeros_like(readings), np.zeros(3), np.eye(3) * sensitivity).jacobian
     _require_determined(jacobian)
     return _uncertain(jacobian, noise / sensitivity, inf)
 
@@ -156,30 +174,9 @@ def count_distinct(attitudes: Array) -> int:
     return count
 
 
-@dataclass(frozen=True)
-class _Linearised:
-    """Gravity, g, its misfit, and the derivatives of that by the readings, shape (n, 3)."""
-
-    offset: Array
-    sensitivity: Array
-    gravity: Array
-    misfit: Array
-    by_reading: Array
-
-    @property
-    def jacobian(self) -> Array:
-        """Derivatives of the misfits by the offsets and the upper triangle, shape (n, 9)."""
-        rows, columns = _UPPER
-        return np.hstack([-self.by_reading, -self.by_reading[:, rows] * self.gravity[:, columns]])
-
-    def noise(self, u: Array) -> float:
-        """Return the root mean square of the misfits, g, that uncertainties of the readings explain, shape (n, 3)."""
-        return sqrt(float(np.mean(np.sum((self.by_reading * u) ** 2, axis=1))))
-
-
-def _minimum(mean: Array, sway: Array, offset: Array, sensitivity: Array, *, absolute: bool = False) -> _Linearised:
+def _minimum(mean: Array, sway: Array, offset: Array, sensitivity: Array, *, absolute: bool = False) -> Misfits:
     """Return where the sum of squared misfits, or of ``absolute`` ones, is least, by Gauss-Newton steps."""
-    near = _linearised(mean, sway, offset, sensitivity)
+    near = _misfits(mean, sway, offset, sensitivity)
     for _ in range(STEPS):
         weight = 1.0 / np.sqrt(np.maximum(np.abs(near.misfit), CLOSE)) if absolute else np.ones(len(mean))
         # All unknowns are counted in units of the first sensitivity, so that they are of one size.
@@ -187,20 +184,20 @@ def _minimum(mean: Array, sway: Array, offset: Array, sensitivity: Array, *, abs
         change = np.linalg.lstsq(near.jacobian * (size * weight)[:, None], -near.misfit * weight, rcond=None)[0] * size
         sensitivity = near.sensitivity.copy()
         sensitivity[_UPPER] += change[3:]
-        near = _linearised(mean, sway, near.offset + change[:3], sensitivity)
+        near = _misfits(mean, sway, near.offset + change[:3], sensitivity)
         if np.max(np.abs(change)) <= 1e-12 * size:
             break
     return near
 
 
-def _linearised(mean: Array, sway: Array, offset: Array, sensitivity: Array) -> _Linearised:
+def _misfits(mean: Array, sway: Array, offset: Array, sensitivity: Array) -> Misfits:
     if not np.all(np.diag(sensitivity) > 0.0):
         raise EstimateError(f"the readings lie on no ellipsoid: {_ADVICE}")
     inverse = np.linalg.inv(sensitivity)
     gravity = (mean - offset) @ inverse.T
     # Gravity is 1 g at each instant; its mean over directions that sway is shorter, by their variance.
     length = np.sqrt(np.sum(gravity**2, axis=1) + np.sum((sway / np.diag(sensitivity)) ** 2, axis=1))
-    return _Linearised(offset, sensitivity, gravity, length - 1.0, gravity / length[:, None] @ inverse)
+    return Misfits(offset, sensitivity, gravity, length - 1.0, gravity / length[:, None] @ inverse)
 
 
 def _below_noise(scatter: float, dof: float, noise: float) -> bool:
