@@ -66,28 +66,14 @@ SQUARE_OF_TILTS = tuple({"x": sx * 25.0, "y": sy * 25.0} for sx in (1, -1) for s
 
 @dataclass(frozen=True)
 class SimulatedSession:
-    """What one session measured, the design with everything stated, and the truth.
-
-    Attributes
-    ----------
-    observations : list of list of Observation
-        Of each sensor.
-    design : Design
-    parts : list of Part
-    bounded : bool
-        Whether the noise is normal and known to be ``NOISE`` or the plan's, so that there is a Cramér-Rao bound.
-    plan : Plan or None
-        None where no tilt is tried on the calibration.
-    lean : tuple of float
-        Of the table, radians: with none, a heading that is off does nothing.
-    """
+    """What one session measured of each sensor, the design with everything stated, and the truth."""
 
     observations: list[list[Observation]]
     design: Design
     parts: list[Part]
-    bounded: bool = True
-    plan: Plan | None = None
-    lean: tuple[float, ...] = (0.0, 0.0)
+    bounded: bool = True  # whether noise is normal and known to be NOISE or the plan's: there is a Cramér-Rao bound
+    plan: Plan | None = None  # None where no tilt is tried on the calibration
+    lean: tuple[float, ...] = (0.0, 0.0)  # of the table, radians: with none, a heading that is off does nothing
 
 
 @dataclass(frozen=True)

@@ -43,52 +43,25 @@ BLOCK_DOF = 9.0
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done at the bench.
+    """What is done at the bench: positions, and standard deviations of what is set and read."""
 
-    Attributes
-    ----------
-    gravity : ndarray, shape (n, 3)
-        As set.
-    temperature : ndarray, shape (n,)
-        °C.
-    held : tuple of int
-        Positions that stand as the one before them.
-    noise : float
-        Standard deviation of a position's mean, g.
-    jig : float
-        Standard deviation of a set angle, degrees.
-    thermometer : float
-        Standard deviation of a temperature, °C.
-    drift : int
-        Order of the offsets' temperature polynomials.
-    axes : tuple of str
-        Of the sensors, as many as they have channels.
-    """
-
-    gravity: Array
-    temperature: Array
-    held: tuple[int, ...] = ()
-    noise: float = 1e-4
-    jig: float = 0.0
-    thermometer: float = 0.0
-    drift: int = 0
-    axes: tuple[str, ...] = XYZ
+    gravity: Array  # as set, shape (n, 3)
+    temperature: Array  # °C, shape (n,)
+    held: tuple[int, ...] = ()  # positions that stand as the one before them
+    noise: float = 1e-4  # of a position's mean, g
+    jig: float = 0.0  # of a set angle, degrees
+    thermometer: float = 0.0  # of a temperature, °C
+    drift: int = 0  # order of the offsets' temperature polynomials
+    axes: tuple[str, ...] = XYZ  # of the sensors, as many as they have channels
 
 
 @dataclass(frozen=True)
 class Part:
-    """A sensor of two or three channels: about 1 unit/g, 1 % cross-axis, offsets of 50 mg.
+    """A sensor of two or three channels: about 1 unit/g, 1 % cross-axis, offsets of 50 mg."""
 
-    Attributes
-    ----------
-    offset : ndarray, shape (channels,)
-    sensitivity : ndarray, shape (channels, channels)
-    drift : ndarray, shape (channels, order)
-    """
-
-    offset: Array
-    sensitivity: Array
-    drift: Array
+    offset: Array  # (channels,)
+    sensitivity: Array  # (channels, channels)
+    drift: Array  # (channels, order)
 
     @property
     def truth(self) -> Array:
@@ -134,10 +107,7 @@ def part(rng: Generator, drift: int = 0, channels: int = 3) -> Part:
 def measured(rng: Generator, plan: Plan, parts: Sequence[Part], *, known_noise: bool = True) -> list[list[Observation]]:
     """What each part reads in every position of one session; the jig's errors are common to all.
 
-    Parameters
-    ----------
-    known_noise : bool
-        False where the noise is only known from ten block means a position, as at a real bench.
+    Where the noise is not known it is so from ten block means a position, as at a real bench.
     """
     n = len(plan.gravity)
     errors = np.radians(plan.jig) * rng.standard_normal((n, 3))

@@ -13,7 +13,6 @@ from tiltcal.core.pair.online import Online
 
 PAIR = Pair("a1", "a2", "a4")
 TRUTH = disk.truth()
-TAKEN = disk.record(start=200.0)
 
 
 def pushed(taken: disk.Record, block: int = 5000) -> tuple[Online, list[str]]:
@@ -28,20 +27,6 @@ def joined(*parts: disk.Record) -> disk.Record:
     return disk.Record(
         *(np.concatenate([getattr(part, name) for part in parts]) for name in ("time", "theta", "readings"))
     )
-
-
-@pytest.fixture(scope="module")
-def online() -> Online:
-    """Both estimators at the end of the laboratory record."""
-    return pushed(TAKEN)[0]
-
-
-def test_p_and_q_are_within_2e_5_and_suppress_1e5_times(online: Online) -> None:
-    """The figure of the source: 1e5 after p and q."""
-    for loops in (True, False):
-        solved = online.coefficients(loops=loops)
-        assert (solved.p, solved.q) == pytest.approx(TRUTH, abs=2e-5)
-        assert disk.suppression(TAKEN, solved.p, solved.q) > 1e5
 
 
 def test_both_estimators_go_on_once_a_turn_whatever_the_blocks() -> None:
@@ -92,12 +77,10 @@ def test_the_uncertainty_over_gaps_is_that_of_the_error(loops: bool) -> None:
 # A stream that is not what it should be
 
 BEFORE, AFTER = disk.record(seconds=240), disk.record(seconds=240, seed=5)
-
-
-def broken(rows: slice, channel: int) -> disk.Record:
-    readings = BEFORE.readings.copy()
-    readings[rows, channel] = np.nan
-    return replace(BEFORE, readings=readings)
+MISSING = BEFORE.readings.copy()
+MISSING[3000:6000, 3] = np.nan
+SINGLE = BEFORE.readings.copy()
+SINGLE[::7, 1] = np.nan
 
 
 @pytest.mark.parametrize(
@@ -105,15 +88,10 @@ def broken(rows: slice, channel: int) -> disk.Record:
     [
         (joined(BEFORE, *[BEFORE.rows(slice(-1, None))] * 3000, AFTER), "the stage stands still"),
         (joined(BEFORE.rows(BEFORE.time < 101.3), BEFORE.rows(BEFORE.time > 130)), "the stream has a gap"),
-        (broken(slice(3000, 6000), 0), "values are missing"),
-        (broken(slice(3000, 6000), 3), "values are missing"),
-        (
-            joined(BEFORE, replace(AFTER, theta=(360.0 - AFTER.theta) % 360.0), disk.record(seconds=400, seed=9)),
-            "the stage runs backwards",
-        ),
-        (replace(broken(slice(None, None, 7), 1), theta=np.where(np.arange(12_000) % 11, BEFORE.theta, np.nan)), ""),
+        (replace(BEFORE, readings=MISSING), "values are missing"),
+        (replace(BEFORE, readings=SINGLE, theta=np.where(np.arange(12_000) % 11, BEFORE.theta, np.nan)), ""),
     ],
-    ids=["stands", "gap", "first missing", "orthogonal missing", "backwards", "single values"],
+    ids=["stands", "gap", "missing", "single values"],
 )
 def test_the_estimators_are_held_and_go_on(taken: disk.Record, why: str) -> None:
     online, said = pushed(taken)
@@ -121,9 +99,3 @@ def test_the_estimators_are_held_and_go_on(taken: disk.Record, why: str) -> None
     assert online.course[-1] == pytest.approx((*TRUTH, *TRUTH), abs=1e-4)
     if why == "values are missing":
         assert 3000 <= online.stream.left_out < 3000 + 2 * 400
-
-
-def test_p_near_one_is_refused_with_the_reason() -> None:
-    online, said = pushed(disk.record(seconds=80, scale=(3.4, 0.05, 3.4, 3.4)))
-    assert "too near to 1" in online.refused
-    assert any("too near to 1" in line for line in said)
