@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tiltcal.core.attitude import UNKNOWN_ANGLE
-from tiltcal.core.compensation import Compensated, Compensation, KernelChunk, product
+from tiltcal.core.compensation import UNCERTAIN_CHUNK, Compensated, Compensation, KernelChunk, product
 from tiltcal.core.flags import FAIL, NO_TEMPERATURE
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap
 from tiltcal.core.tilt_angles import DIRECTIONS
@@ -37,7 +37,6 @@ CIRCLE = 1.2489
 """Radius of the circle that holds 95 % of the errors in two directions, over the half width that holds them in one."""
 
 _EXACT = 1e-9  # part of a square below which its error changes nothing else
-_ROWS = 4096  # of a step: its derivatives stay in the cache
 _CURVED = 0.02  # the second-order part of an arcsine above which its interval is taken through it
 _ATTITUDES, _ROUNDING = 9, 1e-9  # values of g_x and of g_y at which the length of gravity is tried; g
 _SCALES = 10.0 ** np.clip(3 - np.floor(np.log10(2.0) * (np.arange(2048.0) - 1023.0)), 1, 22)  # by biased exponent
@@ -88,24 +87,19 @@ class CompensationWithUncertainty:
         compensated = Compensated.empty(rows, len(self._compensation.axes))
         room = np.empty((2, len(self._compensation.angles), rows))
         with np.errstate(all="ignore"):
-            for chunk in self._compensation.chunks(readings, temperature, compensated):
+            for chunk in self._compensation.chunks(readings, temperature, compensated, UNCERTAIN_CHUNK):
                 room[:, :, chunk.rows] = self.of_angles(chunk)
         _round_up(room)
         return compensated, room
 
     def of_angles(self, chunk: KernelChunk) -> Array:
         """Return the uncertainty of every angle, k = 1 and half of the 95 % interval, (2, angles, n), degrees."""
-        count = len(chunk.out.flag)
-        room = np.empty((2, len(self._compensation.angles), count))
-        for start in range(0, count, _ROWS):
-            part = room[:, :, start : start + _ROWS]
-            rows = chunk.part(slice(start, start + _ROWS))
-            kinds = self._errors(rows)
-            for errors, half in zip(kinds, part[::-1], strict=False):
-                self._angles(rows, errors, half)
-            np.minimum(part[-len(kinds)] / NORMAL_FACTOR, UNKNOWN_ANGLE, out=part[0])
-            np.minimum(part[1], HALF_TURN, out=part[1])
-            part *= 180.0 / pi
+        room, kinds = np.empty((2, len(self._compensation.angles), len(chunk.out.flag))), self._errors(chunk)
+        for errors, half in zip(kinds, room[::-1], strict=False):
+            self._angles(chunk, errors, half)
+        np.minimum(room[-len(kinds)] / NORMAL_FACTOR, UNKNOWN_ANGLE, out=room[0])
+        np.minimum(room[1], HALF_TURN, out=room[1])
+        room *= 180.0 / pi
         lost = (chunk.out.flag >= FAIL) | (chunk.out.reason & NO_TEMPERATURE > 0)
         if lost.any():
             room[:, :, lost] = np.nan

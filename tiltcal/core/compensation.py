@@ -53,7 +53,9 @@ SHORTEST, LONGEST = 0.5, 2.0  # lengths of gravity beyond which three axes have 
 
 _EDGE = cos(radians(45.0))  # the z component between those of a sensor near level and of one on edge
 _OVER = -sin(radians(5.0))  # element zz of the mounting below which two axes hang upside down: an estimate is no sign
-_CHUNK = 32_768  # rows whose columns stay in the cache from the first step to the last
+CHUNK, UNCERTAIN_CHUNK = 32_768, 4096
+"""Rows whose columns stay in the cache from the first step to the last; and with the derivatives of uncertainties."""
+
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
 _TILT_SLACK = radians(1e-9)
 _LARGEST_CONDITION = 1e12
@@ -101,18 +103,6 @@ class KernelChunk:
     hidden: Array | None  # g_z there, (n,), of a sensor that sees x and y only, where it is needed
     out: Compensated
     share: Array | float = 1.0  # of the variance of a single reading: 1 over the number of which a row is the mean
-
-    def part(self, rows: slice) -> KernelChunk:
-        """Return a view of some rows, counted from the first of these."""
-        return KernelChunk(
-            rows,
-            None if self.dt is None else self.dt[rows],
-            self.signal[:, rows],
-            self.own[:, rows],
-            None if self.hidden is None else self.hidden[rows],
-            self.out.part(rows),
-            self.share if isinstance(self.share, float) else self.share[rows],
-        )
 
 
 class Compensation:
@@ -214,8 +204,10 @@ class Compensation:
             pass
         return result
 
-    def chunks(self, readings: ArrayLike, temperature: ArrayLike | None, out: Compensated) -> Iterator[KernelChunk]:
-        """Compensate rows into ``out``, and yield every few of them while they are in the cache.
+    def chunks(
+        self, readings: ArrayLike, temperature: ArrayLike | None, out: Compensated, size: int = CHUNK
+    ) -> Iterator[KernelChunk]:
+        """Compensate rows into ``out``, and yield ``size`` of them at a time while they are in the cache.
 
         The arguments and errors are those of a call.
         """
@@ -227,8 +219,8 @@ class Compensation:
             raise ValueError(f"temperature has shape {t.shape}; the readings need ({len(u)},)")
         if out.gravity.shape != (len(u), len(self.axes)):
             raise ValueError(f"out has shape {out.gravity.shape}; the result has ({len(u)}, {len(self.axes)})")
-        for start in range(0, len(u), _CHUNK):
-            rows = slice(start, start + _CHUNK)
+        for start in range(0, len(u), size):
+            rows = slice(start, start + size)
             with np.errstate(all="ignore"):
                 chunk = self._compensate(rows, u[rows].T, None if t is None else t[rows], out.part(rows))
             yield chunk

@@ -148,19 +148,8 @@ def _window_sums(values: Array, window: int) -> Array:
 
 def stillest(scatter: Array, *, varying: bool = False) -> float | None:
     """Return the :data:`STILLEST` quantile of scatters, 0 left out if ``varying``; None without any."""
-    most, count, smallest = int(STILLEST * len(scatter)) + 2, 0, np.empty(0)
-    for start in range(0, len(scatter), 16 * _PIECE):
-        piece = scatter[start : start + 16 * _PIECE]
-        piece = piece[np.isfinite(piece) & (piece > 0.0)] if varying else piece[np.isfinite(piece)]
-        count += len(piece)
-        smallest = np.concatenate([smallest, piece])
-        if len(smallest) > most:
-            smallest = np.partition(smallest, most - 1)[:most]
-    if not count:
-        return None
-    place = STILLEST * (count - 1)
-    low = int(place)
-    return float(np.quantile(np.sort(smallest)[low : low + 2], place - low))
+    some = scatter[np.isfinite(scatter) & (scatter > 0.0 if varying else True)]
+    return float(np.quantile(some, STILLEST)) if len(some) else None
 
 
 # Moved

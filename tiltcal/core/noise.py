@@ -15,7 +15,7 @@ Determination*, table I, for the averages.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees, log, nan, pi, sqrt
 from typing import Literal
@@ -176,7 +176,7 @@ def characterise(samples: Array, interval: float, sizes: Sequence[int] = ()) -> 
 
 def average(samples: Array, size: int) -> Average:
     """Return the scatter of averages of ``size`` samples each, one behind the other; samples of shape (n,)."""
-    sums, counts = (np.concatenate(parts) for parts in zip(*_sums(samples, size), strict=True))
+    sums, counts = _sums(samples, size)
     usable = sums[counts >= _PRESENT * size] / counts[counts >= _PRESENT * size]
     if len(usable) < 2:
         return Average(size, len(usable), float(usable.mean()) if len(usable) else nan, nan, nan)
@@ -185,8 +185,7 @@ def average(samples: Array, size: int) -> Average:
 
 def allan_variance(samples: Array) -> tuple[NDArray[np.int64], Array]:
     """Return samples per average by octaves, 1, 2, 4, ..., and the overlapping Allan variances above 0, unit²."""
-    zero = next(some[np.isfinite(some)][0] for some in _chunks(samples) if np.isfinite(some).any())
-    size, (sums, counts) = 1, (np.concatenate(parts) for parts in zip(*_sums(samples, 1, zero), strict=True))
+    size, (sums, counts) = 1, _sums(samples, 1, zero=float(samples[np.argmax(np.isfinite(samples))]))
     variances = _variances(sums, counts, size, _WIDTHS, len(samples))
     while len(samples) >= _FEWEST_STRETCHES * 2 * size * _WIDTHS[-1]:
         even, size = len(sums) // 2 * 2, 2 * size
@@ -196,19 +195,11 @@ def allan_variance(samples: Array) -> tuple[NDArray[np.int64], Array]:
     return np.array(list(usable), dtype=np.int64), np.array(list(usable.values()))
 
 
-def _chunks(samples: Array, size: int = 1) -> Iterator[Array]:
-    """Yield samples, shape (n,), in chunks of whole stretches of ``size``, all of which are whole."""
-    length = max(_CHUNK // size, 1) * size
-    whole = samples[: len(samples) // size * size]
-    return (np.asarray(whole[start : start + length]) for start in range(0, max(len(whole), 1), length))
-
-
-def _sums(samples: Array, size: int, zero: float = 0.0) -> Iterator[tuple[Array, Array]]:
-    """Yield sums, about ``zero``, and numbers of the samples of stretches that follow each other, shape (m,)."""
-    for chunk in _chunks(samples, size):
-        stretches = (chunk - zero).reshape(-1, size)
-        there = np.isfinite(stretches)
-        yield np.sum(stretches, axis=1, where=there), there.sum(axis=1).astype(np.float64)
+def _sums(samples: Array, size: int, zero: float = 0.0) -> tuple[Array, Array]:
+    """Return sums, about ``zero``, and numbers of the samples of stretches that follow each other, shape (m,) each."""
+    stretches = (samples[: len(samples) // size * size] - zero).reshape(-1, size)
+    there = np.isfinite(stretches)
+    return np.sum(stretches, axis=1, where=there), there.sum(axis=1).astype(np.float64)
 
 
 def _variances(sums: Array, counts: Array, size: int, widths: Sequence[int], samples: int) -> dict[int, float]:

@@ -38,9 +38,8 @@ _MARGIN = 0.5  # standard deviations above its mean of a correlation that counts
 _CORRELATED_DOF = 2.0  # of a position's ten block means that are strongly correlated
 _ENOUGH = 5.0  # correlation times that a block should have
 ARITHMETIC = 1e-12  # differences below this share of the values come from arithmetic, and are no step of the reading
+_LOOKED_AT = 1 << 18  # samples from the beginning of a channel that show its step
 _MOST_VALUES = 4096  # different values beyond which a reading counts as continuous
-_ENOUGH_VALUES = 1 << 16  # different values among which two neighbours are a step apart
-_TOGETHER = 1 << 16  # samples that are looked at together, so that a long channel takes little memory
 _WHOLE = 0.01  # by how many steps rounded readings are off a whole number of them, at most
 _REPEATED = 4.0  # how often a rounded reading takes each value, on average, at the least
 _EVEN = 0.02
@@ -270,7 +269,7 @@ def resolution(channels: Iterable[Array]) -> float:
     """
     steps = []
     for samples in channels:
-        values = _different_values(samples, _ENOUGH_VALUES)
+        values = np.unique(_finite(samples))
         gaps = np.diff(values)
         largest = np.max(np.abs(values), initial=0.0)
         steps.append(float(np.min(gaps, initial=inf, where=gaps > ARITHMETIC * largest)))
@@ -278,21 +277,16 @@ def resolution(channels: Iterable[Array]) -> float:
     return smallest if smallest < inf else 0.0
 
 
-def _different_values(samples: Array, enough: int) -> Array:
-    """Return the different values of a channel, rising; so many at the least, where there are more."""
-    values = np.empty(0)
-    for start in range(0, len(samples), _TOGETHER):
-        some = np.asarray(samples[start : start + _TOGETHER])
-        values = np.unique(np.concatenate([values, some[np.isfinite(some)]]))
-        if len(values) >= enough:
-            break
-    return values
+def _finite(samples: Array) -> Array:
+    begin = samples[:_LOOKED_AT]
+    return np.asarray(begin[np.isfinite(begin)])
 
 
 def even_step(samples: Array) -> float:
     """Return the step of a channel that takes few values at even distances, unit; 0 where it is continuous."""
-    values = _different_values(samples, _MOST_VALUES + 1)
-    if not 1 < len(values) <= _MOST_VALUES or np.count_nonzero(np.isfinite(samples)) < _REPEATED * len(values):
+    finite = _finite(samples)
+    values = np.unique(finite)
+    if not 1 < len(values) <= _MOST_VALUES or len(finite) < _REPEATED * len(values):
         return 0.0
     distances = np.diff(values)
     steps = distances / distances.min()

@@ -15,7 +15,7 @@ from tiltcal.calibration.record import compensation_of, mounting_in_words, state
 from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.calibration.wording import objections
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, uncertainty_columns, uncertainty_table
-from tiltcal.core.compensation import Compensated, Compensation, KernelChunk
+from tiltcal.core.compensation import CHUNK, UNCERTAIN_CHUNK, Compensated, Compensation, KernelChunk
 from tiltcal.core.earth_frame import EarthFrameCompensation
 from tiltcal.core.flags import NO_DIRECTION, NO_TEMPERATURE, SUSPECT, mark_columns
 from tiltcal.core.model import Array
@@ -146,7 +146,8 @@ class TiltKernel:
         table = self._compensation.table(out)
         added = np.empty((len(self.columns) - len(table), len(values)))
         with np.errstate(all="ignore"):
-            for chunk in self._compensation.chunks(values.readings, values.temperature, out):
+            size = CHUNK if self._uncertain_angles is None else UNCERTAIN_CHUNK
+            for chunk in self._compensation.chunks(values.readings, values.temperature, out, size):
                 rows = chunk.rows
                 self._remarks.add(chunk, on_edge=self._compensation.on_edge)
                 if values.count is not None:

@@ -55,22 +55,17 @@ def follow(theta: Array, last: float | None = None) -> Array:
 def require_turns(angle: Array) -> None:
     """Refuse a record whose stage stands, turns backwards, or turns less than twice; angle in turns, shape (n,)."""
     turns = float(angle[-1] - angle[0])
-    highest = np.maximum.accumulate(angle)
-    backlash = float(np.max(highest - angle))
-    if max(highest[-1] - angle[0], backlash) < STANDSTILL:
+    backlash = float(np.max(np.maximum.accumulate(angle) - angle))
+    if np.ptp(angle) < STANDSTILL:
         raise EstimateError(
             f"the stage is not turning: its angle changes by {360.0 * turns:.2f}° over {len(angle)} rows; is "
             "this the column of the stage angle, in degrees?"
         )
-    if highest[-1] - angle[0] < STANDSTILL:
-        raise EstimateError(
-            f"the stage angle runs backwards, {-turns:.2f} turns in all: the encoder must count up in the "
-            "direction in which the stage turns; swap its two tracks, or log the angle with the other sign"
-        )
     if backlash > _BACKLASH:
         raise EstimateError(
-            f"the stage angle runs backwards by {360.0 * backlash:.0f}° in the middle of the record: match a "
-            "stretch in which the stage turns one way, and check the encoder"
+            f"the stage angle runs backwards by {360.0 * backlash:.0f}°: the encoder must count up in the direction in "
+            "which the stage turns (swap its two tracks, or log the angle with the other sign); match a stretch in "
+            "which it turns one way"
         )
     # Each row stands for one step, the last one too.
     covered = turns * len(angle) / (len(angle) - 1)

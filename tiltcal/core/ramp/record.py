@@ -127,32 +127,22 @@ def legs_of(record: RampRecord) -> list[Leg]:
     """
     if np.any(np.diff(record.time) <= 0.0):
         raise EstimateError("the time of the record goes back or stands still: name its column of times, in order")
-    whole = float(np.ptp(record.temperature))
-    if not whole >= _SMALLEST_RANGE:
+    whole, least = float(np.ptp(record.temperature)), max(_SMALLEST_RANGE, _FEWEST_STEPS * record.step)
+    if not whole >= least:
+        steps = f" in steps of {record.step:.2g} °C" if record.step else ""
         raise EstimateError(
-            f"the temperature changes by {whole:.2g} °C in the record: a drift takes at least {_SMALLEST_RANGE:g} °C, "
-            "up and down again"
-        )
-    if record.step * _FEWEST_STEPS > whole:
-        raise EstimateError(
-            f"the temperature changes by {whole:.2g} °C in steps of {record.step:.2g} °C, too coarse to separate drift "
-            f"from rounding: let it change by at least {_FEWEST_STEPS * record.step:.2g} °C, or read a finer "
-            "thermometer"
+            f"the temperature changes by {whole:.2g} °C{steps} in the record: a drift takes at least {least:.2g} °C, "
+            "up and down again, or a finer thermometer"
         )
     legs = [_leg(record, *ends) for ends in pairwise([*_turns(record.temperature, _TURN * whole), len(record.time)])]
-    pace = f"{max(leg.pace for leg in legs):.2g} °C/min"
-    up, down = ([leg for leg in legs if leg.rising is way] for way in (True, False))
-    if not up or not down:
-        raise EstimateError(
-            f"the temperature goes only {legs[0].way}, and one way does not separate a thermal lag from drift: let it "
-            f"come back over the same temperatures, at {pace} or slower"
-        )
-    shared = min(max(leg.high for leg in way) for way in (up, down))
-    shared -= max(min(leg.low for leg in way) for way in (up, down))
+    ways = [[leg for leg in legs if leg.rising is way] for way in (True, False)]
+    shared = min(max((leg.high for leg in way), default=-np.inf) for way in ways)
+    shared -= max(min((leg.low for leg in way), default=np.inf) for way in ways)
     if shared < _OVERLAP * whole:
         raise EstimateError(
-            f"the ways up and down share {max(shared, 0.0):.2g} °C of {whole:.2g} °C, too little to separate "
-            f"a thermal lag from drift: let the temperature come all the way back, at {pace} or slower"
+            f"the ways up and down share {max(shared, 0.0):.2g} °C of {whole:.2g} °C, too little to separate a thermal "
+            "lag from drift: let the temperature come all the way back, at "
+            f"{max(leg.pace for leg in legs):.2g} °C/min or slower"
         )
     return legs
 

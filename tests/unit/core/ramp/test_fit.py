@@ -184,7 +184,7 @@ def few_rows():
 @pytest.mark.parametrize(
     ("record", "message"),
     [
-        (made(2.0, legs=1), r"goes only up.*let it come back.*at 2 °C/min or slower"),
+        (made(2.0, legs=1), r"share 0 °C of 40 °C.*let the temperature come all the way back, at 2 °C/min or slower"),
         (cut(made(2.0, legs=2), 0.65), "the ways up and down share 12 °C of 40 °C"),
         (few_rows(), "hardly any rows: let the temperature go all the way"),
         # Legs of 240 s against a lag of 120 s; eight lags are 40 °C at 2.5 °C/min.
