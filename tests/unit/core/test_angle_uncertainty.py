@@ -21,7 +21,7 @@ from support.uncertain_readings import uncertain_readings
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.attitude import mounting_angles, mounting_matrix
 from tiltcal.core.compensation import Compensated, Compensation
-from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, vector_of, with_vector
+from tiltcal.core.model import AXES, Coefficients, Limits, Mounting, Thermal, values, vector_of, with_vector
 from tiltcal.core.uncertain import ALIGNMENT, READING, Uncertain
 from tiltcal.errors import EstimateError
 
@@ -67,15 +67,7 @@ SENSORS = {
 
 def doubt_of(known: Coefficients, *, factors: float | None = None, seed: int = 1) -> Uncertain:
     """Every coefficient uncertain, and strongly correlated with the others."""
-    names = [f"offset.{c}" for c in known.channels]
-    names += [f"sensitivity.{c}.{a}" for c in known.channels for a in known.axes]
-    if known.thermal is not None:
-        for what, table in (("offset", known.thermal.drift), ("sensitivity", known.thermal.gain)):
-            names += [f"temperature.{what}.{c}.{k + 1}" for c in known.channels for k in range(table.shape[1])]
-    if known.nonlinearity is not None:
-        names += [f"nonlinearity.{c}.{k}" for c in known.channels for k in (2, 3)]
-    if known.mounting is not None:
-        names += [f"mounting.turn.{axis}" for axis in AXES]
+    names = [*values(known), *(() if known.mounting is None else (f"mounting.turn.{axis}" for axis in AXES))]
     rng = np.random.default_rng(seed)
     mixed = rng.normal(size=(len(names), 2 * len(names)))
     covariance = mixed @ mixed.T
