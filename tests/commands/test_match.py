@@ -245,8 +245,8 @@ class TestRefusals:
             (("--pair", "a1", "--orthogonal", "a4"), "is not a pair"),
             (("--pair", "a1,a1", "--orthogonal", "a4"), "three different columns"),
             ((*PAIR, "--pair", "a3,a4"), "2 --pair and 1 --orthogonal"),
-            ((*PAIR, *PAIR), "given twice"),
-            ((*PAIR, *BOTH), "at most two pairs"),
+            ((*PAIR, *PAIR), "two different pairs"),
+            ((*PAIR, *BOTH), "two different pairs"),
             ((*PAIR, "--loops"), "--loops needs --online"),
         ],
     )

@@ -74,14 +74,14 @@ def command(
     for path in filter(None, (output, figure)):
         check_writable(path, log)
     with progress_bar("match") as progress:
-        found = match_log(log, wanted, say=remark, progress=progress, **settings)
-    calibration = PairCalibration(found.calibration)
+        record, read, course = match_log(log, wanted, say=remark, progress=progress, **settings)
+    calibration = PairCalibration(record)
     first = calibration.matchings[0]
-    drawing = spectra_of(first, found.log) if figure else None
+    drawing = spectra_of(first, read) if figure else None
     if output:
         calibration.save(output)
     if figure and drawing:
-        draw_matching(figure, replace(drawing, course=found.course, uncertainty=max(first.u_p, first.u_q)))
+        draw_matching(figure, replace(drawing, course=course, uncertainty=max(first.u_p, first.u_q)))
     if as_json:
         shown = [_as_data(matching) for matching in calibration.matchings]
         click.echo(options.json_text(shown[0] if len(shown) == 1 else {"pairs": shown}))

@@ -139,10 +139,10 @@ def match(
     --------
     >>> print(tiltcal.match("disk.csv", [("a1", "a2", "a4")], phase="theta"))
     """
-    matched = match_log(
+    record, _, _ = match_log(
         data, pairs_of(pairs), phase=phase, online=online, loops=loops, skip_bad_rows=skip_bad_rows, say=say
     )
-    return PairCalibration(matched.calibration)
+    return PairCalibration(record)
 
 
 def noise(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -17,26 +17,17 @@ from tiltcal.calibration.season import CalibrationFolder
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.earth_frame import VELOCITY, FieldLength
 from tiltcal.core.flags import FLAGS, REASONS, count_flags
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.document import read_document
 from tiltcal.files.pair import PairRecord
-from tiltcal.logs.cf_attributes import DEGREE, same_unit
-from tiltcal.logs.columns import (
-    HEADING,
-    TEMPERATURE,
-    TIME,
-    locate_columns,
-    named_columns,
-    require_one_unit,
-    require_unit,
-)
+from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, locate_columns, named_columns, require_units
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare, with_lag
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import BlockOfMeans, Means
-from tiltcal.logs.options import ApplyOptions, require_consistent
+from tiltcal.logs.options import ApplyOptions
 from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of, with_writeback
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_path
@@ -96,7 +87,6 @@ def _require_new_columns(log: LogReader, prepared: PreparedCalibration) -> None:
 
 def prepare_any(calibration: Applied, options: ApplyOptions) -> Callable[[LogReader], PreparedCalibration]:
     """Make a calibration, its file or a folder ready for a log; options that are not for it are a UsageError."""
-    require_consistent(options)
     if isinstance(calibration, str | Path) and os.path.isdir(calibration):
         calibration = CalibrationFolder(calibration)
     if isinstance(calibration, CalibrationFolder):
@@ -141,7 +131,11 @@ class CompensatedLog:
             )
             for sensor in prepared.sensors
         ]
-        self._require_units(where, thermometers, options["unit"])
+        units = {one.lead + channel: one.unit for one in prepared.sensors if one.unit for channel in one.channels}
+        require_units(log, where, units, stated=options["unit"])
+        for first, *others in self._vectors.values():
+            if (unit := log.unit(first)) is not None:
+                require_units(log, {str(k): k for k in others}, {str(k): unit for k in others}, repr(log.names[first]))
         self.channels = tuple(chain(*(sensor.columns for sensor in self._sensors)))
         self._roles = {role: where[role] for role in (TEMPERATURE, *roles) if role in where}
         if self._lagged and TIME not in self._roles:
@@ -149,21 +143,6 @@ class CompensatedLog:
         self._needs_time = TIME in prepared.roles or self._lagged
         self._field_length = FieldLength() if "magnetometer" in self._vectors else None
         self.summary = ApplySummary()
-
-    def _require_units(self, where: Mapping[str, int], thermometers: Sequence[str], stated: str | None) -> None:
-        log = self.log
-        for sensor in self.prepared.sensors:
-            for channel, unit in sensor.units.items():
-                column = where[sensor.lead + channel]
-                require_unit(log, [column], unit)
-                if stated is not None and unit != DEGREE and not same_unit(stated, unit):
-                    why = f"column {log.names[column]!r} is in {stated}, and the calibration in {unit}"
-                    raise InputError(f"{why}: convert the readings", file=log.name)
-        require_unit(log, [where[name] for name in (*thermometers, TEMPERATURE) if name in where], "°C", "temperatures")
-        if HEADING in where:
-            require_unit(log, [where[HEADING]], DEGREE, "headings")
-        for vector in self._vectors.values():
-            require_one_unit(log, vector)
 
     @property
     def units(self) -> dict[str, str | None]:

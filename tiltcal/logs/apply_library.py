@@ -5,10 +5,10 @@ Between two calibrations gravity is interpolated from what both make of a row, a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
-from math import cos, inf, radians
+from math import cos, inf, isnan, nan, radians
 from typing import Any
 
 import numpy as np
@@ -75,8 +75,10 @@ def prepare_library(library: CalibrationFolder, log: LogReader, options: ApplyOp
         for calibration in history.calibrations[:-1]:
             for objection in objections(calibration.record):
                 say(f"note: {calibration.name}: {objection}")
-        if options["uncertainty"]:
-            _say_stability(history, options["stability"], say)
+        if options["uncertainty"] and options["stability"] is None:
+            alone = len(history.calibrations) == 1
+            counts = "no wandering" if alone else "half of its change between two calibrations"
+            say(f"note: how far {serial} wanders is not stated (--stability): {counts} counts")
         origin = {
             "calibration": ", ".join(calibration.name for calibration in history.calibrations),
             "sha256": ", ".join(sha256_of(calibration.path) for calibration in history.calibrations),
@@ -117,23 +119,6 @@ def _serials(library: CalibrationFolder, log: LogReader, options: ApplyOptions) 
     )
 
 
-def _say_stability(history: SensorHistory, stability: float | None, say: Callable[[str], None]) -> None:
-    serial = history.sensor.serial
-    if stability is not None:
-        walks = ", ".join(f"{c} {stability:.2g}" for c in history.sensor.channels)
-        say(f"note: the offset of {serial} wanders by {walks} mg/√d, as stated")
-    elif len(history.calibrations) == 1:
-        say(
-            f"note: how far {serial} wanders is unknown, because it has one calibration: the uncertainty is that of "
-            "this alone (--stability)"
-        )
-    else:
-        say(
-            f"note: how far {serial} wanders is not stated (--stability): half of its change between two calibrations "
-            "counts"
-        )
-
-
 class LibraryKernel:
     """The compensation of a sensor by the calibrations before and after each row.
 
@@ -166,22 +151,20 @@ class LibraryKernel:
         middles = [self._dates[k : k + 2].mean() for k, joined in enumerate(self._joined) if not joined]
         self._edges = np.unique([*edges, *middles])
         self._kernels: dict[tuple[float, bool, bool], Kernel] = {}
-        self._last: float | None = None
+        self._last = nan  # time of the last row before, s
 
     def __call__(self, values: RoleValues) -> Table:
         time = self._times(values)
-        table = self._compensated(values, time)
-        return mark_columns(table, (time < self._dates[0]) | (time > self._dates[-1]), SUSPECT, OUTSIDE_TIME)
-
-    def _compensated(self, values: RoleValues, time: Array) -> Table:
         steps = np.searchsorted(self._edges, time, "right")
-        if steps.min() == steps.max():  # the usual block of a log
-            return self._of_step(int(steps[0]), values, time)
         order = np.argsort(steps, kind="stable")
         pieces = np.split(order, np.flatnonzero(np.diff(steps[order])) + 1)
-        tables = [self._of_step(int(steps[rows[0]]), _taken(values, rows), time[rows]) for rows in pieces]
-        back = np.argsort(order)
-        return {name: np.concatenate([table[name] for table in tables])[back] for name in self.columns}
+        if len(pieces) == 1:  # the usual block of a log
+            table: Table = self._of_step(int(steps[0]), values, time)
+        else:
+            tables = [self._of_step(int(steps[rows[0]]), _taken(values, rows), time[rows]) for rows in pieces]
+            back = np.argsort(order)
+            table = {name: np.concatenate([table[name] for table in tables])[back] for name in self.columns}
+        return mark_columns(table, (time < self._dates[0]) | (time > self._dates[-1]), SUSPECT, OUTSIDE_TIME)
 
     def _of_step(self, step: int, values: RoleValues, time: Array) -> Table:
         """Return the columns of rows that lie between two edges."""
@@ -218,32 +201,24 @@ class LibraryKernel:
         """
         if values.time is None:
             return np.full(len(values), self._start or 0.0)
-        time = np.asarray(values.time, dtype=float) + (self._start or 0.0)
+        time = values.time + (self._start or 0.0)
         known = np.isfinite(time)
         if known.any():
             first = float(time[known.argmax()])
-            if self._start is not None and first - self._start > LEAST_SECONDS:
-                raise InputError(
-                    "the times are dates, or count seconds since 1970: leave out --start, which is for times that "
-                    "count from the beginning of the log",
-                    file=self._log,
-                )
-            if not LEAST_SECONDS < first < MOST_SECONDS:
-                raise InputError(
-                    f"the time {first:g} is not a date and no count of seconds since 1970: state when the log began "
-                    "with --start, such as --start 2026-05-01T12:00:00Z",
-                    file=self._log,
-                )
-        elif self._last is None and np.isfinite(values.readings).any():
+            if not LEAST_SECONDS < first < MOST_SECONDS or first - (self._start or first) > LEAST_SECONDS:
+                how = "state when the log began with --start, such as --start 2026-05-01T12:00:00Z"
+                if self._start is not None:
+                    how = "it counts from the --start that is stated: leave that out where times are dates"
+                why = f"the time {first - (self._start or 0.0):g} is no date and no count of seconds since 1970: {how}"
+                raise InputError(why, file=self._log)
+        elif isnan(self._last) and np.isfinite(values.readings).any():
             raise InputError(no_time_yet(len(time), "which calibration they take"), file=self._log)
         else:
             first = float(self._dates[-1])  # of rows without readings
-        if not known.all():
-            place = np.maximum.accumulate(np.where(known, np.arange(len(time)), -1))
-            time = np.where(place < 0, first if self._last is None else self._last, time[place])
-        if known.any() or self._last is not None:
-            self._last = float(time[-1])
-        return time
+        place = np.maximum.accumulate(np.where(known, np.arange(len(time)), -1))
+        time = np.where(place < 0, first if isnan(self._last) else self._last, time[place])
+        self._last = float(time[-1]) if known.any() else self._last
+        return np.asarray(time)
 
 
 def _steps(dates: Array) -> Array:

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.cf_attributes import same_unit, split_unit
+from tiltcal.logs.cf_attributes import DEGREE, same_unit, split_unit
 
 if TYPE_CHECKING:
     from tiltcal.logs.log import LogReader
@@ -111,37 +111,33 @@ def locate_readings(
 ) -> dict[str, int]:
     """Find the columns of readings in a unit that was named, else an InputError, as :func:`locate_columns` does."""
     where = locate_columns(log, channels, named, others)
-    require_unit(log, [where[channel] for channel in channels], unit, "the --unit")
-    require_celsius(log, where)
+    require_units(log, where, dict.fromkeys(channels, unit), "the --unit")
     return where
 
 
-def require_unit(log: LogReader, columns: Sequence[int], unit: str, whose: str = "the calibration") -> None:
-    """Raise InputError for a log whose columns state another unit than ``whose`` (what messages call it)."""
-    for column in columns:
-        stated = log.unit(column)
-        if stated is not None and not same_unit(stated, unit):
-            raise InputError(
-                f"column {log.names[column]!r} is in {stated}, and {whose} in {unit}: convert the readings",
-                file=log.name,
-            )
+_ROLE_UNITS = {TEMPERATURE: "°C", HEADING: DEGREE}
 
 
-def require_celsius(log: LogReader, where: Mapping[str, int]) -> None:
-    """Raise InputError for a log whose temperature states another unit than °C."""
-    if TEMPERATURE in where:
-        require_unit(log, [where[TEMPERATURE]], "°C", "temperatures")
+def require_units(
+    log: LogReader,
+    where: Mapping[str, int],
+    units: Mapping[str, str],
+    whose: str = "the calibration",
+    stated: str | None = None,
+) -> None:
+    """Raise InputError for a log in which the column of a role states another unit than that of ``whose``.
 
-
-def require_one_unit(log: LogReader, columns: Sequence[int]) -> None:
-    """Raise InputError for components of a vector that state different units."""
-    stated = [(log.names[column], unit) for column in columns if (unit := log.unit(column)) is not None]
-    for name, unit in stated[1:]:
-        if not same_unit(unit, stated[0][1]):
-            raise InputError(
-                f"column {name!r} is in {unit}, and {stated[0][0]!r} in {stated[0][1]}: convert one of them",
-                file=log.name,
-            )
+    Temperatures, of one sensor too, are in °C, and headings in degrees. ``stated`` is the unit that the user states of
+    readings.
+    """
+    for role, column in where.items():
+        unit, of = units.get(role), whose
+        if unit is None and (kind := role.rpartition("_")[2]) in _ROLE_UNITS:
+            unit, of = _ROLE_UNITS[kind], f"{kind}s"
+        for found in (log.unit(column), stated if role in units else None):
+            if unit is not None and found is not None and not same_unit(found, unit):
+                why = f"column {log.names[column]!r} is in {found}, and {of} in {unit}: convert the readings"
+                raise InputError(why, file=log.name)
 
 
 def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:

@@ -48,8 +48,7 @@ from tiltcal.logs.columns import (
     TIME,
     column_names,
     named_columns,
-    require_celsius,
-    require_unit,
+    require_units,
 )
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
@@ -171,9 +170,8 @@ def _of_table(data: Any, sensor: SensorIdentity, procedure: Procedure) -> FitPos
     if hasattr(data, "data_vars"):  # an xarray Dataset states units
         table = FrameReader(data, name="the table")
         where = {name: index for index, name in enumerate(table.names)}
-        means = [where[name] for axis in AXES for name in (axis, f"u{axis}") if name in where]
-        require_unit(table, means, sensor.unit, "the --unit")
-        require_celsius(table, where)
+        means = {name: sensor.unit for axis in AXES for name in (axis, f"u{axis}")}
+        require_units(table, where, means, "the --unit")
     file = _name_of(data, "the table")
     positions = read_positions(_path_or_rows(data, "the table", TabledRow), sensor.channels)
     provenance = _provenance("table of positions", table=_origin(data, FileRecord))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tiltcal
-from tiltcal.calibration.record import compensation_of, mounting_in_words, stated_mounting, with_mounting
+from tiltcal.calibration.record import compensation_of, stated_mounting, with_mounting
 from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.calibration.wording import objections
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty, uncertainty_columns, uncertainty_table
@@ -165,17 +165,17 @@ class TiltKernel:
 class PreparedSensor:
     """A sensor, or pairs, ready for the rows of one log.
 
-    ``added`` are the columns of its kernel; ``units`` are those of the readings, of pairs that of the stage angle
-    alone; ``origin`` is what a file made with it should state: software, calibration, sha256, serial; ``lag`` is by how
-    much the element is later than the thermometer, s; ``judge`` judges the readings of which means are made; ``named``
-    are columns of the log of the fit; its own names begin with ``lead``. In the log ``columns`` are where its readings
-    stand and, where it has one of its own, its ``thermometer``.
+    ``added`` are the columns of its kernel; ``unit`` is that of the readings, None of pairs; ``origin`` is what a file
+    made with it should state: software, calibration, sha256, serial; ``lag`` is by how much the element is later than
+    the thermometer, s; ``judge`` judges the readings of which means are made; ``named`` are columns of the log of the
+    fit; its own names begin with ``lead``. In the log ``columns`` are where its readings stand and, where it has one of
+    its own, its ``thermometer``.
     """
 
     kernel: Kernel
     added: tuple[str, ...]
     channels: tuple[str, ...]
-    units: Mapping[str, str]
+    unit: str | None
     origin: Mapping[str, str]
     angles: tuple[str, ...] = ()
     lag: float = 0.0
@@ -237,9 +237,6 @@ def prepare(
     if not isinstance(calibration, CalibrationRecord):
         raise UsageError(f"name a calibration or its file, not {calibration!r}")
     if options["mounting"]:
-        replaced = calibration.coefficients.mounting
-        if replaced is not None:
-            say(f"note: --mounting replaces the mounting of the calibration, {mounting_in_words(replaced)}")
         calibration = with_mounting(calibration, stated_mounting(options["mounting"]))
     coefficients, sensor = calibration.coefficients, calibration.sensor
     for objection in objections(calibration):
@@ -251,13 +248,11 @@ def prepare(
         judge = None if size is None else tilt_kernel(calibration, plain, remarks)
     except EstimateError as failure:
         raise InputError(str(failure), file=file) from failure
-    if judge is not None and options["uncertainty"]:
-        say("note: the noise of readings counts as white: a mean of n rows has 1/√n of it")
     prepared = PreparedSensor(
         kernel,
         kernel.columns,
         coefficients.channels,
-        dict.fromkeys(coefficients.channels, sensor.unit),
+        sensor.unit,
         {**stated, "serial": sensor.serial},
         kernel.angles,
         0.0 if coefficients.thermal is None else coefficients.thermal.lag,
@@ -295,7 +290,7 @@ def _of_pairs(calibration: PairRecord, options: ApplyOptions, origin: Mapping[st
                 f"--{name.replace('_', '-')} is for tilt calibrations; {file} is of pairs, which have no tilt"
             )
     matched = PairCompensation(calibration.matchings)
-    return PreparedSensor(lambda values: matched(values.readings), matched.columns, matched.channels, {}, origin)
+    return PreparedSensor(lambda values: matched(values.readings), matched.columns, matched.channels, None, origin)
 
 
 def _earth(
@@ -308,8 +303,6 @@ def _earth(
     say, noise, declination = options["say"], options["magnetometer_noise"], options["declination"]
     if options["magnetometer"] and declination is None:
         say("note: heading counts from magnetic north: there is no --declination")
-    if not options["magnetometer"] and declination:
-        say(f"note: the declination of {declination:g}° is added to the heading of the log")
     if uncertain_angles is not None and options["magnetometer"] and noise is None:
         say("note: the magnetometer counts as exact (--magnetometer-noise)")
     return EarthFrameCompensation(

@@ -25,13 +25,15 @@ from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance
 from tiltcal.logs.cf_attributes import DEGREE
-from tiltcal.logs.columns import TIME, locate_columns, require_unit
+from tiltcal.logs.columns import TIME, locate_columns, require_units
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.logs.numbers import read_columns
 from tiltcal.stated_arguments import require_boolean, require_text_or_none
 
-_LARGEST = 1e140  # reading whose squares can be summed up in double precision
+Course = Sequence[tuple[float, float, float, float]]
+"""The estimates of a pair turn by turn, as a figure shows them."""
+
 _TURNS_OF_SEGMENT, _LONGEST_SEGMENT = 8, 1 << 18  # turns and, at the most, rows of a segment of the spectra
 
 
@@ -80,32 +82,19 @@ class PairLog:
         return frequency, densities
 
 
-@dataclass(frozen=True)
-class MatchedLog:
-    """A matching with the data that a figure of it shows: the log, and the course of the first pair's estimates."""
-
-    calibration: PairRecord
-    log: PairLog
-    course: Sequence[tuple[float, float, float, float]]
-
-
 def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
     """Return pairs from their columns; a UsageError where these make no pairs of one stage."""
-    if not isinstance(pairs, Sequence) or not pairs:
-        raise UsageError("name a pair")
     wanted = []
-    for pair in pairs:
+    for pair in pairs if isinstance(pairs, Sequence) else ():
         if isinstance(pair, str) or not isinstance(pair, Sequence) or [type(name) for name in pair] != [str] * 3:
             raise UsageError(f"a pair is three columns, the first, the second and the orthogonal one; not {pair!r}")
-        wanted.append(Pair(*pair))
         if len(set(pair)) < 3:
             raise UsageError(
                 f"--pair {pair[0]},{pair[1]} --orthogonal {pair[2]}: these must be three different columns"
             )
-    if len(wanted) > 2:
-        raise UsageError("at most two pairs can be matched at once: those of one stage")
-    if len({pair.name for pair in wanted}) < len(wanted):
-        raise UsageError(f"--pair {wanted[0].first},{wanted[0].second} is given twice")
+        wanted.append(Pair(*pair))
+    if len({pair.name for pair in wanted}) != len(wanted) or len(wanted) not in (1, 2):
+        raise UsageError("name a pair, or the two different pairs of one stage")
     return wanted
 
 
@@ -119,8 +108,11 @@ def match_log(
     skip_bad_rows: bool = False,
     say: Callable[[str], None] = lambda line: None,
     progress: Progress | None = None,
-) -> MatchedLog:
-    """Match pairs, and keep what a figure shows; the arguments are those of :func:`tiltcal.match`."""
+) -> tuple[PairRecord, PairLog, Course]:
+    """Match pairs, and keep what a figure shows; the arguments are those of :func:`tiltcal.match`.
+
+    Returned are the matching, the log, and the course of the first pair's estimates.
+    """
     require_text_or_none("--phase", phase)
     require_boolean("--online", online)
     require_boolean("--loops", loops)
@@ -135,7 +127,7 @@ def match_log(
         _explained(log, phase),
     ):
         read = read_pair_log(log, channels, phase, say=say, online=online)
-        whole, course = read.demodulation, []
+        whole, course = read.demodulation, list[tuple[float, float, float, float]]()
         if online:
             estimators = _estimators(pairs, read.record, say)
             estimates = [
@@ -159,7 +151,7 @@ def match_log(
         stage_angle=None if phase else "estimated from the readings",
     )
     spin = SpinRecord(turns=read.turns, frequency=read.frequency, phase=phase)
-    return MatchedLog(PairRecord(spin=spin, online=online, matchings=matchings, provenance=provenance), read, course)
+    return PairRecord(spin=spin, online=online, matchings=matchings, provenance=provenance), read, course
 
 
 def _say_drift(matching: Matching, record: Demodulation, say: Callable[[str], None]) -> None:
@@ -211,18 +203,14 @@ def read_pair_log(
     where = {channel: located[channel] for channel in channels}
     if phase is not None:
         where[phase] = locate_columns(log, (phase,), {}, option="--phase ")[phase]
-        require_unit(log, [where[phase]], DEGREE, "stage angles")
+        require_units(log, {phase: where[phase]}, {phase: DEGREE}, "stage angles")
     timed = TIME in log.names
     numbers = read_columns(log, where | ({TIME: log.names.index(TIME)} if timed else {}))
     readings = numbers.of(channels)
     for name in where:
         column = numbers.by_role[name]
-        finite = np.isfinite(column)
-        if not finite.any():
+        if not np.isfinite(column).any():
             raise InputError(f"column {name!r} has no value in any row: is {name} connected?", file=log.name)
-        largest = max(np.max(column, initial=0.0, where=finite), -np.min(column, initial=0.0, where=finite))
-        if name in channels and largest > _LARGEST:
-            raise InputError(f"column {name!r} has a reading of {largest:.3g}, which is no measurement", file=log.name)
     time = numbers.by_role[TIME] if timed else np.arange(float(len(numbers)))
     theta = estimated_angle(time, readings) if phase is None else numbers.by_role[phase]
     record = stage_record(channels, theta, readings)

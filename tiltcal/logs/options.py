@@ -24,7 +24,7 @@ from tiltcal.stated_arguments import (
 LOCAL_GRAVITY = (9.7, 9.9)
 """Gravity on the ground is between these, m/s²."""
 
-_DURATION = re.compile(r"([0-9.]+) *(ms|s|min|h|d)?")
+_DURATION = re.compile(r"(\d+\.?\d*|\.\d+) *(ms|s|min|h|d)?", re.ASCII)
 _SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 
 _MEANS, _SEASON, _EARTH, _FURTHER = "Means", "Calibrations over time", "Heading and velocity", "Further options"
@@ -141,10 +141,7 @@ class GroupSize:
             return None if rows is None else cls(rows=rows)
         text = str(every.total_seconds() if isinstance(every, timedelta) else every).strip()
         match = _DURATION.fullmatch(text)
-        try:
-            seconds = float(match[1]) * _SECONDS[match[2] or "s"] if match else 0.0
-        except ValueError:
-            seconds = 0.0
+        seconds = float(match[1]) * _SECONDS[match[2] or "s"] if match else 0.0
         if not (seconds > 0.0 and is_number(seconds)):
             raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every}")
         return cls(seconds=seconds)
@@ -152,27 +149,23 @@ class GroupSize:
 
 def vectors(options: ApplyOptions) -> dict[str, tuple[str, ...]]:
     """Return the three columns of each vector that is asked for, by role."""
-    given = {"magnetometer": (options["magnetometer"], "mx,my,mz"), "velocity": (options["velocity"], "u,v,w")}
-    return {role: _three_columns(role, *names) for role, names in given.items() if names[0]}
-
-
-def _three_columns(role: str, names: Sequence[str] | str, example: str) -> tuple[str, ...]:
-    listed = names.split(",") if isinstance(names, str) else names
-    columns = tuple(str(name).strip() for name in listed) if isinstance(listed, Iterable) else ()
-    if len(set(columns)) != 3 or not all(columns):
-        raise UsageError(f"--{role} names three columns, along x, y and z, such as {example}; not {names!r}")
-    return columns
+    named = {}
+    for role, names, example in (
+        ("magnetometer", options["magnetometer"], "mx,my,mz"),
+        ("velocity", options["velocity"], "u,v,w"),
+    ):
+        listed = names.split(",") if isinstance(names, str) else names
+        columns = tuple(str(name).strip() for name in listed) if isinstance(listed, Iterable) else ()
+        if names and (len(set(columns)) != 3 or not all(columns)):
+            raise UsageError(f"--{role} names three columns, along x, y and z, such as {example}; not {names!r}")
+        named[role] = columns
+    return {role: columns for role, columns in named.items() if columns and any(columns)}
 
 
 def _require_local_gravity(name: str, gravity: Any) -> None:
     low, high = LOCAL_GRAVITY
     if gravity is not None and not (is_number(gravity, low) and gravity <= high):
         raise UsageError(f"{name} {shown(gravity)}: local gravity is between {low:g} and {high:g} m/s²")
-
-
-def _require_boolean_or_none(name: str, value: Any) -> None:
-    if value is not None:
-        require_boolean(name, value)
 
 
 def _uncertainty(of: str, otherwise: str) -> Option:
@@ -198,7 +191,7 @@ class FitOptions(TypedDict, total=False):
             "uncertainties of the means), n, temperature. A frame with a column position is one where there are no "
             "segments.",
             "",
-            check=_require_boolean_or_none,
+            check=lambda name, value: None if value is None else require_boolean(name, value),
         ),
     ]
     columns: Annotated[

@@ -243,7 +243,7 @@ def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
         library.apply(frame, serial="A")
     placed = library.apply(frame, serial="A", start=stamp(1.0))
     assert placed["reason"].tolist() == [64, 64]
-    with pytest.raises(InputError, match="the times are dates, or count seconds since 1970: leave out start"):
+    with pytest.raises(InputError, match="from the start that is stated: leave that out where times are dates"):
         library.apply(frame | {"time": seconds([0.0, 1.0])}, serial="A", start=stamp(0.0))
     del frame["time"]
     with pytest.raises(InputError, match="there is no column 'time'"):

@@ -339,7 +339,7 @@ REFUSED: list[tuple[Any, dict[str, Any], str]] = [
     (
         data({"b": "nT", "a": "uT"}, **VECTOR),
         {"magnetometer": "a,b,c"},
-        "column 'b' is in nT, and 'a' in uT: convert one of them",
+        "column 'b' is in nT, and 'a' in uT: convert the readings",
     ),
     (
         data({"heading": "rad"}, **VECTOR, heading=[0.0, 1.0]),

@@ -12,7 +12,7 @@ from support import accelerometer_disk as stage
 
 from tiltcal.core.pair.matching import Matching
 from tiltcal.core.pair.model import Pair
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.errors import EstimateError, UsageError
 from tiltcal.library.recorded import match
 from tiltcal.logs.match import match_log
 
@@ -137,19 +137,17 @@ def test_a_scale_factor_that_drifts_is_said(corner: float) -> None:
 # Units, columns and spectra
 
 
-def test_readings_whose_squares_vanish_or_overflow() -> None:
+def test_readings_whose_squares_vanish() -> None:
     with pytest.raises(EstimateError, match=r"a1 has no clear signal at the spin frequency \(1e-"):
         match(disk(1e-170), PAIRS, phase="theta")
     with pytest.raises(EstimateError, match="no spectral line is above the noise"):
         match(disk(1e-170), PAIRS)
-    with pytest.raises(InputError, match=r"column 'a1' has a reading of .*e\+200, which is no measurement"):
-        match(disk(1e200), PAIRS, phase="theta")
 
 
 def test_spectra_are_those_of_the_turning_and_the_noise() -> None:
     """Eight turns of 80 rows, rounded up to a power of two, make a segment; white noise has 2 sigma² / rate."""
-    found = match_log(frame(stage.record(seconds=400, rate=10)), [Pair(*PAIR)], phase="theta")
-    frequency, densities = found.log.densities(found.calibration.matchings[0])
+    record, log, _ = match_log(frame(stage.record(seconds=400, rate=10)), [Pair(*PAIR)], phase="theta")
+    frequency, densities = log.densities(record.matchings[0])
     assert frequency[1] == pytest.approx(10.0 / 1024)
     assert frequency[np.argmax(densities["a1"])] == pytest.approx(0.125, abs=0.01)
     # a1, a2 and q a4 have one noise each.

@@ -6,16 +6,15 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from hashlib import sha256
-from io import BytesIO
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import InputError
 from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, Dialect, RowGrammar, between_commas, dialect_of, in_utf8
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.streams import refusing
@@ -236,65 +235,43 @@ class CsvWriter(LogWriter):
             for block, table in blocks:
                 # Means of rows are no rows that could stay as they are.
                 verbatim = isinstance(block, CsvBlock) and block.counts is None
-                write = self._as_it_stands(cast("CsvBlock", block), table) if verbatim else self._in_words(block, table)
+                write = self._as_it_stands if verbatim else self._in_words
+                frame = self._frame(block, table, verbatim=verbatim)
                 if written is not None:
                     written.result()
-                else:
-                    self._sink.write(self._header() if verbatim else self._header_of(block))
-                    self._sink.flush()  # the engine writes to the file itself
-                written = thread.submit(write)
+                written = thread.submit(write, frame, first=written is None)
             if written is not None:
                 written.result()
 
-    def _header(self) -> bytes:
+    def _frame(self, block: LogBlock, table: Table, *, verbatim: bool) -> pl.DataFrame:
+        """Return the columns of a block; text is split here, and not in the thread that writes, the busiest one."""
+        import polars as pl
+        from polars import selectors
+
+        if verbatim:
+            return pl.DataFrame({"": cast("CsvBlock", block).lines, **table})
+        moment = "%Y-%m-%dT%H:%M:%S%.f"
+        words = block.framed().with_columns(
+            selectors.duration().dt.to_string("iso"),
+            selectors.datetime(time_zone=None).dt.to_string(moment),
+            selectors.datetime(time_zone="*").dt.convert_time_zone("UTC").dt.to_string(moment + "Z"),
+        )
+        return words.hstack([pl.Series(name, column) for name, column in table.items()])
+
+    def _as_it_stands(self, frame: pl.DataFrame, *, first: bool) -> None:
         log = cast("CsvReader", self._log)
-        added = "".join(f"{log.dialect.separator}{name}" for name in self._added)
-        return log.header + added.encode() + log.line_end.encode()
+        if first:
+            added = "".join(f"{log.dialect.separator}{name}" for name in self._added)
+            self._sink.write(log.header + added.encode() + log.line_end.encode())
+            self._sink.flush()  # the engine writes to the file itself
+        self._write_csv(frame, quote_style="never", line_terminator=log.line_end)
 
-    def _as_it_stands(self, block: CsvBlock, table: Table) -> Callable[[], object]:
-        """Return what writes rows; their text is split here, and not in the thread that writes, the busiest one."""
-        import polars as pl
+    def _in_words(self, frame: pl.DataFrame, *, first: bool) -> None:
+        self._write_csv(frame, include_header=first)
 
-        frame = pl.DataFrame({"": block.lines, **table})
-        options = {"quote_style": "never", "line_terminator": cast("CsvReader", self._log).line_end}
-        return lambda: self._write_csv(self._sink, frame, **options)
-
-    def _header_of(self, block: LogBlock) -> bytes:
-        import polars as pl
-
-        for column in block.framed():
-            if column.dtype.is_nested() or column.dtype in (pl.Binary, pl.Object):
-                raise UsageError(
-                    f"column {column.name!r} holds {column.dtype}, which CSV has no place for: write Parquet instead"
-                )
-        text = BytesIO()
-        self._write_csv(text, pl.DataFrame(schema=[*self._log.names, *self._added]), include_header=True)
-        return text.getvalue()
-
-    def _in_words(self, block: LogBlock, table: Table) -> Callable[[], object]:
-        import polars as pl
-
-        frame = block.framed()
-        added = [pl.Series(name, column) for name, column in table.items()]
-        return lambda: self._write_csv(self._sink, frame.with_columns(*map(_words, frame)).hstack(added))
-
-    def _write_csv(self, sink: Any, frame: pl.DataFrame, **options: Any) -> None:
+    def _write_csv(self, frame: pl.DataFrame, **options: Any) -> None:
         if isinstance(self._log, CsvReader):
             options["separator"] = self._log.dialect.separator
             options["decimal_comma"] = self._log.dialect.decimal == ","
         with refusing("this log cannot become CSV", self._log.name):
-            frame.write_csv(sink, **{"include_header": False} | options)
-
-
-def _words(column: pl.Series) -> pl.Series:
-    """Return a column as its cells are to be written, where the engine has no way, or a way of its own."""
-    import polars as pl
-
-    kind = column.dtype
-    if isinstance(kind, pl.Duration):
-        return column.dt.to_string("iso")
-    if not isinstance(kind, pl.Datetime):
-        return column
-    if kind.time_zone is None:
-        return column.dt.to_string("%Y-%m-%dT%H:%M:%S%.f")
-    return column.dt.convert_time_zone("UTC").dt.to_string("%Y-%m-%dT%H:%M:%S%.fZ")
+            frame.write_csv(cast("Any", self._sink), **{"include_header": False} | options)
