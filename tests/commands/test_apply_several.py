@@ -18,10 +18,6 @@ import pytest
 from support import FIXTURES
 from support.command import TILTCAL, tiltcal, tiltcal_process
 
-from tiltcal.cli.talk import TRACEBACK
-from tiltcal.library.recorded import apply_log
-from tiltcal.logs.apply import ApplySummary
-
 CAL = FIXTURES / "mavs.yaml"
 
 
@@ -103,26 +99,6 @@ def test_remarks_on_a_log_name_it_and_those_on_the_calibration_come_once(bench: 
     assert lagged.returncode == 0, lagged.stderr
     for name in ("log1.csv", "log2.csv"):
         assert f"{name}: note: the log has no column of times" in lagged.stderr
-
-
-class Panic(BaseException):
-    """What an engine raises that no handler of errors catches, as polars does."""
-
-
-def test_a_log_that_ends_in_an_error_of_a_library_costs_itself_alone(
-    bench: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def panicking(calibration: Path, log: str, *args: Any, **options: Any) -> ApplySummary:
-        if log == "log2.csv":
-            raise Panic("invalid or out-of-range datetime")
-        return apply_log(calibration, log, *args, **options)
-
-    monkeypatch.setattr("tiltcal.library.recorded.apply_log", panicking)
-    monkeypatch.delenv(TRACEBACK)
-    done = tiltcal("apply", CAL, "log1.csv", "log2.csv", "log3.csv", "-o", "tilt", cwd=bench)
-    assert done.returncode == 2
-    assert "log2.csv failed and is left out: log2.csv cannot be processed: Panic: invalid or out-of-" in done.stderr
-    assert sorted(path.name for path in (bench / "tilt").iterdir()) == ["log1.csv", "log3.csv"]
 
 
 # A cluster

@@ -64,25 +64,25 @@ class TestTimes:
         x, y = (np.sin(np.radians(angles)) + np.random.default_rng(3).normal(0.0, 1e-3, angles.shape)).T
         return {"x": x, "y": y}
 
-    @pytest.mark.parametrize(("name", "options"), [("time", ()), ("when", ("--columns", "time=when"))])
-    @pytest.mark.parametrize("written", ["2026-05-01T12:{:02}:{:02}Z", "seconds"])
-    def test_positions_have_that_of_their_last_row(
-        self, tmp_path: Path, written: str, name: str, options: tuple[str, ...]
-    ) -> None:
-        times = [NOON + k if written == "seconds" else written.format(*divmod(k, 60)) for k in range(80)]
-        log = {name: times, **self.readings()}
-        found = calibrated(tmp_path, "plane", log, spans(self.PLACES, 20), *self.VOLTS, *options)
-        ends = ["12:00:19", "12:00:39", "12:00:59", "12:01:19"]
-        assert [position.time for position in found.positions] == [f"2026-05-01T{end}.000Z" for end in ends]
-        assert found.provenance.started == "2026-05-01T12:00:00.000Z"
-        assert found.provenance.ended == "2026-05-01T12:01:19.000Z"
+    def test_positions_have_that_of_their_last_row(self, tmp_path: Path) -> None:
+        moments = [f"2026-05-01T12:{k // 60:02}:{k % 60:02}Z" for k in range(80)]
+        for name, times, options in (
+            ("time", moments, ()),
+            ("when", [NOON + k for k in range(80)], ("--columns", "time=when")),
+        ):
+            log = {name: times, **self.readings()}
+            found = calibrated(tmp_path, "plane", log, spans(self.PLACES, 20), *self.VOLTS, *options)
+            ends = ["12:00:19", "12:00:39", "12:00:59", "12:01:19"]
+            assert [position.time for position in found.positions] == [f"2026-05-01T{end}.000Z" for end in ends]
+            assert found.provenance.started == "2026-05-01T12:00:00.000Z"
+            assert found.provenance.ended == "2026-05-01T12:01:19.000Z"
 
-    @pytest.mark.parametrize("time", ["{}", "{}.5", "after {} s", ""])
-    def test_without_dates_there_is_none(self, tmp_path: Path, time: str) -> None:
-        log = {"time": [time.format(k) for k in range(80)], **self.readings()}
-        found = calibrated(tmp_path, "plane", log, spans(self.PLACES, 20), *self.VOLTS)
-        assert {position.time for position in found.positions} == {None}
-        assert (found.provenance.started, found.provenance.ended) == (None, None)
+    def test_without_dates_there_is_none(self, tmp_path: Path) -> None:
+        for time in ("{}", "after {} s", ""):
+            log = {"time": [time.format(k) for k in range(80)], **self.readings()}
+            found = calibrated(tmp_path, "plane", log, spans(self.PLACES, 20), *self.VOLTS)
+            assert {position.time for position in found.positions} == {None}
+            assert (found.provenance.started, found.provenance.ended) == (None, None)
 
     def test_a_variable_that_is_no_time_of_the_rows_is_left_alone(self, tmp_path: Path) -> None:
         for time in (
@@ -122,11 +122,6 @@ class TestCoarseReadings:
         coarse[:, :, 1] = 100.0 * np.array([[0], [0], [1], [-1], [0], [0]]) - 4.0
         found = self.of(tmp_path, np.round(coarse))
         assert found.uncertainty["offset.y"] == pytest.approx(1.0 / sqrt(12) / sqrt(3), rel=0.01)
-
-    def test_noise_of_a_step_averages_it_out(self, tmp_path: Path) -> None:
-        """What is left is noise and rounding of single samples over the root of all of them."""
-        found = self.of(tmp_path, np.round(self.readings(noise=1.0)))
-        assert found.uncertainty["offset.y"] == pytest.approx(sqrt((1.0 + 1 / 12) / 600), rel=0.15)
 
     def test_a_converter_ten_times_coarser_than_the_noise(self, tmp_path: Path) -> None:
         """Most faces read one value in all channels: they are quantised, not stuck, and the rounding counts."""
@@ -237,10 +232,7 @@ class TestTemperaturePoint:
             assert result.returncode == (2 if end == 2610 else 0)
             assert ("segment level-cold: the temperature drifts by -" in result.stderr) is (end == 2610)
 
-    @pytest.mark.parametrize(
-        ("seconds", "written"),
-        [(5, "{:.4f}"), *((seconds, how) for seconds in (20, 60) for how in ("{:.4f}", "second {:.0f}", ""))],
-    )
+    @pytest.mark.parametrize(("seconds", "written"), [(5, "{:.4f}"), (20, "second {:.0f}"), (60, "")])
     def test_a_short_segment_of_a_ramp_is_refused_as_a_long_one_is(
         self, tmp_path: Path, seconds: int, written: str
     ) -> None:

@@ -10,7 +10,7 @@ import os
 import signal
 import subprocess
 import termios
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
@@ -56,19 +56,16 @@ def small(tmp_path: Path, name: str = "small.csv", **options: float) -> Path:
 
 
 class TestMatch:
-    @pytest.mark.parametrize(
-        ("how", "within", "suppressed"),
-        [
-            ((), 2e-5, 5e4),
-            (("--online",), 2e-4, 1e4),
-            (("--online", "--loops"), 2e-4, 1e4),
-        ],
-        ids=["offline", "recursive", "loops"],
-    )
-    def test_the_laboratory_record(self, log: Path, how: tuple[str, ...], within: float, suppressed: float) -> None:
-        found = as_json(match(log, *PAIR, "--phase", "theta", *how, "--json"))
-        assert (found["p"], found["q"]) == pytest.approx(disk.truth(), abs=within)
-        assert disk.suppression(TAKEN, float(str(found["p"])), float(str(found["q"]))) > suppressed
+    def test_the_laboratory_record(self, log: Path) -> None:
+        for how, within, suppressed in (
+            (("--phase", "theta"), 2e-5, 5e4),
+            (("--phase", "theta", "--online"), 2e-4, 1e4),
+            (("--phase", "theta", "--online", "--loops"), 2e-4, 1e4),
+            ((), 2e-5, 5e4),  # without an encoder
+        ):
+            found = as_json(match(log, *PAIR, *how, "--json"))
+            assert (found["p"], found["q"]) == pytest.approx(disk.truth(), abs=within), how
+            assert disk.suppression(TAKEN, float(str(found["p"])), float(str(found["q"]))) > suppressed
 
     def test_json_is_as_documented(self, log: Path) -> None:
         found = as_json(match(log, *PAIR, "--phase", "theta", "--json"))
@@ -82,10 +79,6 @@ class TestMatch:
             assert all(len(pair) == 2 for pair in stage.values())
             assert stage["sum"] == pytest.approx(np.add(stage["a1"], stage["a2"]), abs=1e-12)
         assert components["before"]["a1"] == pytest.approx(disk.judged(TAKEN, TAKEN.readings[:, 0]), abs=3e-5)
-
-    def test_without_an_encoder(self, log: Path) -> None:
-        found = as_json(match(log, *PAIR, "--json"))
-        assert (found["p"], found["q"]) == pytest.approx(disk.truth(), abs=2e-5)
 
     def test_a_figure(self, log: Path, tmp_path: Path) -> None:
         result = match(log, *PAIR, "--phase", "theta", "--online", "--figure", tmp_path / "six.svg")
@@ -112,25 +105,18 @@ class TestMatch:
 class TestTimes:
     """The column ``time`` as the recorder writes it, and as others do."""
 
-    @pytest.mark.parametrize(
-        "written",
-        [
-            lambda moment: moment.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
-            lambda moment: moment.astimezone(timezone(timedelta(hours=2))).isoformat(),
-        ],
-        ids=["as recorded", "another zone"],
-    )
-    @pytest.mark.parametrize("phase", [("--phase", "theta"), ()], ids=["encoder", "no encoder"])
-    def test_moments(self, tmp_path: Path, written: Callable[[datetime], str], phase: tuple[str, ...]) -> None:
-        path = small(tmp_path)
+    def test_moments(self, tmp_path: Path) -> None:
+        """In UTC, and in another zone, with and without an encoder."""
+        path, east = small(tmp_path), timezone(timedelta(hours=2))
         header, *rows = path.read_text().splitlines()
         begin = datetime(2026, 3, 29, 0, 59, 30, tzinfo=UTC)  # where clocks in Europe change
-        for number, row in enumerate(rows):
-            rows[number] = ",".join([written(begin + timedelta(seconds=number / 20)), *row.split(",")[1:]])
-        path.write_text("\n".join([header, *rows]) + "\n")
-        found = as_json(match(path, *PAIR, *phase, "--json", "-o", tmp_path / "p.yaml"))
-        assert found["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
-        assert read_pair(tmp_path / "p.yaml").spin.frequency == pytest.approx(0.125, rel=1e-5)
+        for zone, phase in ((UTC, ("--phase", "theta")), (east, ())):
+            moments = [(begin + timedelta(seconds=number / 20)).astimezone(zone) for number in range(len(rows))]
+            lines = [f"{at.isoformat()},{row.partition(',')[2]}" for at, row in zip(moments, rows, strict=True)]
+            path.write_text("\n".join([header, *lines]) + "\n")
+            found = as_json(match(path, *PAIR, *phase, "--json", "-o", tmp_path / "p.yaml"))
+            assert found["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
+            assert read_pair(tmp_path / "p.yaml").spin.frequency == pytest.approx(0.125, rel=1e-5)
 
     def test_what_is_no_time_is_needed_only_without_an_encoder(self, tmp_path: Path) -> None:
         path = small(tmp_path)
@@ -149,18 +135,17 @@ class TestStuckValues:
         taken.readings[rows, channel] = taken.readings[rows.start, channel]
         return taken.write(tmp_path / "stuck.csv")
 
-    @pytest.mark.parametrize(
-        ("how", "within"),
-        [((), 1e-4), (("--online",), 2e-4), (("--online", "--loops"), 1e-3)],  # ten turns do not settle the loops
-        ids=["offline", "recursive", "loops"],
-    )
-    @pytest.mark.parametrize("channel", [0, 1, 3])
-    def test_are_named_and_left_out(self, tmp_path: Path, how: tuple[str, ...], within: float, channel: int) -> None:
-        result = match(self.stuck(tmp_path, channel), *PAIR, "--phase", "theta", *how, "--json")
-        assert f"row 600: {disk.NAMES[channel]} is stuck at " in result.stderr
-        assert "400 of 1600 rows have a missing value and are left out" in result.stderr
-        found = as_json(result)
-        assert (found["p"], found["q"]) == pytest.approx(disk.truth(), abs=within)
+    def test_are_named_and_left_out(self, tmp_path: Path) -> None:
+        for how, within, channel in (
+            ((), 1e-4, 0),
+            (("--online",), 2e-4, 1),
+            (("--online", "--loops"), 1e-3, 3),  # ten turns do not settle the loops
+        ):
+            result = match(self.stuck(tmp_path, channel), *PAIR, "--phase", "theta", *how, "--json")
+            assert f"row 600: {disk.NAMES[channel]} is stuck at " in result.stderr
+            assert "400 of 1600 rows have a missing value and are left out" in result.stderr
+            found = as_json(result)
+            assert (found["p"], found["q"]) == pytest.approx(disk.truth(), abs=within), how
 
     def test_a_stage_that_stands_is_no_reason(self, tmp_path: Path) -> None:
         taken = disk.record(seconds=80, rate=20, noise=0.0)
@@ -215,21 +200,18 @@ class TestLiveStream:
 
 
 class TestRefusals:
-    @pytest.mark.parametrize("how", [(), ("--online",)], ids=["offline", "online"])
-    @pytest.mark.parametrize(
-        ("options", "said"),
-        [
-            ({"spin": 0.0225}, "turns"),
+    def test_with_the_reason(self, tmp_path: Path) -> None:
+        for options, said in (
+            ({"spin": 0.0225}, "turns"),  # less than two
             ({"spin": 0.0}, "turn"),
             ({"spin": -0.125}, "backwards"),
             ({"scale": (3.4, 0.03, 3.4, 3.4)}, "too near to 1"),
-        ],
-        ids=["less than two turns", "not turning", "backwards", "p near 1"],
-    )
-    def test_with_the_reason(self, tmp_path: Path, how: tuple[str, ...], options: dict[str, float], said: str) -> None:
-        path = small(tmp_path, **options)
-        assert said in refused(match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml"), EstimateError)
-        assert not (tmp_path / "p.yaml").exists()
+        ):
+            path = small(tmp_path, **options)
+            for how in ((), ("--online",)):
+                result = match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml")
+                assert said in refused(result, EstimateError)
+                assert not (tmp_path / "p.yaml").exists()
 
     def test_a_channel_that_is_missing(self, tmp_path: Path) -> None:
         path = small(tmp_path)
@@ -254,14 +236,11 @@ class TestRefusals:
         assert said in refused(match(log, *arguments, "--phase", "theta"), UsageError)
 
 
-class TestPairFile:
-    @pytest.mark.parametrize("how", [(), ("--online",)], ids=["offline", "online"])
-    def test_keeps_the_checksum_of_what_was_read(self, tmp_path: Path, how: tuple[str, ...]) -> None:
-        path = small(tmp_path)
-        wanted = hashlib.sha256(path.read_bytes()).hexdigest()
-        match(path, *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml")
-        assert read_pair(tmp_path / "p.yaml").provenance.log.sha256 == wanted
-        match("-", *PAIR, "--phase", "theta", *how, "-o", tmp_path / "p.yaml", stdin=path.read_bytes())
+def test_the_file_keeps_the_checksum_of_what_was_read(tmp_path: Path) -> None:
+    path = small(tmp_path)
+    wanted = hashlib.sha256(path.read_bytes()).hexdigest()
+    for log, stdin in ((path, None), ("-", path.read_bytes())):
+        match(log, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml", stdin=stdin)
         assert read_pair(tmp_path / "p.yaml").provenance.log.sha256 == wanted
 
 

@@ -47,7 +47,7 @@ BOOLEANS = (
 )
 NUMBERS = (
     "apply reading_noise, apply average, fit jig, fit table_lean, fit gravity, noise rate, noise target, plan jig, "
-    "plan noise, plan samples, plan tilt, level alignment, free window, rotation turns, measure settle, measure samples"
+    "plan noise, plan samples, plan tilt, level alignment, rotation turns, measure settle, measure samples"
 )
 OTHERS: list[tuple[str, str, Any, str]] = [
     ("apply", "unit", 5, "unit takes a text, not 5"),

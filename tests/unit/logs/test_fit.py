@@ -160,23 +160,6 @@ def test_coordinates_of_a_dataset_are_columns_of_a_table(base: Path) -> None:
     assert thermal.drift[:, 0] == pytest.approx([0.002, 0.002], abs=1e-6)
 
 
-@pytest.mark.parametrize("jig", [0.0, None])
-def test_intervals_hold_what_a_rounded_table_hides(jig: float | None) -> None:
-    """Means are rounded to 0.01 m/s² and nothing is said of them: rounding is their only error."""
-    draw, faces, held = np.random.default_rng(3), np.vstack([np.eye(3), -np.eye(3)]), []
-    names = ["x-up", "y-up", "z-up", "x-down", "y-down", "z-down"]
-    for _ in range(25):
-        offset, matrix = draw.normal(0.0, 0.1, 3), 9.81 * np.eye(3) + draw.normal(0.0, 0.1, (3, 3))
-        means = np.round(offset + faces @ matrix.T, 2)
-        table = {"position": names, **dict(zip("xyz", means.T.tolist(), strict=True))}
-        found = tiltcal.fit("six-face", table, serial="S-1", unit="m/s2", jig=jig)
-        for k, channel in enumerate("xyz"):
-            reach = found.uncertainty.coverage_factor.get(f"offset.{channel}", 1.96)
-            held.append(abs(found.offset[channel] - offset[k]) <= reach * found.uncertainty[f"offset.{channel}"])
-    assert any("the table states no uncertainties" in note for note in found.fit.notes)
-    assert 0.87 < np.mean(held) <= 1.0  # 75 offsets, 0.95 expected; without the rounding none holds
-
-
 FACES = {"position": ["x-up", "y-up", "z-up", "x-down", "y-down", "z-down"]}
 UP = np.vstack([np.eye(3), -np.eye(3)])
 
@@ -196,8 +179,7 @@ def test_the_noise_of_a_table_is_that_of_the_textbook() -> None:
     assert found.uncertainty.coverage_factor["offset.x"] == pytest.approx(scipy.stats.t.ppf(0.975, 6), rel=2e-3)
 
 
-@pytest.mark.parametrize("jig", [0.02, None])
-@pytest.mark.parametrize(("noise", "least"), [(1e-4, 0.9), (1.25e-3, 0.8)])
+@pytest.mark.parametrize(("noise", "least", "jig"), [(1e-4, 0.9, 0.02), (1.25e-3, 0.8, None)])
 def test_intervals_hold_what_a_noisy_table_hides(noise: float, least: float, jig: float | None) -> None:
     """Six faces set to 0.02°, means with noise and four digits: 0 to 1 % of the offsets were inside."""
     draw, held = np.random.default_rng(9), []

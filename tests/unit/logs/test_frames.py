@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -93,17 +93,15 @@ def test_remarks_are_those_of_the_command(tmp_path: Path) -> None:
     assert [text.split(":")[0] for text in of_frame] == ["note"] * 2
 
 
-class TestNotes:
-    """What a frame states about itself stays, as the serial number does by which a folder is searched."""
-
-    def test_they_stay(self, calibration: Calibration) -> None:
-        frame = pd.DataFrame(READINGS)
-        frame.attrs["serial"] = "S-1"
-        assert calibration.apply(frame).attrs == {"serial": "S-1"}
-        table = pa.table(READINGS).replace_schema_metadata({"serial": "S-1"})
-        assert calibration.apply(table).schema.metadata == {b"serial": b"S-1"}
-        data = xarray.Dataset({name: ("row", column) for name, column in READINGS.items()}, attrs={"serial": "S-1"})
-        assert calibration.apply(data, average=2).attrs == {"serial": "S-1"}
+def test_what_a_frame_states_about_itself_stays(calibration: Calibration) -> None:
+    """As the serial number by which a folder is searched."""
+    frame = pd.DataFrame(READINGS)
+    frame.attrs["serial"] = "S-1"
+    assert calibration.apply(frame).attrs == {"serial": "S-1"}
+    table = pa.table(READINGS).replace_schema_metadata({"serial": "S-1"})
+    assert calibration.apply(table).schema.metadata == {b"serial": b"S-1"}
+    data = xarray.Dataset({name: ("row", column) for name, column in READINGS.items()}, attrs={"serial": "S-1"})
+    assert calibration.apply(data, average=2).attrs == {"serial": "S-1"}
 
 
 def test_coordinates_of_a_dataset_stay_coordinates_of_its_means(calibration: Calibration) -> None:
@@ -117,56 +115,42 @@ def test_coordinates_of_a_dataset_stay_coordinates_of_its_means(calibration: Cal
     assert found["depth"].attrs == {"units": "m"}
 
 
-class TestIndexOfPandas:
-    """One that has a name is a column, such as the time that ``resample`` needs there."""
+TIMES = pd.DatetimeIndex(["2026-05-01T12:00:00Z", "2026-05-01T12:00:05Z"], name="time")
 
-    TIMES = pd.DatetimeIndex(["2026-05-01T12:00:00Z", "2026-05-01T12:00:05Z"], name="time")
 
-    def test_it_holds_the_time(self, calibration: Calibration) -> None:
-        frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]}, index=self.TIMES)
-        found = calibration.apply(frame, every="10s")
-        assert found.index.tolist() == [pd.Timestamp("2026-05-01T12:00:02.5Z")]
-        assert found["count"].tolist() == [2]
-        assert found.index.name == "time"
-
-    @pytest.mark.parametrize("how", [{"average": 2}, {"every": "10s"}])
-    def test_moments_without_a_name_are_the_time(self, how: dict[str, Any], calibration: Calibration) -> None:
-        """As ``pandas.date_range`` makes them; means had the numbers of their rows for an index."""
-        frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]}, index=self.TIMES.rename(None))
+@pytest.mark.parametrize("name", ["time", None])
+def test_an_index_of_pandas_with_moments_is_the_time(name: str | None, calibration: Calibration) -> None:
+    """With a name, as ``resample`` needs it there, or without one, as ``pandas.date_range`` makes them."""
+    frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]}, index=TIMES.rename(name))
+    for how in ({"average": 2}, {"every": "10s"}):
         found = calibration.apply(frame, **how)
-        assert found.index.equals(pd.DatetimeIndex([pd.Timestamp("2026-05-01T12:00:02.5Z")]))
-        assert found.index.name is None
-        assert "time" not in found
-
-    def test_of_a_table_without_a_name_it_is_nothing(self) -> None:
-        table = pd.DataFrame({"position": ["level"], "x": [1.0]}, index=self.TIMES[:1].rename(None))
-        assert rows_of(table, "the table") == [{"position": "level", "x": 1}]
+        assert found.index.tolist() == [pd.Timestamp("2026-05-01T12:00:02.5Z")]
+        assert (found.index.name, found["count"].tolist(), "time" in found) == (name, [2], False)
+    table = pd.DataFrame({"position": ["level"], "x": [1.0]}, index=TIMES[:1].rename(None))
+    assert rows_of(table, "the table") == [{"position": "level", "x": 1}]
 
 
 MOMENTS = ["2026-05-01T12:00:00.5Z", "2026-05-01T12:00:01.75Z"]
-STAMPS = pl.Series(MOMENTS).str.to_datetime(time_zone="UTC", time_unit="us")
 
 
-@pytest.mark.parametrize(
-    "frame",
-    [
-        pl.DataFrame({"time": MOMENTS, "x": [1, 2]}),
-        pl.DataFrame({"time": STAMPS, "x": [1, None]}).fill_null(2),
-        pl.DataFrame({"time": STAMPS, "x": [1, 2]}).to_pandas(),
-        pl.DataFrame({"time": STAMPS, "x": [1, 2]}).to_arrow(),
-        {"time": np.array([text[:-1] for text in MOMENTS], "M8[ms]"), "x": np.array([1, 2])},
-        xarray.Dataset({"x": ("time", [1, 2])}, coords={"time": np.array([text[:-1] for text in MOMENTS], "M8[ns]")}),
-        {"time": [1777636800.5, 1777636801.75], "x": [1.0, 2.0]},
-    ],
-    ids=["text", "polars", "pandas", "pyarrow", "dict", "xarray", "seconds"],
-)
-def test_a_frame_is_read_like_a_log(frame: Any) -> None:
+def test_a_frame_is_read_like_a_log() -> None:
     """2026-05-01T12:00:00Z is 1777636800 s after 1970 (`date -u -d … +%s`)."""
-    with open_log(frame) as reader:
-        where = [reader.names.index(name) for name in ("time", "x")]
-        (block,) = reader.rows(where, where[0])
-        assert block.values[where[0]].tolist() == [1777636800.5, 1777636801.75]
-        assert block.values[where[1]].tolist() == [1.0, 2.0]
+    stamps = pl.Series(MOMENTS).str.to_datetime(time_zone="UTC", time_unit="us")
+    frame, zoneless = pl.DataFrame({"time": stamps, "x": [1, 2]}), [text[:-1] for text in MOMENTS]
+    for given in (
+        pl.DataFrame({"time": MOMENTS, "x": [1, 2]}),
+        frame,
+        frame.to_pandas(),
+        frame.to_arrow(),
+        {"time": np.array(zoneless, "M8[ms]"), "x": np.array([1, 2])},
+        xarray.Dataset({"x": ("time", [1, 2])}, coords={"time": np.array(zoneless, "M8[ns]")}),
+        {"time": [1777636800.5, 1777636801.75], "x": [1.0, 2.0]},
+    ):
+        with open_log(given) as reader:
+            where = [reader.names.index(name) for name in ("time", "x")]
+            (block,) = reader.rows(where, where[0])
+            assert block.values[where[0]].tolist() == [1777636800.5, 1777636801.75], type(given)
+            assert block.values[where[1]].tolist() == [1.0, 2.0]
 
 
 @pytest.mark.parametrize("name", ["mavs", "six-face", "mounting", "temperature-sweep"])
@@ -187,125 +171,97 @@ def test_results_do_not_depend_on_where_blocks_end(name: str) -> None:
             np.testing.assert_array_equal(values, whole[column][rows], err_msg=column)
 
 
-class TestMissingValues:
-    """What an array masks is missing, whatever stands below the mask."""
-
-    @pytest.mark.parametrize("kind", [float, int])
-    def test_a_masked_reading_is_missing(self, kind: type, calibration: Calibration) -> None:
+def test_what_an_array_masks_is_missing(calibration: Calibration) -> None:
+    for kind in (float, int):
         masked = np.ma.masked_array(np.array([1024, 1100], dtype=kind), mask=[True, False])
-        found = calibration.apply(READINGS | {"x": masked, "temperature": [20.0, 20.0]})
-        assert np.isnan(found["tilt_x"]).tolist() == [True, False]
-        assert found["flag"].tolist() == [9, 1]
-        means = calibration.apply(READINGS | {"x": masked, "temperature": [20.0, 20.0]}, average=2)
-        assert means["count"].tolist() == [1]
+        frame = READINGS | {"x": masked, "temperature": [20.0, 20.0]}
+        found = calibration.apply(frame)
+        assert (np.isnan(found["tilt_x"]).tolist(), found["flag"].tolist()) == ([True, False], [9, 1])
+        assert calibration.apply(frame, average=2)["count"].tolist() == [1]
 
 
 class TestPythonValues:
     """Numbers and moments of Python, in columns without a type of their own, count as those of arrays do."""
 
-    COLUMNS: ClassVar[dict[str, list[Any]]] = READINGS | {"x": [1024, None], "temperature": [20.5, None]}
-    SAME: ClassVar[dict[str, list[float]]] = READINGS | {"x": [1024.0, np.nan], "temperature": [20.5, np.nan]}
-
-    @pytest.mark.parametrize(
-        "made",
-        [
-            dict,
-            lambda columns: {name: np.array(cells, object) for name, cells in columns.items()},
-            lambda columns: pd.DataFrame(columns, dtype=object),
-            lambda columns: pl.DataFrame({name: pl.Series(cells, dtype=pl.Object) for name, cells in columns.items()}),
-            lambda columns: xarray.Dataset({name: ("row", np.array(c, object)) for name, c in columns.items()}),
-        ],
-        ids=["lists", "arrays", "pandas", "polars", "xarray"],
-    )
-    def test_numbers(self, made: Callable[[dict[str, Any]], Any], calibration: Calibration) -> None:
-        expected = calibration.apply(self.SAME)
+    def test_numbers(self, calibration: Calibration) -> None:
+        columns = READINGS | {"x": [1024, None], "y": [1024, 1000.5], "temperature": [20.5, None]}
+        expected = calibration.apply(columns | {"x": [1024.0, np.nan], "temperature": [20.5, np.nan]})
         assert expected["flag"].tolist() == [1, 9]
-        found = calibration.apply(made(self.COLUMNS))
-        for name in ("tilt_x", "tilt_y", "flag", "reason"):
-            np.testing.assert_array_equal(array(found, name), expected[name])
+        objects = {name: np.array(cells, object) for name, cells in columns.items()}
+        for frame in (
+            columns,
+            objects,
+            pd.DataFrame(columns, dtype=object),
+            pl.DataFrame({name: pl.Series(cells, dtype=pl.Object) for name, cells in columns.items()}),
+            xarray.Dataset({name: ("row", cells) for name, cells in objects.items()}),
+        ):
+            found = calibration.apply(frame)
+            for name in ("tilt_x", "tilt_y", "flag", "reason"):
+                np.testing.assert_array_equal(array(found, name), expected[name], err_msg=str(type(frame)))
 
-    @pytest.mark.parametrize("made", [dict, pl.DataFrame, pd.DataFrame, pa.table])
-    def test_a_column_without_a_value(self, made: Callable[[dict[str, Any]], Any], calibration: Calibration) -> None:
+    def test_a_column_without_a_value(self, calibration: Calibration) -> None:
         """As an empty column of CSV: reason 16 of SPEC 10, temperature missing."""
-        found = calibration.apply(made(READINGS | {"temperature": [None, None]}))
-        assert array(found, "reason").tolist() == [16, 16]
+        for made in (dict, pl.DataFrame, pd.DataFrame, pa.table):
+            found = calibration.apply(made(READINGS | {"temperature": [None, None]}))
+            assert array(found, "reason").tolist() == [16, 16]
 
-    @pytest.mark.parametrize("cells", [[True, False], ["1", None], [1.0, "2"], [[1.0], [2.0, 3.0]]])
-    def test_what_is_no_number(self, cells: list[Any], calibration: Calibration) -> None:
-        columns = READINGS | {"x": pd.Series(cells, dtype=object)}
-        for frame in (columns, pd.DataFrame(columns)):
-            with pytest.raises(InputError, match=r"column 'x' holds .*, not numbers"):
-                calibration.apply(frame)
+    def test_what_is_no_number(self, calibration: Calibration) -> None:
+        for cells in ([True, False], ["1", None], [1.0, "2"], [[1.0], [2.0, 3.0]]):
+            columns = READINGS | {"x": pd.Series(cells, dtype=object)}
+            for frame in (columns, pd.DataFrame(columns)):
+                with pytest.raises(InputError, match=r"column 'x' holds .*, not numbers"):
+                    calibration.apply(frame)
 
-    @pytest.mark.parametrize(
-        "times",
-        [
-            [datetime(2026, 5, 1, 12, tzinfo=UTC), datetime(2026, 5, 1, 14, 0, 5, tzinfo=timezone(timedelta(hours=2)))],
+    def test_moments(self, calibration: Calibration) -> None:
+        east = timezone(timedelta(hours=2))
+        for times in (
+            [datetime(2026, 5, 1, 12, tzinfo=UTC), datetime(2026, 5, 1, 14, 0, 5, tzinfo=east)],
             [datetime(2026, 5, 1, 12), datetime(2026, 5, 1, 12, 0, 5)],
             [pd.Timestamp("2026-05-01T12:00:00Z"), pd.Timestamp("2026-05-01T12:00:05Z")],
-        ],
-        ids=["zones", "no zone", "pandas"],
-    )
-    def test_moments(self, times: list[Any], calibration: Calibration) -> None:
-        columns = READINGS | {"time": times}
-        for how in ({"average": 2}, {"every": "10s"}):
-            assert calibration.apply(columns, **how)["time"] == [np.datetime64("2026-05-01T12:00:02.5")]
+        ):
+            for how in ({"average": 2}, {"every": "10s"}):
+                found = calibration.apply(READINGS | {"time": times}, **how)
+                assert found["time"] == [np.datetime64("2026-05-01T12:00:02.5")]
 
 
-class TestMeans:
-    """Of two rows; what a column holds besides numbers is that of the first."""
-
-    @pytest.mark.parametrize("kind", ["str", "string", "object"])
-    def test_a_text_of_a_time_is_missing(self, kind: str, calibration: Calibration) -> None:
+def test_means_take_the_first_text_and_pass_columns_of_any_type_by(calibration: Calibration) -> None:
+    for kind in ("str", "string", "object"):
         frame = pd.DataFrame(READINGS | {"temperature": [20.0, 20.0]})
         frame["time"] = pd.Series(["2026-05-01T12:00:00Z", None], dtype=kind)
         for how in ({"average": 2}, {"every": "10s"}):
             found = calibration.apply(frame, **how)
-            assert found["time"].tolist() == ["2026-05-01T12:00:00Z"]
-            assert found["count"].tolist() == [2]
-
-    @pytest.mark.parametrize(
-        "frame",
-        [
-            pl.DataFrame(READINGS).with_columns(pl.Series("other", ["a", 1], pl.Object)),
-            pd.DataFrame(READINGS | {"other": [1j, 2j]}),
-            pd.DataFrame(READINGS | {"other": pd.arrays.SparseArray([0, 1])}),
-            pd.DataFrame(READINGS | {"other": pd.period_range("2026-05", periods=2, freq="M")}),
-            pa.table(READINGS | {"other": pa.array([(1, 2, 3), None], pa.month_day_nano_interval())}),
-            xarray.Dataset({name: ("row", column) for name, column in READINGS.items()} | {5: ("row", [1.0, 2.0])}),
-            READINGS | {"other": [1.0, 2.0, 3.0]},
-        ],
-        ids=["mixed", "complex", "sparse", "period", "interval", "number for a name", "another length"],
-    )
-    def test_other_columns_do_not_matter(self, frame: Any, calibration: Calibration) -> None:
-        expected = calibration.apply({name: [np.mean(column)] for name, column in READINGS.items()})
+            assert (found["time"].tolist(), found["count"].tolist()) == (["2026-05-01T12:00:00Z"], [2])
+    expected = calibration.apply({name: [np.mean(column)] for name, column in READINGS.items()})
+    for frame in (
+        pl.DataFrame(READINGS).with_columns(pl.Series("other", ["a", 1], pl.Object)),
+        pd.DataFrame(READINGS | {"other": [1j, 2j]}),
+        pd.DataFrame(READINGS | {"other": pd.period_range("2026-05", periods=2, freq="M")}),
+        pa.table(READINGS | {"other": pa.array([(1, 2, 3), None], pa.month_day_nano_interval())}),
+        xarray.Dataset({name: ("row", column) for name, column in READINGS.items()} | {5: ("row", [1.0, 2.0])}),
+        READINGS | {"other": [1.0, 2.0, 3.0]},
+    ):
         assert array(calibration.apply(frame), "flag").tolist() == [3, 3]
-        means = calibration.apply(frame, average=2)
-        assert array(means, "tilt_x").tolist() == expected["tilt_x"].tolist()
+        assert array(calibration.apply(frame, average=2), "tilt_x").tolist() == expected["tilt_x"].tolist()
 
 
-class TestRowsOfATable:
-    TABLE: ClassVar[dict[str, list[Any]]] = {"position": ["level", "x-45"], "x": [2.5, 3.0], "n": [100, None]}
-
-    @pytest.mark.parametrize(
-        "made",
-        [
-            pl.DataFrame,
-            pd.DataFrame,
-            lambda columns: pd.DataFrame(columns).convert_dtypes(),
-            lambda columns: pd.DataFrame(columns, dtype=object),
-            lambda columns: pd.DataFrame(columns).set_index("position"),
-            pa.table,
-            dict,
-            lambda columns: columns | {"n": np.array([100, np.nan])},
-            lambda columns: [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)],
-        ],
-        ids=["polars", "pandas", "nullable", "objects", "index", "pyarrow", "dict", "arrays", "rows"],
-    )
-    def test_a_missing_whole_number_leaves_the_others_whole(self, made: Callable[[dict[str, Any]], Any]) -> None:
-        rows = rows_of(made(self.TABLE), "the table")
-        assert rows == [{"position": "level", "x": 2.5, "n": 100}, {"position": "x-45", "x": 3}]
+def test_a_missing_whole_number_of_a_table_leaves_the_others_whole() -> None:
+    table: dict[str, list[Any]] = {"position": ["level", "x-45"], "x": [2.5, 3.0], "n": [100, None]}
+    for made in (
+        pl.DataFrame(table),
+        pd.DataFrame(table),
+        pd.DataFrame(table).convert_dtypes(),
+        pd.DataFrame(table, dtype=object),
+        pd.DataFrame(table).set_index("position"),
+        pa.table(table),
+        table,
+        table | {"n": np.array([100, np.nan])},
+        [dict(zip(table, cells, strict=True)) for cells in zip(*table.values(), strict=True)],
+    ):
+        rows = rows_of(made, "the table")
+        assert rows == [{"position": "level", "x": 2.5, "n": 100}, {"position": "x-45", "x": 3}], type(made)
         assert isinstance(rows[0]["n"], int)
+    with pytest.raises(TiltcalError, match="the table: the columns differ in length"):
+        rows_of({"position": ["level", "x-45"], "x": [1.0]}, "the table")
 
 
 def data(units: dict[str, str] | None = None, **more: Any) -> xarray.Dataset:
@@ -361,11 +317,6 @@ REFUSED: list[tuple[Any, dict[str, Any], str]] = [
 def test_it_is_refused(frame: Any, options: dict[str, Any], why: str, calibration: Calibration) -> None:
     with pytest.raises(TiltcalError, match=why):
         calibration.apply(frame, **options)
-
-
-def test_columns_of_a_table_that_differ_in_length() -> None:
-    with pytest.raises(TiltcalError, match="the table: the columns differ in length"):
-        rows_of({"position": ["level", "x-45"], "x": [1.0]}, "the table")
 
 
 def test_a_stage_angle_in_radians() -> None:

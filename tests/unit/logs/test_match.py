@@ -77,15 +77,14 @@ def test_gain_for_a_gradient_is_what_eq_1_gives() -> None:
 # Uncertainty
 
 
-@pytest.mark.parametrize("corner", [0.0, 0.1], ids=["white", "1/f"])
-def test_intervals_hold_p_and_q(corner: float) -> None:
+def test_intervals_hold_p_and_q_in_pink_noise() -> None:
     """Of 25 turns with 1/f noise, those of white noise would hold 87 %; the coverage in full is in benchmarks/pairs."""
     inside = []
-    for seed in range(300):
-        found = matched(stage.record(seconds=200, rate=5, noise=3e-3, corner=corner, seed=seed))
+    for seed in range(200):
+        found = matched(stage.record(seconds=200, rate=5, noise=3e-3, corner=0.1, seed=seed))
         error = np.abs(np.array([found.p, found.q]) - stage.truth())
         inside.append(error < 1.96 * np.array([found.u_p, found.u_q]))
-    assert 0.925 < float(np.mean(inside)) < 0.975
+    assert 0.92 < float(np.mean(inside)) < 0.98
 
 
 def test_noise_that_is_stronger_at_the_turning_counts() -> None:
@@ -119,11 +118,10 @@ def test_intervals_hold_where_all_turns_share_one_rounding(online: bool, loops: 
     assert np.mean(inside) > 0.85  # 11 % where only the scatter between turns counts
 
 
-@pytest.mark.parametrize("corner", [0.0, 0.1], ids=["white", "1/f"])
-def test_a_scale_factor_that_drifts_is_said(corner: float) -> None:
+def test_a_scale_factor_that_drifts_is_said() -> None:
     """That of a2 rises by 1e-3 over 100 turns, so p falls by 1e-3, and q, 0.037, rises by as large a share of it."""
     said: list[str] = []
-    taken = stage.record(rate=10, noise=3e-5, corner=corner)
+    taken = stage.record(rate=10, noise=3e-5, corner=0.1)
     match(frame(taken), PAIRS, phase="theta", say=said.append)
     assert said == []
     taken.readings[:, 1] *= 1.0 + 1e-3 * taken.time / taken.time[-1]
@@ -152,11 +150,6 @@ def test_spectra_are_those_of_the_turning_and_the_noise() -> None:
     assert frequency[np.argmax(densities["a1"])] == pytest.approx(0.125, abs=0.01)
     # a1, a2 and q a4 have one noise each.
     assert np.median(densities["sum after p and q"]) == pytest.approx(2 * 2 * 3e-4**2 / 10, rel=0.3)
-
-
-# What cannot be matched
-
-TURNS = stage.record(seconds=80)
 
 
 def test_online_takes_the_stage_angle() -> None:

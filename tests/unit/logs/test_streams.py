@@ -16,26 +16,17 @@ from tiltcal.logs import streams
 from tiltcal.logs.streams import log_source, read_ahead, with_writeback
 
 
-def test_the_items_come_in_order_from_another_thread() -> None:
+def test_items_come_in_order_from_another_thread_and_an_error_in_its_place() -> None:
     def items() -> Iterator[tuple[int, int]]:
         for number in range(50):
             yield number, threading.get_ident()
-
-    found = list(read_ahead(items()))
-    assert [number for number, _ in found] == list(range(50))
-    assert {thread for _, thread in found}.isdisjoint({threading.get_ident()})
-
-
-def test_an_error_comes_in_its_place() -> None:
-    def items() -> Iterator[int]:
-        yield 1
-        yield 2
         raise ValueError("the disk is gone")
 
-    ahead = read_ahead(items())
-    assert [next(ahead), next(ahead)] == [1, 2]
+    ahead, found = read_ahead(items()), []
     with pytest.raises(ValueError, match="the disk is gone"):
-        next(ahead)
+        found.extend(ahead)
+    assert [number for number, _ in found] == list(range(50))
+    assert threading.get_ident() not in {thread for _, thread in found}
 
 
 def test_the_thread_ends_when_the_reader_stops() -> None:
