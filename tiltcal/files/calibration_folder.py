@@ -78,19 +78,14 @@ def date_of(record: CalibrationRecord, path: str | Path) -> tuple[str, datetime]
 
 
 def _yaml_files(folder: str | Path) -> Iterator[str]:
-    waiting = [os.fspath(folder)]
-    while waiting:
-        try:
-            with os.scandir(waiting.pop()) as entries:
-                for entry in entries:
-                    if entry.name.startswith("."):
-                        continue
-                    if entry.is_dir():
-                        waiting.append(entry.path)
-                    elif entry.name.lower().endswith(SUFFIXES):
-                        yield entry.path
-        except OSError as failure:
-            raise UsageError(f"{failure.filename}: cannot be read as a folder: {failure.strerror}") from None
+    def refuse(failure: OSError) -> None:
+        raise UsageError(f"{failure.filename}: cannot be read as a folder: {failure.strerror}") from None
+
+    for place, folders, names in os.walk(os.fspath(folder), onerror=refuse, followlinks=True):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        for name in names:
+            if name.lower().endswith(SUFFIXES) and not name.startswith("."):
+                yield os.path.join(place, name)
 
 
 def _content(path: str) -> bytes:
