@@ -101,26 +101,15 @@ def _thermal(section: ThermalSection, channels: Sequence[str]) -> Thermal:
 
 def coefficients_section(coefficients: Coefficients) -> CoefficientsSection:
     """Return the section of a file."""
-    channels, axes, thermal = coefficients.channels, coefficients.axes, coefficients.thermal
-    bent, mounting = coefficients.nonlinearity, coefficients.mounting
-    rows = zip(channels, coefficients.sensitivity.tolist(), strict=True)
-    return CoefficientsSection(
-        offset=dict(zip(channels, coefficients.offset.tolist(), strict=True)),
-        sensitivity={channel: dict(zip(axes, row, strict=True)) for channel, row in rows},
-        nonlinearity=None if bent is None else _by_channel(channels, bent),
-        temperature=None
-        if thermal is None
-        else ThermalSection(
-            reference=float(thermal.reference),
-            range=thermal.range and (float(thermal.range[0]), float(thermal.range[1])),
-            offset=_by_channel(channels, thermal.drift),
-            sensitivity=_by_channel(channels, thermal.gain),
-            lag=float(thermal.lag),
-        ),
-        mounting=None
-        if mounting is None
-        else MountingSection(**{name: in_degrees(getattr(mounting, name)) for name in ANGLES}),
-    )
+    shaped, thermal, mounting = _shaped(values(coefficients)), coefficients.thermal, coefficients.mounting
+    warm = shaped.pop(TEMPERATURE)
+    if thermal is not None:
+        warm |= {"reference": float(thermal.reference), "lag": float(thermal.lag)}
+        warm["range"] = thermal.range and (float(thermal.range[0]), float(thermal.range[1]))
+    if mounting is not None:
+        shaped["mounting"] = MountingSection(**{name: in_degrees(getattr(mounting, name)) for name in ANGLES})
+    shaped = {key: section for key, section in shaped.items() if section}
+    return CoefficientsSection(**shaped, temperature=ThermalSection(**warm) if thermal is not None else None)
 
 
 def in_degrees(angle: float) -> float:
@@ -175,11 +164,6 @@ def _padded(curves: Mapping[str, Sequence[float]], channels: Sequence[str]) -> A
         numbers = curves.get(channel, ())
         row[: len(numbers)] = numbers
     return table
-
-
-def _by_channel(channels: Sequence[str], table: Array) -> dict[str, tuple[float, ...]]:
-    """Return the rows of a table by channel; empty where it has no columns."""
-    return {channel: tuple(row) for channel, row in zip(channels, table.tolist(), strict=True) if row}
 
 
 def _nonlinearity(
@@ -342,21 +326,27 @@ def uncertainty_of(section: UncertaintySection, place: Document, coefficients: C
 
 def uncertainty_section(uncertainty: Uncertainty) -> UncertaintySection:
     """Return the uncertainty in the shape of ``calibration``."""
-    shaped: dict[str, Any] = {key: {} for key in SHAPED}
-    for name, u in uncertainty.items():
-        *path, last = name.split(".")
-        section = shaped
-        for key in path[:-1]:
-            section = section.setdefault(key, {})
-        if last.isdigit():
-            section[path[-1]] = (*section.get(path[-1], ()), u)
-        else:
-            section.setdefault(path[-1], {})[last] = u
+    shaped = _shaped(uncertainty)
     warm = shaped.pop(TEMPERATURE)
     rest = {
         name: getattr(uncertainty, name) for name in ("single_reading", "coverage_factor", "covariance", "alignment")
     }
     return UncertaintySection(**shaped, **rest, temperature=ThermalUncertainty(**warm) if warm else None)
+
+
+def _shaped(named: Mapping[str, float]) -> dict[str, Any]:
+    """Return numbers by dotted names in the shape of ``calibration``; those of powers are a list."""
+    shaped: dict[str, Any] = {key: {} for key in SHAPED}
+    for name, number in named.items():
+        *path, last = name.split(".")
+        section = shaped
+        for key in path[:-1]:
+            section = section.setdefault(key, {})
+        if last.isdigit():
+            section[path[-1]] = (*section.get(path[-1], ()), number)
+        else:
+            section.setdefault(path[-1], {})[last] = number
+    return shaped
 
 
 def _named(section: Mapping[str, Any], lead: str = "") -> Iterator[tuple[str, float]]:
