@@ -317,8 +317,6 @@ def _beyond(value: Any, number: float, metas: tuple[msgspec.Meta, ...]) -> str:
         if meta.ge is not None and number < meta.ge:
             least = f"more than 0, at least {meta.ge:.10g}" if meta.ge == LEAST else f"at least {meta.ge:.10g}"
             return f"{_shown(value)} is too small; it must be {least}"
-        if meta.gt is not None and number <= meta.gt:
-            return f"{_shown(value)} is too small; it must be more than {meta.gt:.10g}"
         if meta.le is not None and number > meta.le:
             return f"{_shown(value)} is too large; it must be at most {meta.le:.10g}"
     return f"{_shown(value)} is too large a number"

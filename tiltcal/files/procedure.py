@@ -25,7 +25,7 @@ from tiltcal.files.coefficients import ORDER_LIMIT
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.record import AboveZero, Axis, FromZero, Identifier, Number, Record, Text, about, file_data, one_of
 from tiltcal.printable import counted
-from tiltcal.stated_arguments import MOST, is_number, require_path, require_whole, shown
+from tiltcal.stated_arguments import LEAST, MOST, is_number, require_path, require_whole, shown
 
 ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
 """Limits of a temperature, °C; no sensor is hotter, and the square of a far larger number is infinite."""
@@ -35,7 +35,7 @@ Order = Annotated[int, Meta(ge=0, le=ORDER_LIMIT)]
 
 FEWEST_WHOLE_TURNS = int(FEWEST_TURNS)
 Turns = Annotated[int, Meta(ge=FEWEST_WHOLE_TURNS, le=int(MOST))]
-Angle = Annotated[float, Meta(gt=0.0, le=90.0)]
+Angle = Annotated[float, Meta(ge=LEAST, le=90.0)]
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 

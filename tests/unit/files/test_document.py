@@ -89,68 +89,36 @@ def alike(read: Any, written: Any) -> bool:
 # What PyYAML alone gets wrong in silence (SPEC 9).
 
 
-def test_number_is_read_by_the_core_schema_of_yaml_1_2() -> None:
-    for written, meant in (
-        *(("1e-8", 1e-8), ("0042", 42.0), ("-.5", -0.5), ("+12.", 12.0), ("1E3", 1e3), ("0x1d", 29.0), ("0o17", 15.0)),
-        ('"1.5"', 1.5),
+def test_what_each_type_takes() -> None:
+    for key, written, meant in (
+        *(("number", "1e-8", 1e-8), ("number", "0042", 42.0), ("number", "-.5", -0.5), ("number", "+12.", 12.0)),
+        *(("number", "1E3", 1e3), ("number", "0x1d", 29.0), ("number", "0o17", 15.0), ("number", '"1.5"', 1.5)),
+        *(("text", one, one) for one in ("0042", "1e3", "yes", "no", "on", "y", "2026-01-02", "12:30")),
+        *(
+            ("text", '"null"', "null"),
+            ("flag", "true", True),
+            ("flag", "False", False),
+            ("list", "[1, 1e-8]", (1.0, 1e-8)),
+        ),
     ):
-        assert value("number", written) == meant, written
-        assert value("list", f"[1, {written}]") == (1.0, meant), written
+        assert value(key, written) == meant, written
 
 
-def test_what_is_no_number_is_refused_and_shown() -> None:
-    for written in (
-        "12:30",
-        "1_000",
-        "yes",
-        "1,5",
-        "0b11",
-        "[1]",
-        "{a: 1}",
-        "+0x1d",
-        "१",
-        "nan",
-        "inf",
-        "-.Inf",
-        ".NaN",
-    ):
-        error = told(f"number: {written}")
-        assert (error.file, error.line, error.key) == ("f.yaml", 1, "number"), written
-        assert "a number is needed here, found" in error.message, written
-    for written in ("1e999", "-1e999", "9" * 500, "0x" + "f" * 300):
-        assert "too large a number" in told(f"number: {written}").message, written
-
-
-def test_a_text_that_looks_like_a_number_gets_an_advice() -> None:
-    for written, advice in (
-        ("1,5", "write the point as '.'"),
-        ("1.5 V", "write the number alone"),
-        (".nan", "it must be finite"),
-    ):
-        assert advice in told(f"number: {written}").message
-
-
-def test_serial_numbers_keep_their_zeros_and_words_stay_words() -> None:
-    for written in ("0042", "1e3", "yes", "no", "on", "y", "2026-01-02", "12:30", '"null"'):
-        assert value("text", written) == written.strip('"')
-
-
-def test_text_is_never_nothing() -> None:
-    for written in ('""', '"  "', "[a]"):
-        assert "text" in told(f"text: {written}").message
-    for written in ("", "~", "null"):
-        error = told(f"sensor: {{model: {written}}}")
-        assert (error.key, error.message) == ("sensor.model", "text is needed here, found nothing")
-
-
-def test_flag_is_true_or_false() -> None:
-    assert value("flag", "true") is True
-    assert value("flag", "False") is False
-    assert "true or false is needed here" in told("flag: yes").message
-
-
-def test_bounds_are_held() -> None:
+def test_what_a_type_does_not_take_is_shown() -> None:
+    words = ("12:30", "1_000", "yes", "1,5", "0b11", "[1]", "{a: 1}", "+0x1d", "१", "nan", "inf", "-.Inf", ".NaN")
+    large = ("1e999", "-1e999", "9" * 500, "0x" + "f" * 300)
     for written, about in (
+        *((f"number: {one}", "a number is needed here, found") for one in words),
+        *((f"number: {one}", "too large a number") for one in large),
+        ("number: 1,5", "write the point as '.'"),
+        ("number: 1.5 V", "write the number alone"),
+        ("number: .nan", "it must be finite"),
+        *((f"text: {one}", "text") for one in ('""', '"  "', "[a]")),
+        *(
+            (f"sensor: {{model: {one}}}", "sensor.model: text is needed here, found nothing")
+            for one in ("", "~", "null")
+        ),
+        ("flag: yes", "true or false is needed here"),
         ("least: -0.1", "at least 0"),
         ("least: 1e10", "at most 1000000000"),
         ("above: 0", "more than 0"),
@@ -159,44 +127,32 @@ def test_bounds_are_held() -> None:
         ("whole: 1", "at least 2"),
         ("whole: 1.5", "a whole number"),
         ("whole: one", "a whole number"),
-        ("number: 1e309", "too large a number"),
     ):
-        assert about in told(written).message, written
+        error = told(written)
+        assert (error.file, error.line) == ("f.yaml", 1)
+        assert about in str(error), written
 
 
 # Places.
 
 
-def test_unknown_key_is_named_with_its_line_and_a_near_one() -> None:
-    error = told("sensor:\n  model: a\n  adress: b\n")
-    assert str(error).startswith("f.yaml:3: sensor.adress: unknown key 'adress' (did you mean 'address'?)")
-
-
-def test_missing_key_is_named_at_the_mapping_that_lacks_it() -> None:
-    error = told("number: 1\nsensor:\n  address: a\n")
-    assert (error.line, error.key) == (2, "sensor")
-    assert "'model'" in error.message
-
-
 def test_the_place_is_found_wherever_it_is() -> None:
-    for text, line, key in (
-        ("parts:\n- {model: a}\n-\n  model: [x]\n", 4, "parts[1].model"),
-        ("free:\n  a: 1\n  b c: x\n", 3, "free.b c"),
-        ("by_axis:\n  x: 1\n  w: 1\n", 3, "by_axis.w"),
-        ("list:\n- 1\n- x\n", 3, "list[1]"),
+    for text, line, key, about in (
+        ("sensor:\n  model: a\n  adress: b\n", 3, "sensor.adress", "unknown key 'adress' (did you mean 'address'?)"),
+        ("number: 1\nsensor:\n  address: a\n", 2, "sensor", "'model' is missing"),
+        ("parts:\n- {model: a}\n-\n  model: [x]\n", 4, "parts[1].model", "found a list"),
+        ("free:\n  a: 1\n  b c: x\n", 3, "free.b c", "found 'x'"),
+        ("by_axis:\n  x: 1\n  w: 1\n", 3, "by_axis.w", "unknown key"),
+        ("list:\n- 1\n- x\n", 3, "list[1]", "found 'x'"),
+        ("free:\n  x: 1\n  y: 2\n  x: 3\n", 4, "free.x", "lines 2 and 4"),
     ):
         error = told(text)
         assert (error.line, error.key) == (line, key)
+        assert about in error.message
 
 
 def test_optional_key_that_holds_nothing_is_absent() -> None:
     assert parse_document("number: 1\nlist:\nby_axis: {x: }\n").read(Values) == Values(number=1.0)
-
-
-def test_duplicate_key_names_both_lines() -> None:
-    error = complaint("a:\n  x: 1\n  y: 2\n  x: 3\n")
-    assert (error.line, error.key) == (4, "a.x")
-    assert "lines 2 and 4" in error.message
 
 
 # What is refused.
