@@ -40,12 +40,12 @@ def calibration(draw: Random) -> None:
 
 @target(share=40)
 def pair(draw: Random) -> None:
-    from support.pair_files import read_pair
 
-    from tiltcal.files.pair import dump_pair
+    from tiltcal.files.document import read_document
+    from tiltcal.files.pair import dump_pair, pair_record
 
     Path("p.yaml").write_bytes(damaged_yaml(draw, golden("rotation.yaml")))
-    dump_pair(read_pair("p.yaml"))
+    dump_pair(pair_record(read_document("p.yaml")))
 
 
 @target(share=80)

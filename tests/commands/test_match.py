@@ -19,9 +19,9 @@ import pytest
 from click.testing import CliRunner, Result
 from support import accelerometer_disk as disk
 from support.applied import refused
-from support.pair_files import read_pair
 from support.warm_start import WarmStart
 
+import tiltcal
 from tiltcal.cli.apply import command as apply_command
 from tiltcal.cli.match import command as match_command
 from tiltcal.errors import EstimateError, InputError, UsageError
@@ -116,14 +116,14 @@ class TestTimes:
             path.write_text("\n".join([header, *lines]) + "\n")
             found = as_json(match(path, *PAIR, *phase, "--json", "-o", tmp_path / "p.yaml"))
             assert found["p"] == pytest.approx(disk.truth()[0], abs=1e-4)
-            assert read_pair(tmp_path / "p.yaml").spin.frequency == pytest.approx(0.125, rel=1e-5)
+            assert tiltcal.read(tmp_path / "p.yaml").record.spin.frequency == pytest.approx(0.125, rel=1e-5)
 
     def test_what_is_no_time_is_needed_only_without_an_encoder(self, tmp_path: Path) -> None:
         path = small(tmp_path)
         header, *rows = path.read_text().splitlines()
         path.write_text("\n".join([header, *(f"noon,{row.partition(',')[2]}" for row in rows)]) + "\n")
         assert match(path, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
-        assert read_pair(tmp_path / "p.yaml").spin.frequency is None
+        assert tiltcal.read(tmp_path / "p.yaml").record.spin.frequency is None
         assert "no row has a time: write it in seconds, or in ISO 8601" in refused(match(path, *PAIR), EstimateError)
 
 
@@ -185,7 +185,7 @@ class TestLiveStream:
         assert process.stdout is not None
         assert json.loads(process.stdout.read())["p"] == pytest.approx(disk.truth()[0], abs=2e-4)
         process.communicate()
-        assert read_pair(tmp_path / "p.yaml").provenance.log.rows == 1399
+        assert tiltcal.read(tmp_path / "p.yaml").record.provenance.log.rows == 1399
 
     def test_ctrl_c_before_two_turns_says_what_to_do(self, warm: WarmStart, tmp_path: Path) -> None:
         lines = small(tmp_path).read_text().splitlines(keepends=True)
@@ -241,7 +241,7 @@ def test_the_file_keeps_the_checksum_of_what_was_read(tmp_path: Path) -> None:
     wanted = hashlib.sha256(path.read_bytes()).hexdigest()
     for log, stdin in ((path, None), ("-", path.read_bytes())):
         match(log, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml", stdin=stdin)
-        assert read_pair(tmp_path / "p.yaml").provenance.log.sha256 == wanted
+        assert tiltcal.read(tmp_path / "p.yaml").record.provenance.log.sha256 == wanted
 
 
 GRADIENT = (2e-3, 1.5e-3)
@@ -263,7 +263,7 @@ def applied(tmp_path_factory: pytest.TempPathFactory) -> tuple[disk.Record, dict
 class TestApply:
     def test_adds_the_matched_sum_of_the_definition(self, log: Path, tmp_path: Path) -> None:
         assert match(log, *PAIR, "--phase", "theta", "-o", tmp_path / "p.yaml").exit_code == 0
-        known = read_pair(tmp_path / "p.yaml").matchings[0]
+        known = tiltcal.read(tmp_path / "p.yaml").record.matchings[0]
         rows = list(csv.DictReader(apply(tmp_path / "p.yaml", log).stdout.splitlines()))
         assert list(rows[0]) == ["time", "theta", "a1", "a2", "a3", "a4", "matched_a1_a2", "flag", "reason"]
         a1, a2, _, a4 = TAKEN.readings.T

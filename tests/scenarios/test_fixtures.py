@@ -13,12 +13,12 @@ import pytest
 from support import FIXTURES
 from support import accelerometer_disk as disk
 from support.command import tiltcal
-from support.pair_files import read_pair
 
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.procedure import shipped_procedures
 from tiltcal.files.twin import read_twin
+from tiltcal.library.calibration import read
 
 # A number that lies between two roundings is rounded to either, by the linear algebra of the processor.
 NUMBER = re.compile(r"(?<![\w.:-])-?\d+\.\d+(?:e[+-]\d+)?(?![\w.:-])")
@@ -67,7 +67,7 @@ def test_the_samples_of_a_session_are_a_log_that_gives_its_means(tmp_path: Path)
 def test_the_result_of_a_rotation_is_that_of_its_samples_as_a_log(tmp_path: Path) -> None:
     journal = FIXTURES / "rotation.journal.jsonl"
     assert tiltcal("replay", journal, "--samples", "log.csv", "-o", "again.yaml", cwd=tmp_path).returncode == 0
-    kept = read_pair(golden(journal)).matchings[0]
+    kept = read(golden(journal)).record.matchings[0]
     for how, within in (((), 1e-3), (("--online",), 4.0)):
         result = tiltcal(
             *("match", "log.csv", "--pair", "a1,a2", "--orthogonal", "a4", "--phase", "theta", *how, "--json"),
@@ -111,7 +111,7 @@ def test_the_golden_pairs_find_the_truth() -> None:
         tilt = np.deg2rad(float(part["misalignment"]))
         sin, cos = np.cos(angle) - tilt * np.sin(angle), np.sin(angle) + tilt * np.cos(angle)
         vectors.append(float(part["scale"]) * np.array([sin, cos]))
-    written = read_pair(FIXTURES / "rotation.yaml").matchings
+    written = read(FIXTURES / "rotation.yaml").record.matchings
     for matching, (first, second, orthogonal) in zip(written, ((0, 1, 3), (2, 3, 0)), strict=True):
         system = np.stack([vectors[first], vectors[orthogonal]], axis=1)
         rest, q = np.linalg.solve(system, -vectors[second])

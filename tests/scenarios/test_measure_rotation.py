@@ -13,9 +13,10 @@ import pytest
 from support import accelerometer_disk as disk
 from support.command import tiltcal
 from support.json_program import Event, ProgramSession, lead
-from support.pair_files import read_pair
 from support.stage_part import on_a_pty
 from support.warm_start import WarmStart, wait_until_grown
+
+from tiltcal.library.calibration import read
 
 # 50 lines a turn: 60 turns and more.
 RECORD = disk.record(seconds=125.0, rate=25.0, spin=0.5, noise=3e-4, wander=0.01)
@@ -61,7 +62,7 @@ def led(folder: Path, address: str, hear: Callable[[Event], str | None] = lambda
 
 
 def require_truth(path: Path, sigmas: float = 4.0) -> None:
-    for matching in read_pair(path).matchings:
+    for matching in read(path).record.matchings:
         p, q = disk.truth(pair=PAIRS[matching.pair.name])
         assert matching.p == pytest.approx(p, abs=sigmas * matching.u_p)
         assert matching.q == pytest.approx(q, abs=sigmas * matching.u_q)
@@ -94,7 +95,7 @@ def test_a_real_line_led_by_a_program(tmp_path: Path) -> None:
     assert program.told[-1] == {"event": "done", "calibrations": ["pair.yaml"], "journal": JOURNAL}
     require_truth(tmp_path / "pair.yaml")
     require_replay(tmp_path)
-    written = read_pair(tmp_path / "pair.yaml")
+    written = read(tmp_path / "pair.yaml").record
     assert written.spin.phase == "theta"
     assert written.provenance.made_by == "measurement"
     assert written.provenance.bench.sensors[0].serial == "G-1"
@@ -150,7 +151,7 @@ def test_several_devices_of_a_bench_are_named_as_record_names_them(tmp_path: Pat
     )
     assert done.returncode == 0, done.stderr
     assert "a3 and a4 are not matched: there is no a3" in done.stderr
-    written = read_pair(tmp_path / "pair.yaml")
+    written = read(tmp_path / "pair.yaml").record
     assert [matching.pair.channels for matching in written.matchings] == [("S1_a1", "S2_a2", "S4_a4")]
     assert written.spin.phase == "table_theta"
     assert written.provenance.operator == "A. Person"

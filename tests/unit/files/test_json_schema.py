@@ -12,13 +12,13 @@ import yaml
 from jsonschema import Draft202012Validator
 from support import ROOT
 from support.command import tiltcal
-from support.pair_files import read_pair
 
 from tiltcal.errors import InputError
 from tiltcal.files.bench import bench_of
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.json_schema import json_schema
+from tiltcal.files.pair import pair_record
 from tiltcal.files.procedure import read_procedure
 from tiltcal.files.record import KINDS
 from tiltcal.files.twin import read_twin
@@ -32,7 +32,7 @@ Loader.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9.]
 
 READERS: dict[str, Any] = {
     "tilt": read_calibration,
-    "pair": read_pair,
+    "pair": lambda path: pair_record(read_document(path)),
     "procedure": read_procedure,
     "bench": lambda path: bench_of(read_document(path)),
     "twin": read_twin,
