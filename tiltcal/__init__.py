@@ -23,10 +23,9 @@ if TYPE_CHECKING:
         UsageError,
     )
     from tiltcal.library.calibration import Calibration, PairCalibration, combine, compare, read
-    from tiltcal.library.calibration_library import CalibrationLibrary, open_calibrations
     from tiltcal.library.measure import measure
     from tiltcal.library.plan import plan
-    from tiltcal.library.recorded import apply_log, fit, match, noise
+    from tiltcal.library.recorded import CalibrationLibrary, apply_log, fit, match, noise, open_calibrations
 
 __version__ = "0.1.0"
 
@@ -42,10 +41,9 @@ __all__ = [
 _HOME = {
     "bench.devices": "open_sensor",
     "library.calibration": "Calibration PairCalibration combine compare read",
-    "library.calibration_library": "CalibrationLibrary open_calibrations",
     "library.measure": "measure",
     "library.plan": "plan",
-    "library.recorded": "apply_log fit match noise",
+    "library.recorded": "CalibrationLibrary apply_log fit match noise open_calibrations",
 }
 """The names that each module defines; all others are errors."""
 

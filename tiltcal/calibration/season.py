@@ -13,10 +13,10 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import date, datetime, timedelta
+from datetime import datetime, timedelta
 from difflib import get_close_matches
 from functools import cached_property
-from itertools import chain, groupby, pairwise
+from itertools import chain, pairwise
 from operator import attrgetter
 from pathlib import Path
 from statistics import mode
@@ -30,11 +30,11 @@ from tiltcal.core.model import Array, Coefficients, Limits, overlap, referred, v
 from tiltcal.core.uncertain import Uncertain, weighted_sum
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
-from tiltcal.files.calibration_folder import CalibrationFile, FolderIndex, date_of, index_folder
+from tiltcal.files.calibration_folder import date_of, index_folder
 from tiltcal.files.moments import moment, to_the_second
 from tiltcal.files.results import FitRecord, ProcedureRecord, Provenance
 from tiltcal.printable import counted
-from tiltcal.stated_arguments import require_from_zero, require_path, require_text
+from tiltcal.stated_arguments import require_path, require_text
 
 DAY = 86_400.0  # seconds
 LARGEST_CHANGE = 0.5  # share by which the sensitivity of a channel may differ between two calibrations
@@ -171,45 +171,40 @@ class CalibrationFolder:
     def __init__(self, folder: str | Path) -> None:
         require_path("the folder", folder)
         self.folder = Path(folder)
+        self.index = index_folder(self.folder)
         self._histories: dict[str, SensorHistory] = {}
-
-    @cached_property
-    def index(self) -> FolderIndex:
-        """The files, without their content."""
-        return index_folder(self.folder)
-
-    @cached_property
-    def _files(self) -> dict[str, list[CalibrationFile]]:
-        return {serial: list(files) for serial, files in groupby(self.index.files, key=attrgetter("serial"))}
 
     @property
     def serials(self) -> tuple[str, ...]:
         """The serial numbers, in order."""
-        return tuple(self._files)
+        return tuple(self.index.paths)
 
     def history(self, serial: str) -> SensorHistory:
-        """Return the calibrations of a sensor; an InputError where a file is wrong, or two contradict each other."""
+        """Return the calibrations of a sensor.
+
+        Raises
+        ------
+        UsageError
+            The folder has none of this serial number.
+        InputError
+            A file is wrong, or two contradict each other.
+        """
         require_text("--serial", serial)
         if serial not in self._histories:
-            if serial not in self._files:
+            if serial not in self.index.paths:
                 raise UsageError(self._unknown(serial))
-            self._histories[serial] = SensorHistory.of([self._dated(file) for file in self._files[serial]])
+            self._histories[serial] = SensorHistory.of([self._dated(path) for path in self.index.paths[serial]])
         return self._histories[serial]
 
-    def at(self, serial: str, time: str | date, stability: float | None = None) -> CalibrationRecord:
-        """Return the calibration of a sensor at a time, as :meth:`SensorHistory.at`."""
-        require_from_zero("--stability", stability)
-        return self.history(serial).at(moment(time).timestamp(), stability)
-
-    def _dated(self, file: CalibrationFile) -> DatedCalibration:
-        record = read_calibration(file.path)
-        started, ended = date_of(record, file.path)
-        return DatedCalibration(record, ended, started, file.path, Path(file.path).relative_to(self.folder).as_posix())
+    def _dated(self, path: str) -> DatedCalibration:
+        record = read_calibration(path)
+        started, ended = date_of(record, path)
+        return DatedCalibration(record, ended, started, path, Path(path).relative_to(self.folder).as_posix())
 
     def _unknown(self, serial: str) -> str:
-        near = get_close_matches(serial, self._files, n=1)
+        near = get_close_matches(serial, self.serials, n=1)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
-        listed = ", ".join(self.serials[:12]) + (" ..." if len(self._files) > 12 else "")
+        listed = ", ".join(self.serials[:12]) + (" ..." if len(self.serials) > 12 else "")
         unusable = f"; left out: {self.index.problems[0]}" if self.index.problems else ""
         return f"{self.folder} has no calibration of {serial!r}{hint}; it has {listed or 'none at all'}{unusable}"
 

@@ -1,4 +1,4 @@
-"""The calibration files in a folder, by serial number and date, found without parsing them.
+"""The calibration files in a folder, by serial number, found without parsing them.
 
 A file as tiltcal writes it names its sensor in its third line and its date near its end, which is enough for an index:
 10,000 files take a third of a second, and nothing is stored that could go stale or damaged. A file that is laid out
@@ -31,18 +31,10 @@ _KIND = re.compile(rb"^kind: \w+", re.MULTILINE)
 _DATES = re.compile(rb'\n  started: "([^"\n]+)"\n  ended: "([^"\n]+)"\n')
 
 
-class CalibrationFile(NamedTuple):
-    """A calibration file of a folder, and when its session ended (UTC)."""
-
-    serial: str
-    date: datetime
-    path: str
-
-
 class FolderIndex(NamedTuple):
-    """The calibrations of a folder by serial number and date, and files that may be ones and cannot be used."""
+    """Paths of the calibrations of a folder by serial number, and files that may be ones and cannot be used."""
 
-    files: tuple[CalibrationFile, ...]
+    paths: dict[str, list[str]]
     problems: tuple[InputError, ...]
 
 
@@ -52,18 +44,21 @@ def index_folder(folder: str | Path) -> FolderIndex:
     Other files, of pairs, benches, procedures and twins as well, are passed over; a file that is empty or no YAML may
     have been a calibration.
     """
-    files: list[CalibrationFile] = []
+    files: list[tuple[str, str]] = []
     problems: list[InputError] = []
     for path in _yaml_files(folder):
         try:
             content = _content(path)
-            found = _scanned(content, path) or _read(content, path)
+            serial = _scanned(content, path) or _read(content, path)
         except InputError as problem:
             problems.append(problem)
             continue
-        if found is not None:
-            files.append(found)
-    return FolderIndex(tuple(sorted(files)), tuple(problems))
+        if serial is not None:
+            files.append((serial, path))
+    paths: dict[str, list[str]] = {}
+    for serial, path in sorted(files):
+        paths.setdefault(serial, []).append(path)
+    return FolderIndex(paths, tuple(problems))
 
 
 def date_of(record: CalibrationRecord, path: str | Path) -> tuple[str, datetime]:
@@ -98,8 +93,8 @@ def _content(path: str) -> bytes:
     raise InputError(f"this is no regular file of at most {SIZE_LIMIT:,} bytes", file=path)
 
 
-def _scanned(content: bytes, path: str) -> CalibrationFile | None:
-    """Return what the head and the tail of a file state; None where they are laid out otherwise, or it is not UTF-8."""
+def _scanned(content: bytes, path: str) -> str | None:
+    """Return the serial number in the head of a file with a date in its tail; None of another layout, or not UTF-8."""
     sensor, dates = _SENSOR.match(content[:_HEAD]), _DATES.search(content[-_TAIL:])
     if sensor is None or dates is None:
         return None
@@ -107,11 +102,12 @@ def _scanned(content: bytes, path: str) -> CalibrationFile | None:
         content.decode()
     except UnicodeDecodeError:  # whatever parses it says where
         return None
-    return CalibrationFile(sensor[2].decode(), moment(dates[2].decode(), path), path)
+    moment(dates[2].decode(), path)
+    return sensor[2].decode()
 
 
-def _read(content: bytes, path: str) -> CalibrationFile | None:
-    """Return what a file states that is parsed; None where it is no calibration of a tilt sensor."""
+def _read(content: bytes, path: str) -> str | None:
+    """Return the serial number of a file that is parsed; None where it is no calibration of a tilt sensor."""
     if not content.strip():
         raise InputError("the file is empty", file=path)
     if not _TILT.search(content) and _KIND.search(content):
@@ -120,4 +116,5 @@ def _read(content: bytes, path: str) -> CalibrationFile | None:
     if not isinstance(document.data, dict) or document.kind != "tilt":
         return None
     record = tilt_record(document)
-    return CalibrationFile(record.sensor.serial, date_of(record, path)[1], path)
+    date_of(record, path)
+    return record.sensor.serial

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar, Unpack, overload
 
@@ -80,8 +81,57 @@ class SavedCalibration:
     _repr_html_ = in_html
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration(SavedCalibration):
+def _of_record(name: str, doc: str) -> Any:
+    """Return a property that a calibration has from its record."""
+    return property(attrgetter(f"record.{name}"), doc=doc)
+
+
+class Applicable:
+    """What applies to the raw readings of a tilt sensor: one calibration, or a folder of them."""
+
+    @property
+    def _applied(self) -> Any:
+        """The record, or the folder itself."""
+        raise NotImplementedError
+
+    @overload
+    def apply(self, frame: Mapping[str, Any], **options: Unpack[ApplyOptions]) -> dict[str, Any]: ...
+
+    @overload
+    def apply(self, frame: Frame, **options: Unpack[ApplyOptions]) -> Frame: ...
+
+    @names_arguments
+    @takes(ApplyOptions)
+    def apply(self, frame: Any, **options: Any) -> Any:
+        """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
+
+        Parameters
+        ----------
+        frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
+            A column for each reading, for the temperature in °C where there is one, and for the time where calibrations
+            of several times apply.
+        **options
+
+        Returns
+        -------
+        frame
+            The same kind, with ``g_x`` and ``tilt_x`` (degrees) of each axis, ``flag`` and ``reason`` behind its own
+            columns. Its own arrays are not copied where a dict or Dataset holds them: to change one, copy it first.
+
+        Raises
+        ------
+        UsageError
+            The frame is of no known kind, or has a column of a name that the result needs.
+        InputError
+            A column is not there or holds no numbers, the readings are in another unit than the calibration's, or no
+            calibration fits them.
+        """
+        from tiltcal.logs.apply import apply_frame
+
+        return apply_frame(self._applied, frame, complete(ApplyOptions, options))
+
+
+class Calibration(SavedCalibration, Applicable):
     """The calibration of one tilt sensor.
 
     Attributes
@@ -99,7 +149,8 @@ class Calibration(SavedCalibration):
 
     record: CalibrationRecord
 
-    def __post_init__(self) -> None:
+    def __init__(self, record: CalibrationRecord) -> None:
+        super().__init__(record)
         thermal, arrays = self.coefficients.thermal, [self.coefficients.offset, self.coefficients.sensitivity]
         arrays += [] if thermal is None else [thermal.drift, thermal.gain]
         arrays += [] if self.coefficients.nonlinearity is None else [self.coefficients.nonlinearity]
@@ -110,14 +161,30 @@ class Calibration(SavedCalibration):
         return Calibration, (self.record,)  # the arrays of a copy are read-only, too
 
     @property
-    def sensor(self) -> SensorIdentity:
-        """Model, serial number, unit of the readings, and channels."""
-        return self.record.sensor
+    def _applied(self) -> CalibrationRecord:
+        return self.record
 
-    @property
-    def coefficients(self) -> Coefficients:
-        """The coefficients as arrays, which are read-only, for computation; angles in radians."""
-        return self.record.coefficients
+    sensor: SensorIdentity = _of_record("sensor", "Model, serial number, unit of the readings, and channels.")
+    coefficients: Coefficients = _of_record(
+        "coefficients", "The coefficients as arrays, which are read-only, for computation; angles in radians."
+    )
+    uncertainty: Uncertainty = _of_record(
+        "uncertainty",
+        "Standard uncertainty (k = 1) of each coefficient by its dotted name, such as ``offset.x``, in its unit.",
+    )
+    derived: DerivedRecord = _of_record(
+        "derived",
+        "What follows from the coefficients: cross-axis sensitivity in %, misalignment and intrinsic parameters.",
+    )
+    fit: FitRecord = _of_record(
+        "fit",
+        "How well the positions agree: residuals, degrees of freedom, chi-square, where the uncertainty comes from.",
+    )
+    procedure: ProcedureRecord = _of_record("procedure", "The procedure as it was run, with the angles that were set.")
+    positions: tuple[PositionRecord, ...] = _of_record(
+        "positions", "Mean, standard deviation, number of samples and temperature of each position."
+    )
+    provenance: Provenance = _of_record("provenance", "Who made the calibration, when, and from which data.")
 
     @property
     def offset(self) -> dict[str, float]:
@@ -134,40 +201,10 @@ class Calibration(SavedCalibration):
             for axis, value in zip(self.coefficients.axes, row, strict=True)
         }
 
-    @property
-    def uncertainty(self) -> Uncertainty:
-        """Standard uncertainty (k = 1) of each coefficient by its dotted name, such as ``offset.x``, in its unit."""
-        return self.record.uncertainty
-
     @cached_property
     def limits(self) -> Limits:
         """Where the calibration holds, angles in radians; the rails are the model's where the file names none."""
         return limits_of(self.record)
-
-    @property
-    def derived(self) -> DerivedRecord:
-        """What follows from the coefficients: cross-axis sensitivity in %, misalignment and intrinsic parameters."""
-        return self.record.derived
-
-    @property
-    def fit(self) -> FitRecord:
-        """How well the positions agree: residuals, degrees of freedom, chi-square, where the uncertainty comes from."""
-        return self.record.fit
-
-    @property
-    def procedure(self) -> ProcedureRecord:
-        """The procedure as it was run, with the angles that were set."""
-        return self.record.procedure
-
-    @property
-    def positions(self) -> tuple[PositionRecord, ...]:
-        """Mean, standard deviation, number of samples and temperature of each position."""
-        return self.record.positions
-
-    @property
-    def provenance(self) -> Provenance:
-        """Who made the calibration, when, and from which data."""
-        return self.record.provenance
 
     @names_arguments
     def compensation(self, *, first_order: bool = False) -> Compensation:
@@ -184,40 +221,6 @@ class Calibration(SavedCalibration):
             The sensitivity matrix cannot be inverted.
         """
         return compensation_of(self.record, first_order=first_order)
-
-    @overload
-    def apply(self, frame: Mapping[str, Any], **options: Unpack[ApplyOptions]) -> dict[str, Any]: ...
-
-    @overload
-    def apply(self, frame: Frame, **options: Unpack[ApplyOptions]) -> Frame: ...
-
-    @names_arguments
-    @takes(ApplyOptions)
-    def apply(self, frame: Any, **options: Any) -> Any:
-        """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
-
-        Parameters
-        ----------
-        frame : polars.DataFrame, pandas.DataFrame, pyarrow.Table, xarray.Dataset or mapping of str to array_like
-            A column for each reading, and for the temperature in °C where there is one.
-        **options
-
-        Returns
-        -------
-        frame
-            The same kind, with ``g_x`` and ``tilt_x`` (degrees) of each axis, ``flag`` and ``reason`` behind its own
-            columns. Its own arrays are not copied where a dict or Dataset holds them: to change one, copy it first.
-
-        Raises
-        ------
-        UsageError
-            The frame is of no known kind, or has a column of a name that the result needs.
-        InputError
-            A column is not there or holds no numbers, or the readings are in another unit than the calibration's.
-        """
-        from tiltcal.logs.apply import apply_frame
-
-        return apply_frame(self.record, frame, complete(ApplyOptions, options))
 
     def plot(self) -> Any:
         """Draw the error of the tilt over its range before and after the calibration, degrees, for a notebook.
@@ -262,7 +265,6 @@ class Calibration(SavedCalibration):
         return summary(self.record)
 
 
-@dataclass(frozen=True, eq=False)
 class PairCalibration(SavedCalibration):
     """The matching of one or two accelerometer pairs on a rotary stage.
 
@@ -274,25 +276,12 @@ class PairCalibration(SavedCalibration):
 
     record: PairRecord
 
-    @property
-    def matchings(self) -> tuple[Matching, ...]:
-        """The pairs: ``p`` and ``q`` with their uncertainties, components before and after, and the suppression."""
-        return self.record.matchings
-
-    @property
-    def phase(self) -> str | None:
-        """The column of the stage angle; None where the spin was estimated."""
-        return self.record.spin.phase
-
-    @property
-    def frequency(self) -> float | None:
-        """Spin frequency, Hz; None where the data have no time."""
-        return self.record.spin.frequency
-
-    @property
-    def provenance(self) -> PairProvenance:
-        """Who made the matching, when, and from which data."""
-        return self.record.provenance
+    matchings: tuple[Matching, ...] = _of_record(
+        "matchings", "The pairs: ``p`` and ``q`` with their uncertainties, components before and after, suppression."
+    )
+    phase: str | None = _of_record("spin.phase", "The column of the stage angle; None where the spin was estimated.")
+    frequency: float | None = _of_record("spin.frequency", "Spin frequency, Hz; None where the data have no time.")
+    provenance: PairProvenance = _of_record("provenance", "Who made the matching, when, and from which data.")
 
     def compensation(self) -> PairCompensation:
         """Return the matched sums and the gradient signal of readings in arrays."""

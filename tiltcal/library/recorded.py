@@ -1,21 +1,87 @@
-"""What the library does with recorded data: apply a calibration to a log, fit, match pairs, characterise noise."""
+"""What the library does with recorded data: apply one calibration or a folder, fit, match pairs, characterise noise."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from datetime import date
 from pathlib import Path
 from typing import Any, Unpack
 
-from tiltcal.library.calibration import Calibration, PairCalibration
-from tiltcal.library.calibration_library import CalibrationLibrary
-from tiltcal.logs.apply import Applied, ApplySummary, apply_to_log
+from tiltcal.calibration.season import CalibrationFolder
+from tiltcal.files.moments import moment
+from tiltcal.library.calibration import Applicable, Calibration, PairCalibration
+from tiltcal.logs.apply import ApplySummary, apply_to_log
 from tiltcal.logs.fit import fit_recorded
 from tiltcal.logs.log import Progress
 from tiltcal.logs.match import match_log, pairs_of
 from tiltcal.logs.noise import NoiseTarget, SensorNoise, characterise_readings, stated_scale
 from tiltcal.logs.options import ApplyOptions, FitOptions
-from tiltcal.options import complete, takes
-from tiltcal.stated_arguments import require_text_or_none
+from tiltcal.options import complete, names_arguments, takes
+from tiltcal.stated_arguments import require_from_zero, require_text_or_none
+
+
+class CalibrationLibrary(CalibrationFolder, Applicable):
+    """The calibrations in a folder, by serial number and date.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Its files and those of the folders below it are indexed at once, and each is read when it is needed.
+
+    Raises
+    ------
+    UsageError
+        It is no folder.
+
+    Examples
+    --------
+    >>> library = tiltcal.open_calibrations(".")
+    >>> cal = library.at("SIM-42", "2000-01-01T12:00:00Z")
+    """
+
+    def __repr__(self) -> str:
+        return f"<CalibrationLibrary of {self.folder}>"
+
+    @property
+    def _applied(self) -> CalibrationFolder:
+        return self
+
+    @names_arguments
+    def at(self, serial: str, time: str | date, *, stability: float | None = None) -> Calibration:
+        """Return the calibration of a sensor at a time: between two of them, or the nearest one.
+
+        Parameters
+        ----------
+        serial : str
+        time : str, datetime or date
+            As text in ISO 8601; UTC where it names no zone.
+        stability : float, optional
+            The standard deviation of the offset's change in one day, mg, in place of half of each change.
+
+        Raises
+        ------
+        UsageError
+            The folder has no calibration of this sensor.
+        InputError
+            The time is not one, a file is wrong, or two contradict each other.
+        """
+        require_from_zero("--stability", stability)
+        return Calibration(self.history(serial).at(moment(time).timestamp(), stability))
+
+
+def open_calibrations(folder: str | Path) -> CalibrationLibrary:
+    """Open a folder of calibration files.
+
+    Raises
+    ------
+    UsageError
+        It is no folder.
+
+    Examples
+    --------
+    >>> tilted = tiltcal.open_calibrations(".").serials
+    """
+    return CalibrationLibrary(folder)
 
 
 @takes(ApplyOptions)
@@ -57,11 +123,7 @@ def apply_log(
     A damaged Parquet or NetCDF file can end the process in its library, or keep it there: run ``tiltcal apply`` in a
     process of its own for files of doubtful origin.
     """
-    applied: Applied
-    if isinstance(calibration, Calibration | PairCalibration):
-        applied = calibration.record
-    else:
-        applied = calibration.records if isinstance(calibration, CalibrationLibrary) else calibration
+    applied = calibration.record if isinstance(calibration, Calibration | PairCalibration) else calibration
     return apply_to_log(applied, log, output, complete(ApplyOptions, options), progress)
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
-import yaml
 from support import FIXTURES
 
 from tiltcal.errors import UsageError
@@ -14,10 +12,9 @@ from tiltcal.files.calibration import read_calibration
 from tiltcal.files.calibration_folder import index_folder
 
 MAVS = (FIXTURES / "mavs.yaml").read_text(encoding="utf-8")
-ENDED = datetime.fromisoformat(yaml.safe_load(MAVS)["provenance"]["ended"])
 
 
-def test_serial_and_date_are_those_that_the_whole_file_gives(tmp_path: Path) -> None:
+def test_files_are_found_by_serial_number(tmp_path: Path) -> None:
     """The second file has its keys in another layout, so that it is read whole; the third is in a folder below."""
     (tmp_path / "a.yaml").write_text(MAVS)
     (tmp_path / "b.yml").write_text("# of hand\n" + MAVS.replace("SIM-42", "0042").replace("2000-01-01", "2001-03-04"))
@@ -25,21 +22,16 @@ def test_serial_and_date_are_those_that_the_whole_file_gives(tmp_path: Path) -> 
     (tmp_path / "old" / "c.yaml").write_text(MAVS.replace("2000-01-01T00", "1999-12-31T23"))
     index = index_folder(tmp_path)
     assert not index.problems
-    found = [(one.serial, one.date, Path(one.path).name) for one in index.files]
-    assert found == [
-        ("0042", ENDED.replace(2001, 3, 4), "b.yml"),
-        ("SIM-42", ENDED - timedelta(hours=1), "c.yaml"),
-        ("SIM-42", ENDED, "a.yaml"),
-    ]
+    named = {serial: [Path(path).name for path in paths] for serial, paths in index.paths.items()}
+    assert named == {"0042": ["b.yml"], "SIM-42": ["a.yaml", "c.yaml"]}
 
 
 def test_every_fixture_is_found_as_its_reader_reads_it() -> None:
     index = index_folder(FIXTURES)
     assert not index.problems
-    for one in index.files:
-        record = read_calibration(one.path)
-        assert (one.serial, one.date) == (record.sensor.serial, datetime.fromisoformat(record.provenance.ended or ""))
-    names = {Path(one.path).name for one in index.files}
+    for serial, paths in index.paths.items():
+        assert {read_calibration(path).sensor.serial for path in paths} == {serial}
+    names = {Path(path).name for paths in index.paths.values() for path in paths}
     assert {"mavs.yaml", "free.yaml"} <= names
     assert "rotation.yaml" not in names  # of pairs
 
@@ -55,7 +47,7 @@ def test_files_of_other_kinds_are_passed_over_and_damaged_ones_are_named(tmp_pat
         MAVS[: MAVS.index("positions:")].replace("SIM-42", "S") + "provenance: {operator: me}\n"
     )
     index = index_folder(tmp_path)
-    assert not index.files
+    assert not index.paths
     messages = sorted(str(problem) for problem in index.problems)
     assert [Path(message.partition(":")[0]).name for message in messages] == [
         "empty.yaml",
