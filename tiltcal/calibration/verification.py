@@ -8,8 +8,8 @@ the verification, from the jig and the noise: what the calibration is uncertain 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from math import acos, cos, degrees, hypot, inf, isfinite, isnan, radians, sqrt
+from dataclasses import asdict, dataclass, replace
+from math import acos, cos, degrees, hypot, inf, isnan, radians, sqrt
 from typing import Any
 
 import numpy as np
@@ -70,27 +70,16 @@ class Verification:
         return max(self.positions, key=lambda position: position.error)
 
     def as_data(self) -> dict[str, Any]:
-        """Return the verification as plain data; an error that has no number is None."""
-        positions = [
-            {
-                "position": one.position,
-                "expected": one.expected,
-                "measured": {axis: _finite(angle) for axis, angle in one.measured.items()},
-                "error": _finite(one.error),
-                "expanded": one.expanded,
-                "flag": one.flag,
-                "verdict": one.verdict(self.limit),
-                "passed": one.verdict(self.limit) == PASSED,
-            }
-            for one in self.positions
-        ]
+        """Return the verification as plain data; an error that has no number is infinite."""
+        verdicts = [(one, one.verdict(self.limit)) for one in self.positions]
+        positions = [asdict(one) | {"verdict": said, "passed": said == PASSED} for one, said in verdicts]
         return {
             "sensor": self.sensor.serial,
             "limit": self.limit,
             "jig": self.jig,
             "verdict": self.verdict,
             "passed": self.verdict == PASSED,
-            "worst": {"position": self.worst.position, "error": _finite(self.worst.error)},
+            "worst": {"position": self.worst.position, "error": self.worst.error},
             "positions": positions,
         }
 
@@ -104,10 +93,10 @@ class Verification:
         return "\n".join([*lines, f"{_loud(self.verdict)}: {worst}"])
 
 
-def verify_positions(
-    calibration: CalibrationRecord, measurements: Sequence[Measurement], jig: float | None = None
-) -> tuple[VerifiedPosition, ...]:
-    """Return every position of a sensor, as its calibration reads it; ``jig`` is that of a set angle, degrees."""
+def verify(
+    calibration: CalibrationRecord, measurements: Sequence[Measurement], limit: float = LIMIT, jig: float | None = None
+) -> Verification:
+    """Judge how a calibration reads the positions of its sensor; ``jig`` is that of a set angle, degrees."""
     coefficients = calibration.coefficients
     # What is judged is the sensor's own frame, in which positions are set; the mounting is the application's.
     length = length_tolerance(calibration.uncertainty, coefficients, calibration.limits)
@@ -134,12 +123,7 @@ def verify_positions(
         expanded = (DIRECTION if whole else ANGLE) * hypot(jig or 0.0, max(noise))
         flag = int(result.flag[0])
         found.append(VerifiedPosition(measurement.position, expected, measured, error, expanded, flag))
-    return tuple(found)
-
-
-def _finite(value: float) -> float | None:
-    """Return a number as JSON can hold it: None for one that is not finite."""
-    return value if isfinite(value) else None
+    return Verification(calibration.sensor, tuple(found), limit, jig)
 
 
 def _loud(verdict: str) -> str:

@@ -8,18 +8,17 @@ from typing import Any
 
 import click
 
-from tiltcal.bench.journal import positions_of
-from tiltcal.bench.measure import OperatorOptions, led_by, run_session
+from tiltcal.bench.measure import OperatorOptions, led_by
 from tiltcal.bench.options import MeasureOptions
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal, single
-from tiltcal.calibration.verification import LIMIT, PASSED, Verification, verify_positions
+from tiltcal.calibration.verification import LIMIT, PASSED
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.calibration import SensorIdentity, read_calibration
-from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.library.afterwards import verified
 from tiltcal.library.measure import resumed
 from tiltcal.stated_arguments import require_from_zero
 
@@ -81,16 +80,11 @@ def command(
     again += "" if options.left_at_default("limit") else f" --limit {limit}"
     again += " --json" if as_json else ""
     with led_by(operator, session, again, remark, OperatorOptions(plain, listen, hands_free)) as opened:
-        run_session(session, opened)
-        recorded = positions_of(read_journal(session.files.journal))
-        measurements = [result.measurements[judged.sensor.serial] for result in recorded.results()]
-        stated_jig = session.setup.settings.jig
-        tilts = verify_positions(judged, measurements, stated_jig)
-        verification = Verification(judged.sensor, tilts, limit, stated_jig)
+        verification = verified(session, opened, {judged.sensor.serial: judged}, limit)[judged.sensor.serial]
         shown = {"serial": judged.sensor.serial, "file": str(calibration), "verdict": str(verification)}
         opened.tell({"event": "results", "results": [shown]})
         opened.tell({"event": "done", "calibrations": [], "journal": str(session.files.journal)})
-    if stated_jig is None:
+    if verification.jig is None:
         remark("no --jig is stated: the positions count as exact")
     # What a program reads is JSON to the last line.
     as_json = as_json or operator == "json"

@@ -13,13 +13,26 @@ from tiltcal.bench.operators import LOOK, Message, Operator
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import SessionFiles, Setup, free_journal
 from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
-from tiltcal.calibration.verification import LIMIT, Verification, verify_positions
+from tiltcal.calibration.verification import LIMIT, Verification, verify
 from tiltcal.core.model import AXES
 from tiltcal.errors import HardwareError, TiltcalError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import find_procedure
 from tiltcal.library.calibration import Calibration, PairCalibration
+
+
+def verified(
+    session: Session, operator: Operator, calibrations: Mapping[str, CalibrationRecord], limit: float = LIMIT
+) -> dict[str, Verification]:
+    """Measure the positions of a session, and judge how calibrations by serial number read them."""
+    run_session(session, operator)
+    results, jig = positions_of(read_journal(session.files.journal)).results(), session.setup.settings.jig
+    return {
+        serial: verify(record, [result.measurements[serial] for result in results], limit, jig)
+        for serial, record in calibrations.items()
+    }
 
 
 class Afterwards:
@@ -92,11 +105,8 @@ class Afterwards:
         verifying = Setup.begin(find_procedure("verify"), bench, outputs, journal, operator="web")
         session = Session(verifying, SessionFiles(verifying, journal))
         session.probe()
-        run_session(session, self._operator)
-        results = positions_of(read_journal(journal)).results()
-        for serial, record in self._of_tilt.items():
-            tilts = verify_positions(record, [result.measurements[serial] for result in results], jig)
-            self._results[serial]["verdict"] = str(Verification(record.sensor, tilts, LIMIT, jig))
+        for serial, verification in verified(session, self._operator, self._of_tilt).items():
+            self._results[serial]["verdict"] = str(verification)
 
     def _report(self) -> None:
         """Write the report of each calibration beside its file, and serve it."""

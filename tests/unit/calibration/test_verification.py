@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.calibration.verification import Verification, VerifiedPosition, verify_positions
+from tiltcal.calibration.verification import Verification, VerifiedPosition, verify
 from tiltcal.core.model import Coefficients, Thermal
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
@@ -30,7 +30,7 @@ def verified(rng: np.random.Generator, jig: float, bias: float = 0.0, stated: fl
         mean = 1024.0 + 819.0 * np.sin(np.radians(tilt)) + rng.normal(0.0, NOISE, 2)
         summaries = {c: SampleSummary(float(v), 0.6, 100, NOISE, 0.0, 9.0) for c, v in zip("xy", mean, strict=True)}
         measurements.append(Measurement(position.name, position.gravity, position.tilt, None, summaries))
-    return Verification(SENSOR, verify_positions(PERFECT, measurements, stated), 0.3, stated)
+    return verify(PERFECT, measurements, 0.3, stated)
 
 
 def test_a_perfect_part_does_not_fail_for_its_jig() -> None:
@@ -53,7 +53,7 @@ def test_noise_counts_by_the_slope_of_the_angle() -> None:
     """At 30° a count is degrees(1 / 819 / cos 30°) = 0.0808°."""
     summaries = {"x": SampleSummary(1433.5, 10.0, 100, 1.0), "y": SampleSummary(1024.0, 0.1, 100, 0.01)}
     one = Measurement("x-30", (0.5, 0.0, float(np.sqrt(0.75))), {"x": 30.0}, None, summaries)
-    (found,) = verify_positions(PERFECT, [one])
+    (found,) = verify(PERFECT, [one]).positions
     assert found.expanded == pytest.approx(1.96 * 0.0808, rel=1e-3)
     assert found.error == pytest.approx(0.0, abs=1e-9)
 
@@ -65,5 +65,5 @@ def test_a_position_is_judged_at_its_temperature(temperature: float, error: floa
     drifting = replace(PERFECT, coefficients=replace(PERFECT.coefficients, thermal=thermal))
     summaries = {"x": SampleSummary(1064.0, 0.1, 100, 0.01), "y": SampleSummary(1024.0, 0.1, 100, 0.01)}
     one = Measurement("level", (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, temperature, summaries)
-    (found,) = verify_positions(drifting, [one])
+    (found,) = verify(drifting, [one]).positions
     assert found.error == pytest.approx(error, abs=1e-2)
