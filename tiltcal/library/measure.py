@@ -68,19 +68,18 @@ def measure(
     Stopped
         The operator stopped; the message says how to go on.
     """
-    given = complete(MeasureOptions, options)
-    remark, result, output, resume = given["remark"], given["result"], given["output"], given["resume"]
-    stated = {"PROCEDURE": procedure} | {
-        flag_of(name, option): of_python(given[name])  # type: ignore[literal-required]
-        for name, (option, _) in options_of(MeasureOptions).items()
-        if name not in ("output", "resume", "plain", "hands_free", "listen", "remark", "result")
-    }
-    named = None if output is None else Path(output)
+    given: Any = {name: of_python(value) for name, value in complete(MeasureOptions, options).items()}
+    remark, result, resume = given["remark"], given["result"], given["resume"]
     if resume is not None and os.path.exists(resume):
-        session = resumed(Path(resume), named, stated, remark)
+        stated = {"PROCEDURE": procedure} | {
+            flag_of(name, option): given[name]
+            for name, (option, _) in options_of(MeasureOptions).items()
+            if name not in ("output", "resume", "plain", "hands_free", "listen", "remark", "result")
+        }
+        output = None if given["output"] is None else Path(given["output"])
+        session = resumed(Path(resume), output, stated, remark)
     else:
-        missing = None if resume is None else Path(resume)
-        session = _begun(stated, named, operator, missing, remark)
+        session = _begun(procedure, given, operator)
     operator = operator or session.setup.operator
     operating = OperatorOptions(bool(given["plain"]), given["listen"], bool(given["hands_free"]))
     with led_by(operator, session, "measure", remark, operating) as opened:
@@ -131,44 +130,39 @@ def resumed(
     return Session(setup, SessionFiles(setup, path, output), journal)
 
 
-def _begun(
-    stated: Mapping[str, Any],
-    output: Path | None,
-    operator: object,
-    missing: Path | None,
-    remark: Callable[[str], None],
-) -> Session:
-    """Return a new session, and remark how well it will determine the coefficients.
-
-    ``stated`` are values by option; ``missing`` is the journal that was to be resumed, and is not there.
-    """
-    base, named = stated["--base"], stated["--bench"]
-    sensor, serial, address = stated["--sensor"], stated["--serial"], stated["--address"]
+def _begun(procedure: str | Path | None, given: Mapping[str, Any], operator: object) -> Session:
+    """Return a new session, and remark how well it will determine the coefficients."""
+    base, named, remark, resume = given["base"], given["bench"], given["remark"], given["resume"]
+    sensor, serial, address = given["sensor"], given["serial"], given["address"]
+    output = None if given["output"] is None else Path(given["output"])
     if base is not None and named is None and os.path.isfile(base):
         identity = read_calibration(base).sensor
         sensor, serial = sensor or identity.model, serial or identity.serial
     one = {"--sensor": sensor, "--address": address, "--serial": serial}
-    wanted = {"PROCEDURE": stated["PROCEDURE"], **({} if named is not None else {**one, "-o": output})}
+    wanted = {"PROCEDURE": procedure, **({} if named is not None else {**one, "-o": output})}
     absent = [name for name, value in wanted.items() if value is None]
-    if missing is not None and absent:
-        raise JournalError("no such journal", file=str(missing))
+    if resume is not None and absent:
+        raise JournalError("no such journal", file=str(resume))
     if absent:
         raise UsageError(f"measure needs {', '.join(absent)} (or --resume JOURNAL); see tiltcal measure --help")
     if named is not None and any(one.values()):
         raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
-    steps = find_procedure(str(stated["PROCEDURE"]), stated["--tilt"])
-    steps = steps.with_turns(stated["--turns"]).with_alignment(stated["--alignment"]).with_closing(stated["--closing"])
-    _require_settings(steps, stated)
+    steps = find_procedure(str(procedure), given["tilt"])
+    steps = steps.with_turns(given["turns"]).with_alignment(given["alignment"]).with_closing(given["closing"])
+    require_no_jig(steps, given["jig"])
+    for option in ("samples", "settle", "jig"):
+        if steps.rotation is not None and given[option] is not None:
+            raise UsageError(f"a rotation has no positions: leave --{option} out; --turns limits its length")
     if named is None:
         require_name(str(serial), "the serial number")
         bench = single(str(sensor), str(serial), str(address))
     else:
         bench = named if isinstance(named, BenchFile) else known_bench(read_document(named))
-    bench = bench.with_stated(jig=stated["--jig"], lean=stated["--table-lean"], heading=stated["--heading-uncertainty"])
+    bench = bench.with_stated(jig=given["jig"], lean=given["table_lean"], heading=given["heading"])
     bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
     outputs, beside = _outputs(steps, bench, named, output)
-    path = missing or (None if stated["--journal"] is None else Path(stated["--journal"]))
-    path = path or free_journal(beside, remark)
+    path = resume or given["journal"]
+    path = free_journal(beside, remark) if path is None else Path(path)
     operator = operator or "terminal"
     setup = Setup.begin(
         steps,
@@ -176,10 +170,10 @@ def _begun(
         outputs,
         path,
         operator=operator if isinstance(operator, str) else "json",
-        samples=stated["--samples"],
-        settle=stated["--settle"],
+        samples=given["samples"],
+        settle=given["settle"],
         bases=bases,
-        typical=bool(stated["--typical-temperature"]),
+        typical=bool(given["typical_temperature"]),
     )
     _predict(setup, remark)
     for why in setup.overdue():
@@ -220,16 +214,6 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
             base=None if base is None else base.calibration,
         )
         remark(f"{device.model}, {expected}")
-
-
-def _require_settings(procedure: Procedure, stated: Mapping[str, Any]) -> None:
-    """Refuse settings that the procedure does not have, or with which no session can measure."""
-    require_no_jig(procedure, stated["--jig"])
-    if procedure.rotation is None:
-        return
-    for option in ("--samples", "--settle", "--jig"):
-        if stated[option] is not None:
-            raise UsageError(f"a rotation has no positions: leave {option} out; --turns limits its length")
 
 
 def _outputs(
@@ -279,7 +263,7 @@ def _results(
     setup = session.setup
     records, determines = list(outcome.calibrations.values()), setup.steps.determines
     if setup.steps.rotation is not None:
-        pair = PairCalibration(records[0])  # type: ignore[arg-type]
+        pair = PairCalibration(records[0])
         (result or unheard)(str(pair))
         return pair
     calibrations = [Calibration(record) for record in records if isinstance(record, CalibrationRecord)]

@@ -170,7 +170,7 @@ def _require_local_gravity(name: str, gravity: Any) -> None:
 
 def _uncertainty(of: str, otherwise: str) -> Option:
     """Return the option of a standard uncertainty in degrees."""
-    return Option(f"Standard uncertainty of {of}, degrees; {otherwise}", "DEGREES", _UNCERTAINTIES)
+    return _size(f"Standard uncertainty of {of}, degrees; {otherwise}", "DEGREES", _UNCERTAINTIES)
 
 
 class FitOptions(TypedDict, total=False):
@@ -226,7 +226,7 @@ class FitOptions(TypedDict, total=False):
     jig: Annotated[float | None, _uncertainty("a set angle", "without it, it is estimated from the residuals.")]
     thermometer: Annotated[
         float | None,
-        Option(
+        _size(
             "Standard uncertainty of a temperature, °C; without it, that of the step of the model's own thermometer.",
             "CELSIUS",
             _UNCERTAINTIES,
@@ -235,7 +235,7 @@ class FitOptions(TypedDict, total=False):
     table_lean: Annotated[float | None, _uncertainty("the lean of the table", "all positions share it.")]
     heading: Annotated[
         float | None,
-        Option("Standard uncertainty of a heading, degrees.", "DEGREES", _UNCERTAINTIES, name="heading-uncertainty"),
+        _size("Standard uncertainty of a heading, degrees.", "DEGREES", _UNCERTAINTIES, name="heading-uncertainty"),
     ]
     alignment: Annotated[
         float | None,
