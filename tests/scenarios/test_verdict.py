@@ -90,7 +90,7 @@ def fitted(
 
 class TestDataSheet:
     def test_non_linearity_that_it_states_is_no_misfit(self) -> None:
-        """Six positions of 20 parts at a jig of 0.05°: p is below 0.01 in one at most; no data sheet: it is blamed."""
+        """Six positions of 20 parts at a jig of 0.05°: p is below 0.01 in one at most."""
         rng = np.random.default_rng(7)
         stated = {"jig": 0.05}
         with_sheet, without = [], []
@@ -99,10 +99,8 @@ class TestDataSheet:
             with_sheet.append(fitted(rng, part, "cross-axis", 0.05, **stated, sensor="sca100t-d02"))
             without.append(fitted(rng, part, "cross-axis", 0.05, **stated, unit="count"))
         assert sum(one.fit.p_value < 0.01 for one in with_sheet) <= 1
-        blamed = [one for one in without if "not credible: the residuals look like non-linearity, or" in str(one)]
         misfits = [one for one in without if "not credible" in str(one)]
         assert len(misfits) >= 4
-        assert len(blamed) >= 0.5 * len(misfits)
         assert all(any("non-linearity counts as zero" in note for note in one.fit.notes) for one in without)
 
 

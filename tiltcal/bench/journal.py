@@ -327,7 +327,6 @@ def _tilt_calibrations(
                 sensor.wired.thermometer_rounding if own_thermometers else None,
                 base.calibration if (base := setup.known.get(sensor.serial)) else None,
                 ramps.get(sensor.serial),
-                sensor.serial in session.playback.reopened,
             )
             for sensor in session.at_work
         ],

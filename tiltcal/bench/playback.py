@@ -68,15 +68,13 @@ class Playback:
     """The samples and the other events of a journal in their order.
 
     ``now_ns`` is the time of the last event, and ``breaks`` counts failures of a device and interruptions so far.
-    By serial number ``failures`` are the last ones, and ``reopened`` are the sensors whose bus failed and was opened
-    again.
+    ``failures`` are the last ones by serial number.
     """
 
     def __init__(self, journal: Journal) -> None:
         self.setup = Setup.of(journal)
         self.now_ns = self.breaks = 0
         self.failures: dict[str, str] = {}
-        self.reopened: set[str] = set()
         self._journal = journal
         self._clock = VirtualClock()
         self._events = iter(journal.events)
@@ -195,7 +193,6 @@ class Playback:
             if not self._interrupted:
                 self.breaks += 1
                 self.failures[name] = str(named_error(name, error, alone=len(self.setup.sensors) == 1))
-                self.reopened |= {name} if isinstance(error, BusError) else set()
             return None
         if (thermometer := readings.pop(THERMOMETER, None)) is not None:
             temperature = thermometer.temperature

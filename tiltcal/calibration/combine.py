@@ -22,19 +22,18 @@ from tiltcal.calibration.fit import LARGEST_AGREEMENT
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
-from tiltcal.core.model import AXES, Array, Coefficients, Limits, referred, values, vector_of
+from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, referred, values, vector_of
 from tiltcal.core.rounding import plus_minus
 from tiltcal.core.samples import BLOCKS, pooled
 from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, selection
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.document import parse_document
 from tiltcal.files.results import NOISE_ALONE, FileRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.yaml_text import read_text
 
-REFUSED, NOTED = 0.001, 0.05
-"""Probabilities of a rise of chi-square over the separate fits below which sessions are refused, and it is noted."""
+REFUSED = 0.001  # sessions are refused where chi-square rises over the separate fits with a probability below this
 
 KINDS = {"sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
 """The coefficients that ``derived.assumed`` names by their first word."""
@@ -187,7 +186,7 @@ def combine_records(
         sessions = [replace(s, by_values=any(one.temperature is None for one in s.positions)) for s in sessions]
     design = _design(sessions)
     seen = _observations(sessions, design)
-    remarks = [*_notes(sessions, design), *_disagreement(sessions, design, seen)]
+    _require_agreement(sessions, design, seen)
     together = [one for group in seen for one in group]
     found = with_hysteresis(estimate(together, design), SensorObservations(design, together))
     thermal, met = found.coefficients.thermal, [one.range for one in warm.values() if one.range is not None]
@@ -195,7 +194,7 @@ def combine_records(
         thermal = replace(thermal, lag=max(one.lag for one in warm.values()), range=_union(met))
     turned = next(iter(mounted.values()), None)
     found = replace(found, coefficients=replace(found.coefficients, thermal=thermal, mounting=turned))
-    return _record(sessions, found, design, remarks)
+    return _record(sessions, found, design)
 
 
 def _sessions(calibrations: Iterable[CalibrationRecord | str | Path]) -> list[CombinedSession]:
@@ -317,10 +316,10 @@ def _notes(sessions: Sequence[CombinedSession], design: Design) -> Iterator[str]
             yield f"{session.label} does not state how level it was (--jig): its offset hardly counts"
 
 
-def _disagreement(
+def _require_agreement(
     sessions: Sequence[CombinedSession], design: Design, seen: Sequence[Sequence[Observation]]
-) -> list[str]:
-    """Return what to note of a rise of chi-square over the separate fits; a large one is refused with a UsageError."""
+) -> None:
+    """Refuse sessions whose chi-square rises over that of the separate fits by more than chance, with a UsageError."""
     from scipy.special import chdtrc, fdtrc
 
     jig, observed = design.jig, [session for session in sessions if session.observed]
@@ -342,26 +341,21 @@ def _disagreement(
     alone = [estimate(group, replace(own, jig=jig, **bench)) for group, own in zip(seen, designs, strict=True)]
     dof, chi_square = sum(one.dof for one in alone), sum(one.chi_square or 0.0 for one in alone)
     rise, more = (together.chi_square or 0.0) - chi_square, together.dof - dof
-    if not apart and (more <= 0 or rise <= 0.0):
-        return []
-    shared = design.jig is None and free > 0  # the jig is known from what the separate fits leave
-    p = float(fdtrc(more, free, rise / more * free / max(chi_square, 1e-9)) if shared else chdtrc(more, rise))
-    p = 0.0 if apart else p
-    if p >= NOTED:
-        return []
-    lines = list(_differences(sessions)) or [
-        f"chi-square rises by {rise:.3g} over the separate fits, with {more} degrees of freedom"
-    ]
-    if p >= REFUSED:
-        return [f"{line}; sessions that agree differ by so much once in 20 combinations" for line in lines]
+    if not apart:
+        shared = design.jig is None and free > 0  # the jig is known from what the separate fits leave
+        ratio = rise / max(more, 1) * free / max(chi_square, 1e-9)
+        if more <= 0 or rise <= 0.0 or (fdtrc(more, free, ratio) if shared else chdtrc(more, rise)) >= REFUSED:
+            return
     unstated = [session.label for session in sessions if session.record.fit.uncertainty_from == NOISE_ALONE]
     why = (
         f"the uncertainty of {' and '.join(unstated)} leaves out how well positions were set: state the --jig there"
         if unstated
         else "one of the sessions is wrong, or the sensor has changed between them"
     )
+    lines = [f"  {line}" for line in _differences(sessions)]
+    risen = f"  chi-square rises by {rise:.3g} over the separate fits, with {more} degrees of freedom"
     what = "the calibrations contradict by more than their uncertainty:"
-    raise UsageError("\n".join([what, *(f"  {line}" for line in lines), why]))
+    raise UsageError("\n".join([what, *(lines or [risen]), why]))
 
 
 def _differences(sessions: Sequence[CombinedSession]) -> Iterator[str]:
@@ -378,9 +372,7 @@ def _differences(sessions: Sequence[CombinedSession]) -> Iterator[str]:
                 )
 
 
-def _record(
-    sessions: Sequence[CombinedSession], found: Estimate, design: Design, remarks: Sequence[str]
-) -> CalibrationRecord:
+def _record(sessions: Sequence[CombinedSession], found: Estimate, design: Design) -> CalibrationRecord:
     """Return the calibration that a combination gives, with remarks on what it left out."""
     records = [session.record for session in sessions]
     fits, procedures = [record.fit for record in records], [record.procedure for record in records]
@@ -390,9 +382,7 @@ def _record(
     derived = stated.derived_record(found, "", mounted=True) if scaled else records[0].derived
     kept = [sessions[0].assumes(kind) for kind in KINDS if all(session.assumes(kind) for session in sessions)]
     noise = max(u for record in records for one in record.positions for u in (one.u or {}).values())
-    each = [(s.label, s.record.procedure.name, (s.record.provenance.ended or "")[:10]) for s in sessions]
-    told = [f"{label} ({', '.join(filter(None, more))})" if any(more) else label for label, *more in each]
-    notes = [f"combined of {' and '.join(told)}", *remarks, *found.notes]
+    notes = [*_notes(sessions, design), *found.notes]
     notes += [note for fit in fits for note in fit.notes if note != NO_FREEDOM]
     return CalibrationRecord(
         sensor=next((record.sensor for record in records if record.sensor.model != UNKNOWN_MODEL), records[0].sensor),
@@ -445,15 +435,8 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncert
 def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRecord]) -> Limits:
     """Return the tilts that the sensitivity was measured in, the temperatures of the drift, the rails of all."""
     reading: dict[str, tuple[float, float]] = {}
-    for record in records:
-        for channel, (low, high) in record.limits.reading.items():
-            before = reading.get(channel, (low, high))
-            reading[channel] = max(low, before[0]), min(high, before[1])
-            if not reading[channel][0] < reading[channel][1]:
-                raise InputError(
-                    f"limits.reading.{channel}: [{low:g}, {high:g}] and [{before[0]:g}, {before[1]:g}] do not overlap: "
-                    "the sessions are not of one sensor in one range; correct the limits, or leave a session out"
-                )
+    for channel, rails in (pair for record in records for pair in record.limits.reading.items()):
+        reading[channel] = overlap(rails, reading.get(channel)) or rails
     met = [record.limits.temperature for record in records if record.limits.temperature and record.coefficients.thermal]
     tilts = {axis: _union([r.limits.tilt[axis] for r in scaled if axis in r.limits.tilt]) for axis in AXES}
     return Limits({axis: tilt for axis, tilt in tilts.items() if tilt is not None}, _union(met), reading)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.stated import uncertain_coefficients
-from tiltcal.calibration.wording import unit_of
+from tiltcal.calibration.wording import label
 from tiltcal.core.attitude import LEVEL, mounting_matrix, orientation, rotation_vector
 from tiltcal.core.model import AXES, Array, referred, values
 from tiltcal.core.rounding import plus_minus
@@ -203,7 +203,7 @@ class Comparison:
             return self.verdict.word + rest
         moved = (
             f"{one.name} by {plus_minus(one.difference, one.u or 0.0, signed=True)} "
-            f"{unit_of(one.name, self.sensor.unit)}".rstrip()
+            f"{label(one.name, self.sensor.unit).unit}".rstrip()
             for one in self.changes
             if one.name in self.verdict.changed
         )

@@ -38,8 +38,7 @@ NO_SENSITIVITY = (
     "calibration"
 )
 
-LARGEST_AGREEMENT, LARGEST_AGREEMENT_REOPENED = 0.5, 0.3
-"""Estimated jigs above which it is asked what happened, degrees; the second where a sensor was opened again."""
+LARGEST_AGREEMENT = 0.5  # estimated jig above which it is asked what happened, degrees
 STEEP = 0.99  # gravity along a channel, g, from which on a set angle says little of its reading
 DRIFT_NOT_SHOWN = "along gravity only the noise counts; --closing or --jig shows a drift"
 
@@ -95,9 +94,8 @@ def _remarks(found: Estimate, sensor: MeasuredSensor, design: Design) -> Iterato
             yield f"{' and '.join(missing)} counts as zero: {sheet}"
     if design.jig is None and along_gravity(design.channels, [measurement.gravity for measurement in measurements]):
         yield DRIFT_NOT_SHOWN
-    if (found.estimated_jig or 0.0) > (LARGEST_AGREEMENT_REOPENED if sensor.reopened else LARGEST_AGREEMENT):
-        opened = ": the sensor was opened again in the session" if sensor.reopened else ""
-        yield f"were the positions set by hand, or was something changed between them{opened}? State the --jig"
+    if (found.estimated_jig or 0.0) > LARGEST_AGREEMENT:
+        yield "were the positions set by hand, or was something changed between them? State the --jig"
     correlated = correlated_noise(_summaries(measurements, design.channels))
     if correlated is not None and correlated.certain:
         yield correlated.note

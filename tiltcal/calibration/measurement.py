@@ -23,7 +23,6 @@ from tiltcal.drivers.model import OF_G, Model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.results import PositionRecord, PositionSet
-from tiltcal.stated_arguments import require_from_zero
 
 if TYPE_CHECKING:  # `check` needs no estimator
     from tiltcal.core.estimation.estimate import Estimate
@@ -33,18 +32,12 @@ if TYPE_CHECKING:  # `check` needs no estimator
 
 @dataclass(frozen=True)
 class BenchUncertainty:
-    """The standard uncertainties that a user states of the bench; a UsageError where one is negative or no number."""
+    """The standard uncertainties that a user states of the bench."""
 
     jig: float | None = None  # of a set angle, degrees; not stated, the scatter of the positions shows it
     thermometer: float | None = None  # °C; not stated, the step of the sensors' own thermometers
     table: float | None = None  # of the lean that all share, degrees per axis; not stated, several headings show it
     heading: float | None = None  # degrees; not stated, headings count as exact
-
-    def __post_init__(self) -> None:
-        require_from_zero("--jig", self.jig)
-        require_from_zero("--thermometer", self.thermometer)
-        require_from_zero("--table-lean", self.table)
-        require_from_zero("--heading-uncertainty", self.heading)
 
 
 @dataclass(frozen=True)
@@ -94,7 +87,6 @@ class MeasuredSensor:
     thermometer: float | None = None  # u of the step of its own thermometer, °C; None where another was read
     base: CalibrationRecord | None = None  # its calibration, which is completed, or lends its sensitivity
     ramp: RampRecord | None = None  # the record of a ramp, whose one measurement is the attitude
-    reopened: bool = False  # its bus failed in the session and was opened again
 
 
 def missing_temperature(base: CalibrationRecord, measurement: Measurement) -> str:

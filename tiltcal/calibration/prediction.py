@@ -13,7 +13,7 @@ import numpy as np
 from tiltcal.calibration.fit import covered_tilts, design_of
 from tiltcal.calibration.measurement import BenchUncertainty, require_tilt
 from tiltcal.calibration.record import half_widths, tilt_lines
-from tiltcal.calibration.wording import symbol, unit_of, words
+from tiltcal.calibration.wording import label
 from tiltcal.core.attitude import STRAIGHT, Orientation, solve_mounting
 from tiltcal.core.estimation.design import predict_uncertainty
 from tiltcal.core.estimation.positions import Observation
@@ -156,7 +156,7 @@ def predict(
         for name, u in uncertainty.items():
             # What unit gravity leaves open is the choice of a frame, in which these are 0.
             if u > 0.0 or not design.free:
-                yield f"  {name:<28} {u:.2g} {unit_of(name, model.unit)}"
+                yield f"  {name:<28} {u:.2g} {label(name, model.unit).unit}"
         yield from tilt_lines(tilts)
         unchecked = "" if prediction.dof else ": no residuals are left to check the result"
         yield f"  degrees of freedom {prediction.dof}{unchecked}"
@@ -201,8 +201,8 @@ def _along_ramp(procedure: Procedure) -> Procedure:
 
 def _in_words(coefficient: str) -> str:
     """Return the symbol of a sensitivity, and another coefficient by its name."""
-    letter, index = symbol(coefficient)
-    name = words(coefficient)
+    letter, index = label(coefficient).symbol
+    name = label(coefficient).words
     return f"S_{index}" if letter == "S" else f"the {name[:1].lower()}{name[1:]}"
 
 

@@ -30,7 +30,7 @@ from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TAB
 from tiltcal.core.estimation.estimate import ALIKE, Estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.core.model import Array, Coefficients, Thermal, vector_of, with_vector
-from tiltcal.core.ramp.fit import RESOLVED, RampFit, fit_ramp
+from tiltcal.core.ramp.fit import RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord, row_noise
 from tiltcal.core.rounding import plus_minus, round_to, significant
 from tiltcal.core.samples import SampleSummary
@@ -203,7 +203,6 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
 
 
 GROUPS = 8  # parts of a leg that the file lists as positions
-NOTED = 0.05  # °C; an error of the element's temperature behind turns that is less is not worth a note
 FAR = 0.5  # g; an offset that differs by more from that of the base calibration belongs to another attitude
 
 
@@ -421,15 +420,6 @@ def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
         f"legs, or hysteresis explains the record as well (the lag explains the difference between the ways up and "
         f"down: {explains})"
     ]
-    if fit.u_element >= NOTED:
-        notes.append(
-            f"behind turns the temperature in a log is off by {fit.u_element:.2g} °C, which is in the uncertainty of a "
-            "temperature"
-        )
-    if not fit.uses_lag and abs(fit.found_lag) > RESOLVED * fit.u_lag:
-        notes.append(
-            "to separate a lag from hysteresis, record legs at two paces: the effect of a lag grows with the pace"
-        )
     if fit.loop_covariance.any():
         notes.append("the ways up and down differ: the intervals of the drift hold the readings of both")
     return tuple(notes)

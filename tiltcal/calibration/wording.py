@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from math import asin, degrees, radians, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
-from tiltcal.core.model import AXES, values
+from tiltcal.core.model import values
 from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed, plus_minus
 from tiltcal.files.calibration import CalibrationRecord
@@ -22,11 +23,8 @@ NOT_FOLLOWED = (
 )
 """What a note says of a channel that showed at most two neighbouring values in a whole session."""
 
-REMARKABLE = 0.05  # probability below which, or above one less it, a chi-square is remarked
+REMARKABLE = 0.05  # probability of a chi-square below which it is remarked
 LARGEST_ESTIMATED_JIG = 5.0  # estimated jig above which a calibration is judged failing, degrees
-
-LOOKS_LIKE, LARGEST_BEND = 0.8, 0.1
-"""Residuals look like non-linearity where a square and a cube of less than the second explain this share of them."""
 
 
 def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:
@@ -93,18 +91,9 @@ def _coefficient_lines(calibration: CalibrationRecord) -> Iterator[str]:
     sensor, coefficients, u = calibration.sensor, calibration.coefficients, calibration.uncertainty
     yield f"{sensor.model} {sensor.serial}  (± standard uncertainty, k = 1)"
     for name, value in values(coefficients).items():
-        match name.split("."):
-            case ["offset", channel]:
-                label = f"offset {channel}         "
-            case ["sensitivity", channel, axis]:
-                label = f"sensitivity {channel}{axis}   "
-            case ["nonlinearity", channel, power]:
-                label = f"nonlinearity {channel}^{power}"
-            case [_, what, channel, power]:
-                label = f"{what} {channel} over T  "
-        unit = unit_of(name, sensor.unit)
+        named = label(name, sensor.unit)
         shown = _pair(value, u[name]) if name in u else f"{value:>12.6g}"
-        yield f"  {label} {shown} {unit}".rstrip()
+        yield f"  {named.short:<17} {shown} {named.unit}".rstrip()
     if coefficients.thermal is not None and coefficients.thermal.lag:
         yield f"  thermal lag       {_pair(coefficients.thermal.lag, u.get('temperature.lag', 0.0))} s"
     yield from (f"  {line}" for line in fit_lines(calibration))
@@ -147,8 +136,6 @@ def objections(calibration: CalibrationRecord) -> list[str]:
             cause = f"temperatures are off by {warm:g} °C, which counts, or noise or jig are worse than stated"
         if fit.noise_estimated is not None:
             cause = f"the means have noise of {fit.noise_estimated:g}, which counts, or the jig is worse than stated"
-        if looks_bent(calibration):
-            cause = f"the residuals look like non-linearity, or {cause}"
         found.append(
             f"chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom (probability {shown}) is "
             f"not credible: {cause}"
@@ -162,40 +149,13 @@ def objections(calibration: CalibrationRecord) -> list[str]:
 
 
 def remarks_on_chance(fit: FitRecord) -> Iterator[str]:
-    """Yield that the positions agree worse, or better, than a stated jig lets them in 19 of 20 sessions."""
-    p, jig = _probability(fit), fit.jig_degrees
-    if p is None or not jig:
-        return
-    if INCREDIBLE <= p < REMARKABLE:
+    """Yield that the positions agree worse than a stated jig lets them in 19 of 20 sessions."""
+    p = _probability(fit)
+    if p is not None and fit.jig_degrees and INCREDIBLE <= p < REMARKABLE:
         yield (
-            f"the positions agree worse than a jig of {jig:g}° lets them (probability {p:.1g}): it is worse than "
-            "stated, or the noise is, and the uncertainty is too small"
+            f"the positions agree worse than a jig of {fit.jig_degrees:g}° lets them (probability {p:.1g}): it is "
+            "worse than stated, or the noise is, and the uncertainty is too small"
         )
-    if p > 1.0 - REMARKABLE:
-        yield (
-            f"the positions agree better than a jig of {jig:g}° lets them: it is better than stated, or the noise is, "
-            "and the uncertainty is larger than it need be"
-        )
-
-
-def looks_bent(calibration: CalibrationRecord) -> bool:
-    """Return whether the residuals of all channels follow the square and the cube of what these sense."""
-    coefficients, fit = calibration.coefficients, calibration.fit
-    places = calibration.procedure.set
-    up = {name: places[name].up for name in places if name in fit.residuals and places[name].up}
-    gravity = np.array(list(up.values())).reshape(-1, 3)
-    linear, sizes, _ = np.linalg.svd(np.column_stack([np.ones(len(up)), gravity]), full_matrices=False)
-    linear = linear[:, sizes > 1e-6]
-    whole = explained = 0.0
-    for channel in set(coefficients.channels) & set(coefficients.axes):
-        a = gravity[:, AXES.index(channel)]
-        own = np.array([fit.residuals[name].get(channel, 0.0) for name in up]) / coefficients.own_sensitivity(channel)
-        own, bend = (one - linear @ (linear.T @ one) for one in (own, np.column_stack([a**2, a**3])))
-        shares, _, rank, _ = np.linalg.lstsq(bend, own, rcond=1e-6)
-        if rank >= len(up) - linear.shape[1] or np.any(np.abs(shares) > LARGEST_BEND):
-            return False  # they follow anything, or what no sensor has
-        whole, explained = whole + float(own @ own), explained + float(np.sum((bend @ shares) ** 2))
-    return explained > LOOKS_LIKE * whole > 0.0
 
 
 def _objections_to_mounting(fit: MountingFit | None) -> Iterator[str]:
@@ -223,39 +183,35 @@ def _pair(value: float, u: float) -> str:
     return f"{number:>12} {uncertainty}"
 
 
-def words(name: str) -> str:
-    """Return a coefficient in words, such as ``Sensitivity of x to y`` for ``sensitivity.x.y``."""
-    return _label(name)[0]
+class Label(NamedTuple):
+    """A coefficient in words, in short, as a letter with its index, and its unit, empty for a pure number."""
+
+    words: str
+    short: str
+    symbol: tuple[str, str]
+    unit: str
 
 
-def symbol(name: str) -> tuple[str, str]:
-    """Return a coefficient's letter and its index, such as ``S`` and ``xy``."""
-    return _label(name)[1:3]
-
-
-def unit_of(name: str, unit: str) -> str:
-    """Return the unit of a coefficient of a sensor whose readings have ``unit``; empty for a pure number."""
-    return _label(name, unit)[3]
-
-
-def _label(name: str, unit: str = "") -> tuple[str, str, str, str]:
-    """Return a coefficient in words, its letter, its index, and its unit."""
+def label(name: str, unit: str = "") -> Label:
+    """Return the label of a coefficient of a sensor whose readings have a unit."""
     match name.split("."):
         case ["offset", channel]:
-            return f"Offset of {channel}", "u", f"0{channel}", unit
+            return Label(f"Offset of {channel}", f"offset {channel}", ("u", f"0{channel}"), unit)
         case ["sensitivity", channel, axis]:
-            other = "" if channel == axis else f" to {axis}"
-            return f"Sensitivity of {channel}{other}", "S", channel + axis, f"{unit}/g"
+            other, pair = "" if channel == axis else f" to {axis}", channel + axis
+            return Label(f"Sensitivity of {channel}{other}", f"sensitivity {pair}", ("S", pair), f"{unit}/g")
         case ["nonlinearity", channel, power]:
             shape = {"2": "square", "3": "cube"}.get(power, power)
-            return f"Nonlinearity of {channel}, {shape}", "n", channel + power, ""
+            in_words, short = f"Nonlinearity of {channel}, {shape}", f"nonlinearity {channel}^{power}"
+            return Label(in_words, short, ("n", channel + power), "")
         case ["temperature", kind, channel, power]:
             raised = {"1": "", "2": "²", "3": "³"}.get(power, f"^{power}")
             letter, of = ("d", unit) if kind == "offset" else ("e", "1")
-            return f"Drift of {kind} {channel}, ΔT{raised}", letter, channel + power, f"{of}/°C{raised}"
+            in_words, short = f"Drift of {kind} {channel}, ΔT{raised}", f"{kind} {channel} over T"
+            return Label(in_words, short, (letter, channel + power), f"{of}/°C{raised}")
         case ["mounting", "turn", axis]:
-            return f"Turn of the mounting about {axis}", "r", axis, "°"
-    return name, name, "", "s" if name == "temperature.lag" else ""
+            return Label(f"Turn of the mounting about {axis}", name, ("r", axis), "°")
+    return Label(name, name, (name, ""), "s" if name == "temperature.lag" else "")
 
 
 HEADINGS = {"before": "before matching", "after_p": "after p", "after_pq": "after p and q"}

@@ -27,9 +27,9 @@ def command(calibrations: tuple[Path, ...], mounting: str, output: Path) -> None
     """Combine calibrations of one sensor from several sessions: their positions are fitted again, together.
 
     So the scale comes from the vise, and the drift from the overnight run. A difference that sessions in agreement
-    have once in 1000 times is refused with the figures; one that they have once in 20 times is noted. An assumed
-    sensitivity, nominal or of a --base, is no information. Positions of one journal count once. A file without
-    positions enters by its values and their covariance.
+    have once in 1000 times is refused with the figures. An assumed sensitivity, nominal or of a --base, is no
+    information. Positions of one journal count once. A file without positions enters by its values and their
+    covariance.
     """
 
     check_writable(output)

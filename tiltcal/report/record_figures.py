@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tiltcal.calibration.season import CoefficientDistribution, ModelFleet
-from tiltcal.calibration.wording import unit_of, words
+from tiltcal.calibration.wording import label
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.model import Array
 from tiltcal.core.noise import ChannelNoise, NoiseScale
@@ -199,9 +199,9 @@ def _plot_course(panel: Axes, drawing: PairDrawing) -> None:
     course = np.array(drawing.course)
     least = max(drawing.uncertainty / 5.0, 1e-9)
     away = np.maximum(np.abs(course - np.tile(course[-1, 2:], 2)), least)
-    for index, label in enumerate(("p, loops", "q, loops", "p, recursive", "q, recursive")):
+    for index, series in enumerate(("p, loops", "q, loops", "p, recursive", "q, recursive")):
         colour, style = _STAGES[1 + index // 2], "--" if index % 2 else "-"
-        panel.semilogy(np.arange(1, len(away) + 1), away[:, index], style, color=colour, linewidth=0.9, label=label)
+        panel.semilogy(np.arange(1, len(away) + 1), away[:, index], style, color=colour, linewidth=0.9, label=series)
     if drawing.uncertainty:
         panel.axhline(drawing.uncertainty, color=INK, linewidth=0.8, linestyle=":", label="stated uncertainty")
         panel.set_ylim(bottom=least)
@@ -235,11 +235,11 @@ def distribution_figure(fleet: ModelFleet, number: int) -> SvgFigure | None:
         for panel, (kind, rows) in zip(axes, panels.items(), strict=True):
             for row, distribution in enumerate(rows):
                 _plot_row(panel, row, distribution)
-            panel.set_yticks(range(len(rows)), [words(one.name) for one in rows])
+            panel.set_yticks(range(len(rows)), [label(one.name).words for one in rows])
             panel.set_ylim(len(rows) - 0.4, -0.6)
             panel.tick_params(axis="y", length=0)
             panel.spines["left"].set_visible(False)
-            units = {unit_of(one.name, fleet.unit) for one in rows}
+            units = {label(one.name, fleet.unit).unit for one in rows}
             panel.set_xlabel(f"{kind} [{units.pop()}]" if len(units) == 1 else kind)
 
     return picture(

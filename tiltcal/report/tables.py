@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.season import CoefficientDistribution, FleetHistory, ModelFleet
-from tiltcal.calibration.wording import HEADINGS, symbol, unit_of, words
+from tiltcal.calibration.wording import HEADINGS, label
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.flags import FLAGS, REASONS
 from tiltcal.core.model import values
@@ -94,7 +94,7 @@ def numbers(head: str, texts: Iterable[str], over: str = "") -> Column:
 
 def sign(name: str) -> Html:
     """Return the symbol of a coefficient, such as S with the index xy."""
-    letter, index = symbol(name)
+    letter, index = label(name).symbol
     return Html(f"<var>{escape(letter)}</var><sub>{escape(index)}</sub>")
 
 
@@ -114,7 +114,7 @@ def coefficient_table(calibration: CalibrationRecord) -> Table:
     u, unit = calibration.uncertainty, calibration.sensor.unit
     return _quantities(
         [
-            Quantity(words(name), value, u.get(name), unit_of(name, unit), u.coverage_factor.get(name), name)
+            Quantity(label(name).words, value, u.get(name), label(name, unit).unit, u.coverage_factor.get(name), name)
             for name, value in values(calibration.coefficients).items()
         ]
     )
@@ -149,7 +149,7 @@ def budget_table(calibration: CalibrationRecord) -> Table | None:
 
 
 def _coefficients(names: Sequence[str]) -> list[Column]:
-    return [Column("Coefficient", [words(name) for name in names]), Column("", [sign(name) for name in names])]
+    return [Column("Coefficient", [label(name).words for name in names]), Column("", [sign(name) for name in names])]
 
 
 class Group(NamedTuple):
@@ -254,7 +254,7 @@ def change_table(before: CalibrationRecord, after: CalibrationRecord) -> tuple[s
     """Return the verdict on the changes, and every coefficient at the later one's reference temperature."""
     comparison = compare_records(before, after)
     changes, verdict, unit = comparison.changes, comparison.verdict, after.sensor.unit
-    rest = ", ".join(words(name) for name in comparison.not_comparable)
+    rest = ", ".join(label(name).words for name in comparison.not_comparable)
     said = f"{verdict}; not comparable: {rest}" if rest else str(verdict)
     ratios = ["" if change.ratio is None else f"{change.ratio:.2f}" for change in changes]
     table = Table(
@@ -263,7 +263,7 @@ def change_table(before: CalibrationRecord, after: CalibrationRecord) -> tuple[s
             numbers("Before", [measured(change.before, before.uncertainty.get(change.name)) for change in changes]),
             numbers("Now", [measured(change.after, after.uncertainty.get(change.name)) for change in changes]),
             numbers("Change", [measured(change.difference, change.u) for change in changes]),
-            Column("Unit", [unit_of(change.name, unit) for change in changes]),
+            Column("Unit", [label(change.name, unit).unit for change in changes]),
             numbers(Html("Change / <var>u</var>"), ratios),
         ],
         frozenset(k for k, change in enumerate(changes) if change.name in verdict.changed),
@@ -379,7 +379,7 @@ def distribution_table(fleet: ModelFleet) -> Table:
         [
             *_coefficients([row.name for row in rows]),
             *(numbers(head, column) for head, column in zip(heads, texts, strict=True)),
-            Column("Unit", [unit_of(row.name, fleet.unit) for row in rows]),
+            Column("Unit", [label(row.name, fleet.unit).unit for row in rows]),
             Column("Outliers", [", ".join(row.outliers) for row in rows], "name"),
         ],
         frozenset(k for k, row in enumerate(rows) if row.outliers),

@@ -19,7 +19,7 @@ from tiltcal.core.model import Array, Coefficients, Mounting, Thermal, values
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Determines, Procedure, find_procedure
 from tiltcal.files.results import FileRecord, Provenance
@@ -118,24 +118,22 @@ def by_values(record: CalibrationRecord) -> CalibrationRecord:
     return replace(record, positions=())
 
 
-@pytest.mark.parametrize(("ratio", "told"), [(2.4, ""), (2.5, "noted"), (3.65, "noted"), (3.8, "refused")])
-def test_sound_sessions_are_seldom_refused(ratio: float, told: str) -> None:
-    """Two offsets are common: chi-square with 2 degrees of freedom is above 2.448² in 5 % and above 3.717² in 0.1 %."""
+@pytest.mark.parametrize("ratio", [3.65, 3.8])
+def test_sound_sessions_are_seldom_refused(ratio: float) -> None:
+    """Two offsets are common: chi-square with 2 degrees of freedom is above 3.717² in 0.1 %."""
     drift = calibrated(TWO, measured(TWO, 2), SCALE.record).record
     names = ("offset.x", "offset.y")
     ours, theirs = (values(one.coefficients) for one in (drift, SCALE))
     u = sqrt(drift.uncertainty["offset.x"] ** 2 + SCALE.uncertainty["offset.x"] ** 2)
     shift = [theirs[name] - ours[name] for name in names]
     moved = shifted(drift, (shift[0] + ratio * u, shift[1]))
-    if told == "refused":
-        with pytest.raises(UsageError, match=r"contradict .*\n  offset\.x is .* apart by .* \(E_n 1\.9\)") as refused:
-            combine([SCALE, moved])
-        assert "offset.y" not in str(refused.value)
-        assert str(refused.value).endswith("one of the sessions is wrong, or the sensor has changed between them")
+    if ratio < 3.717:
+        combine([SCALE, moved])
         return
-    noted = [note for note in combine([SCALE, moved]).fit.notes if "once in 20 combinations" in note]
-    assert bool(noted) == (told == "noted")
-    assert all(f"(E_n {ratio / 1.96:.1f})" in note and "offset.y" not in note for note in noted)
+    with pytest.raises(UsageError, match=r"contradict .*\n  offset\.x is .* apart by .* \(E_n 1\.9\)") as refused:
+        combine([SCALE, moved])
+    assert "offset.y" not in str(refused.value)
+    assert str(refused.value).endswith("one of the sessions is wrong, or the sensor has changed between them")
 
 
 def test_sessions_that_show_no_jig_agree_up_to_half_a_degree() -> None:
@@ -244,13 +242,6 @@ def test_the_turn_of_a_mounting_is_correlated_with_the_coefficients_of_its_own_s
     assert np.abs(alone[:4]).max() > 1e-4
     np.testing.assert_allclose(both[:4], alone[:4] / 2.0, rtol=0.02, atol=1e-6)
     np.testing.assert_allclose(both[4:], alone[4:], rtol=1e-3)
-
-
-def test_reading_limits_that_do_not_overlap_are_refused() -> None:
-    drift = calibrated(TWO, measured(TWO, 2)).record
-    far = replace(drift.limits, reading={"x": (3000.0, 4000.0)})
-    with pytest.raises(InputError, match=r"limits\.reading\.x: \[3000, 4000\] and \[101, 2047\] do not overlap"):
-        combine([SCALE, Calibration(replace(drift, limits=far))])
 
 
 @pytest.mark.parametrize("what", ["drift", "gain"])

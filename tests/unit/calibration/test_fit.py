@@ -1,4 +1,4 @@
-"""What the estimate of set positions remarks; readings are simulated here, by hand."""
+"""What the estimate of set positions states; readings are simulated here, by hand."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import pytest
 
 from tiltcal.calibration.fit import fit_jointly
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.calibration.wording import verdict
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import find_procedure
@@ -27,16 +26,6 @@ def calibrated(stated: float | None, seed: int, visits: int = 4) -> CalibrationR
         measurements.append(Measurement(f"p{number}", tuple(up.tolist()), None, None, summaries))
     sensor = MeasuredSensor(SENSOR, measurements)
     return fit_jointly([sensor], find_procedure("six-face"), BenchUncertainty(stated))[0]
-
-
-def too_good(calibration: CalibrationRecord) -> bool:
-    return any(line.startswith("the positions agree better than a jig of") for line in verdict(calibration))
-
-
-def test_a_jig_stated_twice_too_large_is_remarked_and_one_as_stated_is_not() -> None:
-    """A false alarm in 5 of 100."""
-    assert all(too_good(calibrated(2 * JIG, seed)) for seed in range(3))
-    assert sum(too_good(calibrated(JIG, seed)) for seed in range(10)) <= 2
 
 
 @pytest.mark.parametrize("stated", [JIG, None], ids=["stated jig", "estimated jig"])
