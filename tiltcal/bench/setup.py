@@ -241,7 +241,7 @@ class Setup(Record, kw_only=True, dict=True):
 
                 require_reachable(self.machines, steps.positions)
             for device in self.sensors:
-                require_suitable(steps, device.wired, device.orientation, based=device.serial in self.bases)
+                require_suitable(steps, device.wired, device.orientation)
         if not self.typical_temperature:
             return
         if steps.rotation is not None:

@@ -30,7 +30,7 @@ from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.document import parse_document
-from tiltcal.files.results import NOISE_ALONE, FileRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.results import NOISE_ALONE, CompletingRun, FileRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.yaml_text import read_text
 
 REFUSED = 0.001  # sessions are refused where chi-square rises over the separate fits with a probability below this
@@ -49,13 +49,15 @@ class CombinedSession:
     label: str  # what messages call it
     sha256: str  # of its file
     record: CalibrationRecord
-    names: Mapping[str, str]  # of its positions in the combination
-    counted: bool = False  # another calibration holds the same positions
     by_values: bool = False  # its positions cannot be fitted with those of the others
 
     @property
     def coefficients(self) -> Coefficients:
         return self.record.coefficients
+
+    def named(self, position: str) -> str:
+        """Return the name of one of its positions in the combination."""
+        return f"{self.label.replace('.yaml', '')}/{position}"
 
     @property
     def origins(self) -> set[str]:
@@ -90,7 +92,7 @@ class CombinedSession:
     def observed(self) -> bool:
         """Whether it has positions that were set, with their uncertainty, and they give its coefficients."""
         fit, places = self.record.fit, self.record.procedure.set
-        apart = self.counted or self.by_values or fit.level or fit.ramp or fit.distinct_attitudes is not None
+        apart = self.by_values or fit.level or fit.ramp or fit.distinct_attitudes is not None
         complete = [one.u and one.position in places and places[one.position].up for one in self.positions]
         return not apart and bool(complete) and all(complete)
 
@@ -107,7 +109,7 @@ class CombinedSession:
         looser = (self.jig or UNKNOWN_JIG) / design.jig if design.jig and self.jig != 0.0 else 1.0
         return [
             Observation(
-                self.names[one.position],
+                self.named(one.position),
                 np.array(place.up),
                 np.array([one.mean[c] for c in design.channels]),
                 np.array([(one.u or {})[c] for c in design.channels]),
@@ -198,7 +200,7 @@ def combine_records(
 
 
 def _sessions(calibrations: Iterable[CalibrationRecord | str | Path]) -> list[CombinedSession]:
-    """Return calibrations or their files with labels and positions that differ; those of one journal count once."""
+    """Return calibrations or their files with labels that differ; of those of one journal the first."""
     sessions: list[CombinedSession] = []
     journals: set[str | None] = set()
     for given in calibrations:
@@ -211,12 +213,9 @@ def _sessions(calibrations: Iterable[CalibrationRecord | str | Path]) -> list[Co
             raise UsageError(f"combine takes tilt calibrations or their files, not {given!r:.40}")
         if label in {session.label for session in sessions}:
             label = f"{label} ({len(sessions) + 1})"
-        taken = {name for session in sessions if not session.counted for name in session.names.values()}
-        names = [*(one.position for one in record.positions), *record.procedure.set]
-        renamed = {name: f"{label.replace('.yaml', '')}/{name}" if name in taken else name for name in names}
-        journal = record.provenance.journal.sha256 if record.provenance.journal is not None else None
-        sha256 = hashlib.sha256(text.encode()).hexdigest()
-        sessions.append(CombinedSession(label, sha256, record, renamed, journal is not None and journal in journals))
+        journal = None if record.provenance.journal is None else record.provenance.journal.sha256
+        if journal is None or journal not in journals:
+            sessions.append(CombinedSession(label, hashlib.sha256(text.encode()).hexdigest(), record))
         journals.add(journal)
     return sessions
 
@@ -230,7 +229,7 @@ def _require_consistent(sessions: Sequence[CombinedSession]) -> None:
         require_same_sensor(session.record, replace(other.record, sensor=another), (session.label, other.label))
         if session.sha256 == other.sha256:
             raise UsageError(f"{session.label} and {other.label} are one calibration: name it once")
-        if not other.counted and session.origins & other.origins:
+        if session.origins & other.origins:
             raise UsageError(
                 f"{session.label} and {other.label} hold the same measurements, which would count twice: name the "
                 "calibrations of the sessions themselves"
@@ -280,7 +279,7 @@ def _design(sessions: Sequence[CombinedSession]) -> Design:
             priors[name] = Prior(at[name], fit.priors.get(name, u.get(name, 0.0)))
     design = replace(design, priors={name: priors[name] for name in design.names if name in priors})
     slope = next((thermal.drift[:, 0] for thermal in thermals if thermal.drift.size), np.zeros(len(design.channels)))
-    by_values = [session for session in sessions if not (session.observed or session.counted)]
+    by_values = [session for session in sessions if not session.observed]
     statements = tuple(session.statement(design, slope) for session in by_values)
     exact = dict(design.priors)
     for session, statement in zip(by_values, statements, strict=True):
@@ -308,9 +307,7 @@ def _observations(sessions: Sequence[CombinedSession], design: Design) -> list[l
 
 def _notes(sessions: Sequence[CombinedSession], design: Design) -> Iterator[str]:
     for session in sessions:
-        if session.counted:
-            yield f"{session.label} has the journal of another calibration: its positions count once"
-        elif design.thermal and temperature_of(session.record) is None:
+        if design.thermal and temperature_of(session.record) is None:
             yield f"{session.label} states no temperature: its offset is left out"
         elif session.observed and session.jig is None and design.jig is not None:
             yield f"{session.label} does not state how level it was (--jig): its offset hardly counts"
@@ -375,10 +372,12 @@ def _differences(sessions: Sequence[CombinedSession]) -> Iterator[str]:
 def _record(sessions: Sequence[CombinedSession], found: Estimate, design: Design) -> CalibrationRecord:
     """Return the calibration that a combination gives, with remarks on what it left out."""
     records = [session.record for session in sessions]
-    fits, procedures = [record.fit for record in records], [record.procedure for record in records]
+    fits = [record.fit for record in records]
     scaled = [session.record for session in sessions if not session.assumes("sensitivity")]
-    new = [session for session in sessions if not session.counted]
-    runs = [[one.replaced(position=s.names[one.position]) for one in run] for s in new for run in s.record.runs]
+    own, mounted, levelled = (
+        [one.replaced(position=s.named(one.position)) for s in sessions for one in s.record.runs[k]] for k in range(3)
+    )
+    runs = (CompletingRun(positions=tuple(one.position for one in run)) if run else None for run in (mounted, levelled))
     derived = stated.derived_record(found, "", mounted=True) if scaled else records[0].derived
     kept = [sessions[0].assumes(kind) for kind in KINDS if all(session.assumes(kind) for session in sessions)]
     noise = max(u for record in records for one in record.positions for u in (one.u or {}).values())
@@ -400,11 +399,11 @@ def _record(sessions: Sequence[CombinedSession], found: Estimate, design: Design
         procedure=ProcedureRecord(
             name=" + ".join(session.record.procedure.name or session.label for session in sessions),
             title=f"Combined of {len(sessions)} calibrations",
-            set={s.names[name]: place for s in new for name, place in s.record.procedure.set.items()},
-            mounting=next((procedure.mounting for procedure in procedures if procedure.mounting), None),
-            level=next((procedure.level for procedure in procedures if procedure.level), None),
+            set={s.named(name): place for s in sessions for name, place in s.record.procedure.set.items()},
+            mounting=next(runs),
+            level=next(runs),
         ),
-        positions=tuple(position for k in range(3) for run in runs[k::3] for position in run),
+        positions=(*own, *mounted, *levelled),
         provenance=_provenance(sessions),
     )
 

@@ -80,39 +80,38 @@ class CoefficientChange:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict on the changes of a sensor."""
+    """The verdict on the changes of a sensor: ``changed``, ``unchanged`` or ``unknown``, and as a sentence."""
 
     thresholds: Mapping[str, float]  # standard uncertainties that each change of an unchanged sensor stays within
     changed: tuple[str, ...]  # the coefficients beyond theirs
-    unjudged: tuple[str, ...] = ()  # those that differ and have no uncertainty
-    incomplete: str = ""  # why the uncertainties are too small to call anything changed; empty where they are whole
-
-    @property
-    def word(self) -> str:
-        """``changed``, ``unchanged`` or ``unknown``."""
-        if not self.thresholds or (self.changed and self.incomplete) or (self.unjudged and not self.changed):
-            return "unknown"
-        return "changed" if self.changed else "unchanged"
+    word: str
+    sentence: str
 
     def __str__(self) -> str:
-        if not self.thresholds:
-            return f"no verdict: {self.incomplete or 'the files state no uncertainties to compare with'}"
-        if not self.changed and self.unjudged:
-            return f"no verdict: no uncertainty is stated of {', '.join(self.unjudged)}, which differs"
-        if not self.changed:
-            return "unchanged: no change is more than its threshold of standard uncertainties"
-        more = f"{', '.join(self.changed)} by more than the threshold of standard uncertainties"
-        return f"no verdict: {more}, but {self.incomplete}" if self.incomplete else f"changed: {more}"
+        return self.sentence
 
 
 def judge(found: Sequence[CoefficientChange], incomplete: str = "") -> Verdict:
-    """Judge whether one of several changes is too large for chance, given their number (Šidák)."""
+    """Judge whether one of several changes is too large for chance, given their number (Šidák).
+
+    ``incomplete`` is why the uncertainties are too small to call anything changed; empty where they are whole.
+    """
     judged = [change for change in found if change.ratio is not None]
     thresholds = {change.name: change.threshold(COVERAGE ** (1.0 / max(len(judged), 1))) for change in judged}
     changed = tuple(change.name for change in judged if (change.ratio or 0.0) > thresholds[change.name])
     # By more than arithmetic makes.
     differing = [one for one in found if abs(one.difference) > 1e-9 * max(abs(one.before), abs(one.after))]
-    return Verdict(thresholds, changed, tuple(change.name for change in differing if not change.u), incomplete)
+    unjudged = [change.name for change in differing if not change.u]
+    word, why = "unchanged", "no change is more than its threshold of standard uncertainties"
+    if not thresholds:
+        word, why = "unknown", incomplete or "the files state no uncertainties to compare with"
+    elif changed:
+        word, why = "changed", f"{', '.join(changed)} by more than the threshold of standard uncertainties"
+        if incomplete:
+            word, why = "unknown", f"{why}, but {incomplete}"
+    elif unjudged:
+        word, why = "unknown", f"no uncertainty is stated of {', '.join(unjudged)}, which differs"
+    return Verdict(thresholds, changed, word, f"{'no verdict' if word == 'unknown' else word}: {why}")
 
 
 def changes(difference: Uncertain, before: Array) -> list[CoefficientChange]:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations, compress, pairwise
-from math import acos, asin, cos, degrees, fsum, inf, radians, sqrt
+from itertools import compress, pairwise
+from math import asin, cos, degrees, fsum, inf, radians, sqrt
 
 import numpy as np
 
@@ -34,8 +34,8 @@ NO_NOISE = "the table states no uncertainties of its means (ux, uy, uz)"
 FEW = 3.0  # degrees of freedom below which a variance is hardly known
 
 NO_SENSITIVITY = (
-    "determines no sensitivity: name a --sensor model whose nominal one may stand in, or with --base the sensor's own "
-    "calibration"
+    "determines no sensitivity, and none is known: name a --sensor model whose nominal one may stand in, state it in "
+    "the address (sensitivity=..., unit per g), or name the sensor's own calibration with --base"
 )
 
 LARGEST_AGREEMENT = 0.5  # estimated jig above which it is asked what happened, degrees
@@ -171,7 +171,7 @@ def design_of(
         return design if design.free or nominal is None else _with_data_sheet(design, nominal)
     if base is not None:
         return _with_base(design, base, whole=determines.level)
-    if nominal is None:
+    if nominal is None or not nominal.scaled:
         raise EstimateError(f"{procedure.name} {NO_SENSITIVITY}")
     own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)
     priors = {f"sensitivity.{c}.{axis}": own if axis == c else cross for c in channels for axis in design.axes}
@@ -272,11 +272,7 @@ UNCERTAIN, WORTHLESS = 10.0, 50.0
 """Expanded uncertainty of a coefficient above which it is warned of, and above which a recording that lacks a
 direction is refused, mg."""
 
-WORTHLESS_ANGLE = 500.0
-"""The latter of a recording that lacks none, in which only the angle of two axes can be so uncertain."""
-
-SKEW, UNEQUAL = 15.0, 1.5
-"""Axes further from square, degrees, or sensitivities further apart, as a ratio, are those of no sensor."""
+UNEQUAL = 1.5  # the largest sensitivity of a direction over the least, beyond which they are those of no sensor
 
 REACH = 45.0  # a direction is missing where no attitude comes as near, degrees
 
@@ -370,16 +366,11 @@ def _warning(calibration: CalibrationRecord, seen: FreeFit) -> str | None:
         advice = f"add attitudes in which {', '.join(missing)} points up"
     elif len(set(axes)) > 1:
         advice = f"add attitudes between the axes {' and '.join(axes)}, with both about 45° up or down"
-    most, why = WORTHLESS if missing else WORTHLESS_ANGLE, ""
     uncertain = f"{worst} has an expanded uncertainty of {expanded[worst]:.2g} mg"
-    if expanded[worst] > most:
-        why = f"{uncertain}, more than {most:g} mg"
-    unit = coefficients.sensitivity / length[:, None]
-    for (first, a), (second, b) in combinations(zip(AXES, unit, strict=True), 2):
-        skew = abs(90.0 - degrees(acos(float(np.clip(a @ b, -1.0, 1.0)))))
-        why = f"the axes {first} and {second} come out {skew:.0f}° from square" if skew > SKEW else why
-    if np.max(length) > UNEQUAL * np.min(length):
-        why = f"its sensitivities come out {np.max(length) / np.min(length):.1f} times apart"
+    unequal = float(np.linalg.cond(coefficients.sensitivity))
+    why = f"{uncertain}, more than {WORTHLESS:g} mg" if missing and expanded[worst] > WORTHLESS else ""
+    if unequal > UNEQUAL:
+        why = f"its sensitivities to gravity come out {unequal:.1f} times apart, or its axes far from square"
     if why:
         raise EstimateError(f"the attitudes do not determine the sensor: {why}; {advice}")
     warnings = [f"{uncertain}: {advice}"] if expanded[worst] > UNCERTAIN else []

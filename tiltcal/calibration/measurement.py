@@ -158,16 +158,9 @@ def unchecked(model: Model) -> str:
     return ""
 
 
-def require_suitable(
-    procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT, *, based: bool = False
-) -> None:
-    """Refuse a device that reads no tilt, positions beyond its rails, and an unknown sensitivity (unless ``based``)."""
+def require_suitable(procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT) -> None:
+    """Refuse a device that reads no tilt, and positions beyond its rails, with a UsageError."""
     require_tilt(procedure, model)
-    if not (model.scaled or based or procedure.determines.axes or procedure.determines.completes):
-        raise UsageError(
-            f"{procedure.name} determines no sensitivity, and that of {model.name} is not known: state it in the "
-            "address (sensitivity=..., unit per g), or name the sensor's calibration (--base)"
-        )
     for position in procedure.positions:
         gravity = orientation.seen(position.gravity)
         for channel in model.channels:

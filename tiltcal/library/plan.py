@@ -65,7 +65,7 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
         lines = [f"{pair.first} and {pair.second}, orthogonal {pair.orthogonal}" for pair in channels.pairs]
         data = {"pairs": pairs, "turns": steps.rotation.turns, "left_out": list(channels.left_out)}
         return Plan({**data, "why": _NOT_PREDICTED}, "\n".join([*lines, *channels.left_out, _NOT_PREDICTED]))
-    require_suitable(steps, model, based=own is not None)
+    require_suitable(steps, model)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
     return predict(

@@ -160,7 +160,6 @@ def test_positions_of_one_journal_count_once() -> None:
     assert values(twice.coefficients) == values(alone.coefficients)
     assert dict(twice.uncertainty) == dict(alone.uncertainty)
     assert len(twice.positions) == len(alone.positions)
-    assert any("positions count once" in note for note in twice.fit.notes)
 
 
 def test_a_file_without_positions_enters_by_its_values_and_covariance() -> None:
@@ -276,5 +275,8 @@ def test_a_file_of_two_sessions_is_read_again_and_names_its_sources(tmp_path: Pa
     assert [one.name for one in again.provenance.sources] == ["scale.yaml", "drift.yaml"]
     assert all(len(one.sha256 or "") == 64 for one in again.provenance.sources)
     assert again.coefficients.mounting.roll == pytest.approx(np.pi)
-    assert [one.position for one in again.positions] == ["level", "x-45", "y-45", "level-warm", "level-cold"]
+    assert [one.position for one in again.positions] == [
+        *(f"scale/{name}" for name in ("level", "x-45", "y-45")),
+        *(f"drift/{name}" for name in ("level-warm", "level-cold")),
+    ]
     assert again.limits.temperature == (5.5, 24.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,11 +90,6 @@ def test_an_angle_beyond_the_lower_rail_is_refused() -> None:
         require_suitable(find_procedure("plane", 35.0), INCLINOMETER)
 
 
-def test_a_sensitivity_has_to_come_from_somewhere_and_gravity_be_read() -> None:
-    unknown, procedure = replace(INCLINOMETER, scaled=False), find_procedure("two-temperature")
-    with pytest.raises(UsageError, match=r"that of sca100t-d01 is not known: state it in the address"):
-        require_suitable(procedure, unknown)
-    require_suitable(procedure, unknown, based=True)
-    require_suitable(find_procedure("plane", 20.0), unknown)
+def test_gravity_has_to_be_read() -> None:
     with pytest.raises(UsageError, match="plane takes tilt sensors"):
         require_suitable(find_procedure("plane", 20.0), find_model("gradiometer"))

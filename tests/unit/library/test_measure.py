@@ -17,13 +17,9 @@ from tiltcal import Calibration, PairCalibration, measure, open_sensor
 from tiltcal.bench import devices
 from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.operators import PythonObject
-from tiltcal.bench.setup import Setup
 from tiltcal.cli.main import run
-from tiltcal.errors import Stopped, UsageError
-from tiltcal.files.bench import BenchFile, BenchSensor
-from tiltcal.files.calibration import BaseFile
+from tiltcal.errors import EstimateError, Stopped, UsageError
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure import find_procedure
 
 SENSOR = {"sensor": "sca100t-d02", "address": "sim:?seed=1", "serial": "S-1", "samples": 4, "settle": 0.2}
 
@@ -226,9 +222,8 @@ def test_a_journal_of_somebody_else_writes_nowhere_but_beside_it(name: str, tmp_
 
 def test_a_base_states_the_sensitivity_of_a_device_of_any_kind() -> None:
     """serial-columns has none of its own; two-temperature determines none."""
-    sensor = BenchSensor("S-1", "serial-columns", "serial:///dev/null?columns=x,y,temperature&unit=V")
-    options = (find_procedure("two-temperature"), BenchFile(sensors=(sensor,)), [None], Path("j.jsonl"))
-    with pytest.raises(UsageError, match=r"or name the sensor's calibration \(--base\)"):
-        Setup.begin(*options, operator="json")
-    base = BaseFile((FIXTURES / "zero-45.yaml").read_text())
-    assert Setup.begin(*options, operator="json", bases={"S-1": base}).bases == {"S-1": base}
+    sensor = {"sensor": "serial-columns", "address": "serial:///dev/null?columns=x,y,temperature&unit=V"}
+    with pytest.raises(EstimateError, match=r"two-temperature determines no sensitivity, .* own calibration with base"):
+        tiltcal.plan("two-temperature", **sensor)  # type: ignore[arg-type]
+    base = FIXTURES / "zero-45.yaml"
+    assert tiltcal.plan("two-temperature", **sensor, base=base).uncertainty["sensitivity.x.x"] > 0.0  # type: ignore[arg-type]

@@ -117,7 +117,7 @@ def test_a_column_time_that_holds_none_is_left_alone(base: Path) -> None:
 @pytest.mark.parametrize("procedure", ["reversal", "two-temperature", "temperature-sweep"])
 def test_without_a_model_or_a_base_it_is_said_what_is_needed(procedure: str) -> None:
     """It asked a two-axis log for a column z."""
-    with pytest.raises(tiltcal.EstimateError, match=r"determines no sensitivity: name a sensor .* or with base"):
+    with pytest.raises(tiltcal.EstimateError, match=r"determines no sensitivity, .*: name a sensor .* with base"):
         tiltcal.fit(procedure, **recorded(procedure, (2.5, 2.4)), **SENSOR)
 
 
