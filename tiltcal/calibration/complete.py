@@ -13,7 +13,7 @@ sine of the tilt where θ is about the vertical, which no level shows. The file 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import cos, degrees, hypot, inf, radians, sqrt
 
@@ -43,10 +43,7 @@ NO_LEVEL = (
     "how level the sensor lay is not stated (--jig, --table-lean), and the uncertainty of its offset leaves it out"
 )
 
-NO_NOISE = (
-    "the noise of the mean is not stated (ux, uy), nor that of a reading by the base, and the uncertainty of the "
-    "offset leaves it out"
-)
+NO_NOISE = "the noise of the mean is not stated (ux, uy), and the uncertainty of the offset leaves it out"
 
 STEP = 1e-4  # a lean, radians, and a change of temperature, °C, by which derivatives are taken
 
@@ -57,7 +54,6 @@ def level(
     """Return a calibration with the offset that level positions at some headings show; the rest is the base's."""
     for why in filter(None, (objection_to_level(base, measurement) for measurement in measurements)):
         raise EstimateError(why)
-    measurements = [_with_noise(measurement, base.uncertainty.single_reading) for measurement in measurements]
     silent = any(summary.noise_unknown for measurement in measurements for summary in measurement.summaries.values())
     lean_known = bench.jig is not None or bench.table is not None
     channels, before = base.coefficients.channels, base.derived.intrinsic
@@ -103,14 +99,6 @@ def objection_to_level(base: CalibrationRecord, measurement: Measurement) -> str
             "its calibration: tiltcal combine CAL --mounting"
         )
     return missing_temperature(base, measurement)
-
-
-def _with_noise(measurement: Measurement, single: Mapping[str, float]) -> Measurement:
-    """Return a measurement whose noise, where it is not stated, is that of so many readings of the base."""
-    summaries = measurement.summaries.items()
-    silent = {c: summary for c, summary in summaries if summary.noise_unknown and single.get(c)}
-    noisy = {c: replace(one, u=hypot(one.u, single[c] / sqrt(one.n))) for c, one in silent.items()}
-    return replace(measurement, summaries={**measurement.summaries, **noisy})
 
 
 def _renewed(

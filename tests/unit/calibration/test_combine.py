@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import sqrt
+from math import hypot, sqrt
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support import FIXTURES
+from support.measured import mean_of, measured
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.complete import mount
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.core.model import Array, Coefficients, Mounting, Thermal, values
-from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import Determines, Procedure, find_procedure
+from tiltcal.files.procedure import Determines, Position, Procedure, find_procedure
 from tiltcal.files.results import FileRecord, Provenance
 from tiltcal.library.calibration import Calibration, combine
 
@@ -39,56 +39,54 @@ NOMINAL = replace(STATED, cross_axis_limit=0.0, nonlinearity=())
 """A part whose data sheet states no cross-axis sensitivity and no nonlinearity: what is not determined is zero."""
 
 
-def measured(
-    procedure: Procedure, seed: int, *, at: float | None = None, truth: Coefficients = TRUTH
-) -> list[Measurement]:
+def session(procedure: Procedure, seed: int, at: float | None = None, truth: Coefficients = TRUTH) -> list[Measurement]:
     """What the true sensor reads in the positions, with noise and an attitude off for each that is set anew."""
     rng = np.random.default_rng(seed)
-    measurements: list[Measurement] = []
     before, turn = None, np.zeros(3)
-    for position in procedure.positions:
+
+    def read(position: Position) -> Array:
+        nonlocal before, turn
         if position.gravity != before:
             turn, before = np.radians(JIG) * rng.normal(size=3), position.gravity
         temperature = position.temperature if at is None else at
         gravity = np.array(position.gravity) + np.cross(turn, position.gravity)
-        reading = truth.predict(gravity[None], None if temperature is None else np.array([temperature]))[0]
-        summaries = {
-            channel: SampleSummary(float(value + NOISE * rng.normal()), NOISE * 10, 100, NOISE)
-            for channel, value in zip("xy", reading, strict=True)
-        }
-        measurements.append(Measurement(position.name, position.gravity, position.tilt, temperature, summaries))
-    return measurements
+        return truth.predict(gravity[None], None if temperature is None else np.array([temperature]))[0]
+
+    found = measured(procedure.positions, read, rng, NOISE)
+    return found if at is None else [replace(one, temperature=at) for one in found]
 
 
 def calibrated(
     procedure: Procedure,
     measurements: list[Measurement],
     base: CalibrationRecord | None = None,
-    sensor: SensorIdentity = SENSOR,
     model: Model = NOMINAL,
+    jig: float | None = JIG,
 ) -> Calibration:
-    one = MeasuredSensor(sensor, measurements, model, base=base)
-    return Calibration(calibrate([one], procedure, BenchUncertainty(JIG))[0])
+    one = MeasuredSensor(SENSOR, measurements, model, base=base)
+    return Calibration(calibrate([one], procedure, BenchUncertainty(jig))[0])
 
 
 ZERO_45, TWO = find_procedure("zero-45"), find_procedure("two-temperature")
-SCALE = calibrated(ZERO_45, measured(ZERO_45, 1, at=24.0))
+SCALE = calibrated(ZERO_45, session(ZERO_45, 1, 24.0))
+DRIFT = calibrated(TWO, session(TWO, 2))
+OF_BASE = calibrated(TWO, session(TWO, 2), SCALE.record)
 
 
 @pytest.mark.parametrize("model", [NOMINAL, STATED], ids=["silent data sheet", "data sheet"])
 @pytest.mark.parametrize("with_base", [True, False])
 def test_two_sessions_give_what_one_joint_session_gives(with_base: bool, model: Model) -> None:
     """Whether the overnight run took the part's own sensitivity or the nominal one: it is no information."""
-    scale = calibrated(ZERO_45, measured(ZERO_45, 1, at=24.0), model=model)
-    drift = calibrated(TWO, measured(TWO, 2), scale.record if with_base else None, model=model)
+    scale = calibrated(ZERO_45, session(ZERO_45, 1, 24.0), model=model)
+    drift = calibrated(TWO, session(TWO, 2), scale.record if with_base else None, model=model)
     both = ZERO_45.replaced(
         positions=(*ZERO_45.positions, *TWO.positions),
         determines=Determines(("x", "y"), drift=1),
         reference=24.0,
     )
     # Joined they are one session but for the levels, each of which was set by itself: the second has a heading of 360°.
-    night = [replace(one, heading=360.0) for one in measured(TWO, 2)]
-    joint = calibrated(both, [*measured(ZERO_45, 1, at=24.0), *night], model=model)
+    night = [replace(one, heading=360.0) for one in session(TWO, 2)]
+    joint = calibrated(both, [*session(ZERO_45, 1, 24.0), *night], model=model)
     found = combine([scale, drift])
     assert set(found.fit.priors) == set(joint.fit.priors)
     for name, value in values(joint.coefficients).items():
@@ -121,12 +119,9 @@ def by_values(record: CalibrationRecord) -> CalibrationRecord:
 @pytest.mark.parametrize("ratio", [3.65, 3.8])
 def test_sound_sessions_are_seldom_refused(ratio: float) -> None:
     """Two offsets are common: chi-square with 2 degrees of freedom is above 3.717² in 0.1 %."""
-    drift = calibrated(TWO, measured(TWO, 2), SCALE.record).record
-    names = ("offset.x", "offset.y")
-    ours, theirs = (values(one.coefficients) for one in (drift, SCALE))
-    u = sqrt(drift.uncertainty["offset.x"] ** 2 + SCALE.uncertainty["offset.x"] ** 2)
-    shift = [theirs[name] - ours[name] for name in names]
-    moved = shifted(drift, (shift[0] + ratio * u, shift[1]))
+    shift = SCALE.coefficients.offset - OF_BASE.coefficients.offset
+    u = hypot(OF_BASE.uncertainty["offset.x"], SCALE.uncertainty["offset.x"])
+    moved = shifted(OF_BASE.record, (shift[0] + ratio * u, shift[1]))
     if ratio < 3.717:
         combine([SCALE, moved])
         return
@@ -140,50 +135,45 @@ def test_sessions_that_show_no_jig_agree_up_to_half_a_degree() -> None:
     """What the data sheet allows takes up the residuals of `plane`; 30 counts of 819 per g are 2.1°."""
     plane = find_procedure("plane")
 
-    def session(seed: int, shift: float) -> Calibration:
+    def measured_without_jig(seed: int, shift: float) -> Calibration:
         truth = replace(TRUTH, offset=TRUTH.offset + np.array([shift, 0.0]))
-        sensor = MeasuredSensor(SENSOR, measured(plane, seed, at=24.0, truth=truth), STATED)
-        return Calibration(calibrate([sensor], plane, BenchUncertainty())[0])
+        return calibrated(plane, session(plane, seed, 24.0, truth), model=STATED, jig=None)
 
     for seed in range(6):
-        combine([session(seed, 0.0), session(seed + 10, 0.0)])
+        combine([measured_without_jig(seed, 0.0), measured_without_jig(seed + 10, 0.0)])
     with pytest.raises(UsageError, match="contradict"):
-        combine([session(0, 0.0), session(10, 30.0)])
+        combine([measured_without_jig(0, 0.0), measured_without_jig(10, 30.0)])
 
 
 def test_positions_of_one_journal_count_once() -> None:
     journal = Provenance(journal=FileRecord(name="s.jsonl", sha256="a" * 64))
     once = Calibration(replace(SCALE.record, provenance=journal))
     again = Calibration(replace(SCALE.record, provenance=journal.replaced(operator="another")))
-    drift = calibrated(TWO, measured(TWO, 2))
-    twice, alone = combine([once, again, drift]), combine([once, drift])
+    twice, alone = combine([once, again, DRIFT]), combine([once, DRIFT])
     assert values(twice.coefficients) == values(alone.coefficients)
     assert dict(twice.uncertainty) == dict(alone.uncertainty)
     assert len(twice.positions) == len(alone.positions)
 
 
 def test_a_file_without_positions_enters_by_its_values_and_covariance() -> None:
-    drift = calibrated(TWO, measured(TWO, 2))
-    fitted, entered = combine([SCALE, drift]), combine([SCALE, Calibration(by_values(drift.record))])
+    fitted, entered = combine([SCALE, DRIFT]), combine([SCALE, Calibration(by_values(DRIFT.record))])
     for name, value in values(fitted.coefficients).items():
         assert values(entered.coefficients)[name] == pytest.approx(value, abs=0.1 * fitted.uncertainty[name]), name
         assert 0.9 < entered.uncertainty[name] / fitted.uncertainty[name] < 1.1, name
 
 
 def test_measurements_do_not_count_twice() -> None:
-    drift = calibrated(TWO, measured(TWO, 2))
     with pytest.raises(UsageError, match="are one calibration: name it once"):
         combine([SCALE, SCALE])
     with pytest.raises(UsageError, match="would count twice"):
-        combine([combine([SCALE, drift]), drift])
+        combine([combine([SCALE, DRIFT]), DRIFT])
 
 
 def test_what_is_not_stated_is_asked_for() -> None:
-    drift = by_values(calibrated(TWO, measured(TWO, 2)).record)
+    drift = by_values(DRIFT.record)
+    silent = replace(drift, uncertainty=replace(drift.uncertainty, standard={}, covariance=None))
     with pytest.raises(EstimateError, match="two-temperature: the file states no uncertainty"):
-        combine(
-            [SCALE, Calibration(replace(drift, uncertainty=replace(drift.uncertainty, standard={}, covariance=None)))]
-        )
+        combine([SCALE, Calibration(silent)])
     with pytest.raises(UsageError, match="no calibration has positions that were set"):
         combine([Calibration(by_values(SCALE.record)), Calibration(drift)])
     with pytest.raises(UsageError, match="name two calibrations or more, or a --mounting"):
@@ -191,18 +181,15 @@ def test_what_is_not_stated_is_asked_for() -> None:
 
 
 def test_an_offset_without_a_temperature_is_left_out() -> None:
-    scale = calibrated(ZERO_45, measured(ZERO_45, 1))
-    drift = calibrated(TWO, measured(TWO, 2), SCALE.record)
-    found = combine([scale, drift])
-    assert found.offset == pytest.approx(drift.offset, abs=1e-3)
+    found = combine([calibrated(ZERO_45, session(ZERO_45, 1)), OF_BASE])
+    assert found.offset == pytest.approx(OF_BASE.offset, abs=1e-3)
     assert "zero-45 states no temperature: its offset is left out" in found.fit.notes
 
 
 def test_an_offset_whose_level_nobody_stated_gives_way_where_it_contradicts() -> None:
     """The cooler stood 0.6° askew, 9 counts, and its session states no jig; the drift does not suffer."""
-    drift = MeasuredSensor(SENSOR, measured(TWO, 2), NOMINAL, base=SCALE.record)
-    run = calibrate([drift], TWO, BenchUncertainty())[0]
-    found = combine([SCALE, shifted(run, (9.0, 0.0))])
+    run = calibrated(TWO, session(TWO, 2), SCALE.record, jig=None)
+    found = combine([SCALE, shifted(run.record, (9.0, 0.0))])
     assert found.offset == pytest.approx(SCALE.offset, abs=0.3)
     assert found.coefficients.thermal.drift[0, 0] == pytest.approx(0.3, abs=0.02)
     assert any("does not state how level it was" in note for note in found.fit.notes)
@@ -214,7 +201,7 @@ def test_a_run_at_level_with_the_nominal_sensitivity_goes_with_a_whole_matrix() 
     warmer = float(np.mean([one.temperature for one in whole.positions])) - 24.0
     at_24 = whole.coefficients.offset - np.array([0.3, -0.1]) * warmer
     level = at_24 + whole.coefficients.sensitivity[:, 2]
-    run = calibrated(TWO, measured(TWO, 2), sensor=SENSOR.replaced(serial="SIM-42")).record
+    run = replace(DRIFT.record, sensor=whole.sensor)
     found = combine([whole, shifted(run, level - run.coefficients.offset)])
     assert list(found.offset.values()) == pytest.approx(at_24, abs=0.02)
     assert found.coefficients.axes == ("x", "y", "z")
@@ -223,13 +210,10 @@ def test_a_run_at_level_with_the_nominal_sensitivity_goes_with_a_whole_matrix() 
 def test_the_turn_of_a_mounting_is_correlated_with_the_coefficients_of_its_own_session_alone() -> None:
     """Of two sessions that weigh alike, half of each covariance with the turn is left, and all of the turn's own."""
     up = ((0.0, 0.0, 1.0), (0.5, 0.0, sqrt(0.75)), (0.0, 0.5, sqrt(0.75)))
-    seen = []
-    for number, gravity in enumerate(up):
-        reading = TRUTH.predict(np.array([gravity]), np.array([24.0]))[0]
-        summaries = {c: SampleSummary(float(u), 0.5, 100, NOISE) for c, u in zip("xy", reading, strict=True)}
-        seen.append(Measurement(f"m{number}", gravity, None, 24.0, summaries))
+    readings = TRUTH.predict(np.array(up), np.full(3, 24.0))
+    seen = [mean_of(f"m{k}", up[k], row, NOISE, temperature=24.0) for k, row in enumerate(readings)]
     mounted = Calibration(mount(SCALE.record, seen, jig=JIG))
-    found = combine([mounted, calibrated(ZERO_45, measured(ZERO_45, 4, at=24.0))])
+    found = combine([mounted, calibrated(ZERO_45, session(ZERO_45, 4, 24.0))])
 
     def shared(one: Calibration) -> Array:
         stated = one.uncertainty.covariance
@@ -245,12 +229,11 @@ def test_the_turn_of_a_mounting_is_correlated_with_the_coefficients_of_its_own_s
 
 @pytest.mark.parametrize("what", ["drift", "gain"])
 def test_polynomials_of_two_orders_are_not_weighed_against_each_other(what: str) -> None:
-    night = calibrated(TWO, measured(TWO, 2), SCALE.record)
     pair = []
     for order in (1, 2):
-        thermal = replace(night.coefficients.thermal, **{what: np.full((2, order), 1e-4)})
-        changed = replace(by_values(night.record), coefficients=replace(night.coefficients, thermal=thermal))
-        pair.append(Calibration(changed))
+        thermal = replace(OF_BASE.coefficients.thermal, **{what: np.full((2, order), 1e-4)})  # type: ignore[type-var]
+        coefficients = replace(OF_BASE.coefficients, thermal=thermal)
+        pair.append(Calibration(replace(by_values(OF_BASE.record), coefficients=coefficients)))
     for sessions in (pair, pair[::-1]):
         with pytest.raises(UsageError, match=f"the {what} of .* has order .* combine one of them"):
             combine([SCALE, *sessions])
@@ -258,8 +241,8 @@ def test_polynomials_of_two_orders_are_not_weighed_against_each_other(what: str)
 
 @pytest.mark.parametrize("mounted_first", [True, False])
 def test_a_session_without_a_mounting_takes_that_of_the_other_and_no_two_contradict(mounted_first: bool) -> None:
-    drift, mounting = calibrated(TWO, measured(TWO, 2), SCALE.record), {"roll": 180.0, "pitch": 0.0, "yaw": 0.0}
-    pair = [SCALE.with_mounting(mounting), drift] if mounted_first else [SCALE, drift.with_mounting(mounting)]
+    mounting = {"roll": 180.0}
+    pair = [SCALE.with_mounting(mounting), OF_BASE] if mounted_first else [SCALE, OF_BASE.with_mounting(mounting)]
     assert combine(pair).coefficients.mounting == Mounting(roll=np.pi)
     with pytest.raises(UsageError, match=r"the mountings contradict: .*; state one with --mounting"):
         combine([pair[0].with_mounting("roll=180"), pair[1].with_mounting("roll=90")])
@@ -267,7 +250,7 @@ def test_a_session_without_a_mounting_takes_that_of_the_other_and_no_two_contrad
 
 def test_a_file_of_two_sessions_is_read_again_and_names_its_sources(tmp_path: Path) -> None:
     SCALE.save(tmp_path / "scale.yaml")
-    calibrated(TWO, measured(TWO, 2), SCALE.record).save(tmp_path / "drift.yaml")
+    OF_BASE.save(tmp_path / "drift.yaml")
     found = combine([tmp_path / "scale.yaml", tmp_path / "drift.yaml"], mounting="roll=180")
     found.save(tmp_path / "all.yaml")
     again = tiltcal.read(tmp_path / "all.yaml")

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support.measured import measured
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.samples import SampleSummary
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
 from tiltcal.files.calibration import SensorIdentity
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.procedure import Position, find_procedure
 from tiltcal.library.calibration import Calibration
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
-ZERO_45 = find_procedure("zero-45")
-NOISE, PLACEMENT = 0.06, 0.2
 
 
 def part_measured(
@@ -25,15 +25,18 @@ def part_measured(
 
     A position that only changes the temperature leaves the part as it lies.
     """
-    procedure, measurements, turn = find_procedure(name, angle), [], np.zeros(3)
-    for position in procedure.positions:
+    procedure, turn = find_procedure(name, angle), np.zeros(3)
+
+    def read(position: Position) -> np.ndarray:
+        nonlocal turn
         turn = turn if position.name == "level-cold" else np.radians(rng.normal(0.0, 0.1, 3))
         up = np.array(position.gravity) + np.cross(turn, position.gravity)
         met = temperature if position.temperature is None else position.temperature
-        mean = 1024.0 + sensitivity @ up + 0.5 * (met - 24.0) + rng.normal(0.0, NOISE, 2)
-        summaries = {c: SampleSummary(float(v), 0.6, 100, NOISE, 0.0, 9.0) for c, v in zip("xy", mean, strict=True)}
-        measurements.append(Measurement(position.name, position.gravity, position.tilt, met, summaries))
-    return Calibration(calibrate([MeasuredSensor(SENSOR, measurements)], procedure, BenchUncertainty(0.1))[0])
+        return np.asarray(1024.0 + sensitivity @ up + 0.5 * (met - 24.0))
+
+    found = measured(procedure.positions, read, rng, 0.06)
+    found = [replace(one, temperature=one.temperature or temperature) for one in found]
+    return Calibration(calibrate([MeasuredSensor(SENSOR, found)], procedure, BenchUncertainty(0.1))[0])
 
 
 OFFSETS = {"offset.x", "offset.y"}

@@ -28,16 +28,10 @@ def base_of(sensitivity: list[list[float]], axes: tuple[str, ...]) -> Calibratio
 
 
 def positions(readings: list[tuple[float, float]], temperature: float | None = None) -> list[Measurement]:
-    """Return the positions of ``LEVEL_X_Y`` with the readings of x and y."""
+    """Return the positions of ``LEVEL_X_Y`` with the readings of x and y, whose noise nothing states."""
     return [
-        Measurement(
-            f"p{k}",
-            gravity,
-            None,
-            temperature,
-            {c: SampleSummary(u, 0.0, 1, 0.0) for c, u in zip("xy", row, strict=True)},
-        )
-        for k, (gravity, row) in enumerate(zip(LEVEL_X_Y, readings, strict=True))
+        Measurement(f"p{k}", LEVEL_X_Y[k], None, temperature, {c: SampleSummary(u, 0.0, 1, 0.0) for c, u in pair})
+        for k, pair in enumerate(zip("xy", row, strict=True) for row in readings)
     ]
 
 

@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
+from support.measured import mean_of
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
-from tiltcal.core.samples import SampleSummary
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import find_procedure
@@ -43,23 +43,10 @@ def cone(count: int, half_angle: float, rng: np.random.Generator) -> Directions:
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
 
 
-def measured(up: Directions, noise: float, rng: np.random.Generator, channels: str = "xyz") -> MeasuredSensor:
-    mean = OFFSET + up @ SENSITIVITY.T + rng.normal(0.0, noise, up.shape)
-    measurements = [
-        Measurement(
-            f"p{number}",
-            (0.0, 0.0, 1.0),
-            None,
-            None,
-            {axis: SampleSummary(float(row[k]), 10 * noise, 100, noise, 0.0, 9.0) for k, axis in enumerate(channels)},
-        )
-        for number, row in enumerate(mean)
-    ]
-    return MeasuredSensor(SENSOR.replaced(serial=channels, channels=tuple(channels)), measurements)
-
-
 def calibrated(up: Directions, noise: float, rng: np.random.Generator) -> CalibrationRecord:
-    return calibrate([measured(up, noise, rng)], FREE, BenchUncertainty())[0]
+    mean = OFFSET + up @ SENSITIVITY.T + rng.normal(0.0, noise, up.shape)
+    positions = [mean_of(f"p{k}", (0.0, 0.0, 1.0), row, noise) for k, row in enumerate(mean)]
+    return calibrate([MeasuredSensor(SENSOR, positions)], FREE, BenchUncertainty())[0]
 
 
 def off_by(calibration: CalibrationRecord) -> float:

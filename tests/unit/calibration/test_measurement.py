@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from support.measured import mean_of, measured
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, require_suitable
+from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, require_suitable
 from tiltcal.core.model import Array
-from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
@@ -26,14 +26,13 @@ INCLINOMETER = find_model("sca100t-d01")
 
 def calibrated(wiring: Callable[[Array], Array], unit: str = "V") -> CalibrationRecord:
     """A sensor of 2 V/g and 2.5 V at level, whose channels are wired in some way."""
-    rng = np.random.default_rng(1)
-    measurements = []
-    for position in PLANE.positions:
-        true = 2.5 + 2.0 * np.array([position.gravity[0], position.gravity[1] + 0.01 * position.gravity[0]])
-        mean = wiring(true) + rng.normal(0.0, NOISE, 2)
-        summaries = {c: SampleSummary(float(v), 1e-3, 100, NOISE, 0.0, 9.0) for c, v in zip("xy", mean, strict=True)}
-        measurements.append(Measurement(position.name, position.gravity, position.tilt, None, summaries))
-    return calibrate([MeasuredSensor(SENSOR.replaced(unit=unit), measurements)], PLANE, BenchUncertainty(0.05))[0]
+    positions = measured(
+        PLANE.positions,
+        lambda one: wiring(2.5 + 2.0 * np.array([one.gravity[0], one.gravity[1] + 0.01 * one.gravity[0]])),
+        np.random.default_rng(1),
+        NOISE,
+    )
+    return calibrate([MeasuredSensor(SENSOR.replaced(unit=unit), positions)], PLANE, BenchUncertainty(0.05))[0]
 
 
 def test_exchanged_and_turned_channels_are_remarked() -> None:
@@ -54,18 +53,16 @@ def test_two_copies_of_one_channel_are_refused() -> None:
             calibrated(copy)
 
 
-@pytest.mark.parametrize(("unit", "per_g", "said"), [("g", 9.81, 2), ("m/s2", 1.0, 2), ("g", 1.1, 0), ("m/s2", 9.6, 0)])
-def test_readings_in_another_unit_of_acceleration_are_remarked(unit: str, per_g: float, said: int) -> None:
-    notes = calibrated(lambda true: true * per_g / 2.0, unit).fit.notes
-    assert sum(note.endswith(f"are the readings in {unit}?") for note in notes) == said
+def test_readings_in_another_unit_of_acceleration_are_remarked() -> None:
+    for unit, per_g, said in (("g", 9.81, 2), ("m/s2", 1.0, 2), ("g", 1.1, 0), ("m/s2", 9.6, 0)):
+        notes = calibrated(lambda true, per_g=per_g: true * per_g / 2.0, unit).fit.notes  # type: ignore[misc]
+        assert sum(note.endswith(f"are the readings in {unit}?") for note in notes) == said
 
 
 def test_the_same_readings_twice_are_refused_where_no_sensitivity_is_determined() -> None:
     reversal = find_procedure("reversal")
-    summary = SampleSummary(2.5, 1e-3, 100, NOISE, 0.0, 9.0)
     measurements = [
-        Measurement(one.name, one.gravity, one.tilt, None, {"x": summary, "y": summary}, heading=one.heading)
-        for one in reversal.positions
+        mean_of(one.name, one.gravity, (2.5, 2.5), NOISE, heading=one.heading) for one in reversal.positions
     ]
     with pytest.raises(EstimateError, match="x and y read the same in every position"):
         calibrate([MeasuredSensor(SENSOR, measurements)], reversal, BenchUncertainty(0.05))

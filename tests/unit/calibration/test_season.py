@@ -8,12 +8,12 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from support import FIXTURES
+from support.measured import mean_of
 
 from tiltcal.calibration.complete import level
-from tiltcal.calibration.measurement import BenchUncertainty, Measurement
+from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.calibration.season import DAY, DatedCalibration, SensorHistory
 from tiltcal.core.model import Coefficients
-from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.procedure import find_procedure
@@ -35,8 +35,7 @@ def history(before: CalibrationRecord, after: CalibrationRecord) -> SensorHistor
 def renewed(base: CalibrationRecord, shift: float) -> CalibrationRecord:
     """The base after a level at which every channel reads more by a shift, in counts."""
     readings = base.coefficients.predict(np.array([[0.0, 0.0, 1.0]]))[0] + shift
-    summaries = {c: SampleSummary(float(r), 1.0, 100, 0.1) for c, r in zip("xy", readings, strict=True)}
-    one = Measurement("level", (0.0, 0.0, 1.0), {}, 24.0, summaries)
+    one = mean_of("level", (0.0, 0.0, 1.0), readings, 0.1, temperature=24.0)
     return level(base, [one], find_procedure("level"), BenchUncertainty(jig=0.05))
 
 
@@ -60,21 +59,18 @@ def test_two_calibrations_of_their_own_have_independent_errors() -> None:
         )
         for offset, u in ((0.0, 0.3), (6.0, 0.4))
     ]
-    season = history(ends[0], ends[1])
+    season, stated = history(ends[0], ends[1]), 1000.0 * 0.1 / 806.0  # 0.1 unit of 806 after a day
     assert season.at(50.0 * DAY).coefficients.offset == pytest.approx([3.0])
-    assert season.at(50.0 * DAY, 0.0).uncertainty["offset.x"] == pytest.approx(0.25, rel=FOUR_DIGITS)
-    # Half of the change of 6, rectangular: 3 / sqrt(3).
-    assert season.at(50.0 * DAY).uncertainty["offset.x"] == pytest.approx(
-        np.hypot(0.25, 3.0 / np.sqrt(3.0)), rel=FOUR_DIGITS
-    )
-    assert season.at(0.0).uncertainty["offset.x"] == pytest.approx(0.3, rel=FOUR_DIGITS)
-    assert season.at(105.0 * DAY).uncertainty["offset.x"] == pytest.approx(
-        np.hypot(0.4, 3.0 / np.sqrt(3.0)), rel=FOUR_DIGITS
-    )
-    # Stated: 0.1 unit of 806 after a day, 0.5 after 25, and half of that of 100 days in their middle.
-    stated = 1000.0 * 0.1 / 806.0
-    assert season.at(125.0 * DAY, stated).uncertainty["offset.x"] == pytest.approx(np.hypot(0.4, 0.5), rel=FOUR_DIGITS)
-    assert season.at(50.0 * DAY, stated).uncertainty["offset.x"] == pytest.approx(np.hypot(0.25, 0.5), rel=FOUR_DIGITS)
+    rectangular = 3.0 / np.sqrt(3.0)  # half of the change of 6
+    for day, stability, u in (
+        (50.0, 0.0, 0.25),
+        (50.0, None, np.hypot(0.25, rectangular)),
+        (0.0, None, 0.3),
+        (105.0, None, np.hypot(0.4, rectangular)),
+        (125.0, stated, np.hypot(0.4, 0.5)),  # 25 days after the last
+        (50.0, stated, np.hypot(0.25, 0.5)),  # half of what 25 days make of 100 in their middle
+    ):
+        assert season.at(day * DAY, stability).uncertainty["offset.x"] == pytest.approx(u, rel=FOUR_DIGITS), day
     assert season.at(50.0 * DAY, stated).uncertainty["sensitivity.x.x"] == pytest.approx(0.25, rel=FOUR_DIGITS)
 
 

@@ -1,4 +1,4 @@
-"""The temperature sweep chooses its order; the reversal cancels the table's lean. Readings are made here, by hand."""
+"""The temperature sweep chooses its order. Readings are made here, by hand."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.measured import measured
 
 from tiltcal.calibration.calibrate import calibrate
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
@@ -13,7 +14,7 @@ from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import find_procedure
+from tiltcal.files.procedure import Position, find_procedure
 
 SENSOR = SensorIdentity("sca100t-d02", "S", "count", ("x", "y"))
 NOMINAL = replace(find_model("sca100t-d02"), sensitivity_spread=2.4 / 819.0, rails=(101.0, 2047.0))
@@ -21,36 +22,20 @@ SWEEP = find_procedure("temperature-sweep")
 NOISE = 0.06
 
 
-def measurement(name: str, temperature: float | None, x: float, y: float, heading: float | None = None) -> Measurement:
-    summaries = {c: SampleSummary(value, 0.6, 100, NOISE, 0.0, 9.0) for c, value in (("x", x), ("y", y))}
-    return Measurement(name, (0.0, 0.0, 1.0), {"x": 0.0, "y": 0.0}, temperature, summaries, heading=heading)
-
-
 def sweep(drift: tuple[float, ...], seed: int, loop: float = 0.0, noise: float = NOISE) -> list[Measurement]:
     """Readings along the shipped sweep of a part with this drift, higher by ``loop`` on the way up and back."""
-    rng = np.random.default_rng(seed)
-    measured = []
-    for position in SWEEP.positions:
-        dt = float(position.temperature or 0.0) - 24.0
-        curve = sum(k * dt**power for power, k in enumerate(drift, start=1))
-        curve += 0.0 if position.name.startswith("down") else loop
-        measured.append(measurement(position.name, position.temperature, *(1024.0 + curve + rng.normal(0.0, noise, 2))))
-    return measured
+
+    def read(position: Position) -> np.ndarray:
+        curve = sum(k * (float(position.temperature or 0.0) - 24.0) ** n for n, k in enumerate(drift, start=1))
+        return np.full(2, 1024.0 + curve + (0.0 if position.name.startswith("down") else loop))
+
+    return measured(SWEEP.positions, read, np.random.default_rng(seed), noise)
 
 
-def unstated(measured: list[Measurement]) -> list[Measurement]:
-    """The same means as a table has them that states no uncertainty."""
-    bare = [{c: SampleSummary(one.mean, 0.0, 1, 0.0) for c, one in each.summaries.items()} for each in measured]
-    return [replace(each, summaries=summaries) for each, summaries in zip(measured, bare, strict=True)]
-
-
-def calibrated(measured: list[Measurement], jig: float | None = None) -> CalibrationRecord:
-    return calibrate([MeasuredSensor(SENSOR, measured, NOMINAL)], SWEEP, BenchUncertainty(jig))[0]
-
-
-def order_of(record: CalibrationRecord) -> int:
-    assert record.fit.cross_validation is not None
-    return record.fit.cross_validation.order
+def calibrated(positions: list[Measurement], jig: float | None = None) -> tuple[CalibrationRecord, int]:
+    """The calibration, and the order that it chose."""
+    (found,) = calibrate([MeasuredSensor(SENSOR, positions, NOMINAL)], SWEEP, BenchUncertainty(jig))
+    return found, found.fit.cross_validation.order
 
 
 @pytest.mark.parametrize(
@@ -61,34 +46,25 @@ def order_of(record: CalibrationRecord) -> int:
 def test_the_order_is_the_parts_own(drift: tuple[float, ...], order: int) -> None:
     """Over six noisy sweeps, nearly always; the coefficients are the part's within four standard uncertainties."""
     found = [calibrated(sweep(drift, seed)) for seed in range(6)]
-    chosen = [order_of(record) for record in found]
-    assert chosen.count(order) >= 5
+    assert [chosen for _, chosen in found].count(order) >= 5
     true = np.pad(drift, (0, 3 - len(drift)))
-    for record in found:
+    for record, _ in found:
         u = np.array([record.uncertainty[f"temperature.offset.x.{power}"] for power in (1, 2, 3)])
-        assert record.coefficients.thermal is not None
         assert np.all(np.abs(record.coefficients.thermal.drift[0] - true) < 4.0 * u)
 
 
 def test_terms_above_the_chosen_order_are_zero_with_the_uncertainty_of_a_cubic() -> None:
     """The line is numpy's, and so is the covariance of a cubic: the noise times the inverse of the normal equations."""
-    measured = sweep((0.2,), seed=3)
-    found = calibrated(measured, jig=0.0)
-    dt = np.array([float(each.temperature or 0.0) for each in measured]) - 24.0
-    line = np.polyfit(dt, [each.summaries["x"].mean for each in measured], 1)
+    positions = sweep((0.2,), seed=3)
+    found, order = calibrated(positions, jig=0.0)
+    dt = np.array([float(each.temperature or 0.0) for each in positions]) - 24.0
+    line = np.polyfit(dt, [each.summaries["x"].mean for each in positions], 1)
     powers = np.vander(dt, 4, increasing=True)
     expected = NOISE * np.sqrt(np.diag(np.linalg.inv(powers.T @ powers)))
-    assert order_of(found) == 1
-    assert found.coefficients.thermal is not None
+    assert order == 1
     assert found.coefficients.thermal.drift[0] == pytest.approx([line[0], 0.0, 0.0], abs=1e-5)
     names = ["offset.x", *(f"temperature.offset.x.{power}" for power in (1, 2, 3))]
     assert [found.uncertainty[name] for name in names] == pytest.approx(expected, rel=2e-3)
-
-
-def test_hysteresis_is_reported() -> None:
-    loop = calibrated(sweep((0.2,), 1, loop=2.0), jig=0.0).fit.hysteresis["x"]
-    assert abs(loop.difference) == pytest.approx(2.0, abs=0.4)
-    assert sorted(name.split("-")[0] for name in loop.between) in (["down", "up"], ["back", "down"])
 
 
 def test_too_few_temperatures_to_leave_one_out() -> None:
@@ -96,13 +72,12 @@ def test_too_few_temperatures_to_leave_one_out() -> None:
         calibrated(sweep((0.2,), 1)[:2])
 
 
-@pytest.mark.parametrize("jig", [None, 0.0, 0.01])
-@pytest.mark.parametrize("loop", [0.0, 2.0])
+@pytest.mark.parametrize(("jig", "loop"), [(None, 0.0), (0.0, 2.0), (0.01, 0.0), (0.01, 2.0)])
 def test_exact_readings_whose_uncertainty_is_unknown_give_their_line(jig: float | None, loop: float) -> None:
     """By hand: 0.2 count/°C, and 2 count more on the way up and back; the residuals of a line without it are zero."""
-    measured = unstated(sweep((0.2,), 1, loop, noise=0.0))
-    still = SampleSummary(1024.0, 0.0, 1, 0.0)
-    measured = [replace(one, summaries={"x": one.summaries["x"], "y": still}) for one in measured]
-    thermal = calibrated(measured, jig).coefficients.thermal
-    assert thermal is not None
+    positions = []
+    for one in sweep((0.2,), 1, loop, noise=0.0):
+        means = {"x": one.summaries["x"].mean, "y": 1024.0}
+        positions.append(replace(one, summaries={c: SampleSummary(mean, 0.0, 1, 0.0) for c, mean in means.items()}))
+    thermal = calibrated(positions, jig)[0].coefficients.thermal
     assert thermal.drift[0, 0] == pytest.approx(0.2, abs=1e-9 if not loop else 0.1)
