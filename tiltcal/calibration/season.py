@@ -26,12 +26,12 @@ import numpy as np
 
 from tiltcal.calibration.comparison import Comparison, compare_records, require_same_sensor, shared_errors, uncertain_of
 from tiltcal.calibration.stated import stated_section
-from tiltcal.core.model import Array, Coefficients, Limits, overlap, referred, values
+from tiltcal.core.model import Array, Coefficients, Limits, overlap, referred, values, with_vector
 from tiltcal.core.uncertain import Uncertain, weighted_sum
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.calibration_folder import date_of, index_folder
-from tiltcal.files.moments import moment, to_the_second
+from tiltcal.files.moments import to_the_second
 from tiltcal.files.results import FitRecord, ProcedureRecord, Provenance
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_path, require_text
@@ -43,18 +43,17 @@ WANDERING = ("offset.", "sensitivity.")  # what may wander; temperature coeffici
 
 @dataclass(frozen=True)
 class DatedCalibration:
-    """A calibration file: when it ended (UTC), when it began, its path, and its name within the folder."""
+    """A calibration file: when it ended (UTC), its path, and its name within the folder."""
 
     record: CalibrationRecord
     date: datetime
-    started: str
     path: str
     name: str
 
 
 @dataclass(frozen=True)
 class SensorHistory:
-    """The calibrations of one sensor in the order of time, and remarks on sessions that overlap and on copies."""
+    """The calibrations of one sensor in the order of time, and remarks on copies."""
 
     calibrations: tuple[DatedCalibration, ...]
     remarks: tuple[str, ...] = ()
@@ -69,10 +68,8 @@ class SensorHistory:
             _require_consistent(before, calibration)
             if before.date == calibration.date:
                 remarks.append(f"{calibration.name} is a copy of {before.name}")
-                continue
-            if moment(calibration.started, calibration.path) < before.date:
-                remarks.append(f"the sessions of {before.name} and {calibration.name} overlap")
-            kept.append(calibration)
+            else:
+                kept.append(calibration)
         return cls(tuple(kept), tuple(remarks))
 
     def __repr__(self) -> str:
@@ -92,10 +89,6 @@ class SensorHistory:
     def due(self, interval: timedelta) -> datetime:
         """Return when the next calibration is due."""
         return self.calibrations[-1].date + interval
-
-    def gaps(self, interval: timedelta) -> list[tuple[DatedCalibration, DatedCalibration]]:
-        """Return the neighbours that are further apart than the interval and a tenth of it."""
-        return [(a, b) for a, b in pairwise(self.calibrations) if b.date - a.date > 1.1 * interval]
 
     def series(self, name: str) -> tuple[Array, Array] | None:
         """Return values and standard uncertainties of a coefficient that all have, at the last one's reference."""
@@ -179,6 +172,11 @@ class CalibrationFolder:
         """The serial numbers, in order."""
         return tuple(self.index.paths)
 
+    @property
+    def listed(self) -> str:
+        """The serial numbers for a message, or as many as one line holds."""
+        return (", ".join(self.serials[:12]) + (" ..." if len(self.serials) > 12 else "")) or "none"
+
     def history(self, serial: str) -> SensorHistory:
         """Return the calibrations of a sensor.
 
@@ -198,15 +196,14 @@ class CalibrationFolder:
 
     def _dated(self, path: str) -> DatedCalibration:
         record = read_calibration(path)
-        started, ended = date_of(record, path)
-        return DatedCalibration(record, ended, started, path, Path(path).relative_to(self.folder).as_posix())
+        name = Path(path).relative_to(self.folder).as_posix()
+        return DatedCalibration(record, date_of(record, path), path, name)
 
     def _unknown(self, serial: str) -> str:
         near = get_close_matches(serial, self.serials, n=1)
         hint = f" (did you mean {near[0]!r}?)" if near else ""
-        listed = ", ".join(self.serials[:12]) + (" ..." if len(self.serials) > 12 else "")
         unusable = f"; left out: {self.index.problems[0]}" if self.index.problems else ""
-        return f"{self.folder} has no calibration of {serial!r}{hint}; it has {listed or 'none at all'}{unusable}"
+        return f"{self.folder} has no calibration of {serial!r}{hint}; it has {self.listed}{unusable}"
 
 
 def _require_consistent(before: DatedCalibration, after: DatedCalibration) -> None:
@@ -220,9 +217,7 @@ def _require_consistent(before: DatedCalibration, after: DatedCalibration) -> No
             "files",
             file=after.path,
         ) from None
-    one, other = before.record.coefficients, after.record.coefficients
-    same = values(one) == values(other) and one.mounting == other.mounting and repr(one.thermal) == repr(other.thermal)
-    if before.date == after.date and not same:
+    if before.date == after.date and repr(before.record.coefficients) != repr(after.record.coefficients):
         raise InputError(
             f"{before.path} has the same date, {to_the_second(after.date)}, and other coefficients of {serial}: keep "
             "one of them in the folder",
@@ -253,31 +248,21 @@ def _between(
 
 def _on_line(before: Coefficients, after: Coefficients, share: float) -> Coefficients:
     """Return the coefficients between two at one reference temperature, in the mounting that is nearer in time."""
-
-    def line(before: Array, after: Array) -> Array:
-        wide = np.zeros((2, *after.shape[:-1], max(before.shape[-1], after.shape[-1])))
-        for terms, row in zip((before, after), wide, strict=True):
-            row[..., : terms.shape[-1]] = terms
-        return np.asarray((1.0 - share) * wide[0] + share * wide[1])
-
-    thermal, straight = after.thermal, np.zeros((len(after.channels), 0))
+    thermal, bends = after.thermal, [one.nonlinearity for one in (before, after) if one.nonlinearity is not None]
     if thermal is not None and before.thermal is not None:
         thermal = replace(
             thermal,
             range=overlap(before.thermal.range, thermal.range),
-            drift=line(before.thermal.drift, thermal.drift),
-            gain=line(before.thermal.gain, thermal.gain),
+            drift=max(before.thermal.drift, thermal.drift, key=np.size),
+            gain=max(before.thermal.gain, thermal.gain, key=np.size),
             lag=(1.0 - share) * before.thermal.lag + share * thermal.lag,
         )
-    bend = line(*(straight if one.nonlinearity is None else one.nonlinearity for one in (before, after)))
-    return replace(
-        after,
-        offset=line(before.offset, after.offset),
-        sensitivity=line(before.sensitivity, after.sensitivity),
-        thermal=thermal,
-        nonlinearity=bend if bend.size else None,
-        mounting=before.mounting if share < 0.5 else after.mounting,
-    )
+    mounting = before.mounting if share < 0.5 else after.mounting
+    # The shapes of the higher orders, whose terms are 0 where one has none.
+    wide = replace(after, thermal=thermal, nonlinearity=max(bends, key=np.size, default=None), mounting=mounting)
+    old, new, names = values(before), values(after), list(values(wide))
+    line = [(1.0 - share) * old.get(name, 0.0) + share * new.get(name, 0.0) for name in names]
+    return with_vector(wide, names, np.array(line))
 
 
 def _with_walk(errors: Uncertain, walked: Mapping[str, float]) -> Uncertain:
@@ -402,7 +387,6 @@ class FleetHistory:
             ],
             "due": to_the_second(history.due(self.interval)),
             "is_due": self.is_due(history),
-            "gaps": [[to_the_second(a.date), to_the_second(b.date)] for a, b in history.gaps(self.interval)],
             "remarks": list(history.remarks),
         }
 
@@ -415,8 +399,6 @@ class FleetHistory:
             for place, calibration in enumerate(history.calibrations):
                 words = f"  {history.comparisons[place - 1].in_words}" if place else ""
                 lines.append(f"  {calibration.date:%Y-%m-%d}  {calibration.name}{words}")
-            for a, b in history.gaps(self.interval):
-                lines.append(f"  gap: {(b.date - a.date).days} days from {a.date:%Y-%m-%d} to {b.date:%Y-%m-%d}")
             lines += [f"  note: {remark}" for remark in history.remarks]
         for fleet in self.models:
             at = "" if fleet.reference is None else f" at {fleet.reference:g} °C"

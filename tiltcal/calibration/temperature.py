@@ -412,14 +412,11 @@ def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
     lag = f"a thermal lag of {plus_minus(fit.found_lag, fit.u_lag)} s"
     parts = zip(design.channels, fit.explained.tolist(), strict=True)
     explains = " and ".join(f"{100.0 * part:.1f} % in {channel}" for channel, part in parts)
-    notes = [
+    note = (
         f"{lag} is used: it makes the residuals of every leg smaller when it is fitted to the other legs, and explains "
         f"the difference between the ways up and down ({explains})"
-        if fit.uses_lag
-        else f"{lag} is not used: it does not make the residuals of every leg smaller when it is fitted to the other "
-        f"legs, or hysteresis explains the record as well (the lag explains the difference between the ways up and "
-        f"down: {explains})"
-    ]
-    if fit.loop_covariance.any():
-        notes.append("the ways up and down differ: the intervals of the drift hold the readings of both")
-    return tuple(notes)
+    )
+    if not fit.uses_lag:
+        note = f"{lag} is not used: the legs do not confirm it, or hysteresis explains the record as well"
+    differ = "the ways up and down differ: the intervals of the drift hold the readings of both"
+    return (note, differ) if fit.loop_covariance.any() else (note,)

@@ -61,15 +61,14 @@ def index_folder(folder: str | Path) -> FolderIndex:
     return FolderIndex(paths, tuple(problems))
 
 
-def date_of(record: CalibrationRecord, path: str | Path) -> tuple[str, datetime]:
-    """Return when a calibration began, as it stands in the file, and when it ended, UTC; else its positions."""
-    times = [position.time for position in record.positions if position.time]
-    ended = record.provenance.ended or max(times, default=None)
+def date_of(record: CalibrationRecord, path: str | Path) -> datetime:
+    """Return when a calibration ended, UTC; else when its last position did."""
+    ended = record.provenance.ended or max((one.time for one in record.positions if one.time), default=None)
     if ended is None:
         raise InputError(
             'the calibration has no date: write provenance.ended, such as ended: "2026-05-01T12:00:00Z"', file=path
         )
-    return record.provenance.started or min(times, default=ended), moment(ended, path)
+    return moment(ended, path)
 
 
 def _yaml_files(folder: str | Path) -> Iterator[str]:

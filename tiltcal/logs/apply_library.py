@@ -112,10 +112,9 @@ def _serials(library: CalibrationFolder, log: LogReader, options: ApplyOptions) 
     if len(library.serials) == 1 and not columns:
         say(f"note: {log.name} names no sensor; {library.folder} has calibrations of {library.serials[0]} alone")
         return [(library.serials[0], "")]
-    listed = ", ".join(library.serials[:12]) + (" ..." if len(library.serials) > 12 else "")
     raise UsageError(
         f"{log.name} names no sensor of {library.folder}: name it with --serial; the folder has calibrations of "
-        f"{listed or 'none'}"
+        f"{library.listed}"
     )
 
 

@@ -78,12 +78,9 @@ def fleet_facts(history: FleetHistory) -> list[Fact]:
 
 
 def fleet_remarks(history: FleetHistory) -> Iterator[str]:
-    """Yield the remarks on sensors, and the gaps between their calibrations."""
+    """Yield the remarks on sensors."""
     for sensor in history.histories:
         yield from (f"{sensor.sensor.serial}: {remark}" for remark in sensor.remarks)
-    for sensor in history.histories:
-        for a, b in sensor.gaps(history.interval):
-            yield f"{sensor.sensor.serial}: no calibration for {(b.date - a.date).days} days, from {a.date:%Y-%m-%d}"
 
 
 def provenance_facts(provenance: Provenance | PairProvenance, source: FileRecord) -> list[Fact]:

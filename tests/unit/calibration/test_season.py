@@ -29,7 +29,7 @@ def history(before: CalibrationRecord, after: CalibrationRecord) -> SensorHistor
     dates = [datetime.fromtimestamp(days * DAY, UTC) for days in (0.0, 100.0)]
     names = ("one.yaml", "other.yaml")
     dated = zip((before, after), dates, names, strict=True)
-    return SensorHistory(tuple(DatedCalibration(record, date, "", name, name) for record, date, name in dated))
+    return SensorHistory(tuple(DatedCalibration(record, date, name, name) for record, date, name in dated))
 
 
 def renewed(base: CalibrationRecord, shift: float) -> CalibrationRecord:

@@ -39,17 +39,15 @@ limits:
 def calibration(tmp_path: Path) -> Calibration:
     path = tmp_path / "S-0042.yaml"
     path.write_text(FILE, encoding="utf-8")
-    found = read(path)
-    assert isinstance(found, Calibration)
-    return found
+    return read(path)  # type: ignore[no-any-return]
 
 
 def test_coefficients_are_named(calibration: Calibration) -> None:
     assert calibration.offset == {"x": 1024.6, "y": 1021.9}
-    assert calibration.sensitivity["x", "y"] == 9.1
-    assert calibration.sensitivity["y", "x"] == -6.4
-    assert calibration.uncertainty["offset.x"] == 0.4
-    assert calibration.uncertainty["sensitivity.y.y"] == 1.3
+    assert (calibration.sensitivity["x", "y"], calibration.sensitivity["y", "x"]) == (9.1, -6.4)
+    assert (calibration.uncertainty["offset.x"], calibration.uncertainty["sensitivity.y.y"]) == (0.4, 1.3)
+    lines = [" ".join(line.split()) for line in str(calibration).splitlines()]
+    assert {"offset x 1024.60 ± 0.40 count", "sensitivity yx -6.40 ± 0.20 count/g"} <= set(lines)
 
 
 @pytest.mark.parametrize("name", ["mavs", "multi-angle"])
@@ -81,12 +79,6 @@ def test_limits_have_the_rails_of_the_model_where_the_file_names_none(calibratio
     assert (int(result.flag[0]), int(result.reason[0]) & 4) == (4, 4)
 
 
-def test_text_has_every_coefficient_with_its_uncertainty_and_unit(calibration: Calibration) -> None:
-    lines = [" ".join(line.split()) for line in str(calibration).splitlines()]
-    assert "offset x 1024.60 ± 0.40 count" in lines
-    assert "sensitivity yx -6.40 ± 0.20 count/g" in lines
-
-
 def test_a_notebook_shows_calibration_plan_comparison_and_figure() -> None:
     cal = read(FIXTURES / "complete.yaml")
     for shown in (cal, tiltcal.plan("zero-45", sensor="sca100t-d02"), tiltcal.compare(cal, cal)):
@@ -101,12 +93,8 @@ def test_a_notebook_shows_calibration_plan_comparison_and_figure() -> None:
 def test_saved_file_reads_back_equal(calibration: Calibration, tmp_path: Path) -> None:
     calibration.save(tmp_path / "copy.yaml")
     again = read(tmp_path / "copy.yaml")
-    assert isinstance(again, Calibration)
-    assert (again.offset, again.sensitivity, again.limits) == (
-        calibration.offset,
-        calibration.sensitivity,
-        calibration.limits,
-    )
+    assert again == calibration
+    assert again.limits == calibration.limits
 
 
 def test_wrong_file_names_file_line_and_key(tmp_path: Path) -> None:
