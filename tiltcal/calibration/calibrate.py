@@ -16,12 +16,11 @@ from tiltcal.calibration.measurement import (
     BenchUncertainty,
     MeasuredSensor,
     Measurement,
-    require_no_jig,
     require_own_readings,
 )
 from tiltcal.core.rounding import round_to
 from tiltcal.drivers.model import ACCELERATION
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 
@@ -38,11 +37,8 @@ def calibrate(
 ) -> list[CalibrationRecord]:
     """Calibrate the sensors of one fixture by the positions of a procedure, which they share; a record for each."""
     determines, own = procedure.determines, settings or {}
-    require_no_jig(procedure, bench.jig)
     for sensor in sensors:
         require_own_readings(sensor)
-        if determines.completes and sensor.base is None:
-            raise UsageError(f"{sensor.sensor.serial} needs --base, its calibration file")
     if bench.thermometer is None and procedure.ramp is None:
         step = max((sensor.thermometer or 0.0 for sensor in sensors), default=0.0)
         bench = replace(bench, thermometer=step or None)
@@ -72,7 +68,7 @@ def calibrate(
         if typical_temperature:
             from tiltcal.calibration.temperature import with_typical_temperature
 
-            found = [with_typical_temperature(record, its) for record, its in zip(found, sensors, strict=True)]
+            found = list(map(with_typical_temperature, found, sensors))
         if table:
             found = [_of_table(record, its.measurements) for record, its in zip(found, sensors, strict=True)]
     found = [replace(record, procedure=record.procedure.replaced(**own)) for record in found]

@@ -184,10 +184,6 @@ def mount(
     seen = observations_of(measurements, base.coefficients.channels)
     up, own = np.array([one.gravity for one in seen]), replace(base.coefficients, mounting=None)
     found, side, sigma = _solved(own, seen, up, jig)
-    if sigma is not None and all(position.noise_unknown for position in seen) and found.chi_square > found.dof:
-        # Nothing is stated of the noise, and the residuals show more than the jig.
-        found, side, sigma = _solved(own, seen, up, None)
-
     known = stated.uncertain_coefficients(base.uncertainty, own).without(TURN)
 
     def errors(vector: Array) -> Array:
@@ -217,23 +213,31 @@ def mount(
         chi_square=significant(found.chi_square, 4) if found.stated and jig else None,
         p_value=p,
     )
-    completed = replace(
+    mounting, locked, angles, factors = _angles(found.matrix, joint)
+    return replace(
         base,
+        coefficients=replace(base.coefficients, mounting=mounting),
+        uncertainty=replace(
+            base.uncertainty,
+            standard={**base.uncertainty.without_mounting().standard, **angles},
+            coverage_factor={name: round(k, 3) for name, k in factors.items()},
+            covariance=stated.rounded_covariance(joint),
+        ),
+        derived=base.derived.replaced(gimbal_lock=base.derived.gimbal_lock or locked),
         fit=base.fit.replaced(mounting=fit),
         procedure=base.procedure.replaced(mounting=CompletingRun(positions=tuple(one.position for one in seen))),
         positions=base.positions_with(mounting=[m.record(list(m.summaries)).replaced(u=None) for m in measurements]),
     )
-    return _with_angles(completed, found, joint)
 
 
-def _with_angles(base: CalibrationRecord, found: attitude.MountingEstimate, joint: Uncertain) -> CalibrationRecord:
-    """Return a calibration with the angles of a mounting, with the digits that their uncertainty warrants."""
-    (mounting, locked), before = attitude.mounting_angles(found.matrix), base.uncertainty
+def _angles(matrix: Array, joint: Uncertain) -> tuple[Mounting, bool, dict[str, float], dict[str, float]]:
+    """Return a mounting with the digits that its uncertainty warrants, whether it is in gimbal lock, and what is stated
+    of it beside the coefficients: standard uncertainties, degrees, and the coverage factors of all."""
+    mounting, locked = attitude.mounting_angles(matrix)
     u: dict[str, float] = {}
-    turns = joint.named(TURNS)
     factors = joint.by_name(joint.factors)
     if not locked:
-        angles = turns.through(attitude.angle_derivatives(attitude.mounting_matrix(mounting)), ANGLES)
+        angles = joint.named(TURNS).through(attitude.angle_derivatives(attitude.mounting_matrix(mounting)), ANGLES)
         u = {name: degrees(value) for name, value in angles.by_name(angles.u).items()}
         locked = attitude.is_locked(mounting.pitch, float(angles.u[ANGLES.index("pitch")]))
         # Where roll and yaw cannot be separated their sum or difference is as well known as the pitch.
@@ -245,20 +249,7 @@ def _with_angles(base: CalibrationRecord, found: attitude.MountingEstimate, join
         if locked:
             u |= dict.fromkeys(("roll", "yaw"), degrees(attitude.UNKNOWN_ANGLE))
             factors |= dict.fromkeys(("mounting.roll", "mounting.yaw"), attitude.UNKNOWN_FACTOR)
-    return replace(
-        base,
-        coefficients=replace(base.coefficients, mounting=mounting),
-        uncertainty=replace(
-            before,
-            standard={
-                **before.without_mounting().standard,
-                **{f"mounting.{name}": significant(value, 4) for name, value in u.items()},
-            },
-            coverage_factor={name: round(k, 3) for name, k in factors.items()},
-            covariance=stated.rounded_covariance(joint),
-        ),
-        derived=base.derived.replaced(gimbal_lock=base.derived.gimbal_lock or locked),
-    )
+    return mounting, locked, {f"mounting.{name}": significant(value, 4) for name, value in u.items()}, factors
 
 
 def _solved(

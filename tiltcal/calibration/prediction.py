@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.fit import covered_tilts, design_of
-from tiltcal.calibration.measurement import BenchUncertainty, require_tilt
+from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.calibration.record import half_widths, tilt_lines
 from tiltcal.calibration.wording import label
 from tiltcal.core.attitude import STRAIGHT, Orientation, solve_mounting
@@ -62,7 +62,6 @@ def predict_mounting(
     procedure: Procedure, model: Model, *, jig: float | None, noise: float | None, samples: int | None
 ) -> Plan:
     """Predict the uncertainty of a mounting beside that of the calibration, of a sensor that sits straight."""
-    require_tilt(procedure, model)
     scatter = _usual_noise(model) if noise is None else noise
     read = scatter / sqrt(samples or procedure.samples) / model.sensitivity
     known = np.array([position.gravity for position in procedure.positions])
@@ -93,7 +92,6 @@ def predict(
     base: CalibrationRecord | None = None,
 ) -> Plan:
     """Predict the standard uncertainty of every coefficient equal sensors reach; no stated jig is a perfect one."""
-    require_tilt(procedure, model)
     samples = samples or procedure.samples
     seconds = _least_seconds(procedure, model, samples, (settle or procedure.settle) / procedure.settle)
     if procedure.ramp is not None:
