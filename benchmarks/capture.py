@@ -22,7 +22,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from tiltcal.bench.sensors import RecordedLink, Recorder
+from tiltcal.bench.devices import RecordedLink, Recorder
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import Link, open_link
 from tiltcal.drivers.bus.address import parse_address

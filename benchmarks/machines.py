@@ -23,7 +23,7 @@ from tiltcal.bench.machines import Machines
 from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import VirtualJig
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import SessionFiles, Setup
+from tiltcal.bench.setup import Setup
 from tiltcal.errors import BusError, Stopped
 from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.journal import read_journal
@@ -135,7 +135,7 @@ class FaultySession:
         bench = BenchFile(sensors, jig=0.05, table=TABLE, chamber=chamber)
         self._journal, outputs = folder / f"{serial}.journal.jsonl", [folder / f"{serial}.yaml"]
         setup = Setup.begin(steps, bench, outputs, self._journal, operator="sim", samples=5, settle=0.1)
-        self._session = Session(setup, SessionFiles(setup, self._journal))
+        self._session = Session(setup, self._journal)
         self._asked: dict = {}
         self._said: dict = {}
 
@@ -159,7 +159,7 @@ class FaultySession:
                 self._chamber.repair()
                 journal = read_journal(self._journal)
                 setup = Setup.of(journal)
-                self._session = Session(setup, SessionFiles(setup, self._journal), journal)
+                self._session = Session(setup, self._journal, journal)
 
     def ask(self, question: dict) -> object:
         """Pass on; before a position counts, compare what was answered with where the machines really are."""

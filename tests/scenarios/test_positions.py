@@ -1,22 +1,31 @@
-"""The session on the virtual bench: what is refused, what is waited for, what is told."""
+"""Positions on the virtual bench: what is refused, waited for and told, and no wrong number without a word."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import scipy
 from support import ROOT
+from support.command import tiltcal
 
-from tiltcal import Calibration
+from tiltcal import Calibration, measure
+from tiltcal.bench import devices, settle
+from tiltcal.bench.checks import PositionResult, require_plausible_temperature
 from tiltcal.bench.journal import calibrations_of
+from tiltcal.bench.session import Session
+from tiltcal.bench.settle import Unsettled
+from tiltcal.calibration.measurement import Measurement
+from tiltcal.core.samples import summarise
 from tiltcal.drivers.virtual import Fixture, VirtualPart
-from tiltcal.errors import HardwareError
+from tiltcal.errors import HardwareError, Stopped
 from tiltcal.files.journal import read_journal
+from tiltcal.files.procedure import Position, find_procedure
 from tiltcal.files.results import PositionSet
-from tiltcal.library.measure import measure as measure_here
-
-Event = dict[str, Any]
 
 TWIN = """\
 tiltcal: 1
@@ -31,82 +40,257 @@ truth:
 """
 
 
-@pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("twin.yaml").write_text(TWIN)
-    return tmp_path
-
-
-def run(
-    procedure: str = "plane", operator: object = "sim", model: str = "sca100t-d02"
-) -> tuple[Calibration, list[str]]:
-    """A session in the working folder, and what was said in it."""
-    said: list[str] = []
-    sensor = {"sensor": model, "serial": "S-1", "address": "sim:?twin=twin.yaml"}
-    found = measure_here(procedure, operator=operator, output="S-1.yaml", remark=said.append, **sensor)
-    assert isinstance(found, Calibration)
-    return found, said
 
 
 def twin_with(line: str) -> None:
     Path("twin.yaml").write_text(TWIN + f"  {line}\n")
 
 
-class Clumsy:
-    """Types, at the second position, the angle of the first one: the sensor is where it was."""
-
-    def position(self, ask: Event) -> Event:
-        return {"answer": "ready"} | ({"gravity": [0.0, 0.0, 1.0]} if ask["position"] == "x-tilt2" else {})
-
-
-def test_what_was_typed_is_what_is_judged(bench: Path) -> None:
-    """Level typed for a position, and level taken: odd, but consistent, so it counts as typed."""
-    calibration, _ = run("plane", Clumsy())
-    assert calibration.record.procedure.set["x-tilt2"] == PositionSet(gravity=(0.0, 0.0, 1.0))
+def session(procedure: str = "plane", said: list[str] | None = None, **options: Any) -> Calibration:
+    """A session in the working folder."""
+    chosen = {"sensor": "sca100t-d02", "address": "sim:?twin=twin.yaml", "serial": "S-1", "output": "S-1.yaml"}
+    remark = (said if said is not None else []).append
+    found = measure(procedure, remark=remark, **{"operator": "sim", **chosen, **options})
+    assert isinstance(found, Calibration)
+    return found
 
 
-@pytest.mark.parametrize(
-    ("kind", "why"),
-    [("parity", "102"), ("silent", "stuck high"), ("unplugged", "unplugged")],
-)
-def test_a_fault_that_passes_costs_a_redo(kind: str, why: str, bench: Path) -> None:
+Change = Callable[[bytes, bytes, int], bytes]
+
+
+def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
+    """Let ``change(out, answer, number)`` alter what the virtual part answers to its n-th transaction of a kind."""
+    connect = devices.open_device
+
+    class Disturbed:
+        letter = "s"
+
+        def __init__(self, *args: Any) -> None:
+            self._link = connect(*args)
+            self._counts: dict[bytes, int] = {}
+            self.close = self._link.close
+
+        def exchange(self, out: bytes, count: int = 0) -> bytes:
+            self._counts[out] = self._counts.get(out, 0) + 1
+            return change(out, self._link.exchange(out, count), self._counts[out])
+
+    monkeypatch.setattr(devices, "open_device", Disturbed)
+
+
+def word(value: int) -> bytes:
+    """An SCA100T's answer: 11 bits behind the first byte."""
+    return bytes([0, value >> 3, (value & 7) << 5])
+
+
+def degrees(celsius: float) -> bytes:
+    """An SCA100T's thermometer: T = (counts - 197) / -1.083."""
+    return bytes([0, max(0, min(255, round(197 - 1.083 * celsius)))])
+
+
+class Rig:
+    """Answers the positions by a function; after three refusals it quits."""
+
+    def __init__(self, answer: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+        self.refusals: list[str] = []
+        self._answer = answer
+
+    def position(self, ask: dict[str, Any]) -> dict[str, Any]:
+        return {"answer": "quit"} if len(self.refusals) > 2 else self._answer(ask)
+
+    def refused(self, event: dict[str, Any]) -> None:
+        self.refusals.append(f"{event['position']}: {event['why']}")
+
+
+# A channel that is dead, stuck, frozen or far off
+
+
+def test_a_sensor_that_is_stuck_from_the_first_sample_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    disturb(monkeypatch, lambda out, answer, n: word(1024) if out[0] in (0x10, 0x11) else answer)
+    why = (
+        r"x-tilt1 was asked for 10 times in a row in vain, the last time .*x reads 1024 where about 1433\.5 is expected"
+    )
+    with pytest.raises(Stopped, match=why):
+        session()
+    assert not Path("S-1.yaml").exists()
+
+
+@pytest.mark.parametrize(("procedure", "flickers"), [("reversal", 0), ("two-temperature", 1)])
+def test_a_converter_that_never_followed_is_in_the_file(
+    procedure: str, flickers: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The procedure has one attitude; a dead converter shows one code, or flickers between two."""
+    disturb(monkeypatch, lambda out, answer, n: word(1024 + flickers * (n // 3 % 2)) if out[0] == 0x10 else answer)
+    found = session(procedure, samples=20)
+    assert [note.split()[0] for note in found.fit.notes if "was not seen to follow" in note] == ["x"]
+    checked = tiltcal("check", "S-1.yaml")
+    assert checked.returncode == 1
+    assert "x was not seen to follow any movement" in checked.stdout
+    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
+
+
+def test_a_sensor_that_freezes_between_positions_of_one_attitude_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the second position of level on, which reads as the first: the drift would be zero."""
+    last = find_procedure("two-temperature").positions[-1]
+    frozen: dict[bytes, bytes] = {}
+    held: list[Position] = []
+    hold = Session._hold
+
+    def noted(session: Session, position: Position) -> None:
+        held.append(position)
+        hold(session, position)
+
+    def change(out: bytes, answer: bytes, number: int) -> bytes:
+        if held and held[-1].name == last.name and out[0] in (0x10, 0x11):
+            return frozen[out]
+        frozen[out] = answer
+        return answer
+
+    monkeypatch.setattr(Session, "_hold", noted)
+    disturb(monkeypatch, change)
+    why = r"x of S-1 is stuck: all 100 samples read \d+ count, and those of the positions before scatter by 0\.\d+"
+    with pytest.raises(Stopped, match=why):
+        session("two-temperature")
+
+
+def test_a_coarse_reading_that_flickers_in_one_position_and_stands_still_in_the_next_is_not_stuck() -> None:
+    """Noise of a fiftieth of a step: 1026.5 lies between two values, and 18.5 °C colder 1026.5 - 7.4 does not."""
+    Path("twin.yaml").write_text(
+        TWIN.replace("noise: {x: 0.6, y: 0.6}", "noise: {x: 0.02, y: 0.02}").replace("x: 1026.0", "x: 1026.5")
+    )
+    found = session("two-temperature")
+    assert [one.std["x"] > 0.4 for one in found.positions] == [True, False]
+    assert found.positions[1].std["x"] == 0.0
+
+
+def test_one_sample_of_a_hundred_that_is_far_off_is_taken_again_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """578 counts in one of a hundred samples would move a mean by 5.8 counts, ten times the noise; and 135 °C once."""
+
+    def change(out: bytes, answer: bytes, number: int) -> bytes:
+        if out[0] == 0x10 and number == 120:
+            return word((answer[1] << 3 | answer[2] >> 5) - 578)
+        return degrees(135.0) if out[0] == 0x08 and number == 400 else answer
+
+    disturb(monkeypatch, change)
+    found = session()
+    assert [one.left_out for one in found.positions].count(1) == 2
+    assert found.offset["x"] == pytest.approx(1026.0, abs=0.4)
+    assert [one.n for one in found.positions] == [100] * 4
+    assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
+
+
+def test_many_samples_far_off_are_a_fault_that_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def change(out: bytes, answer: bytes, number: int) -> bytes:
+        far = out[0] == 0x10 and number % 12 == 0
+        return word((answer[1] << 3 | answer[2] >> 5) - 60) if far else answer
+
+    disturb(monkeypatch, change)
+    with pytest.raises(Stopped, match="samples of a position of 100 are far off: x reads"):
+        session(settle=0.05)
+
+
+@pytest.mark.parametrize(("kind", "why"), [("parity", "102"), ("unplugged", "unplugged")])
+def test_a_fault_that_passes_costs_a_redo(kind: str, why: str) -> None:
     """The first position takes about 3 s; the fault begins in the second."""
     twin_with(f"faults: [{{kind: {kind}, start: 5.0, end: 5.2}}]")
-    calibration, said = run()
+    said: list[str] = []
+    found = session(said=said)
     refused = [line for line in said if "refused" in line]
     assert refused
     assert all(why in line for line in refused)
-    assert list(calibration.offset.values()) == pytest.approx([1026.0, 1021.0], abs=0.3)
-    sensitivity = calibration.record.coefficients.sensitivity[:, :2].ravel()
-    assert sensitivity == pytest.approx([817.4, 11.2, -7.9, 821.6], abs=0.9)
+    assert list(found.offset.values()) == pytest.approx([1026.0, 1021.0], abs=0.3)
+    assert found.record.coefficients.sensitivity[0, :2] == pytest.approx([817.4, 11.2], abs=0.9)
 
 
-def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone(bench: Path) -> None:
+def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone() -> None:
     twin_with("faults: [{kind: unplugged, start: 5.0, end: 11.0}]")
     with pytest.raises(HardwareError, match="unplugged"):
-        run()
-    measure_here(resume="S-1.journal.jsonl", operator="sim")
+        session()
+    measure(resume="S-1.journal.jsonl", operator="sim")
     journal = read_journal("S-1.journal.jsonl")
     assert journal.end is not None
     assert calibrations_of(journal).texts() == {"S-1": Path("S-1.yaml").read_text()}
 
 
-def test_a_slow_chamber_is_waited_for(bench: Path) -> None:
+def test_a_closing_visit_shows_a_sensor_that_was_knocked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the fourth position x steps by 12 counts, 15 mg; each position takes about 140 readings."""
+    said: list[str] = []
+    quiet = session(said=said, closing=True, journal="quiet.jsonl", jig=0.05)
+    assert [one.position for one in quiet.positions][-1] == "x-tilt1-again"
+    assert re.search(r"S-1: back in x-tilt1 the readings have changed by x [+-]0\.\d+ ± 0\.\d+ count", said[-1])
+    step = 12
+
+    def change(out: bytes, answer: bytes, number: int) -> bytes:
+        return word((answer[1] << 3 | answer[2] >> 5) + step) if out[0] == 0x10 and number > 430 else answer
+
+    disturb(monkeypatch, change)
+    knocked = session(said=said, closing=True, jig=0.05)
+    change_of_x = re.search(r"changed by x \+(\d+\.?\d*) ±", said[-1])
+    assert change_of_x is not None
+    assert float(change_of_x[1]) == pytest.approx(step, abs=1.5)
+    p = [scipy.stats.chi2.sf(one.fit.chi_square, one.fit.degrees_of_freedom) for one in (knocked, quiet)]
+    assert p[0] < 1e-3 < p[1]
+
+
+def test_what_was_typed_is_what_is_judged() -> None:
+    """Level typed for the second position, and level taken: odd, but consistent, so it counts as typed."""
+    level = {"gravity": [0.0, 0.0, 1.0]}
+    found = session(operator=Rig(lambda ask: {"answer": "ready"} | (level if ask["position"] == "x-tilt2" else {})))
+    assert found.record.procedure.set["x-tilt2"] == PositionSet(gravity=(0.0, 0.0, 1.0))
+
+
+# Temperatures
+
+
+def test_a_thermometer_that_says_85_all_the_time_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    disturb(monkeypatch, lambda out, answer, n: degrees(85) if out[0] == 0x08 else answer)
+    monkeypatch.setattr(settle, "SOAK_LOOKS", 40)  # each of ten attempts waits for ten windows
+    with pytest.raises(Stopped, match=r"is what the thermometer reads, and 24 °C was asked for: one of them is wrong"):
+        session("two-temperature")
+
+
+@pytest.mark.parametrize(
+    ("temperature", "why"),
+    [
+        (9999.0, "temperature in the answer is 9999 °C, not between -60 and 150"),
+        (55.0, "55 °C was typed, and 24 °C was asked for: one of them is wrong"),
+    ],
+)
+def test_a_temperature_that_is_answered_is_judged_too(temperature: float, why: str) -> None:
+    rig = Rig(lambda ask: {"answer": "ready", "temperature": temperature})
+    with pytest.raises(Stopped):
+        session("two-temperature", operator=rig)
+    assert rig.refusals[0] == f"level-warm: {why}"
+
+
+def test_a_thermometer_at_its_power_on_value_is_refused_where_no_temperature_is_asked_for() -> None:
+    """A DS18B20's data sheet: 85 °C stands in its register until the first conversion."""
+    position, summaries = find_procedure("plane").positions[0], {"x": summarise([1.0, 2.0])}
+    measured = Measurement(position.name, position.gravity, position.tilt, 85.0, summaries)
+    result = PositionResult(position, {"S-1": measured})
+    with pytest.raises(Unsettled, match=r"reads 85 °C in every sample, as a DS18B20 does that converts nothing"):
+        require_plausible_temperature(result, [])
+    other = replace(result, measurements={"S-1": replace(measured, temperature=84.94)})
+    for plausible in (replace(result, asked=85.0), replace(result, typed=True), other):
+        require_plausible_temperature(plausible, [])
+
+
+def test_a_slow_chamber_is_waited_for() -> None:
     """From 24 °C to within 2 °C of 5.5 °C with a time constant of two minutes takes 120 ln(18.5 / 2) = 267 s; the
     thermometer's step of 0.92 °C lets it be thought there half a step, 31 s, too early."""
     twin_with("time_constant: 120.0")
-    calibration, _ = run("two-temperature")
-    warm, cold = calibration.positions
+    warm, cold = session("two-temperature").positions
     assert _seconds(str(cold.time)) - _seconds(str(warm.time)) > 267.0 - 31.0
     assert cold.temperature == pytest.approx(5.5, abs=2.0 + 0.92)
 
 
-def test_a_thermometer_that_is_far_off_is_believed_once_it_holds(bench: Path) -> None:
+def test_a_thermometer_that_is_far_off_is_believed_once_it_holds() -> None:
     """A sensor's own thermometer is not trimmed: 6 °C off, it must hold for ten windows of 20 s."""
     twin_with("thermometer_error: 6.0")
-    calibration, _ = run("two-temperature")
-    warm, cold = calibration.positions
+    warm, cold = session("two-temperature").positions
     assert _seconds(str(cold.time)) - _seconds(str(warm.time)) > 200.0
     assert cold.temperature == pytest.approx(11.5, abs=0.6)
 
@@ -124,7 +308,7 @@ truth:
 """
 
 
-def test_a_thermometer_that_is_five_minutes_late_is_waited_for(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_thermometer_that_is_five_minutes_late_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """The chamber goes by 1 °C/min, the part with it; its thermometer is still behind when it has arrived."""
     Path("twin.yaml").write_text(LATE)
     # Windows of a minute have a third of the readings, and a third of the judgements.
@@ -133,11 +317,9 @@ def test_a_thermometer_that_is_five_minutes_late_is_waited_for(bench: Path, monk
     move = Fixture.move
     monkeypatch.setattr(Fixture, "move", lambda fixture, gravity, to=None, _=0.0: move(fixture, gravity, to, 1.0))
     monkeypatch.setattr(VirtualPart, "_celsius", lambda part: part._fixture.temperature(300.0))
-    found, _ = run("two.yaml", model="scl3300")
+    found = session("two.yaml", sensor="scl3300")
     assert found.positions[1].temperature == pytest.approx(5.5, abs=0.15)
-    thermal = found.record.coefficients.thermal
-    assert thermal is not None
-    for drift, channel, truth in zip(thermal.drift[:, 0], "xy", (6.0, -6.0), strict=False):
+    for drift, channel, truth in zip(found.record.coefficients.thermal.drift[:, 0], "xy", (6.0, -6.0), strict=False):
         name = f"temperature.offset.{channel}.1"
         # What is left of the lag, 0.1 °C, is in no uncertainty unless a thermometer's is stated.
         assert abs(drift - truth) < 1.5 * found.uncertainty[name] * found.uncertainty.coverage_factor[name]
@@ -159,22 +341,13 @@ positions:
 """
 
 
-class Returning:
-    """Goes back from the last position to the second, over the cold one that was measured."""
-
-    def __init__(self) -> None:
-        self._words = iter(["ready", "ready", "ready", "back", "back"])
-
-    def position(self, ask: Event) -> Event:
-        return {"answer": next(self._words, "ready")}
-
-
-def test_a_temperature_is_waited_for_again_after_another_one(bench: Path) -> None:
-    """With a time constant of a minute, what is measured at once is measured at the wrong temperature."""
+def test_a_temperature_is_waited_for_again_after_another_one() -> None:
+    """Back from the last position over the cold one to the second; the time constant is a minute."""
     Path("parted.yaml").write_text(PARTED)
     twin_with("time_constant: 60.0")
-    calibration, _ = run("parted.yaml", Returning())
-    assert calibration.positions[1].temperature == pytest.approx(24.0, abs=2.0 + 0.92)
+    words = iter(["ready", "ready", "ready", "back", "back"])
+    found = session("parted.yaml", operator=Rig(lambda ask: {"answer": next(words, "ready")}))
+    assert found.positions[1].temperature == pytest.approx(24.0, abs=2.0 + 0.92)
 
 
 def _seconds(stamp: str) -> float:

@@ -12,7 +12,7 @@ from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import Message, Operator
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import SessionFiles, Setup, single
+from tiltcal.bench.setup import Setup, single
 from tiltcal.core.pair.model import Pair
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.errors import BusError, Stopped
@@ -107,7 +107,7 @@ def turned(
         path = journal or Path(folder) / "stage.journal.jsonl"
         before = read_journal(path) if resume else None
         setup = _setup(pairs, turns, converged, path) if before is None else Setup.of(before)
-        session = Session(setup, SessionFiles(setup, path), before)
+        session = Session(setup, path, before)
         session.clock = clock = VirtualClock()
         opening, device = devices.open_device, Device(printed, clock, interval)
         devices.open_device = lambda *_: device

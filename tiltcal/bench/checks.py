@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.bench.devices import BenchDevice
+from tiltcal.bench.devices import Sample
 from tiltcal.bench.guidance import AxisGuidance, guidance
-from tiltcal.bench.settle import Timed, Unsettled
+from tiltcal.bench.settle import Unsettled
 from tiltcal.bench.setup import Setup
 from tiltcal.calibration.measurement import Measurement, missing_temperature
 from tiltcal.core.attitude import Vector
@@ -28,6 +28,7 @@ from tiltcal.core.model import Array
 from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.samples import ReadingStep, resolution, summarise
 from tiltcal.drivers.model import Model, Reading
+from tiltcal.files.bench import BenchSensor
 from tiltcal.files.procedure import Position
 
 POWER_ON = 85.0  # the temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)
@@ -80,10 +81,10 @@ class PositionResult:
 
 
 def result_of(
-    sensors: Sequence[BenchDevice],
+    sensors: Sequence[BenchSensor],
     actual: Position,
     asked: Position,
-    samples: Sequence[Mapping[str, Reading]],
+    samples: Sequence[Sample],
     when: str,
     *,
     typed: float | None = None,
@@ -123,14 +124,14 @@ def result_of(
     return PositionResult(actual, measurements, typed is not None, left_out, asked.temperature)
 
 
-def far_off(held: Sequence[Timed], models: Sequence[Model], *, thermometers: bool) -> dict[int, str]:
+def far_off(samples: Sequence[Sample], models: Mapping[str, Model], *, thermometers: bool) -> dict[int, str]:
     """Return the samples of a position that are no measurement, by their number, with the reason.
 
     ``thermometers`` says whether temperatures count; not where the operator typed one.
     """
     wrong: dict[int, str] = {}
-    for index, model in enumerate(models):
-        readings = [sample[index] for _, sample in held]
+    for serial, model in models.items():
+        readings = [sample[serial] for sample in samples]
         for place, channel in enumerate(model.channels):
             values = np.array([reading.values[place] for reading in readings])
             for number in outliers(values, model.resolution or resolution([values])).tolist():
@@ -192,12 +193,12 @@ def require_plausible_temperature(result: PositionResult, accepted: Sequence[Pos
 class ReadingSpans:
     """The lowest and the highest reading of each channel that a session has seen, moves between positions included."""
 
-    def __init__(self, sensors: Sequence[BenchDevice]) -> None:
+    def __init__(self, sensors: Sequence[BenchSensor]) -> None:
         self._sensors = sensors
         self._models = {sensor.serial: sensor.wired for sensor in sensors}
         self._spans: dict[str, list[tuple[float, float, float]]] = {}
 
-    def add(self, readings: Mapping[str, Reading]) -> None:
+    def add(self, readings: Sample) -> None:
         """Take one sample, by serial number; a reading at a rail is none."""
         for serial, reading in readings.items():
             step = self._models[serial].resolution or reading.step
@@ -224,9 +225,9 @@ class ReadingSpans:
 class Expectations:
     """What the ``accepted`` positions so far, and the models, predict of the readings of each sensor."""
 
-    def __init__(self, setup: Setup, sensors: Sequence[BenchDevice], accepted: Sequence[PositionResult]) -> None:
+    def __init__(self, setup: Setup, sensors: Sequence[BenchSensor], accepted: Sequence[PositionResult]) -> None:
         self._setup = setup
-        self._sensors = sensors
+        self._sensors = {sensor.serial: sensor for sensor in sensors}
         self._accepted = accepted
         self._determines = setup.steps.determines
         bases = setup.known.values()
@@ -247,24 +248,21 @@ class Expectations:
     def expected(self, result: PositionResult) -> dict[str, dict[str, float]]:
         """Return the predicted reading of each channel by serial number; empty where nothing predicts it."""
         return {
-            sensor.serial: self._readings[sensor.serial].expected(result.measurements[sensor.serial].gravity)
+            serial: self._readings[serial].expected(result.measurements[serial].gravity)
             if sensor.wired.scaled and self._known
             else {}
-            for sensor in self._sensors
+            for serial, sensor in self._sensors.items()
         }
 
-    def guidance(self, sensor: BenchDevice, values: Sequence[float], gravity: Vector) -> dict[str, AxisGuidance]:
+    def guidance(self, serial: str, values: Sequence[float], gravity: Vector) -> dict[str, AxisGuidance]:
         """Return the guidance of each channel of a sensor where the fixture is to be held in an attitude."""
-        expected = self._readings[sensor.serial] if self._known else None
+        sensor, expected = self._sensors[serial], self._readings[serial] if self._known else None
         return guidance(sensor.wired, sensor.orientation, values, gravity, expected)
 
     def guidance_of(self, result: PositionResult) -> dict[str, dict[str, AxisGuidance]]:
         """Return the guidance that the means of a position give, by serial number."""
         gravity = result.position.gravity
-        return {
-            sensor.serial: self.guidance(sensor, result.mean(sensor.serial).tolist(), gravity)
-            for sensor in self._sensors
-        }
+        return {serial: self.guidance(serial, result.mean(serial).tolist(), gravity) for serial in self._sensors}
 
     def require(self, result: PositionResult) -> None:
         """Raise Unsettled where the temperature is absurd, a sensor is stuck, or it is another position."""
@@ -277,15 +275,15 @@ class Expectations:
             for serial, measurement in result.measurements.items():
                 if refusal := objection(self._setup.known[serial].calibration, measurement):
                     raise Unsettled(refusal)
-        for sensor in self._sensors:
-            self._require_not_stuck(sensor.serial, sensor.wired.unit, result.measurements[sensor.serial])
+        for serial, sensor in self._sensors.items():
+            self._require_not_stuck(serial, sensor.wired.unit, result.measurements[serial])
         if determines.mounting or self._mounted:
             return
-        for sensor in self._sensors:
+        for serial, sensor in self._sensors.items():
             why = self._objection(sensor, result) if sensor.wired.scaled else None
             if why:
                 alone = determines.free or len(self._setup.sensors) == 1
-                raise Unsettled(why if alone else f"{sensor.serial}: {why}")
+                raise Unsettled(why if alone else f"{serial}: {why}")
 
     def _require_not_stuck(self, serial: str, unit: str, now: Measurement) -> None:
         """Refuse a channel that reads one value, never another, where something else has changed.
@@ -316,7 +314,7 @@ class Expectations:
                     f"{summary.mean:.6g} {unit}; see that the sensor converts, and that its axis is wired"
                 )
 
-    def _objection(self, sensor: BenchDevice, result: PositionResult) -> str | None:
+    def _objection(self, sensor: BenchSensor, result: PositionResult) -> str | None:
         """Return why a sensor sees a position as another one, or an attitude that is there already."""
         readings, serial = self._readings[sensor.serial], sensor.serial
         if self._determines.free:

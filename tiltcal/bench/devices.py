@@ -1,74 +1,60 @@
-"""The devices of a bench, real or virtual: what they are, and how they are opened."""
+"""The devices of a bench, real or virtual: opened, connected and read together; every transaction is recorded."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, MutableMapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
-from functools import cached_property, lru_cache
+from functools import cached_property, partial
 from math import radians
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from msgspec import Meta
-
-from tiltcal.core.attitude import STRAIGHT, Orientation, Vector, orientation
-from tiltcal.drivers import find_model
-from tiltcal.drivers.bus import Link, link_letter, open_link
+from tiltcal.core.attitude import Vector
+from tiltcal.drivers.bus import CaptureEnded, Link, open_link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock, session_clock
 from tiltcal.drivers.model import Model, Reading, Sensor
-from tiltcal.errors import BusError, HardwareError
-from tiltcal.files.record import Record, Text, about
+from tiltcal.errors import BusError, HardwareError, SensorError, UsageError
+from tiltcal.files.bench import BenchFile, BenchSensor
+from tiltcal.files.journal import HARDWARE_ERROR, JournalWriter
+from tiltcal.files.record import about
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.modbus import ModbusLine
     from tiltcal.drivers.virtual import Fixture, Truth
 
+Sample = Mapping[str, Reading]
+"""One reading of each sensor of a bench, by serial number."""
 
-class BenchDevice(Record, kw_only=True):
+ATTEMPTS = 5  # failures in a row after which a sensor is given up
+RECOVERY = 1.0  # seconds that a bus is left alone after an error
+THERMOMETER = "(thermometer)"  # that of the bench, among serial numbers: none has parentheses
+
+
+class BenchDevice(BenchSensor, kw_only=True):
     """A sensor or the thermometer of a session."""
 
     always_written = ("output",)
 
-    model: Annotated[Text, about("as `--sensor`")]
     serial: Annotated[str, about("serial number; empty of a thermometer")]
-    address: Annotated[Text, about("as `--address`")]
     output: Annotated[str, about("calibration file, relative to the journal; empty where none is made")] = ""
-    axes: Annotated[
-        Annotated[tuple[Text, ...], Meta(min_length=3, max_length=3)] | None,
-        about("how it sits, where it does not sit straight"),
-    ] = None
-
-    @property
-    def wired(self) -> Model:
-        """The model as it is wired at the address."""
-        return _wired(self.model, self.address)
-
-    @property
-    def orientation(self) -> Orientation:
-        """How it sits on the fixture."""
-        return STRAIGHT if self.axes is None else orientation(self.axes)
-
-    @property
-    def simulated(self) -> bool:
-        """Whether it is a virtual twin."""
-        return parse_address(self.address).simulated
-
-    @property
-    def letter(self) -> str:
-        """Its bus in a journal."""
-        return link_letter(parse_address(self.address), self.wired)
 
 
-@lru_cache(maxsize=64)
-def _wired(model: str, address: str) -> Model:
-    return find_model(model).at(parse_address(address))
+def thermometer_of(bench: BenchFile) -> BenchDevice | None:
+    """Return the thermometer of a bench; a UsageError where it reports no temperature."""
+    if bench.thermometer is None:
+        return None
+    thermometer = BenchDevice(model=bench.thermometer.model, serial="thermometer", address=bench.thermometer.address)
+    if not thermometer.wired.thermometer:
+        raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
+    return thermometer
 
 
 class VirtualBench:
     """Makes the twins of a session and the fixture that holds them."""
 
-    def __init__(self, clock: Clock, devices: Sequence[BenchDevice]) -> None:
+    def __init__(self, clock: Clock, devices: Sequence[BenchSensor]) -> None:
         self._clock = clock
         self._first = next((device for device in devices if device.simulated), None)
 
@@ -84,13 +70,13 @@ class VirtualBench:
             self._clock, seed=truth.seed, jig=truth.jig, ambient=truth.ambient, time_constant=truth.time_constant
         )
 
-    def twin(self, device: BenchDevice) -> Link:
+    def twin(self, device: BenchSensor) -> Link:
         """Return the virtual sensor behind a ``sim:`` address."""
         truth = truth_of(parse_address(device.address), device.wired)
         return device.wired.twin(truth, self.fixture.turned(_to_sensor(device, truth)), self._clock)
 
 
-def _to_sensor(device: BenchDevice, truth: Truth) -> Callable[[Vector], Vector]:
+def _to_sensor(device: BenchSensor, truth: Truth) -> Callable[[Vector], Vector]:
     """Return the function that takes a vector of the fixture's frame into the sensor's."""
     if truth.mounting == (0.0, 0.0, 0.0):
         return device.orientation.seen
@@ -129,7 +115,7 @@ def truth_of(address: Address, model: Model) -> Truth:
 
 
 def open_device(
-    device: BenchDevice, virtual: VirtualBench, lines: MutableMapping[str, ModbusLine] | None = None
+    device: BenchSensor, virtual: VirtualBench, lines: MutableMapping[str, ModbusLine] | None = None
 ) -> Link:
     """Return the live link of one device; ``lines`` are those that the devices opened before share.
 
@@ -140,7 +126,7 @@ def open_device(
 
 
 def open_same(
-    device: BenchDevice, virtual: VirtualBench, lines: MutableMapping[str, ModbusLine], clock: Clock, stated: list[str]
+    device: BenchSensor, virtual: VirtualBench, lines: MutableMapping[str, ModbusLine], clock: Clock, stated: list[str]
 ) -> Link:
     """Open a device, and refuse a part with another serial number than the one ``stated`` before.
 
@@ -160,22 +146,213 @@ def open_same(
     return link
 
 
-def probe_devices(
-    devices: Sequence[BenchDevice], virtual: VirtualBench, clock: Clock, *, read: bool = False
-) -> list[Reading]:
-    """Open one device after the other, check that it answers, and return a reading of each where it is to be read.
+def probe_devices(devices: Sequence[BenchSensor], virtual: VirtualBench, clock: Clock) -> None:
+    """Open one device after the other, and check that it answers.
 
     UsageError: an option of an address is wrong, or contradicts that of another device on the same line.
     HardwareError: a device that cannot be opened, or does not answer.
     """
     lines: dict[str, ModbusLine] = {}
-    readings = []
     for device in devices:
         with closing(open_device(device, virtual, lines)) as link:
-            driver = device.wired.driver(link, clock)
-            driver.probe()
-            readings += [driver.read()] if read else []
-    return readings
+            device.wired.driver(link, clock).probe()
+
+
+class SensorSet:
+    """Reads several sensors as one, and gives up those that fail for good.
+
+    The temperature of ``thermometer``, where there is one, stands for that of every sensor. ``lost`` says why sensors
+    were given up, by serial number; ``sensors`` are the others, ``models`` those as they are wired.
+    """
+
+    def __init__(
+        self, sensors: Sequence[BenchSensor], drivers: Sequence[Sensor], thermometer: Sensor | None = None
+    ) -> None:
+        self.thermometer = thermometer
+        self.lost: dict[str, str] = {}
+        self._all = list(zip(sensors, drivers, strict=True))
+        self._failures: dict[str, int] = {}
+        self._just_lost: list[str] = []
+        self.give_up({})
+
+    def give_up(self, lost: Mapping[str, str]) -> None:
+        """Leave sensors out, with the reasons by serial number."""
+        self.lost.update(lost)
+        at_work = [(sensor, driver) for sensor, driver in self._all if sensor.serial not in self.lost]
+        self.sensors = [sensor for sensor, _ in at_work]
+        self.models = {sensor.serial: sensor.wired for sensor in self.sensors}
+        self._drivers = {sensor.serial: driver for sensor, driver in at_work}
+        self._drivers |= {} if self.thermometer is None else {THERMOMETER: self.thermometer}
+
+    @property
+    def interval(self) -> float:
+        """Seconds after which every sensor has a new reading."""
+        return max(model.interval for model in self.models.values())
+
+    def read(self, *, fresh: bool = False) -> Sample:
+        """Take one sample of every sensor; where it is to be ``fresh``, what they sent before is dropped first.
+
+        SensorError: one of them failed.
+        """
+        readings: dict[str, Reading] = {}
+        for discards in (True, False) if fresh else (False,):
+            for name, driver in self._drivers.items():
+                try:
+                    if discards:
+                        driver.discard()
+                    else:
+                        readings[name] = driver.read()
+                except HardwareError as error:
+                    raise named_error(name, error, alone=len(self._all) == 1) from error
+        return at_one_temperature(readings)
+
+    def read_available(self, *, fresh: bool = False) -> tuple[Sample, list[str]]:
+        """Return one sample of every sensor that answers, and why the others did not."""
+        readings: dict[str, Reading] = {}
+        reasons: list[str] = []
+        for name, driver in self._drivers.items():
+            try:
+                if fresh:
+                    driver.discard()
+                readings[name] = driver.read()
+            except HardwareError as error:
+                reasons.append(str(named_error(name, error, alone=len(self._all) == 1)))
+        if self.thermometer is not None:
+            readings.setdefault(THERMOMETER, Reading(()))
+        return at_one_temperature(readings), reasons
+
+    def link_statistics(self) -> dict[str, Mapping[str, int]]:
+        """Return the link statistics of each device that counts them, by serial number, or model where it has none."""
+        counted = {name: driver.link_statistics() for name, driver in self._drivers.items()}
+        return {name or self.sensors[0].model: counts for name, counts in counted.items() if counts}
+
+    def succeeded(self) -> None:
+        """Note a success: failures from here on count anew."""
+        self._failures.clear()
+        self._just_lost.clear()
+
+    def failed(self, error: SensorError, *, needed: bool = False) -> None:
+        """Count a failure; one sensor too many, or that is ``needed``, ends the session with the error that is raised.
+
+        A sensor that fails :data:`ATTEMPTS` times in a row is given up where others remain.
+        """
+        count = self._failures[error.serial] = self._failures.get(error.serial, 0) + 1
+        if count < ATTEMPTS:
+            return
+        if not needed and error.serial != THERMOMETER and len(self.sensors) > 1:
+            self._just_lost.append(error.serial)
+            self.give_up({error.serial: str(error)})
+        elif self._just_lost:
+            raise SensorError(
+                error.serial,
+                f"{error}; before it {', '.join(self._just_lost)} failed: is a supply, a line or an adapter of all of "
+                "them down? After --resume they are measured again",
+            )
+        else:
+            raise error
+
+
+def at_one_temperature(readings: dict[str, Reading]) -> Sample:
+    """Return readings by serial number with the temperature of the bench's thermometer, where it is among them."""
+    if (thermometer := readings.pop(THERMOMETER, None)) is None:
+        return readings
+    return {serial: replace(reading, temperature=thermometer.temperature) for serial, reading in readings.items()}
+
+
+def named_error(name: str, error: HardwareError, *, alone: bool) -> SensorError:
+    """Return an error with the name of its device, unless that is the only sensor."""
+    return SensorError(name, str(error) if alone and name != THERMOMETER else f"{name.strip('()')}: {error}")
+
+
+class Recorder:
+    """Appends what happens to a journal, and is the clock of drivers.
+
+    Its time, ns since the session began, is that of the last event, so a replay gives the drivers the same times.
+    ``line`` is the line of that event. Without a writer the events are only counted.
+    """
+
+    real = False
+
+    def __init__(self, clock: Clock, writer: JournalWriter | None = None, now_ns: int = 0) -> None:
+        self._clock = clock
+        self._writer = writer
+        self._now_ns = now_ns
+        self.line = 0 if writer is None else writer.line
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self._clock.sleep(seconds)
+
+    def seek(self, now_ns: int) -> None:
+        self._clock.seek(now_ns)
+
+    def record(self, kind: str, *payload: Any) -> None:
+        """Append what has just happened."""
+        now_ns = max(self._clock.now_ns(), self._now_ns)
+        if self._writer is not None:
+            self._writer.append(now_ns - self._now_ns, kind, *payload)
+        self._now_ns = now_ns
+        self.line += 1
+
+    def secure(self) -> None:
+        """Wait until all that was recorded is on the disk."""
+        if self._writer is not None:
+            self._writer.secure()
+
+
+class RecordedLink:
+    """A link whose transactions are recorded.
+
+    ``connect`` opens the real link when it is first needed, and again after an error, so a re-plugged sensor goes on.
+    ``number`` is the device in the journal.
+    """
+
+    def __init__(self, recorder: Recorder, connect: Callable[[], Link], letter: str, number: int) -> None:
+        self.letter = letter
+        self._recorder = recorder
+        self._connect = connect
+        self._device = (number,) if number else ()
+        self._live: Link | None = None
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        """Carry out one transaction."""
+        try:
+            if self._live is None:
+                self._live = self._connect()
+            answer = self._live.exchange(out, count)
+        except BusError as error:
+            if not isinstance(error, CaptureEnded):
+                self.close()
+            self._recorder.record(HARDWARE_ERROR, out.hex(), str(error), *self._device)
+            raise
+        self._recorder.record(self.letter, out.hex(), answer.hex(), *self._device)
+        return answer
+
+    def close(self) -> None:
+        if self._live is not None:
+            self._live.close()
+            self._live = None
+
+
+@contextmanager
+def connected(
+    sensors: Sequence[BenchSensor],
+    thermometer: BenchSensor | None,
+    recorder: Recorder,
+    virtual: VirtualBench,
+) -> Iterator[SensorSet]:
+    """Connect the devices of a bench, and close their links at the end of the block."""
+    lines: dict[str, ModbusLine] = {}
+    drivers = []
+    with ExitStack() as stack:
+        for number, device in enumerate(sensors if thermometer is None else (*sensors, thermometer)):
+            connect = partial(open_same, device, virtual, lines, recorder, [])
+            link = RecordedLink(recorder, connect, device.letter, number)
+            stack.callback(link.close)
+            drivers.append(device.wired.driver(link, recorder))
+        yield SensorSet(sensors, drivers[: len(sensors)], *drivers[len(sensors) :])
 
 
 @contextmanager
@@ -201,7 +378,7 @@ def open_sensor(model: str, address: str) -> Iterator[Sensor]:
     HardwareError
         It cannot be opened.
     """
-    device = BenchDevice(model=model, serial="", address=address)
+    device = BenchSensor("", model, address)
     clock = session_clock(datetime.now(UTC), virtual=device.simulated)
     with closing(open_device(device, VirtualBench(clock, [device]))) as link:
         yield device.wired.driver(link, clock)

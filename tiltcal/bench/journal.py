@@ -48,6 +48,10 @@ if TYPE_CHECKING:
     from tiltcal.core.ramp.record import RampRecord
     from tiltcal.files.pair import PairRecord
 
+QUIET = (
+    " any movement: it showed at most two values, as a dead converter does; tip it while you look at it with tiltcal "
+    "live, or once in a new session"
+)
 DIGITS = 1e-9  # part of its size by which a mean may differ from the one that was accepted
 
 
@@ -55,7 +59,7 @@ class RecordedSession:
     """What a journal holds of a session.
 
     ``accepted`` are the positions in order, ``leg`` the samples of a ramp since the last one, ``turned`` the end of a
-    rotation. ``tipped`` is whether the operator was asked to tip the sensors, ``spans`` what their readings span.
+    rotation. ``spans`` are what the readings span, ``steps`` what they have shown of the steps that no model states.
     """
 
     def __init__(self, journal: Journal) -> None:
@@ -66,13 +70,12 @@ class RecordedSession:
         self.accepted: list[PositionResult] = []
         self.leg: list[RecordedSample] = []
         self.turned: AcceptedPosition | None = None
-        self.tipped = False
         self.spans = ReadingSpans(self.setup.sensors)
         self._channels = None if self.setup.steps.rotation is None else self.setup.stage_channels()
         self._rows = array("d")
         self._breaks = 0
         self._ramp: list[RecordedSample] = []
-        self._steps = {serial: ReadingStep() for serial in self.sensors}
+        self.steps = {serial: ReadingStep() for serial in self.sensors}
         # Of a position no more samples than twice those wanted are ever taken.
         self._samples: deque[RecordedSample] = deque(maxlen=2 * self.setup.settings.samples + 2)
         self._answer: OperatorAnswer | None = None
@@ -114,7 +117,7 @@ class RecordedSession:
 
     def _take(self, sample: RecordedSample) -> None:
         self.spans.add(sample.readings)
-        if sample.live or not self._sampling:
+        if not self._sampling:
             return
         if self._channels is not None:
             row = self._channels.row(sample.now_ns, sample.readings)
@@ -124,9 +127,9 @@ class RecordedSession:
             self._rows.extend(row)
         elif self.setup.steps.ramp is not None:
             self.leg.append(sample)
-        elif sample.fresh and self.journal.version == 1:
+        elif sample.fresh:
             self._samples.clear()  # the last reading before the samples
-        elif sample.counts or self.journal.version == 1:
+        else:
             self._samples.append(sample)
 
     def _hear(self, answer: OperatorAnswer) -> None:
@@ -136,8 +139,8 @@ class RecordedSession:
         if answer.to in ("position", "rotation") and answer.answer == "ready":
             self._answer, self._sampling = answer, True
             self._samples.clear()
-        elif answer.to == "tip":
-            self.tipped, self._sampling = True, False
+        elif answer.to == "tip":  # earlier versions asked to see that a reading follows, once it was sampled
+            self._sampling = False
 
     def _accept(self, noted: AcceptedPosition, event: Event) -> None:
         """Take an accepted position; a JournalError where its samples do not give what was accepted."""
@@ -152,7 +155,7 @@ class RecordedSession:
         position, typed = as_set(asked, self._answer), self._answer.temperature
         if self.setup.steps.ramp is not None:
             position, typed = replace(position, temperature=asked.temperature), None
-            samples = [one for one in self.leg if noted.lines is None or noted.lines[0] <= one.line <= noted.lines[1]]
+            samples = [one for one in self.leg if noted.lines is None or one.line >= noted.lines[0]]
             self.leg = []
             self._ramp += samples
         else:
@@ -167,25 +170,25 @@ class RecordedSession:
             stamp(moment_after(self.setup.began, samples[-1].now_ns)),
             typed=typed,
             left_out=noted.left_out,
-            steps=self._steps if self.setup.steps.ramp is None else None,
+            steps=self.steps if self.setup.steps.ramp is None else None,
         )
         self._require_same_means(result, values, event)
         self.accepted.append(result)
+        self._sampling = False  # what is read until the next answer is for the operator's eyes
 
     def _of_position(
         self, noted: AcceptedPosition, serials: Sequence[str], typed: float | None
     ) -> list[RecordedSample]:
         """Return the samples of a position; in format 1 those far off are left out as they were."""
-        samples = list(self._samples)
+        samples = list(self._samples)[-noted.n - noted.left_out :]
         if noted.lines is not None:
             return [sample for number, sample in enumerate(samples) if number not in noted.without]
-        models = [self.sensors[serial].wired for serial in serials]
+        models = {serial: self.sensors[serial].wired for serial in serials}
         counted: list[RecordedSample] = []
-        for sample in samples[-noted.n - noted.left_out :]:
+        for sample in samples:
             counted.append(sample)
             if noted.left_out and len(counted) == noted.n:
-                held = [(one.now_ns / 1e9, tuple(one.readings[serial] for serial in serials)) for one in counted]
-                wrong = far_off(held, models, thermometers=typed is None)
+                wrong = far_off([one.readings for one in counted], models, thermometers=typed is None)
                 counted = [one for number, one in enumerate(counted) if number not in wrong]
         return counted
 
@@ -202,14 +205,14 @@ class RecordedSession:
 
     def results(self) -> list[PositionResult]:
         """Return the accepted positions with the steps that all their readings have shown."""
-        return [result.with_steps(self._steps) for result in self.accepted]
+        return [result.with_steps(self.steps) for result in self.accepted]
 
     def rotation_rows(self) -> Array:
         """Return the samples of a turning stage: seconds, angle in degrees, readings; shape (n, 2 + channels).
 
         A row of NaN is a break, in which a device failed or the session was interrupted.
         """
-        width = 0 if self._channels is None else 2 + len(self._channels.readings)
+        width = 0 if self._channels is None else 2 + len(self._channels.columns)
         return np.array(self._rows).reshape(-1, width)
 
     def ramp_records(self) -> dict[str, RampRecord]:
@@ -336,9 +339,9 @@ def _tilt_calibrations(
         settings={"samples": settings.samples, "settle_seconds": settings.settle},
     )
     calibrations = {}
-    quiet = session.spans.quiet_channels(setup.steps.positions) if session.tipped else {}
+    quiet = session.spans.quiet_channels(setup.steps.positions)
     for sensor, record in zip(session.at_work, records, strict=True):
-        notes = [*setup.overdue(), *(f"{channel} {NOT_FOLLOWED}" for channel in quiet.get(sensor.serial, ()))]
+        notes = [*setup.overdue(), *(f"{channel} {NOT_FOLLOWED}{QUIET}" for channel in quiet.get(sensor.serial, ()))]
         bench = BenchRecord(
             address=sensor.address,
             axes=() if sensor.orientation.straight else tuple(sensor.orientation.names),
@@ -373,7 +376,7 @@ def _pair_calibration(
         BenchSensorRecord(serial=sensor.serial, model=sensor.model, address=sensor.address) for sensor in setup.sensors
     )
     return PairRecord(
-        spin=SpinRecord(turns=rotation.turns, frequency=rotation.frequency, phase=channels.phase.column),
+        spin=SpinRecord(turns=rotation.turns, frequency=rotation.frequency, phase=channels.phase),
         matchings=matchings,
         provenance=PairProvenance(
             **provenance,

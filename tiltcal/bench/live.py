@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.bench.devices import BenchDevice, VirtualBench, probe_devices
-from tiltcal.bench.sensors import Recorder, connected
+from tiltcal.bench.devices import Recorder, VirtualBench, connected, probe_devices
 from tiltcal.calibration.record import compensation_of
 from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
@@ -20,6 +19,7 @@ from tiltcal.core.thermal_lag import ThermalLag
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import EstimateError, InputError
+from tiltcal.files.bench import BenchSensor
 from tiltcal.files.calibration import CalibrationRecord
 
 
@@ -109,9 +109,9 @@ class TiltOfReadings:
 
 @contextmanager
 def live_tilts(
-    devices: Sequence[BenchDevice],
+    devices: Sequence[BenchSensor],
     calibrations: Mapping[str, CalibrationRecord],
-    thermometer: BenchDevice | None = None,
+    thermometer: BenchSensor | None = None,
 ) -> Iterator[Callable[[], dict[str, LiveTilt]]]:
     """Yield a function that reads the sensors and returns the tilt of each, by serial number, in real time.
 
@@ -125,7 +125,7 @@ def live_tilts(
     with connected(devices, thermometer, recorder, virtual) as sensors:
 
         def read() -> dict[str, LiveTilt]:
-            readings = sensors.by_serial(sensors.read(fresh=True))
+            readings = sensors.read(fresh=True)
             seconds = recorder.now_ns() / 1e9
             return {serial: kernels[serial](reading, seconds) for serial, reading in readings.items()}
 

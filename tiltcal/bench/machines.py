@@ -14,7 +14,7 @@ from math import asin, atan2, cos, degrees, hypot, radians, sin
 from typing import Any
 
 from tiltcal.bench.drives import Angles, Drive
-from tiltcal.bench.operators import TIP, Message, Operator
+from tiltcal.bench.operators import Message, Operator
 from tiltcal.core.attitude import Vector
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.errors import HardwareError, Stopped, UsageError
@@ -199,7 +199,7 @@ class Machines:
     def ask(self, question: Message) -> object:
         """Return the answer to a question; to a position it is what was read back."""
         try:
-            if question["ask"] == "review" or question.get("position") == TIP:
+            if question["ask"] == "review":
                 self.probe()
             if question["ask"] == "position":
                 return self._position(question)
@@ -226,10 +226,6 @@ class Machines:
     def _position(self, question: Message) -> object:
         """Move every machine, have the rest done by hand, and return what was read back."""
         targets = {axis: n for axis, n in wanted(question, self._carrier or "x").items() if axis in self._limits}
-        if question["position"] == TIP and any(
-            not low <= targets.get(axis, low) <= high for axis, (low, high) in self._limits.items()
-        ):
-            return {"answer": "redo"}  # the file says that the channel was not seen to follow
         reached = self._moved(targets, question["position"])
         if reached and question is not self._asked:
             self._asked = question

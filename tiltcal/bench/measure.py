@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
+from tiltcal.bench.devices import RECOVERY
 from tiltcal.bench.journal import SessionResult, calibrations_of
 from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
-from tiltcal.bench.sensors import RECOVERY
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
 from tiltcal.errors import HardwareError, InputError, JournalError, SensorError, Stopped, TiltcalError, UsageError
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure import Position
-
-
-@dataclass(frozen=True)
-class OperatorOptions:
-    """How an operator is asked: in ``plain`` lines; at a page also on other machines, and with free hands."""
-
-    plain: bool = False
-    listen: str | None = None
-    hands_free: bool = False
 
 
 @contextmanager
@@ -33,9 +23,11 @@ def led_by(
     session: Session,
     command: str,
     remark: Callable[[str], None],
-    options: OperatorOptions | None = None,
+    options: Mapping[str, Any],
 ) -> Iterator[Operator]:
     """Yield the operator of a session whose files can be written and whose devices answer.
+
+    Of the ``options`` of ``measure``, ``plain``, ``listen`` and ``hands_free`` say how it is asked.
 
     An error that ends the block says how to go on, with the ``command`` that resumes, where the journal has a begin and
     no end.
@@ -48,7 +40,7 @@ def led_by(
     try:
         session.probe()
         with ExitStack() as stack:
-            operator = _operator(chosen, session, remark, stack, options or OperatorOptions())
+            operator = _operator(chosen, session, remark, stack, options)
             yield _with_machines(operator, session, stack)
     except (KeyboardInterrupt, TiltcalError) as error:
         if not session.captured:
@@ -65,14 +57,15 @@ def led_by(
 
 
 def _operator(
-    chosen: object, session: Session, say: Callable[[str], None], stack: ExitStack, options: OperatorOptions
+    chosen: object, session: Session, say: Callable[[str], None], stack: ExitStack, options: Mapping[str, Any]
 ) -> Operator:
     """Return an operator: one of :data:`NAMED`, or an object with the methods of the protocol.
 
     A terminal is given back at the end of the stack; ``say`` takes a line of the virtual jig's talk.
     """
-    if chosen != "web" and (options.listen is not None or options.hands_free):
-        option = "--hands-free" if options.hands_free else "--listen"
+    plain, listen, hands_free = bool(options["plain"]), options["listen"], bool(options["hands_free"])
+    if chosen != "web" and (listen is not None or hands_free):
+        option = "--hands-free" if hands_free else "--listen"
         raise UsageError(f"{option} is for the page in a browser: give --operator web")
     needed = {"terminal": {"input": sys.stdin, "error": sys.stderr}, "json": {"input": sys.stdin, "output": sys.stdout}}
     for name, stream in needed.get(str(chosen), {}).items():
@@ -82,11 +75,11 @@ def _operator(
         case "terminal":
             from tiltcal.bench.terminal import open_terminal
 
-            return open_terminal(stack, plain=options.plain)
+            return open_terminal(stack, plain=plain)
         case "web":
             from tiltcal.bench.web import open_web
 
-            return open_web(stack, say, listen=options.listen, hands_free=options.hands_free)
+            return open_web(stack, say, listen=listen, hands_free=hands_free)
         case "sim" if not session.setup.simulated:
             raise UsageError("--operator sim moves virtual sensors only; give --address sim:")
         case "sim":
@@ -129,19 +122,14 @@ def run_session(session: Session, operator: Operator) -> SessionResult:
     steps = session.setup.steps
     with ExitStack() as stack:
         session.open(stack, operator)
-        if steps.rotation is not None and (session.recorded is None or session.recorded.turned is None):
+        if steps.rotation is not None and session.recorded.turned is None:
             from tiltcal.bench.rotation import TurningStage
 
             TurningStage(session, steps.rotation).turn()
-        attempt: Callable[[Position], str] = session.attempt
-        if steps.ramp is not None:
-            from tiltcal.bench.ramp import take_leg
-
-            attempt = partial(take_leg, session, steps.ramp)
         while len(session.accepted) < len(steps.positions):
             position = steps.positions[len(session.accepted)]
             try:
-                answer = attempt(position)
+                answer = session.attempt(position)
                 if answer == "back" and not session.accepted:
                     raise InputError("this is the first position: there is none before it to go back to")
                 if answer == "back":

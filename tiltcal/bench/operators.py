@@ -22,14 +22,17 @@ The operator of a turning stage is asked once, and may stop it at any time::
     {"event": "accepted", "position": "rotation", "turns": 25.1, "p": {...}, ..., "suppression": {...}}
 
 ``waiting`` comes once a minute. ``redo`` asks for the same position again; ``back`` gives up the position before it and
-asks for that one. The position ``tip`` asks once to see that a reading follows, where nothing in a session has changed
-it. A person is asked for a review of each position and before the files are written too, and sees every reading.
+asks for that one. A person is asked for a review of each position and before the files are written too, and sees every
+reading.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import select
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import dist
@@ -37,7 +40,6 @@ from typing import Any, Protocol, TextIO
 
 import msgspec
 
-from tiltcal.bench.keys import LineReader
 from tiltcal.core.attitude import Vector, gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.rounding import plus_minus
@@ -61,12 +63,12 @@ WORDS = {
 }
 """The answers to each question."""
 
-TIP = "tip"  # the question whether a reading follows, and the position that is asked for
 LOOK = "look"  # the answer of an operator that wants to see a reading before it is asked again
 HEARD = ("waiting", "accepted", "refused", "lost", "done", "turn", "held", "resumed")  # the events that a program gets
 KEYS = ("answer", "gravity", "temperature", "tilt")
 TILT_AXES = ("x", "y")
 
+CHUNK = LONGEST = 1 << 16  # bytes that are read at once, and of a line without an end that are kept
 SAME = 1e-4  # directions that differ by less are one, g: 0.006°
 
 
@@ -150,6 +152,47 @@ def _number(value: object, key: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
         raise InputError(f"{key} in the answer is {value!r}, not a number")
     return float(value)
+
+
+class LineReader:
+    """The lines of a text stream, waited for or taken where they have arrived.
+
+    It reads the stream's descriptor itself, because Python's buffer cannot be asked without waiting; nothing else may
+    read the stream. A stream without a descriptor is read as it is, and has nothing ready.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._ready: deque[str] = deque()
+        self._rest = b""
+        self._ended = False
+        try:
+            self._descriptor: int | None = stream.fileno()
+        except (OSError, ValueError):
+            self._descriptor = None
+
+    def next(self) -> str:
+        """Wait for the next line and return it with its end; empty at the end of the stream."""
+        if self._descriptor is None:
+            return self._stream.readline()
+        while not self._ready and not self._ended:
+            self._read(self._descriptor)
+        return self._ready.popleft() if self._ready else ""
+
+    def waiting(self) -> list[str]:
+        """Return the lines that have arrived; they stay."""
+        if self._descriptor is not None and not self._ended and select.select([self._descriptor], [], [], 0.0)[0]:
+            self._read(self._descriptor)
+        return list(self._ready)
+
+    def _read(self, descriptor: int) -> None:
+        arrived = os.read(descriptor, CHUNK)
+        self._ended = not arrived
+        *lines, rest = (self._rest + arrived).split(b"\n")
+        self._rest = b"" if self._ended else rest[:LONGEST]
+        self._ready.extend(line.decode(errors="replace") + "\n" for line in lines)
+        if self._ended and rest:
+            self._ready.append(rest.decode(errors="replace"))
 
 
 class VirtualJig(Operator):

@@ -86,6 +86,15 @@ class MeasureOptions(TypedDict, total=False):
     resume: Annotated[
         _Path, _file("Continue an interrupted session; of what else is stated -o counts.", "JOURNAL", _POSITIONS)
     ]
+    operator: Annotated[
+        object,
+        Option(
+            "Who sets the positions [terminal]: a person at the terminal or at a page in a browser, a program that "
+            "reads and writes JSON Lines, or the virtual jig.",
+            "terminal|web|json|sim",
+            _POSITIONS,
+        ),
+    ]
     plain: Annotated[bool, _flag("Plain lines: no live reading, no single keys.")]
     hands_free: Annotated[bool, _flag("With --operator web: take the next position as soon as it is set and still.")]
     listen: Annotated[

@@ -8,10 +8,10 @@ they follow without a transaction.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 
-from tiltcal.bench.sensors import THERMOMETER, named_error
+from tiltcal.bench.devices import THERMOMETER, Sample, at_one_temperature, named_error
 from tiltcal.bench.setup import Setup
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Reading
@@ -36,16 +36,13 @@ class RecordedSample:
     """A sample of a session, its readings by serial number; a sensor that was given up is left out.
 
     ``line`` is that of the last event before it ended, ``now_ns`` its time since the session began. It is ``fresh``
-    where what the sensors had sent before was dropped, ``live`` where it was for the operator's eyes alone (format 1),
-    and it ``counts`` where an accepted position names it.
+    where what the sensors had sent before was dropped.
     """
 
     line: int
     now_ns: int
-    readings: Mapping[str, Reading]
+    readings: Sample
     fresh: bool = False
-    live: bool = False
-    counts: bool = False
 
 
 @dataclass
@@ -82,6 +79,7 @@ class Playback:
         self._event: Event | None = next(self._events, None)
         self._coming = deque(event.content(AcceptedPosition) for event in journal.accepted)
         self._interrupted = False
+        self._since = 0  # samples since the last one before which the sensors dropped what they had sent
         self._given_up: set[str] = set()
         self._lacking: set[str] = set()
         """The sensors that the last accepted position lacks."""
@@ -97,49 +95,40 @@ class Playback:
         ]
 
     def link_statistics(self) -> dict[str, dict[str, int]]:
-        """Return the link statistics of each device that counts them, by serial number, or model where it has none."""
+        """Return the link statistics of each device that counts them, by serial number."""
         counted = {serial: dict(counts) for serial, counts in self._statistics.items()}
         for name, driver in zip(self._names, self._drivers, strict=True):
             if name not in self._given_up and (counts := driver.link_statistics()):
-                before = counted.get(name := name or self.setup.sensors[0].model, {})
+                before = counted.get(name, {})
                 counted[name] = {what: before.get(what, 0) + n for what, n in counts.items()}
         return counted
 
     def __iter__(self) -> Iterator[RecordedSample | Event]:
-        in_positions = self.setup.steps.rotation is None and self.setup.steps.ramp is None
-        live, taken = False, None
         while (event := self._event) is not None:
-            coming = self._coming[0] if self._coming and in_positions else None
-            if coming and coming.lines and coming is not taken and event.line >= coming.lines[0]:
-                taken = coming
-                for _ in range(coming.n + len(coming.without)):
-                    if (sample := self._sample(counts=True)) is None:
-                        raise self._error("a sample of an accepted position cannot be decoded from here on", event)
-                    yield sample
-            elif event.kind not in MARKS:
+            if event.kind not in MARKS:
                 drops = event.kind in STREAMS and event.payload[:2] == ("", "")
-                if (sample := self._sample(fresh=drops, live=live)) is not None:
+                if (sample := self._sample(fresh=drops)) is not None:
+                    self._since = 0 if drops else self._since + 1
                     yield sample
-                live = False
-            else:
-                yield from self._kept_by_drivers(event)
-                self._take(event)
-                live = event.kind == LIVE_READING
-                if event.kind == POSITION:
-                    self._lacking = {*self._names} - {*self._coming.popleft().by_serial(self._names)}
-                elif event.kind == RESUMED:
-                    self._resume()
-                yield event
+                continue
+            yield from self._kept_by_drivers(event)
+            self._take(event)
+            if event.kind == POSITION:
+                self._lacking = {*self._names} - {*self._coming.popleft().by_serial(self._names)}
+            elif event.kind == RESUMED:
+                self._resume()
+            yield event
 
     def _kept_by_drivers(self, event: Event) -> Iterator[RecordedSample]:
         """Yield the samples that need no further transaction, where the session took them before an event."""
         question, most = event.payload[0]["to"] if event.kind == ANSWER else "", 0
         if self.setup.steps.rotation is not None and (event.kind in (POSITION, RESUMED) or question == "write"):
             most = len(self._journal.events)
-        elif question in ("review", "tip") and self._journal.version == 1:
-            most = self._coming[0].n if self._coming else self.setup.settings.samples
-        while most and (sample := self._sample()) is not None:
-            most -= 1
+        elif question in ("review", "tip"):
+            coming = self._coming[0] if self._coming else None
+            most = (self.setup.settings.samples if coming is None else coming.n + coming.left_out) - self._since
+        while most > 0 and (sample := self._sample()) is not None:
+            most, self._since = most - 1, self._since + 1
             yield sample
 
     def _resume(self) -> None:
@@ -176,7 +165,7 @@ class Playback:
             raise BusError(event.payload[1])
         return bytes.fromhex(event.payload[1])
 
-    def _sample(self, *, fresh: bool = False, live: bool = False, counts: bool = False) -> RecordedSample | None:
+    def _sample(self, *, fresh: bool = False) -> RecordedSample | None:
         """Return a sample of all devices; None where one of them failed, or no further is there."""
         self._interrupted = False
         devices = list(zip(self._names, self._drivers, strict=True))
@@ -194,10 +183,7 @@ class Playback:
                 self.breaks += 1
                 self.failures[name] = str(named_error(name, error, alone=len(self.setup.sensors) == 1))
             return None
-        if (thermometer := readings.pop(THERMOMETER, None)) is not None:
-            temperature = thermometer.temperature
-            readings = {serial: replace(reading, temperature=temperature) for serial, reading in readings.items()}
-        return RecordedSample(self._line, self.now_ns, readings, fresh, live, counts)
+        return RecordedSample(self._line, self.now_ns, at_one_temperature(readings), fresh)
 
     def _gives_up(self, number: int) -> bool:
         """Return whether a device that has failed is given up: where it would be read, another one is.

@@ -9,17 +9,15 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from tiltcal.bench.devices import VirtualBench, probe_devices
-from tiltcal.bench.sensors import Recorder, SensorSet, connected
-from tiltcal.bench.setup import column_name, sensors_of, thermometer_of
+from tiltcal.bench.devices import Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices, thermometer_of
+from tiltcal.bench.setup import column_name
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
-from tiltcal.drivers.model import Model, Reading, link_in_words
+from tiltcal.drivers.model import Model, link_in_words
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import BINARY, append_whole, sync_data
 from tiltcal.files.bench import BenchFile
@@ -32,19 +30,72 @@ if TYPE_CHECKING:
 SECURE_NS = 1_000_000_000  # time that a row may wait for the disk, ns
 
 
-@dataclass
-class RecordingTally:
-    """The content of a recording so far: rows, and readings that are missing, with the last reason.
+class LogColumns:
+    """The columns of the log of a bench: ``x``, ``y``, ``temperature`` of one sensor, ``S-7_x`` and so on of several.
 
-    ``interrupted`` is whether it was stopped before its end; ``link_statistics`` are by device what was used, damaged
-    and lost on its line.
+    Where the bench has a ``thermometer``, its temperature stands for that of every sensor.
     """
 
-    rows: int = 0
-    missing: int = 0
-    why: str = ""
-    interrupted: bool = False
-    link_statistics: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    def __init__(self, models: Mapping[str, Model], *, thermometer: bool) -> None:
+        self._models, self._thermometer = models, thermometer
+        self.names = ["time"]
+        for serial, model in models.items():
+            beside = ["temperature"] if model.thermometer and not thermometer else []
+            self.names += [column_name(serial, one, alone=len(models) == 1) for one in (*model.channels, *beside)]
+        self.names += ["temperature"] if thermometer else []
+
+    def row(self, moment: datetime, sample: Sample) -> bytes:
+        """Return a sample as a row; a sensor that is not in it leaves its cells empty."""
+        cells = [stamp(moment)]
+        for serial, model in self._models.items():
+            reading = sample.get(serial)
+            cells += [""] * len(model.channels) if reading is None else [f"{value:.10g}" for value in reading.values]
+            if model.thermometer and not self._thermometer:
+                cells.append(_celsius(None if reading is None else reading.temperature))
+        if self._thermometer:
+            cells.append(_celsius(next((reading.temperature for reading in sample.values()), None)))
+        return _row(cells)
+
+
+def _celsius(temperature: float | None) -> str:
+    return "" if temperature is None else f"{temperature:.3f}"
+
+
+def _row(cells: Sequence[str]) -> bytes:
+    return (",".join(cells) + "\n").encode()
+
+
+def write_samples(stream: BinaryIO, setup: Setup, samples: Iterable[RecordedSample]) -> None:
+    """Write the samples of a session as the rows of a log; a sensor that was given up leaves its cells empty."""
+    models = {device.serial: device.wired for device in setup.sensors}
+    columns = LogColumns(models, thermometer=setup.thermometer is not None)
+    stream.write(_row(columns.names))
+    for sample in samples:
+        stream.write(columns.row(moment_after(setup.began, sample.now_ns), sample.readings))
+
+
+class Recording:
+    """A CSV log that rows are appended to, made anew.
+
+    ``rows`` are those below its header; ``missing`` counts readings that failed, of which ``why`` is the last reason;
+    ``interrupted`` is whether it was stopped before its end; ``link_statistics`` are by device what was used, damaged
+    and lost on its line.
+
+    UsageError: the file exists, or cannot be made.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        try:
+            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | BINARY, 0o644)
+        except FileExistsError:
+            raise UsageError(f"{path} exists; a recording never replaces one: name another file") from None
+        except OSError as error:
+            raise UsageError(f"cannot write {path}: {error.strerror}") from None
+        self._path = path
+        self._size = self._appended = self.missing = 0
+        self.rows, self.why, self.interrupted = -1, "", False
+        self.link_statistics: Mapping[str, Mapping[str, int]] = {}
+        self.append(_row(names))
 
     @property
     def losses_in_words(self) -> str:
@@ -54,28 +105,8 @@ class RecordingTally:
             f"\n{device}: {link_in_words(counts)}" for device, counts in self.link_statistics.items()
         )
 
-
-class CsvRecorder:
-    """A CSV log that rows are appended to, made anew; ``rows`` are those below its header.
-
-    UsageError: the file exists, or cannot be made.
-    """
-
-    def __init__(self, path: Path, header: Sequence[str]) -> None:
-        try:
-            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | BINARY, 0o644)
-        except FileExistsError:
-            raise UsageError(f"{path} exists; a recording never replaces one: name another file") from None
-        except OSError as error:
-            raise UsageError(f"cannot write {path}: {error.strerror}") from None
-        self._path = path
-        self._size = self._appended = 0
-        self.rows = -1
-        self.write(header)
-
-    def write(self, cells: Sequence[str]) -> None:
+    def append(self, row: bytes) -> None:
         """Append one row, whole or not at all; a UsageError where the disk is full or fails."""
-        row = _row(cells)
         self._appended = len(row)
         try:
             append_whole(self._descriptor, row, self._size)
@@ -116,26 +147,6 @@ class CsvRecorder:
         )
 
 
-def _header(models: Mapping[str, Model], *, thermometer: bool) -> list[str]:
-    """Return the columns: ``x``, ``y``, ``temperature`` of a single sensor, ``S-7_x`` and so on of several."""
-    names = ["time"]
-    for serial, model in models.items():
-        beside = ["temperature"] if model.thermometer and not thermometer else []
-        names += [column_name(serial, name, alone=len(models) == 1) for name in (*model.channels, *beside)]
-    return names + (["temperature"] if thermometer else [])
-
-
-def write_samples(stream: BinaryIO, setup: Setup, samples: Iterable[RecordedSample]) -> None:
-    """Write the samples of a session as the rows of a log; a sensor that was given up leaves its cells empty."""
-    models = {device.serial: device.wired for device in setup.sensors}
-    thermometer = setup.thermometer is not None
-    stream.write(_row(_header(models, thermometer=thermometer)))
-    for sample in samples:
-        moment = moment_after(setup.began, sample.now_ns)
-        readings = [sample.readings.get(serial) for serial in models]
-        stream.write(_row(_cells(list(models.values()), readings, moment, thermometer=thermometer)))
-
-
 def record_bench(
     bench: BenchFile,
     log: Path,
@@ -143,8 +154,8 @@ def record_bench(
     rate: float | None,
     rows: int | None,
     seconds: float | None,
-    progress: Callable[[RecordingTally], None],
-) -> RecordingTally:
+    progress: Callable[[Recording], None],
+) -> Recording:
     """Record the sensors of a bench to a CSV log, until the limit or Ctrl-C; ``progress`` is called after each row.
 
     ``rate`` is in rows per second; None is as fast as the sensors renew themselves. With neither ``rows`` nor
@@ -153,7 +164,7 @@ def record_bench(
     UsageError: the log exists, an address is wrong, or there is no end on the virtual bench.
     HardwareError: a sensor does not answer.
     """
-    sensors, thermometer = sensors_of(bench), thermometer_of(bench)
+    sensors, thermometer = bench.sensors, thermometer_of(bench)
     devices = sensors if thermometer is None else (*sensors, thermometer)
     virtual = all(device.simulated for device in devices)
     interval = 1.0 / rate if rate else max(sensor.wired.interval for sensor in sensors)
@@ -166,66 +177,36 @@ def record_bench(
     clock = session_clock(started, virtual=virtual)
     twins = VirtualBench(clock, devices)
     probe_devices(devices, twins, clock)
-    tally = RecordingTally()
     with connected(sensors, thermometer, Recorder(clock), twins) as opened:
-        header = _header({one.serial: one.wired for one in sensors}, thermometer=thermometer is not None)
-        recorder = CsvRecorder(log, header)
+        columns = LogColumns(opened.models, thermometer=thermometer is not None)
+        recording = Recording(log, columns.names)
         try:
-            for tally in record(opened, recorder, clock, started, interval=interval, rows=rows, seconds=seconds):
-                progress(tally)
+            record(recording, columns, opened, clock, started, interval, rows, seconds, progress)
         except KeyboardInterrupt:
-            tally.interrupted = not endless
+            recording.interrupted = not endless
         finally:
-            recorder.close()
-            tally.rows, tally.link_statistics = recorder.rows, opened.link_statistics()
-    return tally
+            recording.close()
+            recording.link_statistics = opened.link_statistics()
+    return recording
 
 
 def record(
-    sensors: SensorSet,
-    log: CsvRecorder,
-    clock: Clock,
-    started: datetime,
-    *,
-    interval: float,
-    rows: int | None,
-    seconds: float | None = None,
-) -> Iterator[RecordingTally]:
-    """Take samples at a steady pace, an ``interval`` of seconds apart, and append them to a log; yield after each."""
-    tally = RecordingTally()
+    recording: Recording, columns: LogColumns, sensors: SensorSet, clock: Clock, started: datetime, interval: float,
+    rows: int | None, seconds: float | None, progress: Callable[[Recording], None],
+) -> None:  # fmt: skip
+    """Take samples at a steady pace, an ``interval`` of seconds apart, and append them to a recording."""
     # A sensor that talks faster than rows are taken would be read later and later.
-    slower = interval > 1.5 * min(model.interval for model in sensors.models)
+    slower = interval > 1.5 * min(model.interval for model in sensors.models.values())
     begun_ns = due_ns = secured_ns = clock.now_ns()
-    while (rows is None or tally.rows < rows) and (seconds is None or clock.now_ns() - begun_ns < seconds * 1e9):
-        readings, why = sensors.read_available(fresh=slower or not tally.rows)
+    while (rows is None or recording.rows < rows) and (seconds is None or clock.now_ns() - begun_ns < seconds * 1e9):
+        sample, why = sensors.read_available(fresh=slower or not recording.rows)
         now_ns = clock.now_ns()
-        moment, thermometer = moment_after(started, now_ns), sensors.thermometer is not None
-        log.write(_cells(sensors.models, readings, moment, thermometer=thermometer))
-        tally.rows += 1
+        recording.append(columns.row(moment_after(started, now_ns), sample))
         if why:
-            tally.missing, tally.why = tally.missing + len(why), why[-1]
+            recording.missing, recording.why = recording.missing + len(why), why[-1]
         if now_ns - secured_ns >= SECURE_NS:
-            log.secure()
+            recording.secure()
             secured_ns = now_ns
-        yield tally
+        progress(recording)
         due_ns = max(due_ns + round(interval * 1e9), now_ns - round(interval * 1e9))
         clock.sleep(max(0, due_ns - clock.now_ns()) / 1e9)
-
-
-def _row(cells: Sequence[str]) -> bytes:
-    return (",".join(cells) + "\n").encode()
-
-
-def _cells(
-    models: Sequence[Model], readings: Sequence[Reading | None], moment: datetime, *, thermometer: bool
-) -> list[str]:
-    cells = [stamp(moment)]
-    for model, reading in zip(models, readings, strict=True):
-        cells += [""] * len(model.channels) if reading is None else [f"{value:.10g}" for value in reading.values]
-        if model.thermometer and not thermometer:
-            cells.append(_celsius(reading))
-    return cells + ([_celsius(next(filter(None, readings), None))] if thermometer else [])
-
-
-def _celsius(reading: Reading | None) -> str:
-    return "" if reading is None or reading.temperature is None else f"{reading.temperature:.3f}"

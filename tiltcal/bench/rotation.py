@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from tiltcal.bench.devices import RECOVERY
 from tiltcal.bench.journal import unused
-from tiltcal.bench.sensors import RECOVERY
 from tiltcal.bench.session import Session
 from tiltcal.core.model import Array
 from tiltcal.core.pair.matching import (
@@ -106,20 +106,19 @@ class TurningStage:
     """The rotation of a session."""
 
     def __init__(self, session: Session, rotation: Rotation) -> None:
-        before = session.recorded
         self._session = session
         self._rotation = rotation
         self._channels = session.setup.stage_channels()
         self._samples = StageSamples(self._channels.columns)
-        self._interval = max(model.interval for model in session.sensors.models)
+        self._interval = session.sensors.interval
         self._taken = self._damaged = self._due = 0
         self._stale = True
         self._reported = ""
-        self._turns = before is not None and before.turning
+        self._turns = session.recorded.turning
         self._pairs: dict[str, PairCoefficients] = {}
         self._unknown: dict[str, str] = {}
         kept = ""
-        for part in [] if before is None else split_at_breaks(before.rotation_rows()):
+        for part in split_at_breaks(session.recorded.rotation_rows()):
             self._taken += len(part)
             for first in range(0, len(part), LARGEST_BLOCK):
                 self._samples.take(part[first : first + LARGEST_BLOCK])
@@ -197,10 +196,8 @@ class TurningStage:
         begun_ns = session.recorder.now_ns()
         while len(block) < LARGEST_BLOCK and session.recorder.now_ns() - begun_ns < BLOCK_NS:
             try:
-                if self._stale:
-                    sensors.discard()
-                    self._stale = False
-                readings = sensors.by_serial(sensors.read())
+                readings = sensors.read(fresh=self._stale)
+                self._stale = False
             except SensorError as error:
                 self._stale = True
                 sensors.failed(error, needed=True)

@@ -9,73 +9,64 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from math import nan
+from pathlib import Path
 from typing import Any
 
-from tiltcal.bench.checks import Expectations, PositionResult, ReadingSpans, at_rail, far_off, require_few, result_of
-from tiltcal.bench.devices import VirtualBench, probe_devices
+from tiltcal.bench.checks import Expectations, PositionResult, at_rail, far_off, require_few, result_of
+from tiltcal.bench.devices import RECOVERY, Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.bench.journal import RecordedSession, positions_of
-from tiltcal.bench.operators import LOOK, TIP, WORDS, Operator, as_set, understood
+from tiltcal.bench.operators import LOOK, WORDS, Operator, as_set, understood
 from tiltcal.bench.playback import RecordedSample
-from tiltcal.bench.sensors import Recorder, Sample, SensorSet, connected
 from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.setup import SessionFiles, Setup
-from tiltcal.core.attitude import Vector, normalised
-from tiltcal.core.samples import ReadingStep
+from tiltcal.core.attitude import Vector
 from tiltcal.drivers.bus.clock import session_clock
-from tiltcal.drivers.model import Reading
-from tiltcal.errors import HardwareError, InputError, Stopped
-from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer
+from tiltcal.errors import HardwareError, InputError, SensorError, Stopped, UsageError
+from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
 from tiltcal.files.moments import moment_after, stamp
-from tiltcal.files.procedure import Position
+from tiltcal.files.procedure import Position, Ramp
 from tiltcal.files.record import plain
 
 NUDGED = 0.002  # a change while sampling above this is a sensor that was touched, g (0.1° near level)
 NUDGED_SIGMAS = 6.0
 """And it must be this many standard uncertainties: a refusal costs the operator time, a look while settling none."""
 
-TIPPED = (0.2, 0.2, -0.2)
-"""What a tip by hand adds to gravity, g: of any attitude it changes all components, of level by 14° in all."""
-
+CHANGE = 0.5  # °C; a ramp's temperature that changes by less within the patience of the procedure has stopped
 MINUTE_NS = 60_000_000_000  # time between two events while a chamber soaks or a reading settles, ns
 
 
 class Session:
-    """A setup being carried out; ``journal`` is what was captured before an interruption.
+    """A setup being carried out, with its journal at ``path``; ``journal`` is what was captured before an interruption.
 
-    ``accepted`` are the positions so far, ``recorded`` what the journal holds, ``leg`` the samples of a ramp's leg from
-    before an interruption. The journal is ``captured`` where it has a begin, and ``finished`` where it has its end.
+    ``output`` takes the place of where the setup says that calibrations go.
+    ``recorded`` is what the journal holds from before, of a new session nothing; ``accepted`` are the positions so far,
+    ``leg`` the samples of a ramp's leg. The journal is ``captured`` where it has a begin, and ``finished`` where it has
+    its end.
     """
 
     sensors: SensorSet
+    recorded: RecordedSession
     recorder: Recorder
     writer: JournalWriter
+    accepted: list[PositionResult]
+    leg: list[RecordedSample]
     _operator: Operator
     _expectations: Expectations
+    _soaked: float | None
+    """The temperature that the sensors have, °C; None on the way."""
 
-    def __init__(self, setup: Setup, files: SessionFiles, journal: Journal | None = None) -> None:
+    def __init__(self, setup: Setup, path: Path, journal: Journal | None = None, output: Path | None = None) -> None:
         self.setup = setup
-        self.files = files
+        self.files = SessionFiles(setup, path, output)
         self.journal = journal
         self.clock = session_clock(setup.began, virtual=setup.simulated)
-        self.accepted: list[PositionResult] = []
-        self.recorded: RecordedSession | None = None
-        self.leg: list[RecordedSample] = []
         self.captured = journal is not None
         self.finished = journal is not None and journal.end is not None
         self._virtual = VirtualBench(self.clock, setup.devices)
-        self._spans = ReadingSpans(setup.sensors)
-        self._steps = {device.serial: ReadingStep() for device in setup.sensors}
-        """What the readings have shown of the steps that no model states."""
-        self._probed: dict[str, Reading] = {}
-        self._tipped = self._interrupted = False
         self._answered_ns = self._minutes = 0
-        self._begun_ns = 0
-        self._durations: dict[bool, list[int]] = {False: [], True: []}
-        """How long positions took, ns: those without, and with a new temperature."""
         self._attempts = ("", 0)
         """The position that was last asked for in vain, and how often in a row."""
-        self._soaked: float | None = None
-        """The temperature that the sensors have, °C; None on the way."""
 
     def probe(self) -> None:
         """Check before the operator starts that every device answers; a journal that has its end needs none.
@@ -86,29 +77,24 @@ class Session:
             return
         clock = session_clock(self.setup.began, virtual=self.setup.simulated)
         devices = self.setup.devices
-        probed = probe_devices(devices, VirtualBench(clock, devices), clock, read=True)
-        self._probed = {device.serial: reading for device, reading in zip(self.setup.sensors, probed, strict=False)}
+        probe_devices(devices, VirtualBench(clock, devices), clock)
 
     def open(self, stack: ExitStack, operator: Operator) -> None:
         """Open the journal and the devices until the end of the stack, and tell the operator what begins."""
         setup, self._operator = self.setup, operator
         if self.journal is None:
             self.writer = JournalWriter.create(self.files.journal, setup.header())
+            self.recorded = positions_of(read_journal(self.files.journal))
         else:
             self.recorded = positions_of(self.journal)
             self.writer = JournalWriter.resume(self.journal)
         self.captured = True
         stack.callback(self.writer.close)
-        recorded = self.recorded
-        self.recorder = Recorder(self.clock, self.writer, 0 if recorded is None else recorded.playback.now_ns)
-        if recorded is not None:
-            self._take_over(recorded)
+        self.recorder = Recorder(self.clock, self.writer, self.recorded.playback.now_ns)
+        self._go_on()
         opened = connected(setup.sensors, setup.thermometer, self.recorder, self._virtual)
         self.sensors = stack.enter_context(opened)
-        self._spans.add(self._probed)
-        self.sensors.listeners.append(self._spans.add)
-        self.sensors.give_up({} if recorded is None else recorded.lost)
-        self._begun_ns = self.recorder.now_ns()
+        self.sensors.give_up(self.recorded.lost)
         self.tell(
             "begin",
             title=setup.steps.title,
@@ -126,14 +112,13 @@ class Session:
                     "offset": model.offset,
                     "sensitivity": model.sensitivity,
                 }
-                for sensor, model in zip(self.sensors.sensors, self.sensors.models, strict=True)
+                for sensor, model in zip(self.sensors.sensors, self.sensors.models.values(), strict=True)
             },
         )
 
-    def _take_over(self, recorded: RecordedSession) -> None:
-        """Take what was measured before the interruption; the virtual jig has taken the positions, too."""
-        self.accepted, self.leg, self._tipped = recorded.accepted, recorded.leg, recorded.tipped
-        self._spans = recorded.spans
+    def _go_on(self) -> None:
+        """Go on from what the journal holds; the virtual jig has taken its positions, too."""
+        self.accepted, self.leg = self.recorded.accepted, self.recorded.leg
         for result in self.accepted:
             self._hold(replace(result.position, temperature=result.asked))
         if self.leg:
@@ -142,11 +127,14 @@ class Session:
             self._hold(replace(position, temperature=reading.temperature))
         self._soaked = self.accepted[-1].asked if self.accepted else None
         self._interrupted = self._soaked is not None
-        self.clock.seek(recorded.playback.now_ns)
-        self.recorder.record(RESUMED)
+        if self.journal is not None:
+            self.clock.seek(self.recorder.now_ns())
+            self.recorder.record(RESUMED)
 
     def attempt(self, position: Position) -> str:
         """Ask for a position, measure it, have it judged; return the last answer."""
+        if (ramp := self.setup.steps.ramp) is not None:
+            return self._take_leg(ramp, position)
         answer = self.ask_for(position)
         if answer.answer != "ready":
             return answer.answer
@@ -164,8 +152,6 @@ class Session:
         self.sensors.succeeded()
         result = self._result(position, actual, samples, len(without), answer.temperature)
         self._expectations.require(result)
-        if len(self.accepted) == len(self.setup.steps.positions) - 1:
-            self.tip(position)
         verdict = self.ask(
             {
                 "ask": "review",
@@ -179,14 +165,16 @@ class Session:
             self.accept(result, {"lines": [first, last], **({"without": without} if without else {})})
         return verdict.answer
 
-    def ask_for(self, position: Position, to: str = "position") -> OperatorAnswer:
-        """Ask for a position; ``to`` is the question in the journal."""
+    def ask_for(self, position: Position) -> OperatorAnswer:
+        """Ask for a position."""
         self._expectations = Expectations(self.setup, self.sensors.sensors, self.accepted)
         if position.temperature != self._soaked:
             self._soaked = None
         self._hold(position)
         names = [result.position.name for result in self.accepted]
-        self.tell("progress", position=position.name, accepted=names, seconds=self._seconds_left())
+        settings, interval = self.setup.settings, self.sensors.interval
+        left = self.setup.steps.least_seconds(settings.samples, interval, settings.settle, done=len(names))
+        self.tell("progress", position=position.name, accepted=names, seconds=left)
         question = {
             "ask": "position",
             "position": position.name,
@@ -197,30 +185,18 @@ class Session:
             **({} if position.stage is None else {"stage": position.stage}),
             "prompt": position.prompt,
         }
-        answer = self.ask(question, to)
+        answer = self.ask(question)
         self._answered_ns, self._minutes = self.recorder.now_ns(), 0
-        if answer.answer == "redo" and to == "position":
+        if answer.answer == "redo":
             self._count_attempt(position.name, "the program answered redo")
         return answer
 
-    def _seconds_left(self) -> float:
-        """Return how long the positions that remain will take: as long as those before, or as their windows state."""
-        settings = self.setup.settings
-        sampling = settings.samples * max(model.interval for model in self.sensors.models)
-        seconds, before = 0.0, self.accepted[-1].asked if self.accepted else None
-        for position in self.setup.steps.positions[len(self.accepted) :]:
-            soaks = position.temperature is not None and position.temperature != before
-            taken, before = self._durations[soaks], position.temperature
-            window = self._soaking(None) if soaks else Window(settings.settle)
-            seconds += sum(taken) / len(taken) / 1e9 if taken else sampling + window.shortest
-        return seconds
-
-    def ask(self, question: Mapping[str, Any], to: str = "") -> OperatorAnswer:
+    def ask(self, question: Mapping[str, Any]) -> OperatorAnswer:
         """Return the answer to a question, which goes to the journal; ask again where it cannot be understood.
 
         Stopped: the operator quits.
         """
-        while (answer := self._heard(question, to or question["ask"])) is None:
+        while (answer := self._heard(question, question["ask"])) is None:
             self._show_reading(question)
         return answer
 
@@ -268,9 +244,6 @@ class Session:
         values = result.values()
         self.recorder.record(POSITION, {"position": result.position.name, **samples, "sensors": values})
         self.recorder.secure()
-        soaked = result.asked is not None and (not self.accepted or self.accepted[-1].asked != result.asked)
-        self._durations[soaked].append(self.recorder.now_ns() - self._begun_ns)
-        self._begun_ns = self.recorder.now_ns()
         self.accepted.append(result)
         stated = {
             serial: {key: value for key, value in one.items() if value is not None} for serial, one in values.items()
@@ -298,19 +271,19 @@ class Session:
         minutes = (self.recorder.now_ns() - self._answered_ns) // MINUTE_NS
         if minutes > self._minutes:
             self._minutes = minutes
-            temperature = next((one.temperature for one in sample if one.temperature is not None), None)
+            temperature = next((one.temperature for one in sample.values() if one.temperature is not None), None)
             seconds = round((self.recorder.now_ns() - self._answered_ns) / 1e9)
             self.tell("waiting", position=position.name, seconds=seconds, why=why, temperature=temperature)
 
     def _shown(self, sample: Sample, gravity: Vector | None) -> dict[str, dict[str, Any]]:
         """Return readings as the operator gets them, by serial number, with guidance where gravity is asked for."""
         return {
-            sensor.serial: {
-                "values": dict(zip(model.channels, reading.values, strict=True)),
+            serial: {
+                "values": dict(zip(self.sensors.models[serial].channels, reading.values, strict=True)),
                 "temperature": reading.temperature,
-                "guidance": {} if gravity is None else self._expectations.guidance(sensor, reading.values, gravity),
+                "guidance": {} if gravity is None else self._expectations.guidance(serial, reading.values, gravity),
             }
-            for sensor, model, reading in zip(self.sensors.sensors, self.sensors.models, sample, strict=True)
+            for serial, reading in sample.items()
         }
 
     def now(self) -> str:
@@ -332,20 +305,16 @@ class Session:
         if position.temperature is None or position.temperature == soaked:
             return Window(self.setup.settings.settle)
         self._soaked = None
-        # A temperature that the operator types counts, because the thermometer may be far off.
-        return self._soaking(position.temperature if typed is None else None)
-
-    def _soaking(self, target: float | None) -> Window:
-        """Return the time over which a new temperature must hold."""
         settings, soak = self.setup.settings, self.setup.steps.soak
         late = None if soak.thermometer is None else soak.thermometer * settings.soak / soak.seconds
-        return Window(settings.soak, soak.drift, target, late)
+        # A temperature that the operator types counts, because the thermometer may be far off.
+        return Window(settings.soak, soak.drift, position.temperature if typed is None else None, late)
 
     def _still_at(self, soaked: float, typed: float | None) -> bool:
         """Return whether the thermometers still read, after an interruption, about what they read before it."""
         if typed is not None:
             return True
-        for serial, reading in self.sensors.by_serial(self.sensors.read(fresh=True)).items():
+        for serial, reading in self.sensors.read(fresh=True).items():
             before = self.accepted[-1].measurements[serial].temperature
             if (
                 reading.temperature is not None
@@ -357,17 +326,16 @@ class Session:
     def _sampled(self, position: Position, *, thermometers: bool) -> tuple[list[Timed], list[int]]:
         """Return the samples of a position, and the numbers of those far off; Unsettled where too many are."""
         sensors, wanted = self.sensors, self.setup.settings.samples
-        interval = max(model.interval for model in sensors.models)
         samples: dict[int, Timed] = {}
         without: list[int] = []
         while len(samples) < wanted:
             sample = sensors.read()
             samples[len(samples) + len(without)] = (self.recorder.now_ns() / 1e9, sample)
             self.look(position, sample, f"sample {len(samples)} of {wanted}", samples=[len(samples), wanted])
-            self.clock.sleep(interval)
+            self.clock.sleep(sensors.interval)
             if len(samples) == wanted:
                 numbers = list(samples)
-                wrong = far_off(list(samples.values()), sensors.models, thermometers=thermometers)
+                wrong = far_off([one for _, one in samples.values()], sensors.models, thermometers=thermometers)
                 without += [numbers[place] for place in wrong]
                 if wrong:
                     require_few(len(without), wanted, next(iter(wrong.values())))
@@ -383,23 +351,61 @@ class Session:
         if moved:
             raise Unsettled(f"moved while it was sampled: {moved}")
         for _, sample in samples:
-            for reading, model in zip(sample, models, strict=True):
-                if why := at_rail(reading, model):
+            for serial, model in models.items():
+                if why := at_rail(sample[serial], model):
                     raise Unsettled(why)
-        readings = [self.sensors.by_serial(sample) for _, sample in samples]
+        readings = [sample for _, sample in samples]
         result = result_of(
-            sensors, actual, asked, readings, self.now(), typed=typed, left_out=left_out, steps=self._steps
+            sensors, actual, asked, readings, self.now(), typed=typed, left_out=left_out, steps=self.recorded.steps
         )
-        return result.with_steps(self._steps)
+        return result.with_steps(self.recorded.steps)
 
-    def tip(self, position: Position) -> None:
-        """Have the sensors tipped once where a channel that no position tilts has shown no more than two values."""
-        if self._tipped or not (quiet := self._spans.quiet_channels(self.setup.steps.positions)):
-            return
-        names = ", ".join(f"{channel} of {serial}" for serial, channels in quiet.items() for channel in channels)
-        gravity = normalised([component + by for component, by in zip(position.gravity, TIPPED, strict=True)])
-        prompt = f"{names}: no change was seen. Tip it by hand, some 10° about each axis, and answer while it is."
-        tip = replace(position, name=TIP, gravity=gravity, tilt=None, prompt=prompt)
-        if self.ask_for(tip, TIP).answer == "ready":
-            self.sensors.read(fresh=True)
-        self._tipped = True
+    def _take_leg(self, ramp: Ramp, position: Position) -> str:
+        """Ask for a turning point of a ramp, sample without a break until it is reached; return the answer.
+
+        The operator answers at once: what counts is the way there.
+        """
+        answer = self.ask_for(position)
+        if answer.answer != "ready":
+            raise Unsettled("a ramp is one continuous record: no leg can be taken again; quit, and begin anew")
+        # A temperature that is typed is that of one moment; the thermometer is read all the time.
+        actual = replace(as_set(position, answer), temperature=position.temperature)
+        if self.accepted and actual.gravity != self.accepted[0].position.gravity:
+            raise Unsettled("a ramp has one attitude: leave the sensor as it lies")
+        first = self.leg[0].line if self.leg else self.recorder.line + 1
+        samples = [*(one.readings for one in self.leg), *self._sampled_on_the_way(ramp, position)]
+        last = self.recorder.line
+        for sensor in self.sensors.sensors:
+            railed = [why for sample in samples if (why := at_rail(sample[sensor.serial], sensor.wired))]
+            if railed:
+                require_few(len(railed), len(samples), railed[-1])
+        result = result_of(self.sensors.sensors, actual, position, samples, self.now())
+        self.leg = []
+        self.accept(result, {"lines": [first, last]})
+        return answer.answer
+
+    def _sampled_on_the_way(self, ramp: Ramp, position: Position) -> list[Sample]:
+        """Sample until the temperature of a position is reached, or changes no more; SensorError as in a position."""
+        samples: list[Sample] = []
+        wanted, since, before = position.temperature or 0.0, 0, nan
+        while True:
+            try:
+                samples.append(self.sensors.read(fresh=True))
+            except SensorError as error:
+                self.sensors.failed(error, needed=True)
+                self.clock.sleep(RECOVERY)
+                continue
+            self.sensors.succeeded()
+            now_ns, temperature = self.recorder.now_ns(), next(iter(samples[-1].values())).temperature
+            if temperature is None:
+                raise UsageError(
+                    "a ramp needs a thermometer that is read: the sensor reports no temperature, and the bench has none"
+                )
+            if abs(temperature - wanted) <= ramp.within and len(samples) > 1:
+                return samples
+            if not abs(temperature - before) < CHANGE:
+                since, before = now_ns, temperature
+            elif now_ns - since > ramp.patience * 1e9:
+                return samples
+            self.look(position, samples[-1], f"at {temperature:.1f} °C, on the way to {wanted:g} °C")
+            self.clock.sleep(ramp.interval)

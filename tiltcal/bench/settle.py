@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from operator import mul
 
-from tiltcal.bench.sensors import Sample, SensorSet
+from tiltcal.bench.devices import Sample, SensorSet
 from tiltcal.core.detection import is_still
 from tiltcal.core.samples import drift
 from tiltcal.drivers.bus.clock import Clock
@@ -74,7 +74,9 @@ class Window:
     def near(self, sample: Sample) -> bool:
         """Return whether the thermometers are near the temperature that was asked for, where that matters."""
         return self.target is None or all(
-            abs(reading.temperature - self.target) <= NEAR for reading in sample if reading.temperature is not None
+            abs(reading.temperature - self.target) <= NEAR
+            for reading in sample.values()
+            if reading.temperature is not None
         )
 
 
@@ -89,7 +91,7 @@ def wait_until_still(
     SensorError: one of them failed.
     """
     models = sensors.models
-    pause = max(window.seconds / (SOAK_LOOKS if window.soaking else LOOKS), *(model.interval for model in models))
+    pause = max(window.seconds / (SOAK_LOOKS if window.soaking else LOOKS), sensors.interval)
     held: deque[Timed] = deque()
     began: float | None = None
     judged = 0.0
@@ -114,7 +116,7 @@ def wait_until_still(
         clock.sleep(pause)
 
 
-def _unsettled(held: deque[Timed], models: Sequence[Model], window: Window) -> str | None:
+def _unsettled(held: deque[Timed], models: Mapping[str, Model], window: Window) -> str | None:
     """Return what changes in the last samples, in words; None where nothing does, empty where it is early to judge."""
     now, sample = held[-1]
     # A thermometer with a window of its own is judged there.
@@ -135,7 +137,7 @@ def _unsettled(held: deque[Timed], models: Sequence[Model], window: Window) -> s
     return why
 
 
-def _drifting(held: deque[Timed], models: Sequence[Model], seconds: float) -> str | None:
+def _drifting(held: deque[Timed], models: Mapping[str, Model], seconds: float) -> str | None:
     """Return what drifts over the last seconds, or that they have not passed yet; None where nothing does."""
     now = held[-1][0]
     if now - held[0][0] < seconds:
@@ -143,10 +145,10 @@ def _drifting(held: deque[Timed], models: Sequence[Model], seconds: float) -> st
     return movement([reading for reading in held if now - reading[0] <= seconds], models, still=SOAKED)
 
 
-def _warming(held: deque[Timed], models: Sequence[Model], window: Window) -> str | None:
+def _warming(held: deque[Timed], models: Mapping[str, Model], window: Window) -> str | None:
     """Return by how much thermometers that are read change over their window, or that it has not passed yet."""
     now = held[-1][0]
-    if window.thermometer is None or all(reading.temperature is None for reading in held[-1][1]):
+    if window.thermometer is None or all(reading.temperature is None for reading in held[-1][1].values()):
         return None
     if now - held[0][0] < window.thermometer:
         return f"the thermometer is read for {now - held[0][0]:.0f} s of {window.thermometer:.0f} s"
@@ -156,7 +158,7 @@ def _warming(held: deque[Timed], models: Sequence[Model], window: Window) -> str
 
 def movement(
     held: Sequence[Timed],
-    models: Sequence[Model],
+    models: Mapping[str, Model],
     temperature_drift: float | None = None,
     still: float = STILL,
     sigmas: float = SIGMAS,
@@ -169,8 +171,8 @@ def movement(
     """
     times = [time for time, _ in held]
     span = times[-1] - times[0]
-    for index, model in enumerate(models):
-        readings = [sample[index] for _, sample in held]
+    for serial, model in models.items():
+        readings = [sample[serial] for _, sample in held]
         for place, channel in enumerate(model.channels):
             values = [reading.values[place] for reading in readings]
             change, uncertainty = drift(times, values)

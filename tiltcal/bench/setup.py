@@ -13,12 +13,12 @@ from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 
 import tiltcal
-from tiltcal.bench.devices import BenchDevice
+from tiltcal.bench.devices import BenchDevice, thermometer_of
 from tiltcal.drivers.bus.clock import VIRTUAL_START
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import InputError, JournalError, UsageError
@@ -106,8 +106,14 @@ class Setup(Record, kw_only=True, dict=True):
         for path in filter(None, (journal, *outputs)):
             require_printable(str(path), "the name of a file")
         sensors = tuple(
-            sensor.replaced(output="" if output is None else os.path.relpath(output, journal.parent))
-            for sensor, output in zip(sensors_of(bench), outputs, strict=True)
+            BenchDevice(
+                model=sensor.model,
+                serial=sensor.serial,
+                address=sensor.address,
+                axes=sensor.orientation.names,
+                output="" if output is None else os.path.relpath(output, journal.parent),
+            )
+            for sensor, output in zip(bench.sensors, outputs, strict=True)
         )
         thermometer = thermometer_of(bench)
         virtual = all(device.simulated for device in (*sensors, *filter(None, (thermometer,))))
@@ -257,14 +263,6 @@ class Setup(Record, kw_only=True, dict=True):
                 )
 
 
-class Channel(NamedTuple):
-    """One value of the reading of one device, and its column as `tiltcal record` calls it."""
-
-    column: str
-    serial: str
-    place: int
-
-
 def column_name(serial: str, channel: str, *, alone: bool) -> str:
     """Return the column of a channel: its name alone, or of several devices behind the serial number."""
     return channel if alone else f"{serial}_{channel}"
@@ -272,22 +270,20 @@ def column_name(serial: str, channel: str, *, alone: bool) -> str:
 
 @dataclass(frozen=True)
 class StageChannels:
-    """The stage angle, the readings of all pairs, the pairs by their columns, and why others are not matched."""
+    """The column of the stage angle, those of all pairs, the pairs by their columns, and why others are not matched.
 
-    phase: Channel
-    readings: tuple[Channel, ...]
+    ``places`` are where angle and readings stand: serial number of the device, and number of its channel.
+    """
+
+    phase: str
+    columns: list[str]
     pairs: tuple[Pair, ...]
-    left_out: tuple[str, ...] = ()
-
-    @property
-    def columns(self) -> list[str]:
-        """The columns of the readings."""
-        return [channel.column for channel in self.readings]
+    left_out: tuple[str, ...]
+    places: tuple[tuple[str, int], ...]
 
     def row(self, now_ns: int, readings: Mapping[str, Reading]) -> tuple[float, ...]:
         """Return a sample as seconds, angle in degrees, and readings."""
-        values = (readings[serial].values[place] for _, serial, place in (self.phase, *self.readings))
-        return (now_ns / 1e9, *values)
+        return (now_ns / 1e9, *(readings[serial].values[place] for serial, place in self.places))
 
 
 def stage_channels(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> StageChannels:
@@ -300,45 +296,42 @@ def stage_channels(rotation: Rotation, devices: Sequence[tuple[str, Model]]) -> 
     """
     from tiltcal.core.pair.model import Pair
 
-    channels = [
-        (channel, Channel(column_name(serial, channel, alone=len(devices) == 1), serial, place))
+    there = {
+        column_name(serial, channel, alone=len(devices) == 1): (channel, (serial, place))
         for serial, model in devices
         for place, channel in enumerate(model.channels)
-    ]
-    names = ", ".join(channel.column for _, channel in channels) or "no readings"
+    }
+    names = ", ".join(there) or "no readings"
 
-    def named(name: str) -> Channel | None:
-        by_column = [channel for _, channel in channels if channel.column == name]
-        chosen = by_column or [channel for short, channel in channels if short == name]
+    def column_of(name: str) -> str | None:
+        chosen = [name] if name in there else [column for column, (channel, _) in there.items() if channel == name]
         if len(chosen) > 1:
-            columns = " or ".join(channel.column for channel in chosen)
-            raise UsageError(f"{len(chosen)} devices have a channel {name!r}: name one in the procedure: {columns}")
+            raise UsageError(
+                f"{len(chosen)} devices have a channel {name!r}: name one in the procedure: {' or '.join(chosen)}"
+            )
         return chosen[0] if chosen else None
 
-    phase = named(rotation.phase)
+    phase = column_of(rotation.phase)
     if phase is None:
         raise UsageError(
             f"no device has the stage angle {rotation.phase!r} (there are {names}): where a device prints it, name it "
             f"in the address, such as columns={rotation.phase},...; of a stage without an encoder record the turning "
             "with `tiltcal record`, and match the log with `tiltcal match` without --phase, which estimates the spin"
         )
-    readings: dict[str, Channel] = {}
     pairs, left_out = [], []
     for pair in rotation.pairs:
-        by_name = {name: named(name) for name in pair.channels}
-        there = [channel for channel in by_name.values() if channel is not None]
-        if len(there) == len(pair.channels):
-            readings |= {channel.column: channel for channel in there}
-            pairs.append(Pair(*(channel.column for channel in there)))
+        columns = {name: column_of(name) for name in pair.channels}
+        if missing := [name for name, column in columns.items() if column is None]:
+            left_out.append(f"{pair.first} and {pair.second} are not matched: there is no {' and no '.join(missing)}")
         else:
-            missing = " and no ".join(name for name, channel in by_name.items() if channel is None)
-            left_out.append(f"{pair.first} and {pair.second} are not matched: there is no {missing}")
+            pairs.append(Pair(*filter(None, columns.values())))
     if not pairs:
         raise UsageError(
             f"no pair has its channels: {'; '.join(left_out)} (there are {names}): name them in the address, or copy "
             "the procedure and name your own pairs"
         )
-    return StageChannels(phase, tuple(readings.values()), tuple(pairs), tuple(left_out))
+    used = list(dict.fromkeys(column for pair in pairs for column in pair.channels))
+    return StageChannels(phase, used, tuple(pairs), tuple(left_out), tuple(there[one][1] for one in (phase, *used)))
 
 
 class SessionFiles:
@@ -427,7 +420,7 @@ def known_bench(document: Document) -> BenchFile:
     bench = bench_of(document)
     for number, sensor in enumerate(bench.sensors):
         with document.locating("sensors", number):
-            _ = BenchDevice(model=sensor.model, serial=sensor.serial, address=sensor.address).wired
+            _ = sensor.wired
     with document.locating("thermometer"):
         thermometer_of(bench)
     for name, machine in (("table", bench.moving_table), ("chamber", bench.chamber)):
@@ -437,29 +430,6 @@ def known_bench(document: Document) -> BenchFile:
             with document.locating(name):
                 check_addresses(machine)
     return bench
-
-
-def sensors_of(bench: BenchFile) -> tuple[BenchDevice, ...]:
-    """Return the sensors of a bench."""
-    return tuple(
-        BenchDevice(
-            model=sensor.model,
-            serial=sensor.serial,
-            address=sensor.address,
-            axes=None if sensor.orientation.straight else sensor.orientation.names,
-        )
-        for sensor in bench.sensors
-    )
-
-
-def thermometer_of(bench: BenchFile) -> BenchDevice | None:
-    """Return the thermometer of a bench; a UsageError where it reports no temperature."""
-    if bench.thermometer is None:
-        return None
-    thermometer = BenchDevice(model=bench.thermometer.model, serial="thermometer", address=bench.thermometer.address)
-    if not thermometer.wired.thermometer:
-        raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
-    return thermometer
 
 
 def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
+import select
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from types import BuiltinFunctionType
-from typing import Any
+from typing import Any, TextIO
 
 from rich.console import Console
 from rich.table import Table
@@ -15,10 +17,12 @@ from rich.text import Text
 
 from tiltcal.bench import guidance
 from tiltcal.bench.guidance import UNCALIBRATED, AxisGuidance, remaining_in_words
-from tiltcal.bench.keys import ENTER, Keys, LineKeys, NotebookInput, TerminalKeys
-from tiltcal.bench.operators import LOOK, Message, Operator, in_words
+from tiltcal.bench.operators import LOOK, LineReader, Message, Operator, in_words
 from tiltcal.errors import Stopped
 from tiltcal.printable import printable
+
+ENTER, ESCAPE = "\n", "\x1b"
+REST = 0.05  # time within which the rest of an escape sequence arrives, s
 
 LIVE_PAUSE = 0.4
 """Seconds between live readings: fast enough to set an angle by, slow enough for the journal of a long night."""
@@ -49,6 +53,97 @@ READING_HELP = (
 )
 
 
+class LineKeys:
+    """The operator's choices as whole lines of a stream: for ``--plain``, pipes and screen readers.
+
+    ``choice`` waits for the next key, :data:`ENTER` for Enter, and ``pressed`` returns one of some keys if it was
+    pressed already; ``line`` is a typed line without its end. Where the input has ended they raise Stopped.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._lines = LineReader(stream)
+
+    def choice(self, timeout: float | None) -> str | None:
+        return self.line()[:1].lower() or ENTER
+
+    def pressed(self, choices: str) -> str | None:
+        # What else waits may be the answer to a question that is still to come.
+        for number, line in enumerate(self._lines.waiting(), start=1):
+            key = line.strip()[:1].lower()
+            if key and key in choices:
+                for _ in range(number):
+                    self._lines.next()
+                return key
+        return None
+
+    def line(self) -> str:
+        typed = self._lines.next()
+        if not typed:
+            raise Stopped("the input has ended")
+        return typed.strip()
+
+
+class NotebookInput(io.TextIOBase):
+    """The lines that a person types below the cell of a notebook."""
+
+    def readline(self, size: int = -1) -> str:  # type: ignore[override]
+        try:
+            return f"{input()}\n"
+        except EOFError:
+            return ""
+
+
+class TerminalKeys:
+    """The operator's choices as single keys of a terminal, which is given back as it was at the end of a ``with``.
+
+    A choice is None when ``timeout`` seconds pass without a key.
+    """
+
+    def __init__(self) -> None:
+        self._descriptor = sys.stdin.fileno()
+        self._before: list[object] = []
+
+    def __enter__(self) -> TerminalKeys:
+        import termios
+        import tty
+
+        self._before = termios.tcgetattr(self._descriptor)
+        tty.setcbreak(self._descriptor)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        import termios
+
+        termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)  # type: ignore[arg-type]
+
+    def choice(self, timeout: float | None) -> str | None:
+        ready, _, _ = select.select([self._descriptor], [], [], timeout)
+        if not ready:
+            return None
+        key = os.read(self._descriptor, 1).decode(errors="replace")
+        if key in ("", "\x04"):
+            raise Stopped("the input has ended")
+        if key == ESCAPE and select.select([self._descriptor], [], [], REST)[0]:
+            os.read(self._descriptor, 16)  # of an arrow or a function key, whose letters are no choices
+        return ENTER if key in "\r\n" else key.lower()
+
+    def pressed(self, choices: str) -> str | None:
+        key = self.choice(0.0)
+        return key if key is not None and key in choices else None
+
+    def line(self) -> str:
+        import tty
+
+        self.__exit__()
+        try:
+            typed = sys.stdin.readline()
+        finally:
+            tty.setcbreak(self._descriptor)
+        if not typed:
+            raise Stopped("the input has ended")
+        return typed.strip()
+
+
 def open_terminal(stack: ExitStack, *, plain: bool) -> Terminal:
     """Return a person's operator, which gives the terminal back at the end of the stack."""
 
@@ -60,7 +155,7 @@ def open_terminal(stack: ExitStack, *, plain: bool) -> Terminal:
     live = sys.stdin.isatty() and sys.stderr.isatty() and not (plain or console.is_dumb_terminal) and os.name == "posix"
     notebook = not isinstance(input, BuiltinFunctionType)  # it has an input() of its own
     lines: Any = NotebookInput() if notebook else sys.stdin
-    keys: Keys = stack.enter_context(TerminalKeys()) if live else LineKeys(lines)
+    keys = stack.enter_context(TerminalKeys()) if live else LineKeys(lines)
     terminal = Terminal(console, keys, live=live)
     stack.callback(terminal.clear)
     return terminal
@@ -75,7 +170,7 @@ class Terminal(Operator):
         Whether lines may overwrite others, and readings are shown while it waits; needs a terminal.
     """
 
-    def __init__(self, console: Console, keys: Keys, *, live: bool) -> None:
+    def __init__(self, console: Console, keys: LineKeys | TerminalKeys, *, live: bool) -> None:
         self._console = console
         self._keys = keys
         self._live = self.watches = live

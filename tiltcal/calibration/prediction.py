@@ -93,7 +93,7 @@ def predict(
 ) -> Plan:
     """Predict the standard uncertainty of every coefficient equal sensors reach; no stated jig is a perfect one."""
     samples = samples or procedure.samples
-    seconds = _least_seconds(procedure, model, samples, (settle or procedure.settle) / procedure.settle)
+    seconds = procedure.least_seconds(samples, model.interval, settle or procedure.settle)
     if procedure.ramp is not None:
         procedure = _along_ramp(procedure)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
@@ -167,22 +167,6 @@ def predict(
             yield f"  {not_covered}"
 
     return Plan(data, "\n".join(lines()))
-
-
-def _least_seconds(procedure: Procedure, model: Model, samples: int, scale: float) -> float:
-    """Return how long readings must hold still and are sampled; setting and changing temperatures come on top.
-
-    ``scale`` is that of the windows of the procedure. Of a ramp it is the time at its pace.
-    """
-    temperatures = [position.temperature for position in procedure.positions]
-    if (ramp := procedure.ramp) is not None:
-        met = [one for one in (procedure.reference, *temperatures) if one is not None]
-        return 60.0 * sum(abs(end - start) for start, end in pairwise(met)) / ramp.pace
-    soak = max(procedure.soak.seconds, procedure.soak.thermometer or 0.0)
-    windows = [
-        procedure.settle if new is None or new == before else soak for before, new in pairwise([None, *temperatures])
-    ]
-    return scale * sum(windows) + len(temperatures) * samples * model.interval
 
 
 def _along_ramp(procedure: Procedure) -> Procedure:

@@ -18,9 +18,7 @@ from tiltcal.files.results import FitRecord, MountingFit
 
 INCREDIBLE = 1e-3  # probability of a chi-square below which it is not credible
 
-NOT_FOLLOWED = (
-    "was not seen to follow when the sensor was tipped: a dead converter reads so; look at it with tiltcal probe"
-)
+NOT_FOLLOWED = "was not seen to follow"
 """What a note says of a channel that showed at most two neighbouring values in a whole session."""
 
 REMARKABLE = 0.05  # probability of a chi-square below which it is remarked

@@ -90,11 +90,12 @@ def command(folder: Path, seed: int) -> None:
 
 def _record(path: Path, address: Address, model: Model) -> None:
     """Write the log for the calibration, a row each second, with its true tilt beside the readings."""
-    from tiltcal.bench.devices import BenchDevice, VirtualBench
+    from tiltcal.bench.devices import VirtualBench
     from tiltcal.core.attitude import gravity_from_tilt
     from tiltcal.drivers.bus.clock import VirtualClock
+    from tiltcal.files.bench import BenchSensor
 
-    clock, device = VirtualClock(), BenchDevice(model=model.name, serial="", address=str(address))
+    clock, device = VirtualClock(), BenchSensor("", model.name, str(address))
     bench = VirtualBench(clock, [device])
     sensor = model.driver(bench.twin(device), clock)
     lines = ["time,x,y,temperature,true_tilt_x,true_tilt_y"]

@@ -33,14 +33,14 @@ def command(calibration: Path, address: str, rate: float, seconds: float | None,
     Half of the 95 % interval stands behind each tilt, and why a reading is suspect behind all. On a terminal one line
     renews itself; elsewhere each reading is a line. A reading that fails is said, the fifth in a row ends the command.
     """
-    from tiltcal.bench.devices import BenchDevice
+    from tiltcal.bench.devices import ATTEMPTS
     from tiltcal.bench.live import live_tilts
-    from tiltcal.bench.sensors import ATTEMPTS
+    from tiltcal.files.bench import BenchSensor
     from tiltcal.files.calibration import read_calibration
 
     record = read_calibration(calibration)
     serial = record.sensor.serial
-    device = BenchDevice(model=record.sensor.model, serial=serial, address=address)
+    device = BenchSensor(serial, record.sensor.model, address)
     renews = sys.stdout is not None and sys.stdout.isatty() and not as_json
     failures = 0
     with live_tilts([device], {serial: record}) as read:

@@ -17,17 +17,7 @@ from tiltcal.cli.talk import remark
 )
 @click.argument("procedure", required=False)
 @options.declared(MeasureOptions)
-@click.option(
-    "--operator",
-    type=options.OPERATORS,
-    default="terminal",
-    show_default=True,
-    cls=options.Grouped,
-    group="Positions",
-    help="Who sets the positions: a person at the terminal or at a page in a browser, a program that reads and writes "
-    "JSON Lines, or the virtual jig.",
-)
-def command(procedure: str | None, operator: str, **settings: Any) -> None:
+def command(procedure: str | None, **settings: Any) -> None:
     """Measure the positions of PROCEDURE, write the calibration file, and print its coefficients.
 
     PROCEDURE is one of `tiltcal procedures`, or the path of your own. With `rotation` a stage turns instead, and -o is
@@ -36,5 +26,4 @@ def command(procedure: str | None, operator: str, **settings: Any) -> None:
     """
     from tiltcal.library.measure import measure
 
-    chosen = None if options.left_at_default("operator") else operator
-    measure(procedure, operator=chosen, remark=remark, result=click.echo, **settings)
+    measure(procedure, remark=remark, result=click.echo, **settings)

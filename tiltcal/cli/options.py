@@ -19,7 +19,6 @@ from tiltcal.stated_arguments import require_above_zero, require_whole
 F = TypeVar("F", bound=Callable[..., Any])
 
 FILE = click.Path(path_type=Path)
-OPERATORS = click.Choice(["terminal", "web", "json", "sim"])
 
 HEADINGS = {
     "Sensor": "--sensor --address --bench --calibration --unit",

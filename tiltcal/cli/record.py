@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from tiltcal.bench.record import RecordingTally, record_bench
+from tiltcal.bench.record import Recording, record_bench
 from tiltcal.bench.setup import known_bench, single
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
@@ -53,7 +53,7 @@ def command(
 
 def record_log(
     bench: BenchFile, rate: float | None, rows: int | None, seconds: float | None, output: Path
-) -> RecordingTally:
+) -> Recording:
     """Record the sensors of a bench in the format that the output's name selects; the limits are those of the command.
 
     UsageError: ``output`` exists or would be NetCDF, or there is no end on the virtual bench.
@@ -75,11 +75,11 @@ def record_log(
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[RecordingTally], None]]:
+def _progress() -> Iterator[Callable[[Recording], None]]:
     """Yield what shows the progress: a line on a terminal, nothing elsewhere."""
     shown = 0.0
 
-    def show(tally: RecordingTally) -> None:
+    def show(tally: Recording) -> None:
         nonlocal shown
         now = time.monotonic()
         if now - shown >= SHOWN_EVERY:
@@ -96,7 +96,7 @@ def _progress() -> Iterator[Callable[[RecordingTally], None]]:
         sys.stderr.write("\r\x1b[2K")
 
 
-def _to_parquet(log: Path, output: Path, tally: RecordingTally) -> None:
+def _to_parquet(log: Path, output: Path, tally: Recording) -> None:
     """Convert the recorded CSV to Parquet, block by block, then remove the CSV."""
     from tiltcal.files.atomic import whole_file
     from tiltcal.logs.formats import create_log, open_log

@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
-from tiltcal.bench.measure import OperatorOptions, led_by
+from tiltcal.bench.measure import led_by
 from tiltcal.bench.options import MeasureOptions
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import SessionFiles, Setup, free_journal, single
+from tiltcal.bench.setup import Setup, free_journal, single
 from tiltcal.calibration.verification import LIMIT, PASSED
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
@@ -38,20 +38,11 @@ from tiltcal.stated_arguments import require_from_zero
     metavar="DEGREES",
     help="Standard uncertainty of a set angle. Not stated, the positions count as exact.",
 )
-@options.declared(MeasureOptions, "tilt samples settle resume journal plain hands_free listen")
-@click.option(
-    "--operator",
-    type=options.OPERATORS,
-    default="terminal",
-    show_default=True,
-    cls=options.Grouped,
-    group="Positions",
-    help="Who sets the positions.",
-)
+@options.declared(MeasureOptions, "tilt samples settle resume journal operator plain hands_free listen")
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session, as with --operator json.")
 def command(
-    calibration: Path, procedure: str, limit: float, operator: str, resume: str | None, plain: bool, as_json: bool,
-    hands_free: bool, listen: str | None, **stated: Any,
+    calibration: Path, procedure: str, limit: float, operator: str | None, resume: str | None, as_json: bool,
+    **stated: Any,
 ) -> int:  # fmt: skip
     """Measure positions that CALIBRATION was not fitted to, and compare tilts.
 
@@ -63,9 +54,8 @@ def command(
     judged = read_calibration(calibration)
     if resume is not None:
         named = {"--procedure": None if options.left_at_default("procedure") else procedure}
-        named |= {f"--{name}": value for name, value in stated.items()}
+        named |= {f"--{name}": stated[name] for name in ("address", "jig", "tilt", "samples", "settle", "journal")}
         session = resumed(Path(resume), None, named, remark, verifies=True)
-        operator = session.setup.operator if options.left_at_default("operator") else operator
     elif stated["address"] is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
     else:
@@ -73,13 +63,13 @@ def command(
         path = Path(stated["journal"]) if stated["journal"] else free_journal(beside, remark)
         bench = single(judged.sensor.model, judged.sensor.serial, stated["address"], stated["jig"])
         steps, settings = _positions(procedure, stated["tilt"]), {name: stated[name] for name in ("samples", "settle")}
-        setup = Setup.begin(steps, bench, [None], path, operator=operator, **settings)
-        session = Session(setup, SessionFiles(setup, path))
+        session = Session(Setup.begin(steps, bench, [None], path, operator=operator or "terminal", **settings), path)
     _require_sensor(session, judged.sensor, calibration)
     again = f"verify {quote(str(calibration))}"
     again += "" if options.left_at_default("limit") else f" --limit {limit}"
     again += " --json" if as_json else ""
-    with led_by(operator, session, again, remark, OperatorOptions(plain, listen, hands_free)) as opened:
+    operator = operator or session.setup.operator
+    with led_by(operator, session, again, remark, stated) as opened:
         verification = verified(session, opened, {judged.sensor.serial: judged}, limit)[judged.sensor.serial]
         shown = {"serial": judged.sensor.serial, "file": str(calibration), "verdict": str(verification)}
         opened.tell({"event": "results", "results": [shown]})

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Annotated
 
 from msgspec import Meta
 
 from tiltcal.core.attitude import STRAIGHT, Orientation, orientation
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus import link_letter
+from tiltcal.drivers.bus.address import parse_address
+from tiltcal.drivers.model import Model
 from tiltcal.files.document import Document
 from tiltcal.files.machine import CHAMBER_AXES, TABLE_AXES, Machine, check_machine
 from tiltcal.files.record import FromZero, Record, Text, about
@@ -34,6 +39,26 @@ class BenchSensor(Record):
     def orientation(self) -> Orientation:
         """How the sensor sits on the fixture."""
         return orientation(self.axes)
+
+    @property
+    def wired(self) -> Model:
+        """The model as it is wired at the address."""
+        return _wired(self.model, self.address)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether it is a virtual twin."""
+        return parse_address(self.address).simulated
+
+    @property
+    def letter(self) -> str:
+        """Its bus in a journal."""
+        return link_letter(parse_address(self.address), self.wired)
+
+
+@lru_cache(maxsize=64)
+def _wired(model: str, address: str) -> Model:
+    return find_model(model).at(parse_address(address))
 
 
 class BenchThermometer(Record):

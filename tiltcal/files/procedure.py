@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -185,6 +186,20 @@ class Procedure(ProcedureFile, kw_only=True):
         if self.rotation is not None:
             return f"up to {self.rotation.turns} turns"
         return counted(len(self.positions), "position" if self.ramp is None else "leg")
+
+    def least_seconds(self, samples: int, interval: float, settle: float, done: int = 0) -> float:
+        """Return how long the positions behind those done must hold still and are sampled, an interval apart, seconds.
+
+        Setting and changing temperatures come on top; of a ramp it is the time at its pace.
+        """
+        temperatures = [position.temperature for position in self.positions]
+        if self.ramp is not None:
+            met = [one or 0.0 for one in (temperatures[0] if self.reference is None else self.reference, *temperatures)]
+            return 60.0 * sum(abs(end - start) for start, end in list(pairwise(met))[done:]) / self.ramp.pace
+        soak = max(self.soak.seconds, self.soak.thermometer or 0.0) * settle / self.settle
+        changes = list(pairwise([None, *temperatures]))[done:]
+        windows = [settle if new is None or new == before else soak for before, new in changes]
+        return sum(windows) + len(windows) * samples * interval
 
     def require_positions(self) -> None:
         """Refuse a procedure of a stage that turns, with a UsageError that names the commands that are meant for it."""

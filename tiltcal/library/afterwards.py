@@ -11,10 +11,9 @@ from tiltcal.bench.live import live_tilts
 from tiltcal.bench.measure import run_session
 from tiltcal.bench.operators import LOOK, Message, Operator
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import SessionFiles, Setup, free_journal
+from tiltcal.bench.setup import Setup, free_journal
 from tiltcal.calibration.record import tilt_lines, tilt_uncertainty
 from tiltcal.calibration.verification import LIMIT, Verification, verify
-from tiltcal.core.model import AXES
 from tiltcal.errors import HardwareError, TiltcalError
 from tiltcal.files.bench import BenchFile, BenchSensor, BenchThermometer
 from tiltcal.files.calibration import CalibrationRecord
@@ -96,14 +95,14 @@ class Afterwards:
     def _verify(self) -> None:
         """Measure the positions of ``verify`` with all sensors, and judge each."""
         setup, jig = self._session.setup, self._session.setup.settings.jig
-        sensors = tuple(BenchSensor(one.serial, one.model, one.address, one.axes or AXES) for one in self._devices)
+        sensors = tuple(BenchSensor(one.serial, one.model, one.address, one.axes) for one in self._devices)
         thermometer = setup.thermometer
         named = None if thermometer is None else BenchThermometer(thermometer.model, thermometer.address)
         file = self._session.files.outputs[sensors[0].serial]
         journal = free_journal(file.with_name(f"{file.stem}.verify.yaml"), self._remark)
         bench, outputs = BenchFile(sensors, thermometer=named, jig=jig), [None] * len(sensors)
         verifying = Setup.begin(find_procedure("verify"), bench, outputs, journal, operator="web")
-        session = Session(verifying, SessionFiles(verifying, journal))
+        session = Session(verifying, journal)
         session.probe()
         for serial, verification in verified(session, self._operator, self._of_tilt).items():
             self._results[serial]["verdict"] = str(verification)

@@ -11,10 +11,10 @@ from shlex import quote
 from typing import Any, Unpack
 
 from tiltcal.bench.journal import SessionResult
-from tiltcal.bench.measure import OperatorOptions, led_by, run_session
+from tiltcal.bench.measure import led_by, run_session
 from tiltcal.bench.options import MeasureOptions, unheard
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import SessionFiles, Setup, free_journal, known_bench, single
+from tiltcal.bench.setup import Setup, free_journal, known_bench, single
 from tiltcal.calibration.complete import NO_LEVEL
 from tiltcal.calibration.measurement import require_no_jig, unchecked
 from tiltcal.calibration.prediction import predict
@@ -35,9 +35,7 @@ from tiltcal.stated_arguments import of_python, require_name
 
 
 @takes(MeasureOptions)
-def measure(
-    procedure: str | Path | None = None, *, operator: object = None, **options: Unpack[MeasureOptions]
-) -> Calibration | Any:
+def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOptions]) -> Calibration | Any:
     """Take sensors through a procedure, and write their calibration files.
 
     Everything is captured in a journal as it happens. After an interruption the same call with ``resume`` goes on from
@@ -47,12 +45,12 @@ def measure(
     ----------
     procedure : str or Path
         A shipped procedure by its name, or your own by its path.
-    operator : object or str
-        Who brings the sensors into position. An object with the methods of :mod:`tiltcal.bench.operators`:
-        ``position(ask)`` returns an answer such as ``{"answer": "ready", "tilt": {"y": 30.02}}``; for a turning stage
-        ``rotation(ask)``. By name: ``"terminal"``, ``"web"``, ``"json"``, ``"sim"``. None: as the journal says, or a
-        terminal.
     **options
+
+    Notes
+    -----
+    An ``operator`` may also be an object with the methods of :mod:`tiltcal.bench.operators`: ``position(ask)`` returns
+    an answer such as ``{"answer": "ready", "tilt": {"y": 30.02}}``; for a turning stage ``rotation(ask)``.
 
     Returns
     -------
@@ -74,15 +72,14 @@ def measure(
         stated = {"PROCEDURE": procedure} | {
             flag_of(name, option): given[name]
             for name, (option, _) in options_of(MeasureOptions).items()
-            if name not in ("output", "resume", "plain", "hands_free", "listen", "remark", "result")
+            if name not in ("output", "resume", "operator", "plain", "hands_free", "listen", "remark", "result")
         }
         output = None if given["output"] is None else Path(given["output"])
         session = resumed(Path(resume), output, stated, remark)
     else:
-        session = _begun(procedure, given, operator)
-    operator = operator or session.setup.operator
-    operating = OperatorOptions(bool(given["plain"]), given["listen"], bool(given["hands_free"]))
-    with led_by(operator, session, "measure", remark, operating) as opened:
+        session = _begun(procedure, given)
+    operator = given["operator"] or session.setup.operator
+    with led_by(operator, session, "measure", remark, given) as opened:
         outcome = run_session(session, opened)
         paths = {session.files.outputs[serial]: text for serial, text in outcome.texts().items()}
         for path, text in paths.items():
@@ -127,10 +124,10 @@ def resumed(
     repeated = [option for option, value in stated.items() if value is not None and value is not False]
     if repeated:
         remark(f"the session goes on as it began: {', '.join(repeated)} beside --resume changes nothing")
-    return Session(setup, SessionFiles(setup, path, output), journal)
+    return Session(setup, path, journal, output)
 
 
-def _begun(procedure: str | Path | None, given: Mapping[str, Any], operator: object) -> Session:
+def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
     """Return a new session, and remark how well it will determine the coefficients."""
     base, named, remark, resume = given["base"], given["bench"], given["remark"], given["resume"]
     sensor, serial, address = given["sensor"], given["serial"], given["address"]
@@ -163,7 +160,7 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any], operator: obj
     outputs, beside = _outputs(steps, bench, named, output)
     path = resume or given["journal"]
     path = free_journal(beside, remark) if path is None else Path(path)
-    operator = operator or "terminal"
+    operator = given["operator"] or "terminal"
     setup = Setup.begin(
         steps,
         bench,
@@ -183,7 +180,7 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any], operator: obj
     except OSError as error:
         why = f"{beside.parent} cannot be made: {error.strerror}"
         raise UsageError(f"with --bench, -o names the folder for the calibration files; {why}") from None
-    return Session(setup, SessionFiles(setup, path))
+    return Session(setup, path)
 
 
 def _predict(setup: Setup, remark: Callable[[str], None]) -> None:

@@ -9,8 +9,8 @@ import sys
 from collections.abc import Iterator
 
 import pytest
-
 from tiltcal.bench.keys import ENTER, LineKeys, LineReader, TerminalKeys
+
 from tiltcal.errors import Stopped
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-
 from tiltcal.bench.keys import ENTER
+
 from tiltcal.bench.operators import VirtualJig
 from tiltcal.bench.terminal import Terminal
 

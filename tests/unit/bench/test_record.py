@@ -9,20 +9,20 @@ from typing import cast
 
 import pytest
 
-from tiltcal.bench.devices import BenchDevice
-from tiltcal.bench.record import CsvRecorder, record
-from tiltcal.bench.sensors import SensorSet
+from tiltcal.bench.devices import SensorSet
+from tiltcal.bench.record import LogColumns, Recording, record
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Reading, Sensor
 from tiltcal.errors import BusError
 from tiltcal.files import atomic
+from tiltcal.files.bench import BenchSensor
 
 
 @pytest.mark.parametrize(("written", "rows"), [(None, 2), (2, 1), (0, 1)], ids=["after", "within", "before"])
 def test_ctrl_c_at_a_row(written: int | None, rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "log.csv"
-    log = CsvRecorder(path, ["time", "x"])
-    log.write(["0", "1024"])
+    log = Recording(path, ["time", "x"])
+    log.append(b"0,1024\n")
 
     def interrupted(descriptor: int, row: bytes) -> None:
         os.write(descriptor, row[:written])
@@ -30,7 +30,7 @@ def test_ctrl_c_at_a_row(written: int | None, rows: int, tmp_path: Path, monkeyp
 
     monkeypatch.setattr(atomic, "write_all", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        log.write(["1", "1025"])
+        log.append(b"1,1025\n")
     log.close()
     assert log.rows == rows
     assert path.read_text() == "".join(["time,x\n", "0,1024\n", "1,1025\n"][: rows + 1])
@@ -71,13 +71,13 @@ def test_a_dead_sensor_makes_no_reading_of_another_one_old(tmp_path: Path) -> No
     """Every row holds a number that was printed within a second of the row's time."""
     clock = VirtualClock()
     address = "serial:///dev/null?columns=x"
-    devices = [BenchDevice(model="serial-columns", serial=serial, address=address) for serial in ("A", "B")]
+    devices = [BenchSensor(serial, "serial-columns", address) for serial in ("A", "B")]
     sensors = SensorSet(devices, [cast(Sensor, Silent(clock)), cast(Sensor, Printer(clock))])
-    log = CsvRecorder(tmp_path / "log.csv", ["time", "A_x", "B_x"])
-    started = datetime(2026, 1, 1, tzinfo=UTC)
-    *_, tally = record(sensors, log, clock, started, interval=10.0, rows=6)
+    columns, started = LogColumns(sensors.models, thermometer=False), datetime(2026, 1, 1, tzinfo=UTC)
+    log = Recording(tmp_path / "log.csv", columns.names)
+    record(log, columns, sensors, clock, started, 10.0, 6, None, lambda _: None)
     log.close()
-    assert (tally.rows, tally.missing) == (6, 6)
+    assert (log.rows, log.missing) == (6, 6)
     rows = [line.split(",") for line in (tmp_path / "log.csv").read_text().splitlines()[1:]]
     ages = [(datetime.fromisoformat(time) - started).total_seconds() - float(b) for time, _, b in rows]
     assert all(0.0 <= age <= 1.0 for age in ages), ages

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from tiltcal.bench.sensors import Sample, SensorSet
+from tiltcal.bench.devices import Sample, SensorSet
 from tiltcal.bench.settle import Window, wait_until_still
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.clock import VirtualClock
@@ -24,7 +24,7 @@ class Enough(Exception):
 class Drifting:
     """An SCA100T in a chamber at 5.5 °C whose x drifts, in whole counts with 0.6 count of noise."""
 
-    models = (SCA100T,)
+    models, interval = {"S-1": SCA100T}, SCA100T.interval
 
     def __init__(self, clock: VirtualClock, rate: float, seconds: float, seed: int) -> None:
         self._clock, self._rate, self._seconds = clock, rate, seconds
@@ -35,7 +35,7 @@ class Drifting:
         if time > self._seconds:
             raise Enough
         x = 1024.0 + self._rate * 1e-3 * SCA100T.sensitivity * time + self._noise.normal(0.0, 0.6)
-        return (Reading((round(x), round(1024.0 + self._noise.normal(0.0, 0.6))), 5.5),)
+        return {"S-1": Reading((round(x), round(1024.0 + self._noise.normal(0.0, 0.6))), 5.5)}
 
 
 def settled(rate: float, seed: int, seconds: float = 80.0) -> float:

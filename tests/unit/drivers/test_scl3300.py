@@ -6,12 +6,12 @@ import pytest
 from support.virtual_device import VirtualDevice
 
 from tiltcal.bench import devices
-from tiltcal.bench.devices import BenchDevice, VirtualBench
-from tiltcal.bench.sensors import Recorder, connected
+from tiltcal.bench.devices import Recorder, VirtualBench, connected
 from tiltcal.drivers import find_model
 from tiltcal.drivers import scl3300 as frames
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.errors import BusError, DeviceFault, SensorError
+from tiltcal.files.bench import BenchSensor
 
 SCL, SCA = find_model("scl3300"), find_model("sca3300-d01")
 ALLOWED = frozenset(
@@ -104,7 +104,7 @@ def test_a_reset_within_a_sample_is_no_reading(after: int) -> None:
 
 def test_another_part_after_the_bus_was_opened_again_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """The adapter is pulled out twice: the same part is read on, the other one is not."""
-    device = BenchDevice(model="scl3300", serial="A-1", address="spi:///dev/spidev0.0")
+    device = BenchSensor("A-1", "scl3300", "spi:///dev/spidev0.0")
     parts = [VirtualDevice(SCL, noise={}, seed=seed) for seed in (3, 3, 4, 3)]
     opened, live = iter(parts), []
     monkeypatch.setattr(devices, "open_link", lambda *_: next(opened).line)
@@ -118,7 +118,7 @@ def test_another_part_after_the_bus_was_opened_again_is_refused(monkeypatch: pyt
             if pulled is not None:
                 pulled.line.change = pulled_out
             try:
-                live.append(str(bench.read()[0].values))
+                live.append(str(bench.read()["A-1"].values))
             except SensorError as error:
                 live.append(str(error))
     reading, out, said = live[0], "the adapter was pulled out", live[4]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tiltcal.bench.sensors import RecordedLink, Recorder
+from tiltcal.bench.devices import RecordedLink, Recorder
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
