@@ -160,25 +160,6 @@ def test_several_devices_of_a_bench_are_named_as_record_names_them(tmp_path: Pat
     assert tiltcal("apply", "pair.yaml", "log.csv", "-o", "out.csv", cwd=tmp_path).returncode == 0
 
 
-def test_in_plain_lines_what_waits_for_the_last_question_is_left_for_it(tmp_path: Path) -> None:
-    stage = (
-        "--sensor",
-        "gradiometer",
-        "--address",
-        "sim:?seed=3",
-        "--serial",
-        "G-1",
-        "-o",
-        "pair.yaml",
-        "--turns",
-        "3",
-    )
-    done = tiltcal("measure", "rotation", *stage, "--operator", "terminal", "--plain", cwd=tmp_path, said="\n\n")
-    assert done.returncode == 0, done.stderr
-    assert "turn 3 of 3" in done.stderr
-    assert (tmp_path / "pair.yaml").exists()
-
-
 def test_a_person_stops_it_with_a_key(warm: WarmStart, tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text(OWN.replace("turns: 12", "turns: 100000"))
     with on_a_pty(disk.record(seconds=800.0, rate=25.0, spin=0.5).lines(time=True)) as path:

@@ -42,34 +42,39 @@ EACH_OF = 100  # of the first so many turns each has p and q anew; of more it ta
 CONVERGED, ALL_TURNS, STOPPED = "p and q are known as asked", "all turns are made", "the operator stopped"
 
 
-class StageSamples:
-    """The samples of a turning stage so far, rows of seconds, angle in degrees and readings.
+class TurningStage:
+    """The rotation of a session; its samples are rows of seconds, angle in degrees and readings."""
 
-    ``turns`` count; ``left_out`` samples do not, since the stage began to turn.
-    """
-
-    def __init__(self, columns: list[str]) -> None:
-        self._columns = columns
+    def __init__(self, session: Session, rotation: Rotation) -> None:
+        self._session = session
+        self._rotation = rotation
+        self._channels = session.setup.stage_channels()
         self._blocks: list[Array] = []
-        self._turns = self._left_out = 0
-        self._stream = TurnStream(len(columns))
+        self._stream = TurnStream(len(self._channels.columns))
+        self._turns_before = self._left_out_before = 0
+        """Turns, and samples that do not count, of the spans before the last break."""
+        self._taken = self._damaged = self._due = 0
+        self._stale = True
+        self._reported = ""
+        self._is_turning = session.recorded.turning
+        self._pairs: dict[str, PairCoefficients] = {}
+        self._unknown: dict[str, str] = {}
+        kept = ""
+        for part in split_at_breaks(session.recorded.rotation_rows()):
+            self._taken += len(part)
+            for first in range(0, len(part), LARGEST_BLOCK):
+                self._take(part[first : first + LARGEST_BLOCK])
+            kept = self._interrupt()
+        if kept:
+            self._report(f"the session was interrupted here; {kept}")
 
     @property
-    def turns(self) -> int:
-        return self._turns + self._stream.turns
+    def _turns(self) -> int:
+        """The whole turns so far."""
+        return self._turns_before + self._stream.turns
 
-    @property
-    def left_out(self) -> int:
-        return self._left_out + self._stream.left_out
-
-    @property
-    def holds(self) -> str:
-        """The reason why samples are held now; empty where they count, or before the stage turns."""
-        return self._stream.why if self._stream.turns else ""
-
-    @property
-    def idle(self) -> str:
-        """The reason why waiting is of no use; empty where samples count."""
+    def _idle(self) -> str:
+        """Return why waiting is of no use; nothing where samples count."""
         turned = self._stream.turned
         if self._stream.turns or STANDSTILL <= turned < SHOWN_TURN:
             return ""
@@ -79,52 +84,27 @@ class StageSamples:
             return "the stage turns backwards: its angle is to count up; swap the tracks of the encoder"
         return "the stage does not turn: start it, and check that the encoder counts"
 
-    def take(self, block: Array) -> list[str]:
+    def _take(self, block: Array) -> list[str]:
         """Take a block of rows; return why samples are held from here on, in order, empty where they go on."""
         self._blocks.append(block)
         return [item.why for item in self._stream.push(block[:, 1], block[:, 2:].T) if isinstance(item, Notice)]
 
-    def interrupt(self) -> str:
+    def _interrupt(self) -> str:
         """Note a break, and keep the span before it where its turns show its phase; return what becomes of it."""
         stream, kept = self._stream, self._stream.turns >= FEWEST_TURNS
-        self._turns += stream.turns if kept else 0
-        self._left_out += stream.left_out if kept else stream.rows
-        self._blocks.append(np.full((1, 2 + len(self._columns)), np.nan))
-        self._stream = TurnStream(len(self._columns))
+        self._turns_before += stream.turns if kept else 0
+        self._left_out_before += stream.left_out if kept else stream.rows
+        self._blocks.append(np.full((1, 2 + len(self._channels.columns)), np.nan))
+        self._stream = TurnStream(len(self._channels.columns))
         if kept or not stream.rows:
             return "the samples before count"
         return f"{stream.rows} samples of fewer turns than {FEWEST_TURNS:g} are left out"
 
-    def rotation(self) -> MatchedRotation:
+    def _matched(self) -> MatchedRotation:
         """Return what all samples give; EstimateError where the stage has not turned enough."""
         if not self._blocks:
             raise EstimateError(f"the stage has made 0 whole turns; {TOO_FEW}")
-        return rotation_of(self._columns, np.concatenate(self._blocks))
-
-
-class TurningStage:
-    """The rotation of a session."""
-
-    def __init__(self, session: Session, rotation: Rotation) -> None:
-        self._session = session
-        self._rotation = rotation
-        self._channels = session.setup.stage_channels()
-        self._samples = StageSamples(self._channels.columns)
-        self._interval = session.sensors.interval
-        self._taken = self._damaged = self._due = 0
-        self._stale = True
-        self._reported = ""
-        self._turns = session.recorded.turning
-        self._pairs: dict[str, PairCoefficients] = {}
-        self._unknown: dict[str, str] = {}
-        kept = ""
-        for part in split_at_breaks(session.recorded.rotation_rows()):
-            self._taken += len(part)
-            for first in range(0, len(part), LARGEST_BLOCK):
-                self._samples.take(part[first : first + LARGEST_BLOCK])
-            kept = self._samples.interrupt()
-        if kept:
-            self._report(f"the session was interrupted here; {kept}")
+        return rotation_of(self._channels.columns, np.concatenate(self._blocks))
 
     def turn(self) -> None:
         """Let the stage turn until a pair is matched, and note it in the journal."""
@@ -132,7 +112,7 @@ class TurningStage:
         while True:
             ended = self._collect()
             try:
-                rotation = self._samples.rotation()
+                rotation = self._matched()
                 matchings, unmatched = rotation.matched(self._channels.pairs)
                 break
             except EstimateError as refusal:
@@ -149,44 +129,44 @@ class TurningStage:
 
     def _collect(self) -> str:
         """Collect samples until they suffice, and return why they do."""
-        samples, session, patience = self._samples, self._session, self._rotation.patience
-        since_ns, made = self._begin(), samples.turns
+        session, patience = self._session, self._rotation.patience
+        since_ns, made = self._begin(), self._turns
         while True:
             why = self._take_block()
             if session.poll(f"turning {self._taken}") is not None:
-                if samples.turns >= FEWEST_TURNS:
+                if self._turns >= FEWEST_TURNS:
                     return STOPPED
-                session.refuse("rotation", f"the stage has made {samples.turns} whole turns; {TOO_FEW}")
-            if samples.turns > made:
-                made = samples.turns
+                session.refuse("rotation", f"the stage has made {self._turns} whole turns; {TOO_FEW}")
+            if self._turns > made:
+                made = self._turns
                 known = self._report_turn(made)
                 if known or made >= self._rotation.turns:
                     return CONVERGED if known else ALL_TURNS
             elif why:
                 since_ns = session.recorder.now_ns()
-            elif not samples.turns and samples.idle and session.recorder.now_ns() - since_ns > patience * 1e9:
-                session.refuse("rotation", f"{samples.idle} (waited for {patience:g} s)")
+            elif not self._turns and (idle := self._idle()) and session.recorder.now_ns() - since_ns > patience * 1e9:
+                session.refuse("rotation", f"{idle} (waited for {patience:g} s)")
                 since_ns = self._begin()
 
     def _begin(self) -> int:
         """Ask the operator to let the stage turn, unless it does; return the time of it, ns since the session began."""
-        if not self._turns:
+        if not self._is_turning:
             chosen, rotation = self._channels.pairs, self._rotation
             pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in chosen]
             self._session.ask({"ask": "rotation", "pairs": pairs, "turns": rotation.turns, "prompt": rotation.prompt})
             self._stale = True
-        self._turns = False
+        self._is_turning = False
         return self._session.recorder.now_ns()
 
     def _take_block(self) -> str:
         """Collect a block, and report what of it is held; return why it ended early, empty where it did not."""
         block, why = self._sampled()
-        for remark in self._samples.take(np.array(block)) if block else ():
+        for remark in self._take(np.array(block)) if block else ():
             self._report(remark)
         if why:
-            self._report(f"{why}; {self._samples.interrupt()}")
+            self._report(f"{why}; {self._interrupt()}")
         elif block:
-            self._report(self._samples.holds)
+            self._report(self._stream.why if self._stream.turns else "")
         return why
 
     def _sampled(self) -> tuple[list[tuple[float, ...]], str]:
@@ -206,7 +186,7 @@ class TurningStage:
             sensors.succeeded()
             self._taken += 1
             block.append(self._channels.row(session.recorder.now_ns(), readings))
-            session.clock.sleep(self._interval)
+            session.clock.sleep(sensors.interval)
         return block, ""
 
     def _report_turn(self, made: int) -> bool:
@@ -219,7 +199,7 @@ class TurningStage:
         self._damaged = damaged
         known = made >= self._due and self._match(made)
         self._due = max(self._due, made + made // EACH_OF)
-        left_out = self._samples.left_out + self._damaged
+        left_out = self._left_out_before + self._stream.left_out + self._damaged
         remarks: dict[str, object] = {"unknown": self._unknown} if self._unknown else {}
         remarks |= {"left_out": left_out} if left_out else {}
         self._session.tell("turn", turn=made, of=self._rotation.turns, **_coefficients(self._pairs), **remarks)
@@ -229,7 +209,7 @@ class TurningStage:
         """Take p and q of all samples so far; return whether the scatter of turns and the noise show them as asked."""
         self._pairs, self._unknown = {}, {}
         try:
-            whole = self._samples.rotation().demodulation
+            whole = self._matched().demodulation
         except EstimateError:
             return False
         # A few turns scatter less than their noise allows by chance, so the noise has to agree as well.

@@ -12,7 +12,6 @@ from types import BuiltinFunctionType
 from typing import Any, TextIO
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from tiltcal.bench import guidance
@@ -27,7 +26,6 @@ REST = 0.05  # time within which the rest of an escape sequence arrives, s
 LIVE_PAUSE = 0.4
 """Seconds between live readings: fast enough to set an angle by, slow enough for the journal of a long night."""
 
-WIDEST = 10_000  # columns of a terminal on which any table fits
 CLEAR, UP, BELL = "\r\x1b[2K", "\x1b[1A", "\a"
 
 STYLES = {"accepted": "green", "refused": "bold red", "lost": "bold red", "held": "yellow"}
@@ -268,12 +266,12 @@ class Terminal(Operator):
         """Show expected, measured, difference and noise, and ask whether it counts."""
         self.clear()
         self._ring()
-        table = self._table(question)
-        wide = self._console.options.update(width=WIDEST)
-        if self._console.measure(table, options=wide).maximum <= self._console.width:
-            self._console.print(table)
-        else:
-            self._list(question)
+        head = ("", "expected", "measured", "tilt", "difference", "noise", "n")
+        rows = [head, *self._rows(question)]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        for row in rows:
+            line = "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+            self._say(line, "dim" if row is head else "")
         self._hint("Enter accept", "r redo", "b back", "q stop and keep")
         return {"answer": {ENTER: "accept", "r": "redo", "b": "back"}[self._choice(f"{ENTER}rb")]}
 
@@ -387,23 +385,6 @@ class Terminal(Operator):
                 )
             if values["temperature"] is not None:
                 yield f"{serial} T", "", f"{values['temperature']:.2f} °C", "", "", "", ""
-
-    def _list(self, review: Message) -> None:
-        """Print what the table says, one channel below the other."""
-        for name, expected, measured, present, difference, noise, n in self._rows(review):
-            self._say(f"  {name}  {measured}", "bold")
-            if n:
-                self._say(f"    expected {expected}")
-                self._say(f"    {present} {difference}")
-                self._say(f"    noise {noise}, n {n}")
-
-    def _table(self, review: Message) -> Table:
-        table = Table(box=None, pad_edge=False, padding=(0, 1), header_style="dim")
-        for heading in ("", "expected", "measured", "tilt", "difference", "noise", "n"):
-            table.add_column(heading, justify="right")
-        for name, *cells in self._rows(review):
-            table.add_row(Text(printable(name)), *cells)
-        return table
 
     def _typed(self, what: str, example: str = "29.5") -> list[float]:
         """Ask until as many numbers are typed as the example has; none where the line is empty."""

@@ -17,7 +17,6 @@ from tiltcal.bench.guidance import AxisGuidance, present_gravity
 from tiltcal.bench.operators import LOOK, Message, Operator, in_words
 from tiltcal.bench.page_server import PageServer, PageState
 from tiltcal.core.attitude import Vector, orientation
-from tiltcal.core.detection import TILTED
 from tiltcal.errors import Stopped
 
 LIVE_PAUSE = 0.25
@@ -34,12 +33,6 @@ MOVING = 0.3
 
 MOVED = 5.0
 """Free hands take a position only where its reading is farther than this from that of the position before, degrees."""
-
-CLOSE = 10.0
-"""And only where a reading is expected to within this, degrees: the sensors of a jig are known better."""
-
-STEEP = 45.0
-"""The tilt of an axis, degrees, above which two axes beside it show the attitude better."""
 
 PACE = 0.05
 """Seconds between two readings that the page draws while the session samples."""
@@ -266,27 +259,13 @@ class WebOperator(Operator):
         return "ready" if question["ask"] == "position" and self._readings and self._is_shown(question) else ""
 
     def _is_shown(self, question: Message) -> bool:
-        """Return whether the readings alone show that a position is set: as expected, new, like no other, and still."""
-        guide, now, attitudes = self._guide, self._readings[-1][1], self._begin["attitudes"]
+        """Return whether the readings show that a position is set: as expected, another one than before, still."""
+        guide, now = self._guide, self._readings[-1][1]
         stated = question["temperature"] is None and "stage" not in question and not self._begin["headings"]
-        if not stated or question["position"] not in attitudes:
+        if not stated or not self._before:
             return False
-        if guide is None or guide["ok"] is not True or guide["worst"]["tolerance"] > CLOSE or guide["still"] < 1.0:
-            return False
-        if not self._before or any(_apart(now[serial], self._before[serial]) <= MOVED for serial in now):
-            return False
-        return not any(self._looks_alike(question["gravity"], gravity) for gravity in attitudes.values())
-
-    def _looks_alike(self, first: Sequence[float], second: Vector) -> bool:
-        """Return whether a sensor reads two attitudes alike."""
-        if _apart(first, second) <= MOVED:
-            return False
-        apart = first[0] - second[0], first[1] - second[1], first[2] - second[2]
-        for sensor in self._begin["sensors"].values():
-            seen = dict(zip("xyz", orientation(sensor["axes"]).seen(apart), strict=True))
-            if all(abs(seen[channel]) < TILTED for channel in sensor["channels"]):
-                return True
-        return False
+        moved = all(_apart(now[serial], self._before[serial]) > MOVED for serial in now)
+        return moved and guide is not None and guide["ok"] is True and guide["still"] >= 1.0
 
     def _table(
         self, readings: Mapping[str, Any], expected: Mapping[str, Mapping[str, float]] | None = None
@@ -319,28 +298,16 @@ class WebOperator(Operator):
 
 
 def _fits(axes: Mapping[str, AxisGuidance]) -> bool | None:
-    """Return whether a sensor is set as asked; None where nothing can be said.
-
-    Of an axis that stands steep, whose reading hardly changes with its angle, the right side up is enough.
-    """
-    if any(axis["ok"] is False for axis in axes.values()):
-        return False
-    fits = [axis["ok"] or _stands_right(axis) for axis in axes.values()]
-    return True if all(fits) and any(axis["ok"] for axis in axes.values()) else None
-
-
-def _stands_right(axis: AxisGuidance) -> bool:
-    """Return whether an axis is steep, and so is its reading, on the same side."""
-    target, present = axis["target"] or 0.0, axis["present"] or 0.0
-    return min(abs(target), abs(present)) > STEEP and target * present > 0
+    """Return whether a sensor is set as asked; None where nothing can be said."""
+    fits = [axis["ok"] for axis in axes.values()]
+    return False if False in fits else None if None in fits or not fits else True
 
 
 def _shares(axes: Mapping[str, AxisGuidance]) -> Iterator[dict[str, Any]]:
-    """Yield the axes that show how far a sensor is off, each with the share of its tolerance that this is."""
+    """Yield how far each axis of a sensor is off, with the share of its tolerance that this is."""
     for channel, axis in axes.items():
         difference, tolerance = axis["difference"], axis["tolerance"]
-        steep = abs(axis["target"] or 0.0) > STEEP
-        if difference is not None and tolerance and (not steep or axis["ok"] is False or len(axes) == 1):
+        if difference is not None and tolerance:
             share = abs(difference) / tolerance
             yield {"axis": channel, "difference": difference, "tolerance": tolerance, "share": share}
 

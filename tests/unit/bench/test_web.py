@@ -77,9 +77,7 @@ def test_all_else_asks_a_person() -> None:
         "temperature": Bench().answers(question("up", temperature=40.0)),
         "stage": Bench().answers(question("up", stage=90.0)),
         "heading": Bench(headings=True).answers(question("up")),
-        "over, which two axes read as level": Bench(channels="xy", accepted="up").answers(question("over"), tilt=180.0),
         "after a refusal": refused.answers(question("up")),
-        "tip": Bench().answers({**question("up"), "position": "tip"}),
     }
     assert answers == dict.fromkeys(answers, LOOK)
 

@@ -1,0 +1,175 @@
+"""What a person at a terminal is shown and may type."""
+
+from __future__ import annotations
+
+import io
+import os
+import pty
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from tiltcal.bench.terminal import ENTER, LineKeys, Terminal, TerminalKeys
+from tiltcal.errors import Stopped
+
+LEVEL = {
+    "ask": "position", "position": "level", "tilt": {"x": 0.0, "y": 0.0}, "gravity": [0, 0, 1], "heading": 0,
+    "temperature": None, "prompt": "Lay it level.",
+}  # fmt: skip
+
+
+def test_a_line_with_a_key_is_taken_where_it_waits_and_the_end_is_told_when_a_question_is_asked() -> None:
+    source, sink = os.pipe()
+    with open(source, encoding="utf-8") as stream:
+        keys = LineKeys(stream)
+        os.write(sink, b"\n\n")
+        assert keys.pressed("sq") is None
+        os.write(sink, b"stop\ny\n\n")
+        # What was typed before the key was typed in vain.
+        assert [keys.pressed("sq"), keys.pressed("sq")] == ["s", None]
+        assert [keys.choice(None), keys.choice(None)] == ["y", ENTER]
+        os.close(sink)
+        assert keys.pressed("sq") is None
+        with pytest.raises(Stopped, match="the input has ended"):
+            keys.choice(None)
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[TerminalKeys, int]]:
+    """Keys of a terminal, and where they are typed."""
+    person, terminal = pty.openpty()
+    with os.fdopen(terminal, "r") as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        with TerminalKeys() as keys:
+            yield keys, person
+    os.close(person)
+
+
+def test_a_key_is_a_choice_at_once_and_an_arrow_or_a_function_key_is_none(typed: tuple[TerminalKeys, int]) -> None:
+    """xterm's down, F2 of the Linux console, Alt-down of rxvt, and the escape key alone."""
+    keys, person = typed
+    os.write(person, b"B\r")
+    assert [keys.choice(1.0), keys.choice(1.0), keys.choice(0.0)] == ["b", ENTER, None]
+    for sequence in (b"\x1b[B", b"\x1b[[B", b"\x1b\x1b[B", b"\x1b"):
+        os.write(person, sequence)
+        assert keys.choice(1.0) == "\x1b"
+    os.write(person, b"r\x04")
+    assert keys.choice(1.0) == "r"
+    with pytest.raises(Stopped, match="has ended"):
+        keys.choice(1.0)
+
+
+class Typed:
+    """Keys, None where none comes, and lines that were typed beforehand."""
+
+    def __init__(self, keys: str | list[str | None], *lines: str) -> None:
+        self._keys, self._lines = list(keys), list(lines)
+
+    def choice(self, timeout: float | None) -> str | None:
+        return self._keys.pop(0)
+
+    def line(self) -> str:
+        return self._lines.pop(0)
+
+
+def terminal(
+    shown: io.StringIO, keys: str | list[str | None], *lines: str, width: int = 100, live: bool = False, **begin: Any
+) -> Terminal:
+    """A terminal after the begin of a session."""
+    console = Console(file=shown, force_terminal=True, width=width, height=24, color_system=None)
+    operator = Terminal(console, Typed(keys, *lines), live=live)  # type: ignore[arg-type]
+    said = {"title": "A title", "length": "", "accepted": [], "positions": ["level"]}
+    sensors = {"S-1": {"unit": "count", "offset": 1024.0, "sensitivity": 819.0}}
+    operator.tell({"event": "begin", **said, "sensors": sensors, **begin})
+    return operator
+
+
+def axis(target: float | None, present: float | None, ok: bool | None = None) -> dict[str, Any]:
+    difference = None if target is None or present is None else present - target
+    return {"target": target, "present": present, "difference": difference, "tolerance": 3.0, "ok": ok}
+
+
+def test_angles_temperatures_and_directions_are_typed_or_left() -> None:
+    """Whether a sensor can have the angles is the session's to say, which asks again."""
+    shown, free = io.StringIO(), {**LEVEL, "tilt": None}
+    for question, keys, lines, answer in (
+        (LEVEL, "a\n", ("", ""), {}),
+        (LEVEL, "at\n", ("1,5", "", ""), {"tilt": {"x": 1.5}}),
+        (LEVEL, "at\n", ("lots", "0.5", "-0.25", "24.5"), {"tilt": {"x": 0.5, "y": -0.25}, "temperature": 24.5}),
+        (free, "a\n", ("",), {}),
+        (free, "a\n", ("up", "0 1", "0, 3 4"), {"gravity": [0.0, 3.0, 4.0]}),
+    ):
+        assert terminal(shown, keys, *lines).ask(question) == {"answer": "ready", **answer}
+    assert "'lots' is not accepted: type a number such as 29.5" in shown.getvalue()
+    assert "type 3 numbers such as 0 0.5 0.866" in shown.getvalue()
+
+
+def test_a_live_reading_is_shown_until_a_key_is_pressed() -> None:
+    """The session takes one each time that the answer is a look; what was typed before is kept."""
+    operator = terminal(shown := io.StringIO(), [None, None, "a", None, ENTER], "1.5", "", live=True)
+    answers = [operator.ask(LEVEL) for _ in range(4)]
+    assert answers == [{"answer": "look"}] * 3 + [{"answer": "ready", "tilt": {"x": 1.5}}]
+    assert shown.getvalue().count("Lay it level.") == 1
+
+
+def test_six_sensors_are_shown_in_80_columns_below_their_targets() -> None:
+    """The targets are repeated where the next sensor sits another way; the next reading takes the place of the rows."""
+    serials = [f"SCL-100{n}" for n in range(6)]
+    sensors = {serial: {"unit": "count"} for serial in serials}
+    operator = terminal(shown := io.StringIO(), ENTER, width=80, live=True, sensors=sensors)
+    straight = {"x": axis(30.0, 29.71, True), "y": axis(0.0, None, False), "z": axis(60.0, 59.5, True)}
+    turned = {"x": axis(0.0, 0.2, True), "y": axis(30.0, 29.9, True), "z": axis(60.0, 60.0, True)}
+    reading = {"values": {"x": 2973.0, "y": 7000.0, "z": 5170.0}, "temperature": 24.0}
+    readings = {serial: {**reading, "guidance": turned if serial.endswith("5") else straight} for serial in serials}
+    shown.truncate(0)
+    for why in ("", "sample 3 of 20"):
+        operator.tell({"event": "look", "position": "level", "why": why, "readings": readings})
+    first, _, second = shown.getvalue().partition("\r\x1b[2K")
+    rows = first.splitlines()[-9:]
+    assert rows[0].split()[-6:] == ["x", "+30.00°", "y", "+0.00°", "z", "+60.00°"]
+    assert " ".join(rows[1].split()) == "SCL-1000 x +29.71° (-0.29) ok y beyond 90° z +59.50° (-0.50) ok"
+    assert [row.split()[0] for row in rows[5:8]] == ["SCL-1004", "target", "SCL-1005"]
+    assert rows[8].strip() == "live, angles are not calibrated yet"
+    assert all(len(row) <= 80 for row in rows[1:])
+    assert second.count("\x1b[1A\r\x1b[2K") == 8
+    assert second.endswith("sample 3 of 20")
+
+
+def test_the_keys_are_explained_and_the_time_that_remains_is_said() -> None:
+    operator = terminal(shown := io.StringIO(), "?\n", positions=["first", "level"], accepted=["first"])
+    operator.tell({"event": "progress", "position": "level", "accepted": ["first"], "seconds": 4210.0})
+    assert operator.ask(LEVEL) == {"answer": "ready"}
+    for said in (
+        "kept from before: first",
+        "2/2  level   about 1 h 11 min left",
+        "a      type the angle that was",
+    ):
+        assert said in shown.getvalue()
+
+
+def test_no_escape_sequence_and_no_markup_of_a_file_reaches_the_terminal() -> None:
+    """ESC ] 0 ; sets a window title, ESC [ 2 J clears the screen; a title [/] closes what rich never opened."""
+    operator = terminal(shown := io.StringIO(), "\n", title="a[/]\x1b]0;owned\x07 title")
+    operator.ask({**LEVEL, "position": "p\x1b[2J", "prompt": "Tilt \x9b2J it"})
+    operator.tell({"event": "refused", "position": "level", "why": "\x1b[2J[bold]S[/]"})
+    said = shown.getvalue()
+    assert "a[/]?]0;owned? title" in said
+    assert not set("\x1b\x07\x9b") & set(said)
+    assert "refused: ?[2J[bold]S[/]" in said
+
+
+@pytest.mark.parametrize("width", [30, 80])
+def test_no_number_of_a_review_is_cut_off(width: int) -> None:
+    measured = {"mean": {"x": 1045.25, "y": 1018.95}, "std": {"x": 0.65, "y": 0.69}, "n": 20, "temperature": 24.93}
+    operator = terminal(shown := io.StringIO(), ENTER, width=width)
+    review = {
+        "ask": "review", "position": "level", "sensors": {"S-1": measured}, "expected": {"S-1": {"x": 1024, "y": 1023}},
+        "guidance": {"S-1": {"x": axis(0.0, 1.49, True), "y": axis(0.0, -0.35, True)}},
+    }  # fmt: skip
+    assert operator.ask(review) == {"answer": "accept"}
+    for number in ("1045.25", "1018.95", "1024", "1023", "+1.49°", "-0.35", "ok", "0.65", "0.69", "24.93"):
+        assert number in shown.getvalue().split()
+    assert all(len(line) <= width for line in shown.getvalue().splitlines())
