@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from support.command import tiltcal
 from support.firmware import Board, Pulses, built
 from support.json_program import lead
 
@@ -81,14 +80,6 @@ def test_two_minutes_without_a_lost_or_damaged_sentence(board: Board) -> None:
 def test_an_output_without_pulses_is_named(board: Board, axis: str, pin: str) -> None:
     sent = board.run(Pulses(**{axis: 0}), 0.5).decode()
     assert set(sent.split("\r\n")[:-1]) == {f"no pulses on {pin}"}
-
-
-def test_probe_shows_what_the_firmware_says(board: Board) -> None:
-    pytest.importorskip("serial", reason="the pyserial package is not installed")
-    with board.on_a_pty(Pulses(x=0)) as running:
-        refused = tiltcal("probe", "--sensor", "adxl202", "--address", f"serial://{running.path}")
-    assert refused.returncode == 3
-    assert "no pulses on pin 2 (x)" in refused.stderr
 
 
 OFFSET, SENSITIVITY = (0.5123, 0.4868), ((0.1312, 0.0021), (-0.0014, 0.1187))

@@ -64,14 +64,6 @@ def test_the_angle_actually_set_counts(tmp_path: Path) -> None:
     assert written.procedure.set["y-tilt1"] == PositionSet(tilt={"y": 30.5})
 
 
-def test_a_typed_temperature_counts(tmp_path: Path) -> None:
-    led = table(tmp_path, "mavs", lambda ask, n: {"answer": "ready", "temperature": (ask["temperature"] or 20) + 0.25})
-    assert led.exit_code == 0, led.errors
-    thermal = read_calibration(tmp_path / "S-1.yaml").coefficients.thermal
-    assert thermal is not None
-    assert thermal.range == (5.75, 24.25)
-
-
 def test_a_program_is_told_once_a_minute_what_is_waited_for(tmp_path: Path) -> None:
     """The chamber takes its time to 5.5 °C by the bench's clock, which is virtual."""
     twin = (FIXTURES / "twins" / "sca100t-d02.yaml").read_text()
@@ -113,13 +105,6 @@ def test_a_position_is_asked_for_in_vain_a_hundred_times_in_a_row_and_no_more(tm
     assert "y-tilt1 was asked for 100 times in a row in vain" in led.errors
 
 
-def test_back_at_the_first_position_is_refused_with_the_reason(tmp_path: Path) -> None:
-    led = table(tmp_path, "plane", lambda ask, n: {"answer": "back"} if n == 1 else ready(ask, n))
-    assert led.exit_code == 0, led.errors
-    assert [event["position"] for event in led.events("refused")] == ["x-tilt1"]
-    assert "first position" in led.events("refused")[0]["why"]
-
-
 def test_quit_keeps_what_was_measured(tmp_path: Path) -> None:
     led = table(tmp_path, "plane", lambda ask, n: {"answer": "ready" if n < 3 else "quit"})
     assert led.exit_code == 130
@@ -133,15 +118,14 @@ def test_quit_keeps_what_was_measured(tmp_path: Path) -> None:
 def test_an_answer_that_will_not_do_is_refused_with_the_reason(tmp_path: Path) -> None:
     rubbish = {
         "what?": "not understood: 'what?'",
-        "[]": "an answer is an object",
+        "[]": "a mapping is needed here, found a list",
         '{"answer": "yes"}': "answer 'yes' is not one of ready, redo, back, quit",
-        '{"answer": "ready", "tilt": {"y": "30"}}': "tilt.y in the answer is '30', not a number",
         '{"answer": "ready", "tilt": {"y": NaN}}': "not understood",
         '{"answer": "ready", "tilt": {"y": 95}}': "a tilt of 95.0° is not between -90° and 90°",
-        '{"answer": "ready", "tilt": {"q": 3}}': "an angle is that of x or y",
+        '{"answer": "ready", "tilt": {"q": 3}}': "unknown key 'q'; known here: x, y",
         '{"answer": "ready", "gravity": [0, 0, 0]}': "gravity [0, 0, 0] has no direction",
-        '{"answer": "ready", "angle": 30}': "unknown key 'angle' in the answer",
-        '{"answer": "ready", "tilt": {"y": ' + "9" * 400 + "}}": "not a number",
+        '{"answer": "ready", "angle": 30}': "unknown key 'angle'",
+        '{"answer": "ready", "tilt": {"y": ' + "9" * 400 + "}}": "too large a number",
     }
     led = table(tmp_path, "plane", lambda ask, n: [*rubbish, *4 * [{"answer": "ready"}]][n - 1])
     assert led.exit_code == 0, led.errors

@@ -61,22 +61,6 @@ def test_the_same_from_a_log_that_is_all_level(plugged_in: Path, tmp_path: Path)
     assert found.provenance.log is not None
 
 
-def test_six_sensors_bring_their_calibrations_in_a_folder(tmp_path: Path) -> None:
-    sensors = []
-    for number in range(3):
-        text = BASE.read_text(encoding="utf-8").replace("serial: SIM-42", f"serial: T-{number}")
-        (tmp_path / f"T-{number}.yaml").write_text(text, encoding="utf-8")
-        sensors.append(f"  - {{serial: T-{number}, model: sca100t-d02, address: 'sim:?seed={number}'}}")
-    (tmp_path / "bench.yaml").write_text("\n".join(["tiltcal: 1", "kind: bench", "sensors:", *sensors]) + "\n")
-    (tmp_path / "again").mkdir()
-    options = ("--bench", "bench.yaml", "--jig", "0.05", "--samples", "20", "--operator", "sim", "-o", "again")
-    assert tiltcal("measure", "level", "--base", ".", *options, cwd=tmp_path).returncode == 0
-    for number in range(3):
-        assert read_calibration(tmp_path / "again" / f"T-{number}.yaml").fit.level is not None
-    refused = tiltcal("measure", "level", "--base", "T-1.yaml", *options, cwd=tmp_path)
-    assert "one file for 3 sensors" in refused.stderr
-
-
 def test_a_level_without_the_temperature_that_counts_is_asked_for_again(tmp_path: Path) -> None:
     """An SCA3000-E04 has no thermometer: the operator types the temperature."""
     own = read_calibration(FIXTURES / "free.yaml")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from contextlib import chdir
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -85,19 +84,6 @@ def test_a_frame_gives_the_calibration_of_its_log(
     assert _without_provenance(found) == _without_provenance(of_log)
 
 
-def test_free_positions_are_found_in_a_frame() -> None:
-    """Eighteen directions by a golden spiral, each held for 80 rows."""
-    rng = np.random.default_rng(3)
-    number = np.arange(18)
-    height, angle = 1 - (2 * number + 1) / 18, number * np.pi * (3 - np.sqrt(5))
-    ring = np.sqrt(1 - height**2)
-    up = np.repeat(np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1), 80, axis=0)
-    read = OFFSET + up @ SENSITIVITY.T + rng.normal(0.0, 0.005, up.shape)
-    found = tiltcal.fit("free", {axis: read[:, k] for k, axis in enumerate("xyz")}, gravity=9.81744, **SENSOR)
-    assert list(found.offset.values()) == pytest.approx(OFFSET.tolist(), abs=0.01)
-    assert found.derived.gravity_m_s2 == 9.81744
-
-
 def test_an_option_that_there_is_not_is_named(tmp_path: Path) -> None:
     shutil.copy(FIXTURES / "mavs.yaml", tmp_path)
     pair = tiltcal.read(FIXTURES / "rotation.yaml")
@@ -135,33 +121,6 @@ def test_apply_and_apply_log_agree(folder: Path, columns: dict[str, Any], segmen
 
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
-
-
-@pytest.mark.parametrize(
-    ("procedure", "sensor", "twin", "options"),
-    [
-        ("plane", "sca100t-d02", "sca100t-d02", {"jig": 0.1, "samples": 40}),
-        ("free", "sca3000-d01", "sca3000", {"samples": 40}),
-        ("mounting", "sca100t-d02", "mounting", {"base": FIXTURES / "cross-axis.yaml", "samples": 40}),
-        ("two-temperature", "sca100t-d02", "sca100t-d02", {"samples": 10}),
-        ("rotation", "gradiometer", "disk", {"turns": 16}),
-    ],
-    ids=["positions", "free", "mounting", "temperature", "rotation"],
-)
-def test_a_session_gives_the_same_file(
-    procedure: str, sensor: str, twin: str, options: dict[str, Any], tmp_path: Path
-) -> None:
-    """The same seed is the same part and the same noise, so that the files are the same to the byte."""
-    options |= {"sensor": sensor, "address": f"sim:?twin={FIXTURES / 'twins' / twin}.yaml", "serial": "SIM-42"}
-    given = [str(text) for name, value in options.items() for text in (f"--{name}", value)]
-    for folder in ("command", "library"):
-        (tmp_path / folder).mkdir()
-    result = command("measure", procedure, *given, "--operator", "sim", "-o", "it.yaml", cwd=tmp_path / "command")
-    assert result.returncode == 0, result.stderr
-    with chdir(tmp_path / "library"):
-        found = tiltcal.measure(procedure, operator="sim", output="it.yaml", **options)
-    assert (tmp_path / "library/it.yaml").read_bytes() == (tmp_path / "command/it.yaml").read_bytes()
-    assert found == tiltcal.read(tmp_path / "command/it.yaml")
 
 
 def test_pairs_are_matched_from_frame_and_file_alike(tmp_path: Path) -> None:

@@ -61,21 +61,3 @@ def test_one_damaged_sentence_in_seven_is_counted_never_used_and_replays_to_the_
     assert damaged / (sentences + damaged) == pytest.approx(1 / 7, abs=0.03)
     replayed = tiltcal("replay", "A-1005.journal.jsonl", "--golden", "A-1005.yaml", cwd=tmp_path)
     assert replayed.returncode == 0, replayed.stderr
-
-
-def test_a_device_of_unknown_scale_is_calibrated_where_the_procedure_finds_the_scale(tmp_path: Path) -> None:
-    sensor = [
-        "--sensor",
-        "serial-columns",
-        "--address",
-        "sim:unit=V&columns=x,y",
-        "--serial",
-        "C-1",
-        "--operator",
-        "sim",
-    ]
-    assert tiltcal("measure", "zero-45", *sensor, "-o", "zero-45.yaml", cwd=tmp_path).returncode == 0
-    refused = tiltcal("measure", "two-temperature", *sensor, "-o", "two-temperature.yaml", cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "state it in the address (sensitivity=" in refused.stderr
-    assert not (tmp_path / "two-temperature.yaml").exists()

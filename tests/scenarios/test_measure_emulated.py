@@ -95,25 +95,6 @@ def test_unplugged_in_mid_session_and_plugged_in_again(warm: WarmStart, tmp_path
     assert any(event.kind == "!" for event in events)
 
 
-def test_a_part_that_stays_away_ends_the_session_and_keeps_it(warm: WarmStart, tmp_path: Path) -> None:
-    with run_on(program(warm.program, "plane", tmp_path, "--samples", "20"), FLAT) as bench:
-        bench.take()
-        assert bench.read()["event"] == "accepted"
-        bench.fail(errno.ENODEV)
-        bench.lead()
-        assert bench.exit_code == 3
-        assert "--resume" in bench.errors()
-    assert not (tmp_path / "S-0042.yaml").exists()
-    assert read_journal(tmp_path / "S-0042.journal.jsonl").end is None
-
-
-def test_a_captured_real_session_replays_to_the_byte(warm: WarmStart, tmp_path: Path) -> None:
-    led(warm.program, "plane", tmp_path, FLAT)
-    with run_on([*warm.program, "replay", str(tmp_path / "S-0042.journal.jsonl")]) as bench:
-        text = bench.process.stdout.read()
-    assert text.encode() == (tmp_path / "S-0042.yaml").read_bytes()
-
-
 def test_killed_on_the_real_bus_and_resumed(warm: WarmStart, tmp_path: Path) -> None:
     with run_on(program(TILTCAL, "plane", tmp_path, "--samples", "30"), FLAT) as bench:
         for _ in range(2):
@@ -184,13 +165,3 @@ def test_positions_that_nobody_sets(warm: WarmStart, tmp_path: Path) -> None:
     np.testing.assert_allclose(angles(sensitivity), angles(truth), atol=0.05)
     assert found.derived.mounting.startswith("undetermined")
     assert (found.fit.distinct_attitudes, found.fit.degrees_of_freedom) == (18, 18 - 9)
-
-
-def test_the_same_attitude_again_is_refused(warm: WarmStart, tmp_path: Path) -> None:
-    with run_on(program(warm.program, "free", tmp_path, *SCA3000_ON_SPI), BY_HAND) as bench:
-        bench.pose([1.0, 0.0, 0.0])
-        assert bench.ask('{"answer": "ready"}')["ask"] == "position"
-        heard = [bench.ask('{"answer": "ready"}') for _ in range(3)]
-        bench.say('{"answer": "quit"}')
-    refused = [one for one in heard if one.get("event") == "refused"]
-    assert "attitude of x-up again" in refused[0]["why"]

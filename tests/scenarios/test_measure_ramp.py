@@ -10,9 +10,7 @@ import pytest
 from support.json_program import Event, ProgramSession, lead
 
 from tiltcal.bench import devices
-from tiltcal.bench.journal import calibrations_of
 from tiltcal.files.calibration import read_calibration
-from tiltcal.files.journal import read_journal
 from tiltcal.library.measure import measure
 
 TWIN = """\
@@ -94,12 +92,6 @@ def test_the_lag_and_the_drift_are_those_of_the_twin(led: tuple[Path, ProgramSes
     assert found.uncertainty["temperature.lag"] < 3.0
     assert thermal.drift[:, 0] == pytest.approx([2.1, -3.0], abs=0.03)
     assert found.coefficients.offset == pytest.approx([1030.0, 1018.0], abs=0.5)
-
-
-def test_a_replay_gives_the_same_file(led: tuple[Path, ProgramSession]) -> None:
-    folder, _ = led
-    (text,) = calibrations_of(read_journal(folder / "S-1.journal.jsonl")).texts().values()
-    assert text == (folder / "S-1.yaml").read_text()
 
 
 def test_faults_that_pass_cost_their_samples_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

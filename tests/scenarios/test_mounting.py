@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi, radians, sqrt
+from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.attitude import mounting_matrix
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.estimation.estimate import estimate_jointly
-from tiltcal.core.model import Coefficients, Mounting
+from tiltcal.core.model import Mounting
 from tiltcal.core.samples import SampleSummary
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_calibration
 
@@ -51,28 +51,6 @@ def test_the_angles_of_a_mounted_sensor_hold_the_truth() -> None:
         scatter.append(np.mean((error / standard[:2]) ** 2))
     assert np.mean(inside) == pytest.approx(0.95, abs=3 * np.std(inside) / np.sqrt(len(inside)) + 0.005)
     assert np.sqrt(np.mean(scatter)) == pytest.approx(1.0, abs=0.12)
-
-
-@pytest.mark.parametrize(
-    ("pitch", "jig", "expected"),
-    [
-        (-0.1, None, dict.fromkeys(("roll", "pitch", "yaw"), 2.3646)),  # 10 angles less 3 unknown
-        (-0.1, 0.2, dict.fromkeys(("roll", "pitch", "yaw"), 1.9600)),
-        (pi / 2 - 1e-3, 0.2, {"roll": 0.95 * sqrt(3), "pitch": 1.9600, "yaw": 0.95 * sqrt(3)}),
-    ],
-    ids=["residuals", "stated jig", "gimbal lock"],
-)
-def test_the_angles_have_their_coverage_factors(pitch: float, jig: float | None, expected: dict[str, float]) -> None:
-    """Of an exact base: Student's table where the residuals show the jig, 95 % of a circle where no angle is known."""
-    turned = mounting_matrix(Mounting(0.2, pitch, 0.4))
-    exact = Coefficients(XYZ, XYZ, np.zeros(3), np.eye(3))
-    base = CalibrationRecord(SensorIdentity("bench-built", "S-1", "g", XYZ), exact)
-    read = noisy(np.random.default_rng(8), turned, radians(0.2))
-    found = mount(base, [_measured(*one) for one in zip(KNOWN, read, strict=True)], jig=jig).uncertainty
-    assert {angle: found.coverage_factor[f"mounting.{angle}"] for angle in expected} == pytest.approx(
-        expected, abs=1e-3
-    )
-    assert set(expected) == {name.removeprefix("mounting.") for name in found}
 
 
 def _measured(gravity: np.ndarray, readings: np.ndarray) -> Measurement:

@@ -16,14 +16,12 @@ from support.command import tiltcal
 from tiltcal import Calibration, measure
 from tiltcal.bench import devices, settle
 from tiltcal.bench.checks import PositionResult, require_plausible_temperature
-from tiltcal.bench.journal import calibrations_of
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
 from tiltcal.calibration.measurement import Measurement
 from tiltcal.core.samples import summarise
 from tiltcal.drivers.virtual import Fixture, VirtualPart
-from tiltcal.errors import HardwareError, Stopped
-from tiltcal.files.journal import read_journal
+from tiltcal.errors import Stopped
 from tiltcal.files.procedure import Position, find_procedure
 from tiltcal.files.results import PositionSet
 
@@ -203,16 +201,6 @@ def test_a_fault_that_passes_costs_a_redo(kind: str, why: str) -> None:
     assert all(why in line for line in refused)
     assert list(found.offset.values()) == pytest.approx([1026.0, 1021.0], abs=0.3)
     assert found.record.coefficients.sensitivity[0, :2] == pytest.approx([817.4, 11.2], abs=0.9)
-
-
-def test_a_session_that_a_fault_ended_goes_on_once_the_fault_is_gone() -> None:
-    twin_with("faults: [{kind: unplugged, start: 5.0, end: 11.0}]")
-    with pytest.raises(HardwareError, match="unplugged"):
-        session()
-    measure(resume="S-1.journal.jsonl", operator="sim")
-    journal = read_journal("S-1.journal.jsonl")
-    assert journal.end is not None
-    assert calibrations_of(journal).texts() == {"S-1": Path("S-1.yaml").read_text()}
 
 
 def test_a_closing_visit_shows_a_sensor_that_was_knocked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,8 +22,11 @@ REFUSED = {
     "fit plane log.csv --segments s.csv --sensor gradiometer --serial G -o g.yaml": "takes tilt sensors",
     "fit rotation log.csv --serial G --unit g -o g.yaml": "with `tiltcal match`",
     f"verify {FIXTURES}/plane.yaml --procedure rotation --address sim:": "`tiltcal match`",
+    f"measure two-temperature --sensor serial-columns {ON_SIM.replace('sim:', 'sim:unit=V&columns=x,y')}": (
+        "state it in the address (sensitivity="
+    ),
     f"measure plane {SCA100T} --turns 3": "leave --turns out",
-    f"measure rotation {STAGE} --turns 1": "at least 2",
+    f"measure rotation {STAGE} --turns 1": "from 2",
     f"measure rotation {STAGE} --samples 9": "leave --samples",
     f"measure rotation {STAGE} --tilt 9": "no angle free",
     f"measure rotation {STAGE} --typical-temperature": "needs no --typical-temperature",

@@ -113,16 +113,6 @@ class TestWrongPosition:
             with pytest.raises(tiltcal.EstimateError, match=r"^x-tilt1 or x-tilt2 is wrong: "):
                 fitted(rng, Part(rng), "plane", jig or 0.1, {"x-tilt1": "x-tilt2"}, jig=jig, **sensor)
 
-    def test_a_face_twice_is_refused(self) -> None:
-        for seed in range(10):
-            rng = np.random.default_rng(seed)
-            rows = {name: FACES["y-up" if name == "y-down" else name] for name in FACES}
-            mean = {name: g + np.cross(rng.normal(0.0, radians(0.1), 3), g) for name, g in rows.items()}
-            columns = {"position": list(mean), **{c: [m[k] for m in mean.values()] for k, c in enumerate("xyz")}}
-            columns |= {f"u{c}": [1e-4] * 6 for c in "xyz"}
-            with pytest.raises(tiltcal.EstimateError, match=r"^y-up or y-down is wrong: .* a jig of 0\.1° is stated"):
-                tiltcal.fit("six-face", columns, serial="S", unit="g", jig=0.1)
-
 
 def saved(folder: Path, found: tiltcal.Calibration) -> tuple[int, str]:
     """What ``tiltcal check`` says of a calibration."""
@@ -132,18 +122,6 @@ def saved(folder: Path, found: tiltcal.Calibration) -> tuple[int, str]:
 
 
 class TestBenchAndCheck:
-    def test_swapped_channels_are_remarked_and_not_good(self, tmp_path: Path) -> None:
-        rng = np.random.default_rng(3)
-        part = Part(rng)
-        part.bend[:] = 0.0
-        rows = table(rng, part, "plane", 0.05, {})
-        rows["x"], rows["y"] = rows["y"], rows["x"]
-        found = tiltcal.fit("plane", rows, serial="S", sensor="sca100t-d02", jig=0.05)
-        code, said = saved(tmp_path, found)
-        assert code == 0
-        assert "x and y are swapped" in said
-        assert "good" not in said
-
     def test_positions_by_hand_are_asked_for_and_beyond_5_degrees_judged(self, tmp_path: Path) -> None:
         """Twelve directions; the jig that the residuals show is one figure of each result."""
         rng = np.random.default_rng(4)

@@ -245,24 +245,10 @@ class Expectations:
             readings.learn(before.gravity, result.mean(serial), before.temperature)
         return readings
 
-    def expected(self, result: PositionResult) -> dict[str, dict[str, float]]:
-        """Return the predicted reading of each channel by serial number; empty where nothing predicts it."""
-        return {
-            serial: self._readings[serial].expected(result.measurements[serial].gravity)
-            if sensor.wired.scaled and self._known
-            else {}
-            for serial, sensor in self._sensors.items()
-        }
-
     def guidance(self, serial: str, values: Sequence[float], gravity: Vector) -> dict[str, AxisGuidance]:
         """Return the guidance of each channel of a sensor where the fixture is to be held in an attitude."""
         sensor, expected = self._sensors[serial], self._readings[serial] if self._known else None
         return guidance(sensor.wired, sensor.orientation, values, gravity, expected)
-
-    def guidance_of(self, result: PositionResult) -> dict[str, dict[str, AxisGuidance]]:
-        """Return the guidance that the means of a position give, by serial number."""
-        gravity = result.position.gravity
-        return {serial: self.guidance(serial, result.mean(serial).tolist(), gravity) for serial in self._sensors}
 
     def require(self, result: PositionResult) -> None:
         """Raise Unsettled where the temperature is absurd, a sensor is stuck, or it is another position."""

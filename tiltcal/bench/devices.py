@@ -146,13 +146,13 @@ def open_same(
     return link
 
 
-def probe_devices(devices: Sequence[BenchSensor], virtual: VirtualBench, clock: Clock) -> None:
+def probe_devices(devices: Sequence[BenchSensor], clock: Clock) -> None:
     """Open one device after the other, and check that it answers.
 
     UsageError: an option of an address is wrong, or contradicts that of another device on the same line.
     HardwareError: a device that cannot be opened, or does not answer.
     """
-    lines: dict[str, ModbusLine] = {}
+    virtual, lines = VirtualBench(clock, devices), dict[str, "ModbusLine"]()
     for device in devices:
         with closing(open_device(device, virtual, lines)) as link:
             device.wired.driver(link, clock).probe()
@@ -268,7 +268,7 @@ class Recorder:
     """Appends what happens to a journal, and is the clock of drivers.
 
     Its time, ns since the session began, is that of the last event, so a replay gives the drivers the same times.
-    ``line`` is the line of that event. Without a writer the events are only counted.
+    Without a writer nothing is recorded.
     """
 
     real = False
@@ -277,7 +277,11 @@ class Recorder:
         self._clock = clock
         self._writer = writer
         self._now_ns = now_ns
-        self.line = 0 if writer is None else writer.line
+
+    @property
+    def line(self) -> int:
+        """The line of the last event."""
+        return 0 if self._writer is None else self._writer.line
 
     def now_ns(self) -> int:
         return self._now_ns
@@ -294,7 +298,6 @@ class Recorder:
         if self._writer is not None:
             self._writer.append(now_ns - self._now_ns, kind, *payload)
         self._now_ns = now_ns
-        self.line += 1
 
     def secure(self) -> None:
         """Wait until all that was recorded is on the disk."""

@@ -7,9 +7,9 @@ positions before have shown.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import asin, ceil, degrees, hypot, radians, sin, sqrt
-from typing import TypedDict
+from typing import Any, TypedDict
 
 from tiltcal.core.attitude import Orientation, Vector
 from tiltcal.core.model import AXES
@@ -22,6 +22,7 @@ TOLERANCE = 2.0
 VAGUE = 0.2
 """Nothing is called ok where the tolerance is above this, g: of a part whose offset is unknown before two positions."""
 
+COLUMNS = ("", "set", "now", "difference", "reading", "noise", "n")  # of a review; a reading has no last two
 UNCALIBRATED = "angles are not calibrated yet"  # what an operator is told beside present angles
 
 
@@ -86,6 +87,23 @@ def in_words(channel: str, axis: AxisGuidance) -> str:
     words = "beyond 90°" if axis["present"] is None else f"{axis['present']:+7.2f}°"
     words += "" if axis["difference"] is None else f" ({axis['difference']:+.2f})"
     return f"{channel} {words}{' ok' if axis['ok'] else ''}".strip()
+
+
+def rows_of(readings: Mapping[str, Any], sensors: Mapping[str, Any]) -> Iterator[tuple[list[str], bool | None]]:
+    """Yield the cells of each channel and thermometer below :data:`COLUMNS`, and whether it is as asked.
+
+    ``readings`` are those that a session shows, or the means of its review; ``sensors`` are as it begins with them.
+    """
+    for serial, reading in readings.items():
+        for channel, value in reading["values"].items():
+            axis: AxisGuidance | None = reading["guidance"].get(channel)
+            tilts = [None] * 3 if axis is None else [axis["target"], axis["present"], axis["difference"]]
+            cells = ["" if tilt is None else f"{tilt:+.2f}°" for tilt in tilts]
+            cells += [f"{value:.6g} {sensors[serial]['unit']}"]
+            cells += [f"{reading['std'][channel]:.2g}", str(reading["n"])] if "std" in reading else []
+            yield [f"{serial} {channel}", *cells], axis and axis["ok"]
+        if reading["temperature"] is not None:
+            yield [f"{serial} T", "", "", "", f"{reading['temperature']:.2f} °C"], None
 
 
 def remaining_in_words(seconds: float) -> str:

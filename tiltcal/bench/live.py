@@ -119,10 +119,10 @@ def live_tilts(
     """
     clock = session_clock(datetime.now(UTC), virtual=False)
     every = tuple(devices) if thermometer is None else (*devices, thermometer)
-    virtual, recorder = VirtualBench(clock, every), Recorder(clock)
+    recorder = Recorder(clock)
     kernels = {device.serial: TiltOfReadings(calibrations[device.serial], device.wired) for device in devices}
-    probe_devices(every, virtual, clock)
-    with connected(devices, thermometer, recorder, virtual) as sensors:
+    probe_devices(every, clock)
+    with connected(devices, thermometer, recorder, VirtualBench(clock, every)) as sensors:
 
         def read() -> dict[str, LiveTilt]:
             readings = sensors.read(fresh=True)

@@ -31,7 +31,6 @@ from __future__ import annotations
 import json
 import os
 import select
-import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -40,10 +39,11 @@ from typing import Any, Protocol, TextIO
 
 import msgspec
 
-from tiltcal.core.attitude import Vector, gravity_from_tilt, normalised
+from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.errors import InputError, Stopped, UsageError
+from tiltcal.files.document import document_of
 from tiltcal.files.journal import OperatorAnswer
 from tiltcal.files.procedure import Position
 from tiltcal.stated_arguments import of_python
@@ -65,9 +65,6 @@ WORDS = {
 
 LOOK = "look"  # the answer of an operator that wants to see a reading before it is asked again
 HEARD = ("waiting", "accepted", "refused", "lost", "done", "turn", "held", "resumed")  # the events that a program gets
-KEYS = ("answer", "gravity", "temperature", "tilt")
-TILT_AXES = ("x", "y")
-
 CHUNK = LONGEST = 1 << 16  # bytes that are read at once, and of a line without an end that are kept
 SAME = 1e-4  # directions that differ by less are one, g: 0.006°
 
@@ -115,43 +112,15 @@ def understood(said: object, words: Sequence[str] = WORDS["position"]) -> Operat
 
     InputError: it is not an answer; the message says what is wrong with it.
     """
-    if not isinstance(said, Mapping):
-        raise InputError('an answer is an object such as {"answer": "ready"}')
-    strange = sorted(str(key) for key in set(said) - set(KEYS))
-    if strange:
-        raise InputError(f"unknown key {strange[0]!r} in the answer; it may have {', '.join(KEYS)}")
-    word, tilt, gravity = said.get("answer"), said.get("tilt"), of_python(said.get("gravity"))
-    if not isinstance(word, str) or word not in words:
-        raise InputError(f"answer {word!r} is not one of {', '.join(words)}")
-    tilt = {} if tilt is None else tilt
-    if not isinstance(tilt, Mapping):
-        raise InputError('tilt is an object of degrees such as {"y": 30.02}')
-    for axis in tilt:
-        if axis not in TILT_AXES:
-            raise InputError(f"tilt of {axis!r} in the answer: an angle is that of {' or '.join(TILT_AXES)}")
-    if gravity is not None and not (isinstance(gravity, list | tuple) and len(gravity) == 3):
-        raise InputError("gravity is a list of three numbers")
-    temperature = None if said.get("temperature") is None else _number(said["temperature"], "temperature")
-    if temperature is not None and not TEMPERATURES[0] <= temperature <= TEMPERATURES[1]:
-        low, high = TEMPERATURES
-        raise InputError(f"temperature in the answer is {temperature:g} °C, not between {low:g} and {high:g}")
-    return OperatorAnswer(
-        answer=word,
-        tilt={axis: _number(angle, f"tilt.{axis}") for axis, angle in tilt.items()},
-        gravity=None if gravity is None else _direction(*gravity),
-        temperature=temperature,
-    )
-
-
-def _direction(x: object, y: object, z: object) -> Vector:
-    return _number(x, "gravity"), _number(y, "gravity"), _number(z, "gravity")
-
-
-def _number(value: object, key: str) -> float:
-    value = of_python(value)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
-        raise InputError(f"{key} in the answer is {value!r}, not a number")
-    return float(value)
+    if isinstance(said, Mapping):
+        said = {key: of_python(value) for key, value in said.items()}
+    answer = document_of(said, "the answer").read(OperatorAnswer)
+    if answer.answer not in words:
+        raise InputError(f"answer {answer.answer!r} is not one of {', '.join(words)}")
+    low, high = TEMPERATURES
+    if answer.temperature is not None and not low <= answer.temperature <= high:
+        raise InputError(f"temperature in the answer is {answer.temperature:g} °C, not between {low:g} and {high:g}")
+    return answer
 
 
 class LineReader:

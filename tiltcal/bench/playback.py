@@ -25,6 +25,7 @@ from tiltcal.files.journal import (
     AcceptedPosition,
     Event,
     Journal,
+    OperatorAnswer,
 )
 
 STREAMS = ("r", "e", "m")  # the buses on which a transaction without bytes drops what has arrived
@@ -121,7 +122,7 @@ class Playback:
 
     def _kept_by_drivers(self, event: Event) -> Iterator[RecordedSample]:
         """Yield the samples that need no further transaction, where the session took them before an event."""
-        question, most = event.payload[0]["to"] if event.kind == ANSWER else "", 0
+        question, most = event.content(OperatorAnswer).to if event.kind == ANSWER else "", 0
         if self.setup.steps.rotation is not None and (event.kind in (POSITION, RESUMED) or question == "write"):
             most = len(self._journal.events)
         elif question in ("review", "tip"):

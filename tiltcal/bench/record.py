@@ -175,9 +175,8 @@ def record_bench(
         raise UsageError("a recording on the virtual bench needs --rows or --for")
     started = VIRTUAL_START if virtual else datetime.now(UTC)
     clock = session_clock(started, virtual=virtual)
-    twins = VirtualBench(clock, devices)
-    probe_devices(devices, twins, clock)
-    with connected(sensors, thermometer, Recorder(clock), twins) as opened:
+    probe_devices(devices, clock)
+    with connected(sensors, thermometer, Recorder(clock), VirtualBench(clock, devices)) as opened:
         columns = LogColumns(opened.models, thermometer=thermometer is not None)
         recording = Recording(log, columns.names)
         try:

@@ -75,9 +75,7 @@ class Session:
         """
         if self.finished:
             return
-        clock = session_clock(self.setup.began, virtual=self.setup.simulated)
-        devices = self.setup.devices
-        probe_devices(devices, VirtualBench(clock, devices), clock)
+        probe_devices(self.setup.devices, session_clock(self.setup.began, virtual=self.setup.simulated))
 
     def open(self, stack: ExitStack, operator: Operator) -> None:
         """Open the journal and the devices until the end of the stack, and tell the operator what begins."""
@@ -156,9 +154,14 @@ class Session:
             {
                 "ask": "review",
                 "position": position.name,
-                "sensors": result.values(),
-                "expected": self._expectations.expected(result),
-                "guidance": self._expectations.guidance_of(result),
+                "readings": {
+                    serial: {
+                        **one,
+                        "values": one["mean"],
+                        "guidance": self._expectations.guidance(serial, [*one["mean"].values()], actual.gravity),
+                    }
+                    for serial, one in result.values().items()
+                },
             }
         )
         if verdict.answer == "accept":

@@ -6,8 +6,9 @@ import io
 import os
 import select
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
+from itertools import zip_longest
 from types import BuiltinFunctionType
 from typing import Any, TextIO
 
@@ -15,7 +16,7 @@ from rich.console import Console
 from rich.text import Text
 
 from tiltcal.bench import guidance
-from tiltcal.bench.guidance import UNCALIBRATED, AxisGuidance, remaining_in_words
+from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, AxisGuidance, remaining_in_words, rows_of
 from tiltcal.bench.operators import LOOK, LineReader, Message, Operator, in_words
 from tiltcal.errors import Stopped
 from tiltcal.printable import printable
@@ -263,15 +264,14 @@ class Terminal(Operator):
         return {"answer": "stop"} if key == "s" else None
 
     def _review(self, question: Message) -> object:
-        """Show expected, measured, difference and noise, and ask whether it counts."""
+        """Show what was set and measured, its difference and noise, and ask whether it counts."""
         self.clear()
         self._ring()
-        head = ("", "expected", "measured", "tilt", "difference", "noise", "n")
-        rows = [head, *self._rows(question)]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        for row in rows:
-            line = "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-            self._say(line, "dim" if row is head else "")
+        rows = [(list(COLUMNS), None), *rows_of(question["readings"], self._sensors)]
+        widths = [max(map(len, column)) for column in zip_longest(*(cells for cells, _ in rows), fillvalue="")]
+        for cells, ok in rows:
+            line = "  ".join(cell.rjust(width) for cell, width in zip(cells, widths, strict=False))
+            self._say(f"{line}{'  ok' if ok else ''}", "dim" if ok is None else "")
         self._hint("Enter accept", "r redo", "b back", "q stop and keep")
         return {"answer": {ENTER: "accept", "r": "redo", "b": "back"}[self._choice(f"{ENTER}rb")]}
 
@@ -366,25 +366,6 @@ class Terminal(Operator):
         for part in filter(None, more):
             row = f"{row}  {part}" if len(row) + len(part) + 5 <= self._console.width else row
         return row.rstrip()
-
-    def _rows(self, review: Message) -> Iterator[tuple[str, ...]]:
-        """Iterate over name, expected, measured, present angle, difference, noise and n of each reading."""
-        for serial, values in review["sensors"].items():
-            expected, axes = review["expected"].get(serial, {}), review["guidance"].get(serial, {})
-            for channel, mean in values["mean"].items():
-                words = guidance.in_words("", axes[channel]) if channel in axes else ""
-                present, _, difference = words.replace(")", "").partition(" (")
-                yield (
-                    f"{serial} {channel}",
-                    f"{expected[channel]:.6g}" if expected else "unknown",
-                    f"{mean:.6g} {self._sensors[serial]['unit']}",
-                    present,
-                    difference,
-                    f"{values['std'][channel]:.2g}",
-                    str(values["n"]),
-                )
-            if values["temperature"] is not None:
-                yield f"{serial} T", "", f"{values['temperature']:.2f} °C", "", "", "", ""
 
     def _typed(self, what: str, example: str = "29.5") -> list[float]:
         """Ask until as many numbers are typed as the example has; none where the line is empty."""

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from math import atan2, degrees, hypot, sqrt
 from typing import Any
 
-from tiltcal.bench.guidance import AxisGuidance, present_gravity
+from tiltcal.bench.guidance import COLUMNS, AxisGuidance, present_gravity, rows_of
 from tiltcal.bench.operators import LOOK, Message, Operator, in_words
 from tiltcal.bench.page_server import PageServer, PageState
 from tiltcal.core.attitude import Vector, orientation
@@ -164,12 +164,12 @@ class WebOperator(Operator):
                 self._target = question
                 fields |= {"prompt": question["prompt"], "conditions": list(_conditions(question))}
             case "review":
-                means = {
-                    serial: {**one, "values": one["mean"], "guidance": question["guidance"][serial]}
-                    for serial, one in question["sensors"].items()
+                means = question["readings"]
+                fields |= {
+                    "table": self._table(means),
+                    "guide": self._guided(means),
+                    "doing": "sampled: does it count?",
                 }
-                table = self._table(means, question["expected"])
-                fields |= {"table": table, "guide": self._guided(means), "doing": "sampled: does it count?"}
                 fields |= self._sound("sampled")
             case "rotation":
                 pairs = [f"{' and '.join(pair['pair'])}, orthogonal {pair['orthogonal']}" for pair in question["pairs"]]
@@ -255,7 +255,7 @@ class WebOperator(Operator):
         if not self._hands_free:
             return ""
         if question["ask"] == "review" and question["position"] == self._taken:
-            return "accept" if all(_fits(axes) for axes in question["guidance"].values()) else ""
+            return "accept" if all(_fits(one["guidance"]) for one in question["readings"].values()) else ""
         return "ready" if question["ask"] == "position" and self._readings and self._is_shown(question) else ""
 
     def _is_shown(self, question: Message) -> bool:
@@ -267,29 +267,12 @@ class WebOperator(Operator):
         moved = all(_apart(now[serial], self._before[serial]) > MOVED for serial in now)
         return moved and guide is not None and guide["ok"] is True and guide["still"] >= 1.0
 
-    def _table(
-        self, readings: Mapping[str, Any], expected: Mapping[str, Mapping[str, float]] | None = None
-    ) -> dict[str, Any]:
-        """Return the table of readings, of a review with what is ``expected`` and the noise."""
-        rows = []
-        for serial, reading in readings.items():
-            unit = self._begin["sensors"][serial]["unit"]
-            for channel, value in reading["values"].items():
-                axis: AxisGuidance | None = reading["guidance"].get(channel)
-                tilts = [None] * 3 if axis is None else [axis["target"], axis["present"], axis["difference"]]
-                cells = ["" if tilt is None else f"{tilt:+.2f}°" for tilt in tilts] + [f"{value:.6g} {unit}"]
-                if expected is not None:
-                    wanted = expected.get(serial) or {}
-                    cells += [f"{wanted[channel]:.6g}" if wanted else "unknown"]
-                    cells += [f"{reading['std'][channel]:.2g}", str(reading["n"])]
-                rows.append({"cells": [f"{serial} {channel}", *cells], "ok": axis and axis["ok"]})
-            if reading["temperature"] is not None:
-                rows.append({"cells": [f"{serial} T", "", "", "", f"{reading['temperature']:.2f} °C"], "ok": None})
-        head = ["not calibrated yet", "set", "now", "difference"]
-        return {
-            "head": head + (["reading"] if expected is None else ["measured", "expected", "noise", "n"]),
-            "rows": rows,
-        }
+    def _table(self, readings: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the table of readings, or of the means of a review."""
+        rows = list(rows_of(readings, self._begin["sensors"]))
+        width = max((len(cells) for cells, _ in rows), default=1)
+        head = ["not calibrated yet", *COLUMNS[1:width]]
+        return {"head": head, "rows": [{"cells": cells, "ok": ok} for cells, ok in rows]}
 
     def _sound(self, name: str) -> dict[str, dict[str, int]]:
         """Return the field of the state that has the page sound once."""

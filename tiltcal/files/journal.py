@@ -34,7 +34,7 @@ from msgspec import Meta, Struct
 
 from tiltcal.errors import JournalError, UsageError
 from tiltcal.files.atomic import BINARY, append_whole, sync_data, write_all
-from tiltcal.files.record import Count, Record
+from tiltcal.files.record import Count, Number, Record, one_of
 
 T = TypeVar("T")
 
@@ -324,9 +324,9 @@ class OperatorAnswer(Record, kw_only=True):
 
     to: str = ""
     answer: str
-    tilt: Mapping[str, float] = {}
-    gravity: tuple[float, float, float] | None = None
-    temperature: float | None = None
+    tilt: Mapping[Annotated[str, one_of("x", "y")], Number] = {}
+    gravity: tuple[Number, Number, Number] | None = None
+    temperature: Number | None = None
 
 
 class AcceptedPosition(Struct):

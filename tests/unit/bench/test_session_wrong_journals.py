@@ -44,24 +44,27 @@ def replay(path: Path) -> None:
     calibrations_of(read_journal(path))
 
 
-def wrong_events() -> Iterator[tuple[int, list[Any]]]:
-    """One element of the first event of each kind replaced, left out, or doubled."""
-    first: dict[str, int] = {}
-    for number, line in enumerate(lines_of("plane")[1:], start=1):
-        first.setdefault(line[1], number)
-    for number in first.values():
-        event = lines_of("plane")[number]
-        yield number, event[:1]
-        yield number, [*event, *event]
-        for place in range(len(event)):
-            yield number, event[:place] + event[place + 1 :]
-            yield from ((number, [*event[:place], wrong, *event[place + 1 :]]) for wrong in WRONG)
-        for key in event[2] if isinstance(event[2], dict) else ():
-            yield from ((number, [*event[:2], {**event[2], key: wrong}]) for wrong in WRONG)
+def changed(value: Any, depth: int) -> Iterator[Any]:
+    """A value with one of its members, or of theirs, left out or replaced."""
+    if depth and isinstance(value, dict):
+        for key, member in value.items():
+            yield {name: kept for name, kept in value.items() if name != key}
+            yield from ({**value, key: one} for one in [*WRONG, *changed(member, depth - 1)])
+    if depth and isinstance(value, list):
+        for place, member in enumerate(value):
+            yield value[:place] + value[place + 1 :]
+            yield from ([*value[:place], one, *value[place + 1 :]] for one in [*WRONG, *changed(member, depth - 1)])
 
 
 def test_events_of_wrong_types_are_refused(tmp_path: Path) -> None:
-    lines, wrong = lines_of("plane"), list(wrong_events())
+    """The first event of each kind."""
+    lines = lines_of("plane")
+    first: dict[str, int] = {}
+    for number, line in enumerate(lines[1:], start=1):
+        first.setdefault(line[1], number)
+    wrong = [
+        (number, event) for number in first.values() for event in [lines[number] * 2, *changed(lines[number][:3], 2)]
+    ]
     assert len(wrong) > 150
     for number, event in wrong:
         path = written(tmp_path / "plane.journal.jsonl", [*lines[:number], event, *lines[number + 1 : number + 3]])
@@ -69,28 +72,13 @@ def test_events_of_wrong_types_are_refused(tmp_path: Path) -> None:
             replay(path)
 
 
-def wrong_headers() -> Iterator[dict[str, Any]]:
-    header = lines_of("plane")[0]
-    for key, value in header.items():
-        yield {name: kept for name, kept in header.items() if name != key}
-        for wrong in WRONG:
-            yield {**header, key: wrong}
-        if isinstance(value, dict):
-            for inner in value:
-                for wrong in WRONG:
-                    yield {**header, key: {**value, inner: wrong}}
-    for key in header["sensors"][0]:
-        for wrong in WRONG:
-            yield {**header, "sensors": [{**header["sensors"][0], key: wrong}]}
-
-
 def test_headers_of_wrong_types_are_refused_or_read(tmp_path: Path) -> None:
-    for header in wrong_headers():
-        if header.get("tiltcal-journal") not in (1, 2) or header.get("journal") != "plane.journal.jsonl":
-            continue
-        path = written(tmp_path / "plane.journal.jsonl", [header, *lines_of("plane")[1:20]])
-        with pytest.raises(TiltcalError):
-            replay(path)
+    header, *events = lines_of("plane")
+    for wrong in changed(header, 2):
+        if wrong.get("tiltcal-journal") in (1, 2) and wrong.get("journal") == "plane.journal.jsonl":
+            path = written(tmp_path / "plane.journal.jsonl", [wrong, *events[:20]])
+            with pytest.raises(TiltcalError):
+                replay(path)
 
 
 @pytest.mark.parametrize("number", ["1" * 400, "1e999", "-1e999", "NaN", "Infinity", "[" * 200_000 + "]" * 200_000])

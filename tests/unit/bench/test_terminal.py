@@ -165,11 +165,10 @@ def test_no_escape_sequence_and_no_markup_of_a_file_reaches_the_terminal() -> No
 def test_no_number_of_a_review_is_cut_off(width: int) -> None:
     measured = {"mean": {"x": 1045.25, "y": 1018.95}, "std": {"x": 0.65, "y": 0.69}, "n": 20, "temperature": 24.93}
     operator = terminal(shown := io.StringIO(), ENTER, width=width)
-    review = {
-        "ask": "review", "position": "level", "sensors": {"S-1": measured}, "expected": {"S-1": {"x": 1024, "y": 1023}},
-        "guidance": {"S-1": {"x": axis(0.0, 1.49, True), "y": axis(0.0, -0.35, True)}},
-    }  # fmt: skip
+    axes = {"x": axis(0.0, 1.49, True), "y": axis(0.0, -0.35, True)}
+    readings = {"S-1": {**measured, "values": measured["mean"], "guidance": axes}}
+    review = {"ask": "review", "position": "level", "readings": readings}
     assert operator.ask(review) == {"answer": "accept"}
-    for number in ("1045.25", "1018.95", "1024", "1023", "+1.49°", "-0.35", "ok", "0.65", "0.69", "24.93"):
+    for number in ("1045.25", "1018.95", "+0.00°", "+1.49°", "-0.35°", "ok", "0.65", "0.69", "24.93"):
         assert number in shown.getvalue().split()
     assert all(len(line) <= width for line in shown.getvalue().splitlines())
