@@ -5,20 +5,24 @@ from __future__ import annotations
 import os
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from tiltcal.bench.journal import calibrations_of
+from tiltcal.bench.setup import Setup
+from tiltcal.calibration.comparison import compare_records
+from tiltcal.calibration.measurement import remarks_on_wiring
+from tiltcal.calibration.record import record_in
+from tiltcal.calibration.wording import objections, remarks_on_chance
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, InputError, TiltcalError, UsageError
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.journal import read_journal
+from tiltcal.files.json_schema import json_schema
+from tiltcal.files.pair import PairRecord
 from tiltcal.files.record import KINDS
-
-if TYPE_CHECKING:
-    from tiltcal.files.calibration import CalibrationRecord
-    from tiltcal.files.pair import PairRecord
 
 
 @options.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
@@ -35,7 +39,6 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     if schema is not None:
         if paths:
             raise UsageError("--schema prints the JSON Schema of a kind and checks no file: leave FILE or --schema out")
-        from tiltcal.files.json_schema import json_schema
 
         click.echo(options.json_text(json_schema(schema), 2))
         return 0
@@ -89,7 +92,6 @@ def _is_journal(path: Path) -> bool:
 
 
 def _of_journal(path: Path) -> list[str]:
-    from tiltcal.bench.setup import Setup
 
     journal = read_journal(path)
     findings = []
@@ -101,10 +103,6 @@ def _of_journal(path: Path) -> list[str]:
 
 
 def _of_calibration(path: Path, document: Document) -> tuple[str, list[str], list[str]]:
-    from tiltcal.calibration.measurement import remarks_on_wiring
-    from tiltcal.calibration.record import record_in
-    from tiltcal.calibration.wording import objections, remarks_on_chance
-    from tiltcal.files.calibration import CalibrationRecord
 
     found = record_in(document)
     findings, remarks = _of_journal_beside(path, found)
@@ -119,9 +117,6 @@ def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tup
     captured = found.provenance.journal
     if captured is None or not (os.path.isfile(path) and os.path.isfile(path.parent / captured.name)):
         return [], []
-    from tiltcal.bench.journal import calibrations_of
-    from tiltcal.calibration.comparison import compare_records
-    from tiltcal.files.calibration import CalibrationRecord
 
     journal = path.parent / captured.name
     made = calibrations_of(read_journal(journal))

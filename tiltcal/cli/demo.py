@@ -8,18 +8,25 @@ from textwrap import indent
 from typing import Any
 
 import click
+import numpy as np
+import polars as pl
 
+from tiltcal.bench.devices import VirtualBench
 from tiltcal.calibration.wording import summary
 from tiltcal.cli import options
 from tiltcal.cli.apply import command as apply
 from tiltcal.cli.report import write_report
+from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import Address, parse_address
+from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Model
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import write_whole
+from tiltcal.files.bench import BenchSensor
 from tiltcal.files.calibration import read_calibration
 from tiltcal.library.measure import measure
+from tiltcal.report.calibration_figures import draw_tilt_error
 from tiltcal.report.figure import require_extra
 
 MODEL, PROCEDURE, SERIAL = "sca100t-d02", "complete", "SIM-1"
@@ -35,9 +42,6 @@ def command(folder: Path, seed: int) -> None:
     It measures a virtual SCA100T-D02 in seven positions at two temperatures, and applies the calibration to a log of
     the same part with known true tilt. All files are written into FOLDER.
     """
-    import numpy as np
-    import polars as pl
-
     model, address = find_model(MODEL), parse_address(f"sim:?seed={seed}")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -80,7 +84,6 @@ def command(folder: Path, seed: int) -> None:
     except UsageError as missing:
         click.echo(f"   no picture and no page: {missing}")
         return
-    from tiltcal.report.calibration_figures import draw_tilt_error
 
     title = f"{MODEL} on the virtual bench, tilts within ±{REACH['x']:g}°"
     draw_tilt_error(picture, rows["time"], rows["temperature"], before, after, title)
@@ -90,10 +93,6 @@ def command(folder: Path, seed: int) -> None:
 
 def _record(path: Path, address: Address, model: Model) -> None:
     """Write the log for the calibration, a row each second, with its true tilt beside the readings."""
-    from tiltcal.bench.devices import VirtualBench
-    from tiltcal.core.attitude import gravity_from_tilt
-    from tiltcal.drivers.bus.clock import VirtualClock
-    from tiltcal.files.bench import BenchSensor
 
     clock, device = VirtualClock(), BenchSensor("", model.name, str(address))
     bench = VirtualBench(clock, [device])

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from tiltcal.calibration.season import CalibrationFolder, FleetHistory, fleet_history
 from tiltcal.cli import options
 from tiltcal.errors import UsageError
-
-if TYPE_CHECKING:
-    from tiltcal.calibration.season import FleetHistory
 
 LONGEST = 36525
 """Interval of 100 years, days."""
@@ -44,10 +42,6 @@ def read_history(folder: Path, interval: str = "365d") -> FleetHistory:
 
     UsageError: it is no folder, it has no calibration, or the interval is not one.
     """
-    from datetime import UTC, datetime, timedelta
-
-    from tiltcal.calibration.season import CalibrationFolder, fleet_history
-
     try:
         days = float(interval.removesuffix("d"))
     except ValueError:

@@ -8,6 +8,7 @@ import click
 
 from tiltcal.bench.options import PlanOptions
 from tiltcal.cli import options
+from tiltcal.library.plan import plan
 
 
 @options.command(epilog="Example: tiltcal plan cross-axis --sensor sca100t-d02 --jig 0.05")
@@ -19,7 +20,5 @@ def command(procedure: str, as_json: bool, **design: Any) -> None:
 
     A procedure that cannot determine its coefficients is refused (exit code 2), with the position to add.
     """
-    from tiltcal.library.plan import plan
-
     found = plan(procedure, **design)
     click.echo(options.json_text(found.as_data()) if as_json else str(found))

@@ -5,19 +5,32 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from tiltcal.calibration.comparison import require_same_sensor
 from tiltcal.cli import options
+from tiltcal.cli.history import read_history
+from tiltcal.cli.match import spectra_of
 from tiltcal.cli.talk import progress_bar, remark
 from tiltcal.errors import EstimateError, UsageError
-
-if TYPE_CHECKING:
-    from tiltcal.files.calibration import CalibrationRecord
-    from tiltcal.files.pair import PairRecord
-    from tiltcal.files.results import FileRecord
-    from tiltcal.report.record_figures import PairDrawing, ReportedLog
+from tiltcal.files.atomic import check_writable, write_whole
+from tiltcal.files.calibration import CalibrationRecord, tilt_record
+from tiltcal.files.calibration_folder import SUFFIXES
+from tiltcal.files.document import read_document
+from tiltcal.files.pair import PairRecord, pair_record
+from tiltcal.files.results import FileRecord
+from tiltcal.logs.apply import look_over
+from tiltcal.logs.columns import TIME, named_columns
+from tiltcal.logs.formats import open_log
+from tiltcal.logs.kernel import prepare
+from tiltcal.logs.match import read_pair_log
+from tiltcal.logs.options import ApplyOptions
+from tiltcal.logs.streams import sha256_of
+from tiltcal.options import complete
+from tiltcal.report.figure import require_extra
+from tiltcal.report.page import fleet_page, pair_page, tilt_page
+from tiltcal.report.record_figures import PairDrawing, ReportedLog
 
 _EXAMPLES = """\b
 Examples:
@@ -53,25 +66,10 @@ def command(files: tuple[str, ...], output: Path, columns: str, skip_bad_rows: b
 
 
 def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_bad_rows: bool = False) -> None:
-    """Write the page; the arguments are those of the command.
-
-    Raises
-    ------
-    UsageError
-        The extra is not installed, no calibration is given, or the page cannot be written there.
-    InputError
-        A file is wrong; the message names file and line.
-    """
-    from tiltcal.files.atomic import check_writable, write_whole
-    from tiltcal.files.calibration_folder import SUFFIXES
-    from tiltcal.report.figure import require_extra
-
+    """Write the page; the arguments and errors are those of the command."""
     require_extra()
     check_writable(output, *files)
     if len(files) == 1 and os.path.isdir(files[0]):
-        from tiltcal.cli.history import read_history
-        from tiltcal.report.page import fleet_page
-
         write_whole(output, fleet_page(read_history(Path(files[0]))))
         return
     calibrations = [name for name in files if name.lower().endswith(SUFFIXES)]
@@ -82,26 +80,17 @@ def write_report(files: Sequence[str], output: Path, *, columns: str = "", skip_
 
 
 def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows: bool) -> str:
-    from tiltcal.calibration.comparison import require_same_sensor
-    from tiltcal.files.calibration import tilt_record
-    from tiltcal.files.document import read_document
-    from tiltcal.files.pair import pair_record
-
     documents = [read_document(name) for name in names]
     if "pair" in [document.kind for document in documents]:
         if len(documents) > 1:
             raise UsageError("a report of pairs is about one file; give it alone, with its LOG if there is one")
         if columns:
             raise UsageError("--columns is for tilt calibrations; the columns of pairs are named in their file")
-        from tiltcal.report.page import pair_page
-
         pairs = pair_record(documents[0])
         return pair_page(pairs, _source(names[0]), [_spectra(log, pairs, skip_bad_rows) for log in logs])
     calibrations = [tilt_record(document) for document in documents]
     for earlier in calibrations[:-1]:
         require_same_sensor(earlier, calibrations[-1])
-    from tiltcal.report.page import tilt_page
-
     last, file = calibrations[-1], Path(names[-1])
     before = [(calibration, Path(name).name) for calibration, name in zip(calibrations[:-1], names, strict=False)]
     reported = [_look_over(log, last, file, columns, skip_bad_rows) for log in logs]
@@ -110,32 +99,20 @@ def _page(names: Sequence[str], logs: Sequence[str], columns: str, skip_bad_rows
 
 def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: str, skip_bad_rows: bool) -> ReportedLog:
     """Return the overview of a log, to whose readings the calibration is applied."""
-    from tiltcal.logs.apply import look_over
-    from tiltcal.logs.columns import TIME, named_columns
-    from tiltcal.logs.formats import open_log
-    from tiltcal.logs.kernel import prepare
-    from tiltcal.logs.options import ApplyOptions
-    from tiltcal.options import complete
-    from tiltcal.report.record_figures import ReportedLog
-
-    options = complete(ApplyOptions, {"columns": columns})
-    prepared = prepare(calibration, options, file=file)
+    stated = complete(ApplyOptions, {"columns": columns})
+    prepared = prepare(calibration, stated, file=file)
     with (
         progress_bar("report") as progress,
         open_log(log, skip_bad_rows=skip_bad_rows, digest=True, progress=progress) as rows,
     ):
         clock = named_columns(columns, prepared.channels).get(TIME, TIME)
         time = rows.names.index(clock) if clock in rows.names else None
-        overview = look_over(rows, prepared, options, time)
+        overview = look_over(rows, prepared, stated, time)
         return ReportedLog(Path(rows.name).name, rows.sha256, overview, time is not None)
 
 
 def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[str, PairDrawing]:
     """Return the name of a log, and the spectra of the first pair in it."""
-    from tiltcal.cli.match import spectra_of
-    from tiltcal.logs.formats import open_log
-    from tiltcal.logs.match import read_pair_log
-
     matching = calibration.matchings[0]
     with progress_bar("report") as progress, open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows:
         try:
@@ -146,7 +123,4 @@ def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[st
 
 
 def _source(name: str) -> FileRecord:
-    from tiltcal.files.results import FileRecord
-    from tiltcal.logs.streams import sha256_of
-
     return FileRecord(name=Path(name).name, sha256=sha256_of(name))
