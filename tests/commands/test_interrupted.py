@@ -6,9 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -21,13 +18,6 @@ LONG = "x,y,note\n" + "1024,1024,longer than a log that is read without the engi
 
 def started(arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(arguments, cwd=folder, capture_output=True, text=True, timeout=100, check=False)
-
-
-def memory_of(process: int) -> Iterator[str]:
-    """What libraries a process and its children have loaded."""
-    yield Path(f"/proc/{process}/maps").read_text()
-    for child in Path(f"/proc/{process}/task/{process}/children").read_text().split():
-        yield Path(f"/proc/{child}/maps").read_text()
 
 
 def test_nothing_is_imported_before_ctrl_c_is_caught() -> None:
@@ -117,34 +107,6 @@ def test_ctrl_c_in_the_middle_of_a_log(tmp_path: Path) -> None:
             said = process.communicate(timeout=60)[1]
             assert (process.returncode, said.strip()) == (130, "tiltcal: interrupted")
             assert list((tmp_path / "tilt").iterdir()) == []
-
-
-def processes_in(folder: Path) -> list[str]:
-    """Return the command lines of the processes that work in a folder."""
-    found = []
-    for process in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            if os.path.realpath(process / "cwd") == str(folder):
-                found.append((process / "cmdline").read_text())
-    return found
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the processes of a folder are found in /proc")
-def test_a_killed_command_leaves_no_process_and_no_file(tmp_path: Path) -> None:
-    """A process of its own once finished what the killed command had begun, and replaced what a later one wrote."""
-    import polars as pl
-
-    frame = pl.DataFrame({"x": [1024.0], "y": [1030.0], "temperature": [15.0]})
-    pl.concat([frame] * 1000).sample(4_000_000, with_replacement=True, seed=1).write_parquet(tmp_path / "log.parquet")
-    process = subprocess.Popen(
-        [*TILTCAL, "apply", CAL, "log.parquet", "-o", "out.parquet"], cwd=tmp_path, stderr=subprocess.DEVNULL
-    )
-    while not any("polars" in maps for maps in memory_of(process.pid)):
-        time.sleep(0.01)
-    process.kill()
-    assert process.wait(60) == -signal.SIGKILL
-    assert processes_in(tmp_path) == []
-    assert [path.name for path in tmp_path.iterdir()] == ["log.parquet"]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
