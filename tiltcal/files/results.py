@@ -8,19 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
 
-from tiltcal.files.record import (
-    AboveZero,
-    ByAxis,
-    Count,
-    Finite,
-    FromOne,
-    Range,
-    Record,
-    Size,
-    Text,
-    about,
-    one_of,
-)
+from tiltcal.files.record import AboveZero, ByAxis, Count, Finite, FromOne, Range, Record, Size, Text, about, one_of
 
 if TYPE_CHECKING:
     from tiltcal.core.attitude import Vector

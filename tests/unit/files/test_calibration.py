@@ -12,13 +12,7 @@ from support import FIXTURES
 
 from tiltcal.core.model import Mounting
 from tiltcal.errors import InputError
-from tiltcal.files.calibration import (
-    CalibrationRecord,
-    SensorIdentity,
-    dump_calibration,
-    read_calibration,
-    tilt_record,
-)
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration, read_calibration, tilt_record
 from tiltcal.files.document import parse_document
 from tiltcal.files.results import FitRecord, PositionRecord, Provenance, WorstResidual
 from tiltcal.library.calibration import Calibration

@@ -11,14 +11,7 @@ import yaml
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.document import document_of
-from tiltcal.files.procedure import (
-    Determines,
-    PairSelection,
-    Rotation,
-    find_procedure,
-    procedure_in,
-    read_procedure,
-)
+from tiltcal.files.procedure import Determines, PairSelection, Rotation, find_procedure, procedure_in, read_procedure
 
 OWN = """\
 tiltcal: 1
