@@ -113,10 +113,7 @@ class TestBesideCsv:
     VALUES = st.one_of(st.none(), st.floats(-10.0, 10.0), st.sampled_from([nan, 2.5, 4.5, 4.6, 1e300, 5e-324]))
 
     @settings(max_examples=25)  # each applies four times
-    @given(
-        rows=st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=20),
-        uncertainty=st.booleans(),
-    )
+    @given(rows=st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=20), uncertainty=st.booleans())
     def test_flags_and_values_are_the_same(
         self, rows: list[tuple[float | None, float | None, float | None]], uncertainty: bool
     ) -> None:

@@ -96,12 +96,7 @@ def truth(
         phi = PHASES[i]
         vectors.append(
             scale[i]
-            * np.array(
-                [
-                    np.cos(phi) - misalignment[i] * np.sin(phi),
-                    np.sin(phi) + misalignment[i] * np.cos(phi),
-                ]
-            )
+            * np.array([np.cos(phi) - misalignment[i] * np.sin(phi), np.sin(phi) + misalignment[i] * np.cos(phi)])
         )
     return nulled(vectors)
 

@@ -42,12 +42,7 @@ def called(
     args: Sequence[str | Path], cwd: Path | None, stdin: TextIO | None, stdout: TextIO | None, stderr: TextIO | None
 ) -> int:
     """Call the command line with these standard streams in a folder, and return its exit code; None is a closed one."""
-    with (
-        chdir(cwd or "."),
-        patch.object(sys, "stdin", stdin),
-        redirect_stdout(stdout),
-        redirect_stderr(stderr),
-    ):
+    with chdir(cwd or "."), patch.object(sys, "stdin", stdin), redirect_stdout(stdout), redirect_stderr(stderr):
         return run([str(arg) for arg in args])
 
 

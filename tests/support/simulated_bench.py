@@ -30,12 +30,7 @@ EDGES = np.array(
     ]
 ) / np.sqrt(2)
 CORNERS = np.array([[a, b, c] for a in (1, -1) for b in (1, -1) for c in (1, -1)]) / np.sqrt(3)
-POSITIONS = {
-    6: FACES,
-    12: EDGES,
-    18: np.vstack([FACES, EDGES]),
-    26: np.vstack([FACES, EDGES, CORNERS]),
-}
+POSITIONS = {6: FACES, 12: EDGES, 18: np.vstack([FACES, EDGES]), 26: np.vstack([FACES, EDGES, CORNERS])}
 """The faces of a cube, its edges, both, and its corners too."""
 
 BLOCK_DOF = 9.0

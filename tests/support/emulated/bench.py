@@ -158,12 +158,7 @@ def run_on(
         # A pipe that nobody reads would stop a talkative program.
         TemporaryFile("w+", encoding="utf-8") as errors,
         subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            text=True,
-            pass_fds=[theirs.fileno()],
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True, pass_fds=[theirs.fileno()]
         ) as process,
     ):
         theirs.close()

@@ -60,10 +60,7 @@ def turning(tmp_path: Path) -> Path:
 
 SHIPPED = {
     "plane": (Determines(("x", "y")), ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"]),
-    "cross-axis": (
-        Determines(("x", "y", "z")),
-        ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2", "z-tilt1", "z-tilt2"],
-    ),
+    "cross-axis": (Determines(("x", "y", "z")), ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2", "z-tilt1", "z-tilt2"]),
     "zero-45": (Determines(("x", "y")), ["level", "x-45", "y-45"]),
     "two-temperature": (Determines((), drift=1), ["level-warm", "level-cold"]),
     "mavs": (Determines(("x", "y"), drift=1), ["x-45", "y-45", "level-warm", "level-cold"]),
