@@ -276,11 +276,6 @@ UNEQUAL = 1.5  # the largest sensitivity of a direction over the least, beyond w
 
 REACH = 45.0  # a direction is missing where no attitude comes as near, degrees
 
-BELOW_NOISE = "the residuals are smaller than the noise of the readings, by chance: the noise counts"
-GAUGE = (
-    "unit gravity alone says nothing of the mounting: the frame's z axis is the direction that the z channel senses, "
-    "and its y axis lies in the plane of those of y and z"
-)
 UNDETERMINED = (
     "undetermined: gravity alone does not show how the sensor sits. The sensitivity is given in the frame whose z axis "
     "is the direction that channel z senses, and whose y axis lies in the plane of those of channels y and z"
@@ -324,8 +319,7 @@ def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
         stated=not seen.dof,
     )
     left_out = {name: off[name] for name in compress(names, ~seen.kept)}
-    notes = [GAUGE, *([BELOW_NOISE] if seen.below_noise else []), *([] if seen.dof else [NO_FREEDOM])]
-    notes += judge_channels(sensor, found)
+    notes = [*([] if seen.dof else [NO_FREEDOM]), *judge_channels(sensor, found)]
     if left_out:
         named = ", ".join(f"{name} ({misfit:+g} mg)" for name, misfit in left_out.items())
         notes.append(f"left out, because the length of gravity does not agree with the other attitudes: {named}")

@@ -76,11 +76,13 @@ def level_summary(calibration: CalibrationRecord) -> str:
 
 
 def mounting_lines(calibration: CalibrationRecord) -> Iterator[str]:
-    """Yield the angles of the mounting, degrees; none where the sensor's frame is the application's."""
+    """Yield the angles of the mounting, degrees, or why there are none; nothing of a sensor that was set straight."""
     mounting = calibration.coefficients.mounting
     for angle in ANGLES if mounting is not None else ():
         value, u = degrees(getattr(mounting, angle)), calibration.uncertainty.get(f"mounting.{angle}")
         yield f"  {angle:<6}{value:>12.6g}°" if u is None else f"  {angle:<6}{_pair(value, u)}°"
+    if mounting is None and calibration.derived.mounting is not None:
+        yield f"  mounting {calibration.derived.mounting}"
     if calibration.derived.gimbal_lock:
         yield "  gimbal lock: at a pitch of ±90° only roll and yaw together are determined"
 
