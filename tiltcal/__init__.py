@@ -23,8 +23,7 @@ if TYPE_CHECKING:
         UsageError,
     )
     from tiltcal.library.calibration import Calibration, PairCalibration, combine, compare, read
-    from tiltcal.library.measure import measure
-    from tiltcal.library.plan import plan
+    from tiltcal.library.measure import measure, plan
     from tiltcal.library.recorded import CalibrationLibrary, apply_log, fit, match, noise, open_calibrations
 
 __version__ = "0.1.0"
@@ -41,8 +40,7 @@ __all__ = [
 _HOME = {
     "bench.devices": "open_sensor",
     "library.calibration": "Calibration PairCalibration combine compare read",
-    "library.measure": "measure",
-    "library.plan": "plan",
+    "library.measure": "measure plan",
     "library.recorded": "CalibrationLibrary apply_log fit match noise open_calibrations",
 }
 """The names that each module defines; all others are errors."""

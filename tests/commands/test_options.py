@@ -15,8 +15,7 @@ from tiltcal.cli.main import group
 from tiltcal.cli.options import Number, json_text
 from tiltcal.cli.talk import wrapped
 from tiltcal.errors import UsageError
-from tiltcal.library.measure import measure
-from tiltcal.library.plan import plan
+from tiltcal.library.measure import measure, plan
 from tiltcal.library.recorded import apply_log, fit
 from tiltcal.stated_arguments import require_from_zero
 

@@ -8,7 +8,7 @@ import click
 
 from tiltcal.bench.options import PlanOptions
 from tiltcal.cli import options
-from tiltcal.library.plan import plan
+from tiltcal.library.measure import plan
 
 
 @options.command(epilog="Example: tiltcal plan cross-axis --sensor sca100t-d02 --jig 0.05")

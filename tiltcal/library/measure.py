@@ -1,4 +1,4 @@
-"""Measuring from Python: what ``tiltcal measure`` does, as a function."""
+"""Planning and measuring from Python: what ``tiltcal plan`` and ``tiltcal measure`` do, as functions."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from typing import Any, Unpack
 
 from tiltcal.bench.journal import SessionResult
 from tiltcal.bench.measure import led_by, run_session
-from tiltcal.bench.options import MeasureOptions, unheard
+from tiltcal.bench.options import MeasureOptions, PlanOptions, unheard
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import Setup, free_journal, known_bench, single
+from tiltcal.bench.setup import Setup, free_journal, known_bench, single, stage_channels
 from tiltcal.calibration.complete import NO_LEVEL
-from tiltcal.calibration.measurement import require_no_jig, unchecked
-from tiltcal.calibration.prediction import predict
+from tiltcal.calibration.measurement import require_no_jig, require_suitable, unchecked
+from tiltcal.calibration.prediction import Plan, predict, predict_mounting
 from tiltcal.calibration.record import bases_of
 from tiltcal.calibration.wording import NOT_FOLLOWED, level_summary, summary, verdict
 from tiltcal.core.rounding import plus_minus
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import link_in_words
 from tiltcal.errors import HardwareError, JournalError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
@@ -32,6 +34,66 @@ from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.library.calibration import Calibration, PairCalibration
 from tiltcal.options import complete, flag_of, options_of, takes
 from tiltcal.stated_arguments import of_python, require_name
+
+_NOT_PREDICTED = (
+    "nothing can be predicted before the stage turns: p and q will have a standard uncertainty of 2 s / (A sqrt(n)), "
+    "after n samples of noise s, where A is the amplitude of an accelerometer at the spin frequency"
+)
+
+
+@takes(PlanOptions)
+def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
+    """Predict how well a procedure will determine every coefficient, before anybody starts.
+
+    Parameters
+    ----------
+    procedure : str or Path
+        Its name, or the path of your own.
+    **options
+
+    Returns
+    -------
+    Plan
+        It prints as ``tiltcal plan`` does; ``uncertainty`` is by the name of each coefficient. That of the pairs of a
+        stage depends on their amplitude, which is not known before it turns.
+
+    Raises
+    ------
+    EstimateError
+        The positions cannot determine what the procedure asks for; the message names the position to add.
+    UsageError
+        The model or the procedure is unknown, or does not go with the other.
+
+    Examples
+    --------
+    >>> print(tiltcal.plan("zero-45", sensor="sca100t-d02", jig=0.1))
+    """
+    stated = complete(PlanOptions, options)
+    jig, noise, samples, base = stated["jig"], stated["noise"], stated["samples"], stated["base"]
+    own = None if base is None else read_calibration(base)
+    name = stated["sensor"] or (None if own is None else own.sensor.model)
+    if name is None:
+        raise UsageError("name the --sensor model, or its calibration with --base")
+    model = find_model(name)
+    if (address := stated["address"]) is not None:
+        model = model.at(parse_address(address))
+    steps = find_procedure(procedure, stated["tilt"]).with_closing(stated["closing"])
+    require_no_jig(steps, jig)
+    if own is not None or steps.determines.level:
+        bases_of(steps, base, [] if own is None else [own.sensor.serial])
+    if steps.rotation is not None:
+        channels = stage_channels(steps.rotation, [("", model)])
+        pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in channels.pairs]
+        lines = [f"{pair.first} and {pair.second}, orthogonal {pair.orthogonal}" for pair in channels.pairs]
+        data = {"pairs": pairs, "turns": steps.rotation.turns, "left_out": list(channels.left_out)}
+        return Plan({**data, "why": _NOT_PREDICTED}, "\n".join([*lines, *channels.left_out, _NOT_PREDICTED]))
+    require_suitable(steps, model)
+    if steps.determines.mounting:
+        return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
+    return predict(
+        steps, model, jig=jig, thermometer=stated["thermometer"], table_lean=stated["table_lean"], noise=noise,
+        samples=samples, base=own,
+    )  # fmt: skip
 
 
 @takes(MeasureOptions)

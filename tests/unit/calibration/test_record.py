@@ -25,16 +25,13 @@ def test_a_mounting_of_the_file_is_replaced_and_no_longer_uncertain() -> None:
     assert len(turned.positions) < len(mounted.positions)
 
 
-@pytest.mark.parametrize(
-    ("angles", "why"),
-    [
+def test_angles_that_are_none_are_refused() -> None:
+    for angles, why in (
         ({"heading": 3.0}, "there is no angle 'heading'"),
         ("pitch=91", "pitch is between -90 and 90"),
         ("roll", "'roll' is no angle in degrees"),
         ("roll=1,roll=2", "roll is named twice"),
         ({"yaw": float("nan")}, "yaw is between -180 and 180"),
-    ],
-)
-def test_angles_that_are_none_are_refused(angles: dict[str, float] | str, why: str) -> None:
-    with pytest.raises(tiltcal.UsageError, match=why):
-        tiltcal.read(MOUNTED).with_mounting(angles)
+    ):
+        with pytest.raises(tiltcal.UsageError, match=why):
+            tiltcal.read(MOUNTED).with_mounting(angles)
