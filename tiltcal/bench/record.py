@@ -14,7 +14,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from tiltcal.bench.devices import Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices, thermometer_of
+from tiltcal.bench.devices import (
+    RECOVERY,
+    Recorder,
+    Sample,
+    SensorSet,
+    VirtualBench,
+    connected,
+    probe_devices,
+    thermometer_of,
+)
 from tiltcal.bench.setup import column_name
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
 from tiltcal.drivers.model import Model, link_in_words
@@ -170,7 +179,7 @@ def record_bench(
     interval = 1.0 / rate if rate else max(sensor.wired.interval for sensor in sensors)
     endless = rows is None and seconds is None
     if seconds is not None and interval:
-        rows, seconds = min(rows or sys.maxsize, max(1, round(seconds / interval))), None
+        rows = min(rows or sys.maxsize, max(1, round(seconds / interval)))
     if virtual and endless:
         raise UsageError("a recording on the virtual bench needs --rows or --for")
     started = VIRTUAL_START if virtual else datetime.now(UTC)
@@ -208,4 +217,4 @@ def record(
             secured_ns = now_ns
         progress(recording)
         due_ns = max(due_ns + round(interval * 1e9), now_ns - round(interval * 1e9))
-        clock.sleep(max(0, due_ns - clock.now_ns()) / 1e9)
+        clock.sleep(max((due_ns - clock.now_ns()) / 1e9, 0.0 if sample or interval else RECOVERY))

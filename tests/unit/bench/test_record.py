@@ -67,6 +67,13 @@ class Silent:
         raise BusError("gone")
 
 
+class Unplugged(Silent):
+    """A device that is not there: each reading fails at once."""
+
+    def read(self) -> Reading:
+        raise BusError("gone")
+
+
 def test_a_dead_sensor_makes_no_reading_of_another_one_old(tmp_path: Path) -> None:
     """Every row holds a number that was printed within a second of the row's time."""
     clock = VirtualClock()
@@ -81,3 +88,24 @@ def test_a_dead_sensor_makes_no_reading_of_another_one_old(tmp_path: Path) -> No
     rows = [line.split(",") for line in (tmp_path / "log.csv").read_text().splitlines()[1:]]
     ages = [(datetime.fromisoformat(time) - started).total_seconds() - float(b) for time, _, b in rows]
     assert all(0.0 <= age <= 1.0 for age in ages), ages
+
+
+@pytest.mark.parametrize(
+    ("device", "interval", "most"),
+    [(Printer, 0.05, 11), (Unplugged, 0.0, 10)],
+    ids=["slower than its rate", "unplugged"],
+)
+def test_a_recording_ends_with_its_time(
+    device: type[Printer] | type[Unplugged], interval: float, most: int, tmp_path: Path
+) -> None:
+    """Twenty rows a second for ten seconds are 200 rows, or as many as there is time for; a dead bus is left alone."""
+    clock = VirtualClock()
+    sensors = SensorSet(
+        [BenchSensor("A", "serial-columns", "serial:///dev/null?columns=x")], [cast(Sensor, device(clock))]
+    )
+    columns, started = LogColumns(sensors.models, thermometer=False), datetime(2026, 1, 1, tzinfo=UTC)
+    log = Recording(tmp_path / "log.csv", columns.names)
+    record(log, columns, sensors, clock, started, interval, 200, 10.0, lambda _: None)
+    log.close()
+    assert 1 <= log.rows <= most
+    assert 10.0 <= clock.now_ns() / 1e9 <= 20.0
