@@ -333,4 +333,4 @@ def _bound(session: SimulatedSession) -> Array:
     z[: len(equations.names)] = np.concatenate([one.truth for one in session.parts])
     lean = equations.errors["table"]
     z[lean] = session.lean[: lean.stop - lean.start]
-    return np.array([np.diag(one.covariance) for one in budgets(solved_at(equations, z), {})])
+    return np.array([np.diag(one.covariance) for one in budgets(solved_at(equations, z))])

@@ -84,7 +84,7 @@ def bound_of(plan: Plan, parts: list[Part]) -> Array:
     equations = Equations(fixture(stated, design(plan, jig=plan.jig)))
     z = np.zeros(equations.unknowns)
     z[: len(equations.names)] = np.concatenate([one.truth for one in parts])
-    return np.array([np.diag(budget.covariance) for budget in budgets(solved_at(equations, z), {})])
+    return np.array([np.diag(budget.covariance) for budget in budgets(solved_at(equations, z))])
 
 
 def beyond_bound(plan: Plan, parts: list[Part], seed: int) -> Array:

@@ -165,7 +165,7 @@ def predict_uncertainty(
         z[: len(equations.names)] = np.tile(theta, sensors)
         require_determined(equations, z)
         solution = solved_at(equations, z)
-        return budgets(solution, {})[0], solution.dof
+        return budgets(solution)[0], solution.dof
 
     uncertain, dof = reached(positions)
     fixed = (uncertain.u == 0.0) | np.array([name in design.priors for name in design.names])

@@ -21,7 +21,6 @@ from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, TABLE, THE
 from tiltcal.core.estimation.positions import Design, Observation, SensorObservations, require_sound
 from tiltcal.core.estimation.solve import (
     LARGEST_JIG,
-    EstimatedVariance,
     Solution,
     budgets,
     shown_variance,
@@ -114,12 +113,10 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     if solution.dof <= 0 or not (jig is None or equations.noise_unknown):
         solution = solved(equations, equations.stated, start)
     dof, chi_square = solution.dof, solution.chi_square
-    estimated: dict[str, EstimatedVariance] = {}
-    source = _not_stated(solution)
-    if source:
-        fitted, variance = with_estimated(solution, source)
+    if source := _not_stated(solution):
+        fitted = with_estimated(solution, source)
         if source != THERMOMETER or fitted.bench[THERMOMETER] < LARGEST_THERMOMETER:
-            solution, estimated[source] = fitted, variance
+            solution = fitted
     if solution.bench[JIG] > LARGEST_JIG:
         errors = _errors_as_set(equations, start)
         raise EstimateError(
@@ -127,7 +124,7 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
             "than any error of the set angles explains; see that the positions are named right, and that the readings "
             "are plausible"
         )
-    return _estimates(solution, estimated, dof, chi_square)
+    return _estimates(solution, dof, chi_square)
 
 
 def _begun(sensors: Sequence[SensorObservations]) -> tuple[Equations, Array]:
@@ -160,20 +157,20 @@ def _not_stated(solution: Solution) -> str:
 # What an estimate states
 
 
-def _estimates(
-    solution: Solution, estimated: Mapping[str, EstimatedVariance], dof: int, chi_square: float
-) -> tuple[Estimate, ...]:
+def _estimates(solution: Solution, dof: int, chi_square: float) -> tuple[Estimate, ...]:
     """Return the result of each sensor; ``dof`` and ``chi_square`` are those with all as it is stated."""
     from scipy.special import chdtrc
 
     equations, design, bench = solution.equations, solution.equations.sensors[0].design, solution.bench
+    source = "" if solution.estimated is None else solution.estimated.source
+    by_noise = solution.estimated if source == NOISE else None
     attitudes = _attitudes(solution) if design.jig else []
     residuals, sigma, first = equations.unexplained(solution.z), solution.near.sigma, 0
     lean = equations.errors[TABLE]
     covered = lean.stop > lean.start or design.table is not None
     estimates = []
     for sensor, own, uncertain in zip(
-        equations.sensors, equations.sensor_coefficients(), budgets(solution, estimated), strict=True
+        equations.sensors, equations.sensor_coefficients(), budgets(solution), strict=True
     ):
         shape = (len(sensor.design.channels), len(sensor.observations))
         rows = slice(first, first + shape[0] * shape[1])
@@ -193,27 +190,29 @@ def _estimates(
                 stated=design.jig is not None or not dof,
                 suspects=tuple(one for one in attitudes if one.position in here and one.p < SUSPICION / len(here)),
                 estimated_jig=degrees(bench[JIG]) if design.jig is None and dof else None,
-                estimated_thermometer=bench[THERMOMETER] or None if THERMOMETER in estimated else None,
-                estimated_noise=noise if NOISE in estimated else None,
-                noise_dof=estimated[NOISE].own_dof if NOISE in estimated else None,
+                estimated_thermometer=bench[THERMOMETER] or None if source == THERMOMETER else None,
+                estimated_noise=None if by_noise is None else noise,
+                noise_dof=None if by_noise is None else by_noise.own_dof,
                 by_reading=np.swapaxes(by_reading.reshape(-1, *shape), 1, 2),
-                notes=tuple(_notes(solution, estimated, dof)),
+                notes=tuple(_notes(solution, dof)),
                 not_covered=() if covered else (LEAN,),
             )
         )
     return tuple(estimates)
 
 
-def _notes(solution: Solution, estimated: Mapping[str, EstimatedVariance], dof: int) -> list[str]:
+def _notes(solution: Solution, dof: int) -> list[str]:
     """Return what limits the numbers, in words."""
     from scipy.special import chdtrc
 
     if not dof:
         return [NO_FREEDOM]
-    notes, jig = [], estimated.get(JIG)
-    if jig is not None and jig.count and chdtrc(jig.count, jig.rest) < IMPROBABLE:
+    notes, shown = list[str](), solution.estimated
+    if shown is None or shown.source != JIG:
+        return notes
+    if shown.count and chdtrc(shown.count, shown.rest) < IMPROBABLE:
         notes.append(ABOVE_NOISE)
-    if jig is not None and not jig.dof:
+    if not shown.dof:
         angles, coefficients = solution.equations.errors[JIG], slice(0, len(solution.equations.names))
         if np.any(solution.covariance[coefficients] @ solution.near.normal[:, angles]):
             notes.append(JIG_NOT_SHOWN)

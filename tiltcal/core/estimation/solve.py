@@ -15,7 +15,7 @@ Source: H. D. Patterson, R. Thompson, *Recovery of inter-block information*, Bio
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, radians, sqrt
@@ -42,6 +42,31 @@ _NAMED_PART = 0.1  # coefficients with at least this part in an undetermined com
 
 
 @dataclass(frozen=True)
+class EstimatedVariance:
+    """A variance that the residuals show: of an attitude angle, rad², of a temperature, °C², or of the noise, a factor.
+
+    It is below 0 where the residuals are smaller than the noise by chance.
+    """
+
+    source: str
+    value: float
+    dof: float = 0.0  # in how many directions the residuals show it
+    whole: float = 0.0  # the variance that they show there, with what the noise counts for in it
+    rest: float = 0.0  # sum of squares of the residuals that no such error explains
+    count: int = 0  # and in how many directions
+
+    @property
+    def own_dof(self) -> float:
+        """Degrees of freedom of the value alone: few where what is stated beside it hides it."""
+        return self.dof * (self.value / self.whole) ** 2 if self.whole else 0.0
+
+    @property
+    def excess(self) -> float:
+        """By which share of the whole intervals are wider, because that is estimated."""
+        return float(_excess(np.array(self.dof)))
+
+
+@dataclass(frozen=True)
 class Solution:
     """The unknowns that fit best, with their covariance, the equations there, and the sum of squares of all."""
 
@@ -51,6 +76,7 @@ class Solution:
     near: Linearised
     covariance: Array  # shape (unknowns, unknowns)
     chi_square: float
+    estimated: EstimatedVariance | None = None  # at most one variance, of what is not stated
 
     @cached_property
     def dof(self) -> int:
@@ -62,25 +88,6 @@ class Solution:
             variance = np.diag(self.covariance)[equations.errors[TABLE]]
             dof -= np.count_nonzero(variance < _SHOWN * bench[TABLE] ** 2)
         return int(dof)
-
-
-@dataclass(frozen=True)
-class EstimatedVariance:
-    """A variance that the residuals show: of an attitude angle, rad², of a temperature, °C², or of the noise, a factor.
-
-    It is below 0 where the residuals are smaller than the noise by chance.
-    """
-
-    value: float
-    dof: float = 0.0  # in how many directions the residuals show it
-    whole: float = 0.0  # the variance that they show there, with what the noise counts for in it
-    rest: float = 0.0  # sum of squares of the residuals that no such error explains
-    count: int = 0  # and in how many directions
-
-    @property
-    def own_dof(self) -> float:
-        """Degrees of freedom of the value alone: few where what is stated beside it hides it."""
-        return self.dof * (self.value / self.whole) ** 2 if self.whole else 0.0
 
 
 def start_as_set(equations: Equations) -> Array:
@@ -148,19 +155,19 @@ def _inverse(normal: Array) -> Array:
     return np.asarray(inverse * np.outer(scale, scale))
 
 
-def with_estimated(solution: Solution, source: str) -> tuple[Solution, EstimatedVariance]:
+def with_estimated(solution: Solution, source: str) -> Solution:
     """Solve with the variance of JIG, THERMOMETER or NOISE that the residuals show; with too large a jig as before."""
-    variance = EstimatedVariance(0.0)
+    value = 0.0
     for _ in range(_ROUNDS):
-        before, variance = variance.value, shown_variance(solution, source)
-        u = variance.value if source == NOISE else sqrt(max(variance.value, 0.0))
-        bench = {**solution.bench, source: u}
+        before, estimated = value, shown_variance(solution, source)
+        value = estimated.value
+        bench = {**solution.bench, source: value if source == NOISE else sqrt(max(value, 0.0))}
         if bench[JIG] > LARGEST_JIG:
-            return replace(solution, bench=bench), variance
-        solution = solved(solution.equations, bench, solution.z)
-        if abs(variance.value - before) <= _CLOSE * abs(variance.value):
+            return replace(solution, bench=bench, estimated=estimated)
+        solution = replace(solved(solution.equations, bench, solution.z), estimated=estimated)
+        if abs(value - before) <= _CLOSE * abs(value):
             break
-    return solution, variance
+    return solution
 
 
 def shown_variance(solution: Solution, source: str) -> EstimatedVariance:
@@ -187,11 +194,11 @@ def shown_variance(solution: Solution, source: str) -> EstimatedVariance:
     rest, count = max(whole - float(z2.sum()), 0.0), max(solution.dof - len(d2), 0)
     if source != NOISE:
         shown = _most_likely(np.ones(len(d2)), d2, z2, -_POSITIVE / largest, _HIDDEN[source])
-        return EstimatedVariance(*shown, rest, count)
+        return EstimatedVariance(source, *shown, rest, count)
     # No reading is better than its rounding, with which a factor of 1 counts.
     z2, stated = (np.append(part, np.full(count, each)) for part, each in ((z2, rest / max(count, 1)), (d2, 0.0)))
     value, dof, whole = _most_likely(bench[JIG] ** 2 * stated, np.ones(len(z2)), z2, 1.0 / bench[NOISE])
-    return EstimatedVariance(value * bench[NOISE], dof, whole * bench[NOISE])
+    return EstimatedVariance(source, value * bench[NOISE], dof, whole * bench[NOISE])
 
 
 def _most_likely(
@@ -234,22 +241,21 @@ def undetermined(jacobian: Array, names: Sequence[str]) -> list[str]:
 # The uncertainty of the coefficients, by its sources
 
 
-def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> list[Uncertain]:
+def budgets(solution: Solution) -> list[Uncertain]:
     """Return the coefficients of each sensor with their uncertainty; an estimated NOISE counts rounding in."""
-    equations, bench, near, covariance = solution.equations, solution.bench, solution.near, solution.covariance
+    shown, equations = solution.estimated, solution.equations
+    bench, near, covariance = solution.bench, solution.near, solution.covariance
     readings = len(equations.u)
     measured = bench[NOISE] * (equations.u / near.sigma) ** 2  # the rest is the square of uncertain attitudes
     rounding = np.concatenate([channel.adc for channel in equations.channels]) / equations.u
     rounding = measured * np.minimum(rounding**2 / bench[NOISE], 1.0)
     dof = np.concatenate([channel.dof for channel in equations.channels])
     drawn = (measured - rounding) * _excess(dof)
-    if NOISE in estimated:
-        shown = estimated[NOISE]
-        drawn = measured * (shown.whole / bench[NOISE] * float(_excess(np.array([shown.dof]))[0]))
+    if shown is not None and shown.source == NOISE:
+        drawn = measured * (shown.whole / bench[NOISE] * shown.excess)
     stated = {source: equations.rows(source) for source in equations.errors if bench[source]}
     if len(equations.stated_target):
         stated = {PRIOR: equations.rows(PRIOR), **stated}
-    by_readings = near.part(slice(0, readings)).normal if estimated else np.zeros((0, 0))
     budgets = []
     for sensor, own in zip(equations.sensors, equations.sensor_coefficients(), strict=True):
         by = near.times(covariance[:, own])  # equations by coefficients
@@ -259,13 +265,12 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
         if bench[JIG]:
             variance[JIG] = variance[JIG] + (1.0 - measured) @ squares[:readings]
         total, more = covariance[own, own], by_noise.T @ (drawn[:, None] * by_noise)
-        for source, shown in estimated.items():
-            if source == NOISE or not shown.dof:
-                continue
-            by_error = (by_readings[equations.errors[source]] @ covariance[:, own]).T
+        if shown is not None and shown.source != NOISE and shown.dof:
+            by_readings = near.part(slice(0, readings)).normal[equations.errors[shown.source]]
+            by_error = (by_readings @ covariance[:, own]).T
             by_variance = by_error @ by_error.T
-            more = more + shown.whole * float(_excess(np.array([shown.dof]))[0]) * by_variance
-            if source == JIG and shown.value < 0.0:
+            more = more + shown.whole * shown.excess * by_variance
+            if shown.source == JIG and shown.value < 0.0:
                 # The noise, by chance, was less than measured: so is what it does to the coefficients.
                 total = total + shown.value * by_variance
                 variance[NOISE] = variance[NOISE] + shown.value * np.diag(by_variance)
@@ -274,5 +279,5 @@ def budgets(solution: Solution, estimated: Mapping[str, EstimatedVariance]) -> l
 
 
 def _excess(dof: Array) -> Array:
-    """Return by which share a variance with degrees of freedom grows for its 95 % interval, shape (k,)."""
+    """Return by which share a variance with degrees of freedom grows for its 95 % interval, in the same shape."""
     return np.asarray((coverage_factor(dof) / NORMAL_FACTOR) ** 2 - 1.0)

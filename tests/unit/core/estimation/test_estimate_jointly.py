@@ -36,7 +36,7 @@ def test_the_mean_square_error_is_the_cramer_rao_bounds(jig, count, sensors, ses
         truth = np.array([one.truth for one in parts])
         equations = Equations(fixture(measured(rng, plan, parts), design(plan, jig=jig)))
         z = np.concatenate([truth.ravel(), np.zeros(equations.unknowns - truth.size)])
-        bound = [np.diag(one.covariance) for one in budgets(solved_at(equations, z), {})]
+        bound = [np.diag(one.covariance) for one in budgets(solved_at(equations, z))]
         found = estimate_jointly(equations.sensors)
         off = np.array([vector_of(one.coefficients, one.uncertain.names) for one in found]) - truth
         squares.append(np.mean(off**2 / bound))

@@ -77,7 +77,7 @@ class TestBudgetByHand:
         design = Design(("x",), ("x",), jig=self.JIG, priors=priors)
         reading = replace(self.pair(30.0)[0], dof=np.array([9.0]))
         equations = Equations([SensorObservations(design, [reading])])
-        budget = budgets(solved_at(equations, start_as_set(equations)), {})[0]
+        budget = budgets(solved_at(equations, start_as_set(equations)))[0]
         by_reading = known**2 * sin(t) / (self.NOISE**2 + self.STEP**2 + (known * sin(t)) ** 2 + jig**2)
         by_hand = {
             "noise": (by_reading * self.NOISE) ** 2,
