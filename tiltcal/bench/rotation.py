@@ -27,7 +27,7 @@ from tiltcal.core.pair.matching import (
     split_at_breaks,
 )
 from tiltcal.core.pair.model import FEWEST_TURNS
-from tiltcal.core.pair.online import Notice, TurnStream
+from tiltcal.core.pair.online import TurnStream
 from tiltcal.core.pair.stage import STANDSTILL
 from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.journal import POSITION
@@ -87,7 +87,7 @@ class TurningStage:
     def _take(self, block: Array) -> list[str]:
         """Take a block of rows; return why samples are held from here on, in order, empty where they go on."""
         self._blocks.append(block)
-        return [item.why for item in self._stream.push(block[:, 1], block[:, 2:].T) if isinstance(item, Notice)]
+        return [notice.why for notice in self._stream.push(block[:, 1], block[:, 2:].T)]
 
     def _interrupt(self) -> str:
         """Note a break, and keep the span before it where its turns show its phase; return what becomes of it."""

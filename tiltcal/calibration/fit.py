@@ -97,7 +97,7 @@ def _remarks(found: Estimate, sensor: MeasuredSensor, design: Design) -> Iterato
     if (found.estimated_jig or 0.0) > LARGEST_AGREEMENT:
         yield "were the positions set by hand, or was something changed between them? State the --jig"
     correlated = correlated_noise(_summaries(measurements, design.channels))
-    if correlated is not None and correlated.certain:
+    if correlated is not None and correlated.note:
         yield correlated.note
     for channel in design.channels:
         own = _summaries(measurements, (channel,))

@@ -163,16 +163,7 @@ class CorrelatedNoise:
     """Noise whose memory is longer than a block of samples."""
 
     factor: float  # of the uncertainty of a mean from its block means
-    longer: float  # of the time of a position, for blocks that are not correlated
-    certain: bool = True  # False where it may be chance
-
-    @property
-    def note(self) -> str:
-        """Remark on the correlation, and what to do."""
-        return (
-            "the noise is correlated for longer than a tenth of a position: the uncertainty of each mean is multiplied "
-            f"by {self.factor:.2g}; sample each position at least {self.longer:.2g} times as long"
-        )
+    note: str  # remark on it, and what to do; empty where it may be chance
 
 
 def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | None:
@@ -188,7 +179,11 @@ def correlated_noise(summaries: Sequence[SampleSummary]) -> CorrelatedNoise | No
     if above <= _POSSIBLE:
         return None
     time, factor = (float(np.interp(mean + _MARGIN * error, _SHOWN, column)) for column in (_TIMES, _FACTORS))
-    return CorrelatedNoise(factor, max(_ENOUGH * time, 1.0), above > _CORRELATED)
+    note = (
+        "the noise is correlated for longer than a tenth of a position: the uncertainty of each mean is multiplied by "
+        f"{factor:.2g}; sample each position at least {max(_ENOUGH * time, 1.0):.2g} times as long"
+    )
+    return CorrelatedNoise(factor, note if above > _CORRELATED else "")
 
 
 def noise_of_means(
@@ -200,7 +195,7 @@ def noise_of_means(
     rounding = np.array([summary.quantisation for summary in summaries])
     drawn = np.isfinite(dof)
     common = float(np.mean(variance[drawn])) if drawn.any() else 0.0
-    coarse = None if correlated is not None and correlated.certain else _coarse_rounding(summaries)
+    coarse = None if correlated is not None and correlated.note else _coarse_rounding(summaries)
     if coarse is not None:
         return np.where(drawn, common, variance), np.where(drawn, float(np.sum(dof[drawn])), inf), coarse
     if correlated is not None:

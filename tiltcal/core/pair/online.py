@@ -77,7 +77,7 @@ class TurnStream:
         self.turns = 0  # handed on
         self.turned = 0.0  # turns from the first angle to the last
         self.why = "the stage has not turned yet"  # why the stream is held now
-        self._events: list[Turn | Notice] = []
+        self._notices: list[Notice] = []
         self._last: float | None = None
         self._pilot: Array | None = None
         self._typical = inf  # rows of a part of a turn
@@ -85,8 +85,8 @@ class TurnStream:
         # The rows of the turn in progress: number of the row, angle in turns, readings (NaN where they do not count).
         self._table = np.empty((2 + channels, 0))
 
-    def push(self, theta: Array, readings: Array, whole: Mask | None = None) -> list[Turn | Notice]:
-        """Take angles, (n,), degrees, and readings, (channels, n), NaN where missing; return turns and notices."""
+    def push(self, theta: Array, readings: Array, whole: Mask | None = None) -> list[Notice]:
+        """Take angles, (n,), degrees, and readings, (channels, n), NaN where missing; return what happened."""
         there = np.flatnonzero(np.isfinite(theta))
         angle = follow(theta[there], self._last)
         if len(angle):
@@ -96,10 +96,14 @@ class TurnStream:
         rows = np.concatenate([(self.rows + there)[None], angle[None], values[:, there]])
         self._table = np.concatenate([self._table, rows], axis=1)
         self.rows += len(theta)
-        self._events = []
+        self._notices = []
         while self._table.shape[1] and self._cut():
             pass
-        return self._events
+        return self._notices
+
+    def take(self, turn: Turn) -> None:
+        """Take a whole turn; a stream by itself counts it."""
+        self.turns += 1
 
     def _cut(self) -> bool:
         """Close the turns that have ended; return whether the stage ran backwards, with rows behind that."""
@@ -144,18 +148,17 @@ class TurnStream:
             self._hold(table[0, 0], why)
             return
         if self.why and self.turns:
-            self._events.append(Notice(int(table[0, 0]), ""))
+            self._notices.append(Notice(int(table[0, 0]), ""))
         self.why, self._typical = "", typical
-        self.turns += 1
         row, angle, values = table[0, whole], table[1, whole], table[2:, whole]
         # A large offset would take the digits that the noise needs in the sums of squares.
         self._pilot = values[:, :1] if self._pilot is None else self._pilot
         columns = regression_columns(angle, row - end, values - self._pilot)
-        self._events.append(Turn(columns @ columns.T, end))
+        self.take(Turn(columns @ columns.T, end))
 
     def _hold(self, row: float, why: str) -> None:
         if why != self.why:
-            self._events.append(Notice(int(row), why))
+            self._notices.append(Notice(int(row), why))
         self.why = why
 
 
@@ -256,44 +259,38 @@ class Recursive:
         self._solved = solve(combined, self._pair)
 
 
-class Online:
-    """Both estimators of a pair."""
+class Online(TurnStream):
+    """Both estimators of a pair, at the turns of a stream."""
 
     def __init__(self, pair: Pair, channels: Sequence[str]) -> None:
-        self.stream = TurnStream(len(channels))
+        super().__init__(len(channels))
         self.loops, self.recursive = TrimmingLoops(pair, channels), Recursive(pair, channels)
         self.course: list[tuple[float, float, float, float]] = []  # p and q of both after each turn
         self.refused = ""  # why they could not take the last one
 
-    def push(self, theta: Array, readings: Array, whole: Mask | None = None) -> list[Notice]:
-        """Take samples as :meth:`TurnStream.push` does; return where the estimators were held, and went on."""
-        notices: list[Notice] = []
-        for item in self.stream.push(theta, readings, whole):
-            if isinstance(item, Notice):
-                notices.append(item)
-                continue
-            why = ""
-            for estimator in (self.loops, self.recursive):
-                try:
-                    estimator.update(item)
-                except EstimateError as refusal:
-                    why = str(refusal)
-            loops, recursive = self.loops.coefficients(), self.recursive.coefficients()
-            self.course.append((loops.p, loops.q, recursive.p, recursive.q))
-            if why != self.refused:
-                notices.append(Notice(item.end, why))
-            self.refused = why
-        return notices
+    def take(self, turn: Turn) -> None:
+        """Go on by a turn, and note where the estimators cannot take it, and where they can again."""
+        super().take(turn)
+        why = ""
+        for estimator in (self.loops, self.recursive):
+            try:
+                estimator.update(turn)
+            except EstimateError as refusal:
+                why = str(refusal)
+        loops, recursive = self.loops.coefficients(), self.recursive.coefficients()
+        self.course.append((loops.p, loops.q, recursive.p, recursive.q))
+        if why != self.refused:
+            self._notices.append(Notice(turn.end, why))
+        self.refused = why
 
     def coefficients(self, *, loops: bool) -> PairCoefficients:
         """Return what the loops or the recursive estimator ended with; an EstimateError where it has no estimate."""
-        turns = self.stream.turns
-        if turns < FEWEST_TURNS:
-            why = self.stream.why or "the record is too short"
-            raise EstimateError(f"the online estimators had {turns} whole turns and need {FEWEST_TURNS:g}: {why}")
+        if self.turns < FEWEST_TURNS:
+            why = self.why or "the record is too short"
+            raise EstimateError(f"the online estimators had {self.turns} whole turns and need {FEWEST_TURNS:g}: {why}")
         if self.refused:
             raise EstimateError(self.refused)
         ended = (self.loops if loops else self.recursive).coefficients()
         if not hypot(ended.u_p, ended.u_q) < inf:
-            raise EstimateError(f"the loops have not settled in {turns} turns: let the stage turn for longer")
+            raise EstimateError(f"the loops have not settled in {self.turns} turns: let the stage turn for longer")
         return ended

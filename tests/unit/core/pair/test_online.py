@@ -32,7 +32,7 @@ def joined(*parts: disk.Record) -> disk.Record:
 def test_both_estimators_go_on_once_a_turn_whatever_the_blocks() -> None:
     taken = disk.record(seconds=60, rate=20)
     alone, together = (pushed(taken, block=size)[0] for size in (1, 100_000))
-    assert len(set(alone.course)) == len(alone.course) == alone.stream.turns == 7
+    assert len(set(alone.course)) == len(alone.course) == alone.turns == 7
     assert np.array(alone.course) == pytest.approx(np.array(together.course), abs=1e-12)
 
 
@@ -98,4 +98,4 @@ def test_the_estimators_are_held_and_go_on(taken: disk.Record, why: str) -> None
     assert [line.split(": ")[1] for line in said] == ([f"held, {why}", "goes on"] if why else [])
     assert online.course[-1] == pytest.approx((*TRUTH, *TRUTH), abs=1e-4)
     if why == "values are missing":
-        assert 3000 <= online.stream.left_out < 3000 + 2 * 400
+        assert 3000 <= online.left_out < 3000 + 2 * 400
