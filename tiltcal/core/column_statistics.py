@@ -40,11 +40,17 @@ class ColumnStatistics:
     def add(self, time: Array, angles: Array, flag: NDArray[Any], reason: NDArray[Any]) -> None:
         """Take some rows: time, s, shape (n,); angles, degrees, shape (n, angles), NaN where there is none; flags."""
         count_flags(self.flags, self.reasons, flag, reason)
-        self._distribute(angles)
+        for k, column in enumerate(angles.T):
+            known = column[np.isfinite(column)]
+            place = np.rint((np.clip(known, -_REACH, _REACH) + _REACH) / STEP).astype(np.intp)
+            self._counts[k] += np.bincount(place, minlength=self._counts.shape[1])
+            self._sums[k] += known.sum()
         if not len(flag):
             return
         while (self.rows + len(flag) - 1) // self._length >= 2 * STRETCHES:
-            self._join()
+            self._least[:STRETCHES], self._least[STRETCHES:] = np.fmin(self._least[::2], self._least[1::2]), np.nan
+            self._bad[:STRETCHES], self._bad[STRETCHES:] = self._bad[::2] + self._bad[1::2], 0
+            self._length *= 2
         where = np.arange(self.rows // self._length, (self.rows + len(flag) - 1) // self._length + 1)
         starts = np.maximum(where * self._length - self.rows, 0)
         values = np.concatenate([time[None], angles.T, -angles.T])
@@ -98,17 +104,3 @@ class ColumnStatistics:
     @property
     def _used(self) -> int:
         return -(-self.rows // self._length)
-
-    def _distribute(self, angles: Array) -> None:
-        for k, column in enumerate(angles.T):
-            finite = np.isfinite(column)
-            known = column if finite.all() else column[finite]
-            place = np.rint((np.clip(known, -_REACH, _REACH) + _REACH) / STEP).astype(np.intp)
-            self._counts[k] += np.bincount(place, minlength=self._counts.shape[1])
-            self._sums[k] += known.sum()
-
-    def _join(self) -> None:
-        """Make one stretch of every two."""
-        self._least[:STRETCHES], self._least[STRETCHES:] = np.fmin(self._least[::2], self._least[1::2]), np.nan
-        self._bad[:STRETCHES], self._bad[STRETCHES:] = self._bad[::2] + self._bad[1::2], 0
-        self._length *= 2

@@ -98,7 +98,6 @@ class KernelChunk:
 
     rows: slice  # which of all rows these are
     dt: Array | None  # T - T_ref, °C, (n,); 0 where the temperature is missing, None where none counts
-    signal: Array  # S g: the readings without offset, drift, gain and bend, (channels, n), unit
     own: Array  # up in the sensor's frame, (axes, n), g
     hidden: Array | None  # g_z there, (n,), of a sensor that sees x and y only, where it is needed
     out: Compensated
@@ -246,32 +245,26 @@ class Compensation:
         gravity[[AXES.index(axis) for axis in self.axes]] = chunk.own
         return gravity
 
-    def unjudged(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
-        """Compute what the sensor's own axes read, without angles; ``u`` has a row for each channel."""
+    def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
+        """Compute one chunk into ``out``; ``u`` has a row for each channel."""
         out.flag.fill(PASS)
         out.reason.fill(0)
-        dt = self._temperature_difference(temperature, out)
+        dt, application = self._temperature_difference(temperature, out), out.gravity.T
         signal = self._signal(u, dt)
         take_out_nonlinearity(signal, self._coefficients)
         own = product(self.inverse, signal)
         hidden = self._solve_hidden(own, out) if self.solves_z else None
-        return KernelChunk(rows, dt, signal, own, hidden, out)
-
-    def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
-        """Compute one chunk into ``out``; ``u`` has a row for each channel."""
-        chunk = self.unjudged(rows, u, temperature, out)
-        own, application = chunk.own, out.gravity.T
-        self._mount(own, chunk.hidden, application)
+        self._mount(own, hidden, application)
         if len(self.axes) == 3:
             self._judge_length(tilts_of_three(application, out.angles.T), out)
         else:
             for angle, argument in zip(out.angles.T, application, strict=True):
                 _arcsine(argument, angle, out)
-        if self.on_edge and chunk.hidden is not None:
-            self._blank_unknown_sign(chunk.hidden, out)
+        if self.on_edge and hidden is not None:
+            self._blank_unknown_sign(hidden, out)
         self._judge_tilt(own, out)
         self._judge_readings(u, out)
-        return chunk
+        return KernelChunk(rows, dt, own, hidden, out)
 
     def _temperature_difference(self, temperature: Array | None, out: Compensated) -> Array | None:
         """Return the excess over the reference temperature, °C, where it counts; mark the rows without one."""

@@ -52,7 +52,7 @@ from tiltcal.core.angle_uncertainty import (
 )
 from tiltcal.core.attitude import UNKNOWN_ANGLE
 from tiltcal.core.compensation import CLIP_LIMIT, VANISHES, Compensation, KernelChunk
-from tiltcal.core.flags import CLIPPED, FAIL, MISSING, NO_DIRECTION, SUSPECT, Mask, mark
+from tiltcal.core.flags import CLIPPED, FAIL, MISSING, NO_DIRECTION, SUSPECT, mark
 from tiltcal.core.model import Array
 from tiltcal.errors import EstimateError
 
@@ -268,11 +268,8 @@ class FieldLength:
 
     def flagged(self, table: Mapping[str, NDArray[Any]], field: Array) -> dict[str, NDArray[Any]]:
         """Return the columns of the next rows, flagged 3, reason 128, where the field, (n, 3), is of unusual length."""
-        return flags.mark_columns(table, self._wanders(length_of(field.T)), SUSPECT, NO_DIRECTION)
-
-    def _wanders(self, lengths: Array) -> Mask:
-        """Return which of the next lengths, shape (n,), differ by more than :data:`FIELD_TOLERANCE`; NaN does not."""
-        usual, known = np.full(len(lengths), np.nan), self._first
+        lengths, known = length_of(field.T), self._first
+        usual = np.full(len(lengths), np.nan)
         for row, length in enumerate(lengths):
             if len(known) >= _USUAL:
                 usual[row:] = usual[row - 1] if row else (known[(_USUAL - 1) // 2] + known[_USUAL // 2]) / 2.0
@@ -280,4 +277,4 @@ class FieldLength:
             if isfinite(length):
                 insort(known, float(length))
             usual[row] = (known[(len(known) - 1) // 2] + known[len(known) // 2]) / 2.0 if known else np.nan
-        return np.asarray(np.abs(lengths - usual) > FIELD_TOLERANCE * usual)
+        return flags.mark_columns(table, np.abs(lengths - usual) > FIELD_TOLERANCE * usual, SUSPECT, NO_DIRECTION)

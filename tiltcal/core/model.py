@@ -88,13 +88,6 @@ class Coefficients:
         shares = [] if self.nonlinearity is None else [self.nonlinearity]
         return np.hstack([self.offset[:, None], self.sensitivity, *thermal, *shares])
 
-    def with_vectors(self, vectors: Array) -> Coefficients:
-        """Return the same coefficients with other :attr:`vectors`."""
-        sensitivity, drift, gain, shares = self.models[0].split(vectors)
-        thermal = None if self.thermal is None else replace(self.thermal, drift=drift, gain=gain)
-        bend = None if self.nonlinearity is None else shares
-        return replace(self, offset=vectors[:, 0], sensitivity=sensitivity, thermal=thermal, nonlinearity=bend)
-
     def own_sensitivity(self, channel: str) -> float:
         """Return the sensitivity of a channel along its own axis, unit/g."""
         return float(self.sensitivity[self.channels.index(channel), self.axes.index(channel)])
@@ -265,7 +258,10 @@ def with_vector(coefficients: Coefficients, names: Sequence[str], vector: Array)
     """Return coefficients with other values for some names, shape (k,)."""
     vectors = coefficients.vectors
     vectors.ravel()[_places(coefficients, names)] = vector
-    return coefficients.with_vectors(vectors)
+    sensitivity, drift, gain, shares = coefficients.models[0].split(vectors)
+    thermal = None if coefficients.thermal is None else replace(coefficients.thermal, drift=drift, gain=gain)
+    bend = None if coefficients.nonlinearity is None else shares
+    return replace(coefficients, offset=vectors[:, 0], sensitivity=sensitivity, thermal=thermal, nonlinearity=bend)
 
 
 def referred(coefficients: Coefficients, reference: float | None) -> Coefficients:

@@ -7,6 +7,7 @@ from math import isfinite
 
 _GUARD_DIGITS = 3  # digits kept after the first one of the uncertainty: rounding adds less than a thousandth of it
 _DIGITS_WITHOUT_UNCERTAINTY = 12
+_ANY = Context(prec=1000)  # digits enough for any double
 _MOST_ZEROS = 4  # largest number of zeros before the first digit; smaller numbers have a power of ten
 
 
@@ -21,9 +22,7 @@ def round_to(value: float, uncertainty: float) -> float:
         return float(value)
     exact = Decimal(repr(float(value)))
     place = Decimal(repr(float(uncertainty))).adjusted() - _GUARD_DIGITS
-    if _exponent(exact) >= place:
-        return _positive_zero(exact)
-    return _positive_zero(exact.quantize(Decimal((0, (1,), place))))
+    return _positive_zero(exact.quantize(Decimal((0, (1,), place)), context=_ANY))
 
 
 def significant(value: float, digits: int) -> float:
@@ -65,11 +64,6 @@ def round_to_place(value: float, place: int) -> str:
     """Return a number in plain decimals, rounded to this power of ten; without a minus before zeros."""
     shown = f"{Decimal(value):.{-place}f}" if place < 0 else f"{round(Decimal(value), -place):.0f}"
     return shown if any(digit in shown for digit in "123456789") else shown.lstrip("-")
-
-
-def _exponent(number: Decimal) -> int:
-    exponent = number.as_tuple().exponent
-    return exponent if isinstance(exponent, int) else 0
 
 
 def _positive_zero(number: Decimal) -> float:

@@ -85,7 +85,10 @@ class FreeFit(Misfits):
     @property
     def distinct(self) -> int:
         """Number of kept attitudes that differ from each other by at least :data:`DIFFERENT_ATTITUDE`."""
-        return count_distinct(self.attitudes[self.kept])
+        count, left = 0, self.attitudes[self.kept]
+        while len(left):
+            count, left = count + 1, left[1:][left[1:] @ left[0] < cos(radians(DIFFERENT_ATTITUDE))]
+        return count
 
     @property
     def dof(self) -> int:
@@ -164,14 +167,6 @@ def planned_uncertain(attitudes: Array, noise: float, sensitivity: float) -> Unc
     jacobian = _misfits(readings, np.zeros_like(readings), np.zeros(3), np.eye(3) * sensitivity).jacobian
     _require_determined(jacobian)
     return _uncertain(jacobian, noise / sensitivity, inf)
-
-
-def count_distinct(attitudes: Array) -> int:
-    """Count the unit vectors, shape (n, 3), that differ by :data:`DIFFERENT_ATTITUDE` from each one counted before."""
-    count, left = 0, attitudes
-    while len(left):
-        count, left = count + 1, left[1:][left[1:] @ left[0] < cos(radians(DIFFERENT_ATTITUDE))]
-    return count
 
 
 def _minimum(mean: Array, sway: Array, offset: Array, sensitivity: Array, *, absolute: bool = False) -> Misfits:

@@ -130,10 +130,6 @@ class Spin:
     frequency: float
     phase: float
 
-    def theta(self, time: Array) -> Array:
-        """Stage angle, degrees, shape (n,)."""
-        return np.asarray(360.0 * (self.frequency * time + self.phase))
-
 
 def estimated_angle(time: Array, readings: Sequence[Array]) -> Array:
     """Return the stage angle of a record without an encoder, degrees; all of shape (n,), NaN where one is missing.
@@ -161,7 +157,7 @@ def estimated_angle(time: Array, readings: Sequence[Array]) -> Array:
         if spin.frequency * span >= FEWEST_TURNS:
             now = _iterated(times, values, spin.frequency * span, _FOLLOWING_STEPS)
             spin = now if abs(now.frequency - spin.frequency) * span < _MOST_SLIP else spin
-        theta[start : start + rows] = spin.theta(time[start : start + rows])
+        theta[start : start + rows] = 360.0 * (spin.frequency * time[start : start + rows] + spin.phase)
     return theta
 
 

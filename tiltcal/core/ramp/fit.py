@@ -177,17 +177,14 @@ def _beside_loop(means: RampMeans, lag: float, order: int) -> tuple[Array, Array
             square, square_of_ways = x.T @ x, x[:, : len(half)].T @ x[:, : len(half)]
             noise_on_ways = np.sum(square * of_solution[:p, :p]) + np.sum(square_of_ways * of_half)
             ratio = sqrt(float(half @ square_of_ways @ half / noise_on_ways))
-            added[loop, loop] = of_half + loop_weight(ratio) * np.outer(half, half)
+            # So much of half the loop squared that 1.96 standard uncertainties hold 95 % of both ways.
+            weight = min((((ratio + _ONE_SIDED) / _TWO_SIDED) ** 2 - 1.0) / ratio**2, 1.0)
+            added[loop, loop] = of_half + weight * np.outer(half, half)
         else:
             noise = means.noise_covariance(x, values)
             solution, of_solution = _generalised_least_squares([x], 0, values[:, None], [noise])
         coefficients[c], covariance[block, block] = solution[:p], of_solution[:p, :p]
     return coefficients, covariance, added
-
-
-def loop_weight(ratio: float) -> float:
-    """Return what half a loop squared counts, so that 1.96 standard uncertainties hold 95 % of both ways."""
-    return min((((ratio + _ONE_SIDED) / _TWO_SIDED) ** 2 - 1.0) / ratio**2, 1.0)
 
 
 def _blocks(polynomials: Array) -> list[slice]:
