@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -182,20 +182,8 @@ def _ros(source: Source) -> Export:
     return _of_affine(lines, source.affine, CROSS_AXIS)
 
 
-def _px4(source: Source) -> Export:
-    """PX4: (a - OFF) SCALE, m/s², each axis for itself; a file of parameters as QGroundControl loads it."""
-    columns = "# For the accelerometer whose CAL_ACC0_ID is set. Columns: vehicle, component, name, value, type"
-    lines = "1\t1\tCAL_ACC0_{axis}OFF\t{offset}\t9\n1\t1\tCAL_ACC0_{axis}SCALE\t{scale}\t9"
-    return _of_autopilot(source, "px4", columns, lines)
-
-
-def _ardupilot(source: Source) -> Export:
-    """ArduPilot: (a - INS_ACCOFFS) INS_ACCSCAL, m/s², each axis for itself."""
-    return _of_autopilot(source, "ardupilot", "# NAME,VALUE", "INS_ACCOFFS_{axis},{offset}\nINS_ACCSCAL_{axis},{scale}")
-
-
-def _of_autopilot(source: Source, target: str, remark: str, lines: str) -> Export:
-    """Return the parameters of an autopilot, the lines of each axis made of a template."""
+def _of_autopilot(target: str, remark: str, lines: str, source: Source) -> Export:
+    """Return the parameters of an autopilot, which corrects each axis for itself: (a - offset) scale, m/s²."""
     source.require_three_axes(target)
     unit, affine = source.record.sensor.unit, source.affine
     if unit not in ("m/s2", "g"):
@@ -276,13 +264,20 @@ def _json(source: Source) -> Export:
     return _with_temperature(text, source.coefficients, source.affine)
 
 
+PX4 = (
+    "# For the accelerometer whose CAL_ACC0_ID is set. Columns: vehicle, component, name, value, type",
+    "1\t1\tCAL_ACC0_{axis}OFF\t{offset}\t9\n1\t1\tCAL_ACC0_{axis}SCALE\t{scale}\t9",
+)
+ARDUPILOT = "# NAME,VALUE", "INS_ACCOFFS_{axis},{offset}\nINS_ACCSCAL_{axis},{scale}"
+"""The remark and the lines of an axis in a file of parameters, as QGroundControl and Mission Planner load it."""
+
 TARGETS: dict[str, Callable[[Source], Export]] = {
     "c": _c,
     "c-fixed": _c_fixed,
     "fusion": _fusion,
     "ros": _ros,
-    "px4": _px4,
-    "ardupilot": _ardupilot,
+    "px4": partial(_of_autopilot, "px4", *PX4),
+    "ardupilot": partial(_of_autopilot, "ardupilot", *ARDUPILOT),
     "iio": _iio,
     "python": _python,
     "json": _json,
