@@ -58,16 +58,12 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True)
 class Table:
-    """A table, column by column; the cells of the first are the heads of the rows.
-
-    ``marked`` are the numbers of rows in bold; ``names`` are dotted names of the rows, for programs that read the page.
-    """
+    """A table, column by column; the cells of the first are the heads of the rows, ``marked`` the rows in bold."""
 
     columns: Sequence[Column]
     marked: frozenset[int] = frozenset()
     caption: str = ""
     style: str = ""
-    names: Sequence[str] = ()
 
     @property
     def groups(self) -> list[tuple[str, list[Column]]]:
@@ -130,7 +126,7 @@ def _quantities(rows: Sequence[Quantity]) -> Table:
         widths = [half_width(k * row.u) if k and row.u else "" for k, row in zip(factors, rows, strict=True)]
         columns.append(numbers("95 % interval: ±", widths))
         columns.append(Column(Html("<var>k</var>"), [f"{k:.2f}" if k else "" for k in factors], "n"))
-    return Table(columns, names=names)
+    return Table(columns)
 
 
 def budget_table(calibration: CalibrationRecord) -> Table | None:

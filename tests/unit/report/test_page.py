@@ -15,6 +15,7 @@ import yaml
 from support import FIXTURES, WITHOUT_PRIORS
 from support.html_page import Page, undrawn
 
+from tiltcal.calibration.wording import label
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.results import (
     FileRecord,
@@ -70,17 +71,13 @@ def read(text: str) -> tuple[Decimal, Decimal]:
 def test_every_coefficient_has_its_value_uncertainty_and_interval() -> None:
     for name in ("complete", "multi-angle", "temperature-sweep", "free"):
         data, shown = as_data(name), Page(text_of(name))
-        rows = {
-            row.attributes["data-name"]: [cell.text for cell in row.find("td")]
-            for row in shown.root.find("tr")
-            if re.match("offset|sensitivity|temperature|nonlinearity", row.attributes.get("data-name", ""))
-        }
+        rows = {row[0]: row[1:] for row in shown.below("Coefficients")}
         checked = 0
         for dotted, value, u in coefficients(data):
             if not u:
-                assert number(rows[dotted][1]) == Decimal(repr(value)).normalize()
+                assert number(rows[label(dotted).words][1]) == Decimal(repr(value)).normalize()
                 continue
-            _, shown_value, _, half, factor = rows[dotted]
+            _, shown_value, _, half, factor = rows[label(dotted).words]
             mean, bracket = read(shown_value)
             assert bracket == Decimal(f"{u:.1e}"), dotted
             assert abs(mean - Decimal(repr(value))) * 2 <= Decimal(1).scaleb(bracket.adjusted() - 1), dotted
