@@ -117,11 +117,6 @@ def test_a_session_runs_without_what_windows_lacks(tmp_path: Path) -> None:
     )
 
 
-def test_drivers_load_nothing_heavy() -> None:
-    loaded = loaded_by("from tiltcal.drivers import models\nlist(models())\nimport tiltcal.drivers.bus.spi")
-    assert not loaded & HEAVY
-
-
 # Help
 
 

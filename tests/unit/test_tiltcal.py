@@ -16,7 +16,6 @@ from typing import get_type_hints
 
 import pytest
 from support import FIXTURES
-from support.command import loaded_by
 from support.command import tiltcal as command
 
 import tiltcal
@@ -49,10 +48,6 @@ def test_every_name_is_documented_and_its_type_hints_can_be_resolved() -> None:
 def test_another_name_is_no_attribute() -> None:
     with pytest.raises(AttributeError, match="no attribute 'calibrate_all'"):
         tiltcal.calibrate_all  # noqa: B018
-
-
-def test_import_loads_nothing_heavy() -> None:
-    assert not {"numpy", "scipy", "polars", "yaml", "click", "rich"} & loaded_by("import tiltcal; dir(tiltcal)")
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc")
