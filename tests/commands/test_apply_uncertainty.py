@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from math import cos, degrees, hypot, isnan, radians
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-import yaml
 from support.applied import PLAIN, apply, rows
-from support.simulated_bench import XYZ
 
 from tiltcal.errors import InputError
 
@@ -83,34 +79,3 @@ class TestWhatTheFileDoesNotSay:
         result = apply("odd.yaml", "log.csv", "--uncertainty")
         assert isinstance(result.exception, InputError)
         assert "'offset.q'" in str(result.exception)
-
-
-def test_six_faces_without_a_jig_error() -> None:
-    """One channel has correlations there and the others have none; J C Jᵀ by differences gives the same."""
-    file = Path(__file__).parents[1] / "support" / "six_faces.yaml"
-    reading = np.array([1.859361488, 2.263724527, 4.449071183])
-    (found,) = rows(apply(str(file), "-", "--uncertainty", stdin=f"x,y,z\n{','.join(map(str, reading))}\n").stdout)
-    known = yaml.safe_load(file.read_text())
-    stated = known["uncertainty"]["covariance"]
-    values = [*reading]
-    for name in stated["parameters"]:
-        section, *keys = name.split(".")
-        value = known["calibration"][section]
-        for key in keys:
-            value = value[key]
-        values.append(value)
-    names = ["reading.x", "reading.y", "reading.z", *stated["parameters"]]
-    covariance = np.zeros((15, 15))
-    covariance[:3, :3] = np.diag([known["uncertainty"]["single_reading"][axis] ** 2 for axis in XYZ])
-    covariance[3:, 3:] = stated["matrix"]
-
-    def tilt(numbers: list[float]) -> np.ndarray[Any, Any]:
-        at = dict(zip(names, numbers, strict=True))
-        matrix = [[at[f"sensitivity.{channel}.{axis}"] for axis in XYZ] for channel in XYZ]
-        g = np.linalg.solve(matrix, [at[f"reading.{axis}"] - at[f"offset.{axis}"] for axis in XYZ])
-        return np.arctan2(g, np.sqrt(g @ g - g * g))
-
-    steps = 1e-6 * np.eye(15)
-    slopes = np.array([(tilt(list(values + step)) - tilt(list(values - step))) / 2e-6 for step in steps]).T
-    expected = np.degrees(np.sqrt(np.diag(slopes @ covariance @ slopes.T)))
-    assert [found[f"u_tilt_{axis}"] for axis in XYZ] == pytest.approx(expected.tolist(), rel=2e-3)

@@ -1,12 +1,18 @@
-"""Which column of a log holds which reading."""
+"""Which column of a log holds which reading, and the columns of a whole log as arrays."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import TYPE_CHECKING
+from tempfile import TemporaryFile, gettempdir
+from typing import IO, TYPE_CHECKING
 
+import numpy as np
+
+from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import DEGREE, same_unit, split_unit
 
@@ -20,6 +26,8 @@ HEADING = "heading"
 _AXIS = re.compile(r"(?:acc(?:el(?:eration|erometer)?)?|a|g-?force|gf)?[ _.-]*([xyz])(?:[ _-]?axis)?", re.IGNORECASE)
 """A component of the acceleration; linear accelerations, without gravity, are none."""
 _CLOCKS = ("time", "t", "seconds_elapsed", "timestamp")
+_MEMORY = 256 << 20
+"""Keep the columns in memory up to so many bytes, and in temporary files beyond."""
 
 
 def named_columns(
@@ -143,15 +151,9 @@ def require_units(
 def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:
     if not names:
         return "there are no columns"
-    if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
-        return f"the header {names[0]!r} is a single column: separate the columns with commas"
     if all(is_number(name) for name in names if name):
-        if is_number(column):
-            return f"there is no column {column}; the log has {len(names)} columns, called 1 to {len(names)}"
-        return (
-            "the first line holds numbers: it must name the columns, such as time,x,y,temperature, or say which column "
-            f"is which by its number from 1 to {len(names)}, such as {option}{min(2, len(names))}"
-        )
+        why = f"there is no column {column!r}; the log has no header, and its columns are called 1 to {len(names)}: "
+        return f"{why}name one, such as {option}{min(2, len(names))}"
     listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
     return f"there is no column {column!r}{_suggestion(column, names)}; the log has {listed}. Name it with {option}NAME"
 
@@ -169,3 +171,76 @@ def is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+@dataclass(frozen=True)
+class RecordedColumns:
+    """Columns of a log by role, each of shape (rows,), NaN where a value is missing: readings, °C, seconds.
+
+    ``name`` is the log as the user named it, ``sha256`` that of the file, None of a frame; ``faulty`` counts the rows
+    that could not be parsed.
+    """
+
+    by_role: Mapping[str, Array]
+    name: str
+    sha256: str | None
+    faulty: int
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(next(iter(self.by_role.values())))
+
+    def of(self, roles: Sequence[str]) -> list[Array]:
+        """Return some columns."""
+        return [self.by_role[role] for role in roles]
+
+
+def read_columns(log: LogReader, where: Mapping[str, int], *, needs_time: bool = False) -> RecordedColumns:
+    """Read columns of a log to its end, by role; beyond 256 MB they are maps of temporary files, which go with them.
+
+    ``needs_time``, and the InputError of the log, are those of :meth:`LogReader.rows`.
+    """
+    blocks: list[list[Array]] = [[] for _ in where]
+    rows = faulty = 0
+    with ExitStack() as opened:
+        files: list[IO[bytes]] = []
+        for block in log.rows(sorted(set(where.values())), where.get(TIME), needs_time=needs_time):
+            rows, faulty = rows + len(block), faulty + len(block.faults)
+            for column, kept in zip(where.values(), blocks, strict=True):
+                kept.append(block.values[column])
+            if files or 8 * rows * len(where) > _MEMORY:
+                files = files or [opened.enter_context(TemporaryFile()) for _ in where]
+                _to_files(blocks, files)
+        columns = [np.asarray(np.memmap(file, dtype=np.float64, mode="r")) for file in files]  # a map outlives its file
+    columns = columns or [np.concatenate([np.empty(0), *kept]) for kept in blocks]
+    by_role = dict(zip(where, columns, strict=True))
+    return RecordedColumns(by_role, log.name, log.sha256 if log.source.digest else None, faulty)
+
+
+def read_readings(
+    log: LogReader, channels: Sequence[str], columns: Mapping[str, str] | str, unit: str, others: Sequence[str] = ()
+) -> RecordedColumns:
+    """Read the readings of a log in a unit to its end, with temperature and time where it has them, and ``others``.
+
+    ``columns`` names columns by role, as ``--columns`` does.
+    """
+    named = named_columns(columns, channels)
+    needs_time = TIME in named or TIME in others
+    where = locate_readings(log, channels, named, unit, (*others, TIME) if needs_time else others)
+    if TIME not in where and log.has_times(TIME, where[channels[0]]):
+        where[TIME] = log.names.index(TIME)
+    return read_columns(log, where, needs_time=needs_time)
+
+
+def _to_files(blocks: Sequence[list[Array]], files: Sequence[IO[bytes]]) -> None:
+    """Move the blocks of each column behind those in its file."""
+    try:
+        for kept, file in zip(blocks, files, strict=True):
+            file.writelines(np.ascontiguousarray(block, dtype=np.float64).data for block in kept)
+            file.flush()
+            kept.clear()
+    except OSError as failure:
+        raise UsageError(
+            f"the rows of the log cannot be kept in {gettempdir()}: {failure.strerror}; make room there, or name "
+            "another folder in TMPDIR"
+        ) from failure

@@ -46,14 +46,15 @@ from tiltcal.logs.cf_attributes import spelt
 from tiltcal.logs.columns import (
     TEMPERATURE,
     TIME,
+    RecordedColumns,
     column_names,
     named_columns,
+    read_readings,
     require_units,
 )
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
 from tiltcal.logs.log import LogReader, Progress
-from tiltcal.logs.numbers import RecordedColumns, read_readings
 from tiltcal.logs.options import FitOptions
 from tiltcal.logs.positions import SOAKS, Rails, intervals_of, intervals_of_table, placed, require_positions
 from tiltcal.logs.still import Judge, find_still, judge_of
@@ -172,7 +173,7 @@ def _of_table(data: Any, sensor: SensorIdentity, procedure: Procedure) -> FitPos
         where = {name: index for index, name in enumerate(table.names)}
         means = {name: sensor.unit for axis in AXES for name in (axis, f"u{axis}")}
         require_units(table, where, means, "the --unit")
-    file = _name_of(data, "the table")
+    file = str(data) if isinstance(data, str | Path) else "the table"
     positions = read_positions(_path_or_rows(data, "the table", TabledRow), sensor.channels)
     provenance = _provenance("table of positions", table=_origin(data, FileRecord))
     if procedure.determines.free:
@@ -191,10 +192,7 @@ def _of_log(
     determines, given = procedure.determines, options["segments"]
     file, judge, segments = log.name, None, list[Segment]()
     if given is not None:
-        file, segments = (
-            _name_of(given, "the segments"),
-            read_segments(_path_or_rows(given, "the segments", SegmentRow)),
-        )
+        file, segments = _segments(given)
         if not determines.free:
             require_positions(segments, procedure, file=file)
     elif determines.free or len(procedure.positions) > 1:
@@ -231,13 +229,12 @@ def _of_ramp(
     """Return the continuous record of a ramp: the whole log, or the rows of its one segment."""
     given, segment = options["segments"], None
     if given is not None:
-        segment, *more = read_segments(_path_or_rows(given, "the segments", SegmentRow))
+        file, (segment, *more) = _segments(given)
         if more:
-            raise InputError(
-                f"{procedure.name} takes one continuous record, and these are {1 + len(more)} segments: name the "
-                "first row and the last of the whole ramp",
-                file=_name_of(given, "the segments"),
+            why = (
+                f"{procedure.name} takes one continuous record, and these are {1 + len(more)} segments: name the first"
             )
+            raise InputError(f"{why} row and the last of the whole ramp", file=file)
     record = read_readings(log, sensor.channels, options["columns"], sensor.unit, (TIME, TEMPERATURE))
     start, end = (0, len(record)) if segment is None else (segment.start, segment.end)
     if segment is not None and end > len(record):
@@ -281,9 +278,10 @@ def _provenance(what: str, times: Sequence[tuple[float, float]] = (), **origins:
     )
 
 
-def _name_of(source: Any, otherwise: str) -> str:
-    """Return the name of a file, for messages."""
-    return str(source) if isinstance(source, str | Path) else otherwise
+def _segments(given: Any) -> tuple[str, list[Segment]]:
+    """Return the name of a file of segments, for messages, and what it holds."""
+    file = str(given) if isinstance(given, str | Path) else "the segments"
+    return file, read_segments(_path_or_rows(given, "the segments", SegmentRow))
 
 
 def _judge(procedure: Procedure, channels: Sequence[str]) -> Judge:

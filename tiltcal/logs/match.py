@@ -25,10 +25,9 @@ from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance
 from tiltcal.logs.cf_attributes import DEGREE
-from tiltcal.logs.columns import TIME, locate_columns, require_units
+from tiltcal.logs.columns import TIME, locate_columns, read_columns, require_units
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
-from tiltcal.logs.numbers import read_columns
 from tiltcal.stated_arguments import require_boolean, require_text_or_none
 
 Course = Sequence[tuple[float, float, float, float]]

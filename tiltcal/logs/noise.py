@@ -30,10 +30,9 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import OF_G
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.logs.columns import TIME, locate_columns, locate_readings, named_columns
+from tiltcal.logs.columns import TIME, locate_columns, locate_readings, named_columns, read_columns
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
-from tiltcal.logs.numbers import read_columns
 from tiltcal.printable import counted, in_html
 from tiltcal.stated_arguments import require_above_zero, require_whole
 
@@ -368,7 +367,7 @@ class SensorNoise:
 
     def _recommendation(self) -> Iterator[str]:
         def listed(factor: float) -> str:
-            return ", ".join(_in_degrees(channel, factor * u, self.scale) for channel, u in self.uncertainty.items())
+            return ", ".join(f"{name} {_sized(name, factor * u, self.scale)}" for name, u in self.uncertainty.items())
 
         interval, (settles, (_, limit)) = self.pace.interval, next(iter(self.advice.items()))
         yield f"measure --samples {self.samples}: a position takes {self.samples * interval:.4g} s at this pace"
@@ -463,27 +462,24 @@ def _both(name: str, channel: str, value: float, scale: NoiseScale) -> dict[str,
 def _kinds(channel: str, noise: ChannelNoise, scale: NoiseScale) -> Iterator[str]:
     """Yield the kinds of noise of a channel, and where averaging ends."""
 
-    def sized(name: str, value: float, per: str = "") -> str:
-        angle = scale.degrees(channel, value)
-        in_g = "" if angle is None else f" ({1e3 * value / scale.per_g[channel]:.3g} mg{per}, {angle:.3g} °{per})"
-        return f"{name} {value:.3g} {scale.unit}{per}{in_g}"
-
     lines = []
     for term, value in noise.terms.value.items():
         kind, factor, per = _KINDS[term]
-        lines.append(sized(kind, factor * value, per))
+        lines.append(f"{kind} {_sized(channel, factor * value, scale, per)}")
     tau, low = noise.lowest
     if noise.settled:
-        lines.append(f"{sized('bias instability', low)} at {tau:.3g} s")
+        lines.append(f"bias instability {_sized(channel, low, scale)} at {tau:.3g} s")
     else:
-        below = sized("bias instability not reached: below", float(noise.high[-1]))
-        lines.append(f"{below} after {float(noise.tau[-1]):.3g} s")
+        below = _sized(channel, float(noise.high[-1]), scale)
+        lines.append(f"bias instability not reached: below {below} after {float(noise.tau[-1]):.3g} s")
     if noise.step:
         lines.append(f"step {noise.step:.4g} {scale.unit}, of which averaging leaves {noise.rounding:.2g} {scale.unit}")
     for row, line in enumerate(lines):
         yield f"{channel if row == 0 else '':3} {line}"
 
 
-def _in_degrees(channel: str, value: float, scale: NoiseScale) -> str:
+def _sized(channel: str, value: float, scale: NoiseScale, per: str = "") -> str:
+    """Return a size of noise in the unit of the readings, and where that is known in mg and degrees."""
     angle = scale.degrees(channel, value)
-    return f"{channel} {value:.3g} {scale.unit}" + (f" ({angle:.2g}°)" if angle is not None else "")
+    in_g = "" if angle is None else f" ({1e3 * value / scale.per_g[channel]:.3g} mg{per}, {angle:.3g} °{per})"
+    return f"{value:.3g} {scale.unit}{per}{in_g}"

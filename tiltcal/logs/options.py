@@ -32,6 +32,8 @@ _UNCERTAINTIES = "Uncertainties of the bench"
 _flag = partial(Option, metavar="", default=False, check=require_boolean)
 _size = partial(Option, check=require_from_zero)
 
+_whole_rows = partial(require_whole, least=1, what="rows")
+
 Remark = Callable[[str], None]
 
 
@@ -43,52 +45,28 @@ class ApplyOptions(TypedDict, total=False):
     """How a calibration is applied."""
 
     columns: Annotated[
-        Mapping[str, str] | str,
-        Option("Columns: x=VoutX,temperature=T, or numbers from 1.", "ROLE=NAME,…", default=""),
+        Mapping[str, str] | str, Option("Columns: x=VoutX,temperature=T, or numbers from 1.", "ROLE=NAME,…", default="")
     ]
-    uncertainty: Annotated[
-        bool, _flag("Add of each angle u_tilt_x (standard uncertainty) and U95_tilt_x (95 % interval).")
-    ]
+    uncertainty: Annotated[bool, _flag("Add u_tilt_x (standard uncertainty) and U95_tilt_x (95 % interval) of angles.")]
     skip_bad_rows: Annotated[bool, _flag("Keep rows that cannot be parsed, with flag 9.")]
     average: Annotated[
-        int | None,
-        Option(
-            "Average readings of each N rows first; adds count.",
-            "N",
-            _MEANS,
-            check=partial(require_whole, least=1, what="rows"),
-        ),
+        int | None, Option("Average readings of each N rows first; adds count.", "N", _MEANS, check=_whole_rows)
     ]
     every: Annotated[
-        str | float | timedelta | None,
-        Option("Average readings of each TIME first, such as 10s, 5min, 1h.", "TIME", _MEANS),
+        str | float | timedelta | None, Option("Average readings of each TIME first: 10s, 5min, 1h.", "TIME", _MEANS)
     ]
     serial: Annotated[
         str | None,
-        Option("The sensor, where neither log nor columns (S_x) name it.", "S", _SEASON, check=require_text_or_none),
+        Option("The sensor, where no name (S_x) in the log says it.", "S", _SEASON, check=require_text_or_none),
     ]
     start: Annotated[str | date | None, Option("When the log's time is 0, such as 2026-05-01T12:00Z.", "TIME", _SEASON)]
-    stability: Annotated[
-        float | None,
-        _size(
-            "How far the offset wanders in a day, as a standard deviation in mg [from half of its changes].",
-            "MG",
-            _SEASON,
-        ),
-    ]
+    stability: Annotated[float | None, _size("Wander of the offset in a day, mg [half of its changes].", "MG", _SEASON)]
     magnetometer: Annotated[
-        Sequence[str] | str,
-        Option("Columns of the magnetic field: adds heading, clockwise from north.", "MX,MY,MZ", _EARTH, default=()),
+        Sequence[str] | str, Option("Columns of the field: adds heading, from north.", "MX,MY,MZ", _EARTH, default=())
     ]
     velocity: Annotated[
         Sequence[str] | str,
-        Option(
-            "Columns of a velocity: adds v_east, v_north, v_up, by the heading of the magnetometer or of a column "
-            "(heading=NAME).",
-            "U,V,W",
-            _EARTH,
-            default=(),
-        ),
+        Option("Columns of a velocity: adds v_east, v_north, v_up by the heading.", "U,V,W", _EARTH, default=()),
     ]
     declination: Annotated[float | None, Option("Magnetic north east of true north; added to headings.", "DEG", _EARTH)]
     magnetometer_noise: Annotated[float | None, _size("Standard uncertainty of a component [0].", "UNIT", _EARTH)]
@@ -101,12 +79,7 @@ class ApplyOptions(TypedDict, total=False):
     ]
     first_order: Annotated[bool, _flag("Use Cross-axis Compensation, eq. 6, not the matrix.", group=_FURTHER)]
     unit: Annotated[
-        str | None,
-        Option(
-            "Of the readings of a frame; an xarray Dataset states it itself. Another one than the calibration's is "
-            "refused.",
-            check=require_text_or_none,
-        ),
+        str | None, Option("Of the readings of a frame; it must be the calibration's.", check=require_text_or_none)
     ]
     say: Annotated[Remark, Option("Called with each remark about what had to be assumed.", default=silent)]
 
@@ -168,9 +141,8 @@ def _require_local_gravity(name: str, gravity: Any) -> None:
         raise UsageError(f"{name} {shown(gravity)}: local gravity is between {low:g} and {high:g} m/s²")
 
 
-def _uncertainty(of: str, otherwise: str) -> Option:
-    """Return the option of a standard uncertainty in degrees."""
-    return _size(f"Standard uncertainty of {of}, degrees; {otherwise}", "DEGREES", _UNCERTAINTIES)
+def _uncertainty(of: str, metavar: str = "DEGREES", name: str = "") -> Option:
+    return _size(f"Standard uncertainty of {of}.", metavar, _UNCERTAINTIES, name=name)
 
 
 class FitOptions(TypedDict, total=False):
@@ -188,19 +160,14 @@ class FitOptions(TypedDict, total=False):
         bool | None,
         Option(
             "The data are a table of means: position, x, y, z, and optionally gx, gy, gz, ux, uy, uz (the standard "
-            "uncertainties of the means), n, temperature. A frame with a column position is one where there are no "
-            "segments.",
+            "uncertainties of the means), n, temperature.",
             "",
             check=lambda name, value: None if value is None else require_boolean(name, value),
         ),
     ]
     columns: Annotated[
         Mapping[str, str] | str,
-        Option(
-            "The column of each reading [x, y, z, temperature]; in a log without a header a number from 1.",
-            "x=NAME,…",
-            default="",
-        ),
+        Option("The column of each reading [x, y, z, temperature], or a number from 1.", "x=NAME,…", default=""),
     ]
     unit: Annotated[str | None, Option("The unit of the readings, such as m/s2, V or count [the model's].", "UNIT")]
     serial: Annotated[str | None, Option("The sensor's serial number [that of the base].", "S")]
@@ -209,34 +176,25 @@ class FitOptions(TypedDict, total=False):
     base: Annotated[
         str | Path | None,
         Option(
-            "The calibration file of the sensor, or a folder with SERIAL.yaml of each: mounting and level complete it, "
-            "and procedures that determine no sensitivity use its own.",
+            "The calibration that mounting and level complete, and whose sensitivity other procedures use; or a folder "
+            "with SERIAL.yaml of each.",
             "CAL",
         ),
     ]
     gravity: Annotated[
         float | None,
         Option(
-            "Local gravity, between 9.7 and 9.9 m/s²: adds the sensitivity per m/s², and for readings in m/s2 the "
-            "scale error.",
+            "Local gravity, 9.7 to 9.9 m/s²: adds sensitivity per m/s², and for readings in m/s2 the scale error.",
             "M/S2",
             check=_require_local_gravity,
         ),
     ]
-    jig: Annotated[float | None, _uncertainty("a set angle", "without it, it is estimated from the residuals.")]
+    jig: Annotated[float | None, _uncertainty("a set angle, degrees [from the residuals]")]
     thermometer: Annotated[
-        float | None,
-        _size(
-            "Standard uncertainty of a temperature, °C; without it, that of the step of the model's own thermometer.",
-            "CELSIUS",
-            _UNCERTAINTIES,
-        ),
+        float | None, _uncertainty("a temperature, °C [that of the step of the model's own thermometer]", "CELSIUS")
     ]
-    table_lean: Annotated[float | None, _uncertainty("the lean of the table", "all positions share it.")]
-    heading: Annotated[
-        float | None,
-        _size("Standard uncertainty of a heading, degrees.", "DEGREES", _UNCERTAINTIES, name="heading-uncertainty"),
-    ]
+    table_lean: Annotated[float | None, _uncertainty("the lean of the table, degrees; all positions share it")]
+    heading: Annotated[float | None, _uncertainty("a heading, degrees", name="heading-uncertainty")]
     alignment: Annotated[
         float | None,
         Option(

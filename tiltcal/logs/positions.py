@@ -27,8 +27,7 @@ from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.tables import Segment, TabledPosition
-from tiltcal.logs.columns import TEMPERATURE, TIME
-from tiltcal.logs.numbers import RecordedColumns
+from tiltcal.logs.columns import TEMPERATURE, TIME, RecordedColumns
 
 FEWEST_ROWS = 2
 """Samples that a segment needs for a standard deviation."""

@@ -1,14 +1,11 @@
 """Still intervals of a recorded log: when the sensor was held still, found in the readings themselves.
 
 A row is still where the standard deviation in the window around it stays below a threshold, a multiple of the noise in
-the stillest part of the log (the static detector of Tedaldi, Pretto and Menegatti, 2014). What multiple and what window
-is for the calibration to say. Too loose lets motion in, and the fit leaves a large scatter; too strict leaves few
-attitudes, and nine of them fit nine unknowns perfectly and wrongly. So every choice is fitted and judged by the
-expanded uncertainty of the coefficients, in which noise, scatter, number and spread of the attitudes and Student's t
-for the degrees of freedom that are left all have their say. Of those that are as good as the best, within what its
-degrees of freedom show, the one with the most attitudes is taken.
-
-Where a procedure states the positions, the attitudes are named by them, and the fit is a linear one.
+the stillest part of the log (the static detector of Tedaldi, Pretto and Menegatti, 2014). Too loose lets motion in; too
+strict leaves few attitudes, and nine of them fit nine unknowns perfectly and wrongly. So every window and multiple is
+fitted and judged by the expanded uncertainty of the coefficients. Of those that are as good as the best, within what
+its degrees of freedom show, the one with the most attitudes is taken. Where a procedure states the positions, the
+attitudes are named by them, and the fit is a linear one.
 """
 
 from __future__ import annotations

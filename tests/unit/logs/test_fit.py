@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
-import scipy
 import xarray
 
 import tiltcal
@@ -158,45 +157,3 @@ def test_coordinates_of_a_dataset_are_columns_of_a_table(base: Path) -> None:
     thermal = known.coefficients.thermal
     assert thermal is not None
     assert thermal.drift[:, 0] == pytest.approx([0.002, 0.002], abs=1e-6)
-
-
-FACES = {"position": ["x-up", "y-up", "z-up", "x-down", "y-down", "z-down"]}
-UP = np.vstack([np.eye(3), -np.eye(3)])
-
-
-def test_the_noise_of_a_table_is_that_of_the_textbook() -> None:
-    """An exact jig: least squares with the standard deviation of all residuals, and Student's t of 3 x 2."""
-    means = UP + 1e-3 * np.random.default_rng(8).standard_normal((6, 3))
-    found = tiltcal.fit(
-        "six-face", {**FACES, **dict(zip("xyz", means.T.tolist(), strict=True))}, serial="S-1", unit="g", jig=0.0
-    )
-    columns = np.hstack([np.ones((6, 1)), UP])
-    left = means - columns @ np.linalg.lstsq(columns, means, rcond=None)[0]
-    deviation = np.sqrt(np.sum(left**2) / 6)
-    assert found.fit.noise_estimated == pytest.approx(deviation, rel=5e-3)
-    assert found.uncertainty["offset.x"] == pytest.approx(deviation / np.sqrt(6), rel=1e-3)
-    assert found.uncertainty["sensitivity.y.z"] == pytest.approx(deviation / np.sqrt(2), rel=1e-3)
-    assert found.uncertainty.coverage_factor["offset.x"] == pytest.approx(scipy.stats.t.ppf(0.975, 6), rel=2e-3)
-
-
-@pytest.mark.parametrize(("noise", "least", "jig"), [(1e-4, 0.9, 0.02), (1.25e-3, 0.8, None)])
-def test_intervals_hold_what_a_noisy_table_hides(noise: float, least: float, jig: float | None) -> None:
-    """Six faces set to 0.02°, means with noise and four digits: 0 to 1 % of the offsets were inside."""
-    draw, held = np.random.default_rng(9), []
-    for _ in range(15):
-        offset = draw.normal(0.0, 0.05, 3)
-        turned = UP + np.radians(0.02) * draw.standard_normal((6, 3)) * (UP == 0.0)
-        means = np.round(
-            offset + turned / np.linalg.norm(turned, axis=1)[:, None] + noise * draw.standard_normal((6, 3)), 4
-        )
-        table = {**FACES, **dict(zip("xyz", means.T.tolist(), strict=True))}
-        found = tiltcal.fit("six-face", table, serial="S-1", unit="g", jig=jig)
-        known = found.uncertainty
-        held += [
-            abs(found.offset[c] - offset[k]) <= known.coverage_factor[f"offset.{c}"] * known[f"offset.{c}"]
-            for k, c in enumerate("xyz")
-        ]
-    assert np.mean(held) > least  # of 45
-    assert found.fit.uncertainty_from == ("stated jig, residuals for the noise" if jig else "residuals")
-    hardly = any("hardly separate it from the jig" in note for note in found.fit.notes)
-    assert hardly is (noise < 1e-3) or jig is None

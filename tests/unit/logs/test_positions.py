@@ -9,7 +9,7 @@ import pytest
 
 from tiltcal.core.model import Array
 from tiltcal.files.tables import Segment
-from tiltcal.logs.numbers import RecordedColumns
+from tiltcal.logs.columns import RecordedColumns
 from tiltcal.logs.positions import StaticInterval, intervals_of, rise
 
 

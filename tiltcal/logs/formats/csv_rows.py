@@ -1,25 +1,16 @@
 """The grammar of a CSV log: how it is written, and our own rule on what a row is, in front of the engine.
 
-How it is written is recognised at its top. Fields are separated by commas, semicolons, tabs or blanks; numbers between
-semicolons or tabs may have a decimal comma. Fields between blanks are handed on to the reader as between commas; a
-``#`` in front of their names is none of them.
-
-A log whose first line holds nothing but numbers has no header: its columns are called by number, counted from 1. A
-first line that merely counts (0,1,2 or 1,2,3), as some programs write above columns that nobody named, is a header.
-
 CSV readers differ in silence on short and long rows, on a row that a power cut tore, on blank lines and odd numbers. So
 the grammar is our own, and the same for every row of every file:
 
-- A line is a row, with as many fields as the header. Lines end in LF or CRLF.
+- A line is a row, with as many fields as the header. Lines end in LF or CRLF. An empty line cannot be parsed.
 - A field in double quotes may hold separators and doubled quotes, but no line end; elsewhere a quote is a character.
 - A NUL byte, or a bare CR outside quotes, is damage.
-- An empty line is a row that cannot be parsed.
 - A last line that has no end is torn where it is short, or stops inside a number.
 - :mod:`tiltcal.logs.text_to_numbers` defines what is a number, and what is a time.
 
 There are two ways. Blocks that are seen to break no rule, and have no quotes, are parsed by the engine at once; all
-others line by line, which says what is wrong with which row. A row that breaks a rule is kept as one quoted field, and
-empty ones behind.
+others line by line, which says what is wrong with which row.
 """
 
 from __future__ import annotations
@@ -78,7 +69,11 @@ class Dialect:
 
 
 def dialect_of(top: str) -> Dialect:
-    """Return how a log is written whose first lines these are, the last of them perhaps torn."""
+    """Return how a log is written whose first lines these are, the last of them perhaps torn.
+
+    A ``#`` in front of names between blanks is none of them. A first line that merely counts (0,1,2 or 1,2,3), as some
+    programs write above columns that nobody named, is a header.
+    """
     first, _, rows = top.partition("\n")
     first, second = first.removesuffix("\r"), rows.partition("\n")[0].removesuffix("\r")
     if (names := _numbered(first.split())) and "," not in first:
