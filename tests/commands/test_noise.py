@@ -192,8 +192,6 @@ class TestUsage:
             (("log.csv", "--sensor", "sca100t-d02", "--address", "sim:"), "not both"),
             (("--address", "sim:", "--samples", "10"), "--sensor"),
             (("log.csv", "--target", "0.01"), "--target is in degrees"),
-            (("log.csv", "--averages", "5,few"), "whole numbers"),
-            (("log.csv", "--averages", "0"), "--averages takes a number of samples from 1 to"),
             (("log.csv", "--sensor", "sca100t-d02", "--unit", "V"), "one unit"),
             (("log.csv", "--sensor", "sca100t-d03"), "did you mean"),
             (("nowhere.parquet",), "cannot read"),

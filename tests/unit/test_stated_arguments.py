@@ -55,8 +55,6 @@ OTHERS: list[tuple[str, str, Any, str]] = [
     ("apply", "magnetometer", 3, "magnetometer names three columns, along x, y and z, such as mx,my,mz; not 3"),
     ("apply_log", "log", 5, "the log is named by a text or a Path, not 5"),
     ("fit", "serial", "", "the serial number is '': write a text"),
-    ("noise", "averages", 5, "averages takes several sizes, such as [5, 50], not 5"),
-    ("noise", "averages", [0], "averages takes a number of samples from 1 to"),
     ("noise", "calibration", 5, "calibration takes a tilt calibration or its file, not 5"),
     ("match", "pairs", 5, "name a pair"),
     ("match", "pairs", [("a1", 2, "a4")], "a pair is three columns"),

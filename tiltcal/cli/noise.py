@@ -16,7 +16,6 @@ _EXAMPLES = """\b
 Examples:
   tiltcal noise --sensor sca100t-d02 --address spi:///dev/spidev0.0 --for 600 -o still.csv
   tiltcal noise still.csv --sensor sca100t-d02 --target 0.005 --figure still.svg
-  tiltcal noise still.csv --sensor adxl202 --target-range 0.5
   tiltcal noise imu.csv --columns x=acc_x,y=acc_y,z=acc_z --rate 102.4 --unit m/s2
 """
 
@@ -45,43 +44,30 @@ Examples:
 @click.option(
     "--unit", help="The unit of the readings, without model and calibration; m/s2 and g imply the sensitivity."
 )
-@click.option(
-    "--averages", metavar="N,...", default="", help="Additional sizes of averages for the table, beside 1, 10, 100."
-)
 @options.above_zero("--target", metavar="DEGREES", help="Standard uncertainty that the mean of a position must have.")
-@options.above_zero(
-    "--target-range",
-    metavar="DEGREES",
-    help="Range that 100 such means must have, as the ADXL202 paper judges: 5.02 times their standard uncertainty.",
-)
 @options.file_option("--figure", metavar="SVG", help="Draw the Allan deviation.")
 @options.as_json
 def command(
-    log: str | None, topic: str | None, calibration: Path | None, unit: str | None, averages: str,
-    target: float | None, target_range: float | None, figure: Path | None, as_json: bool, **recorded: Any,
+    log: str | None, topic: str | None, calibration: Path | None, unit: str | None,
+    target: float | None, figure: Path | None, as_json: bool, **recorded: Any,
 ) -> int:  # fmt: skip
     """Characterise the noise of a sensor at rest, and recommend the number of samples per position.
 
     Give a LOG (CSV, Parquet, NetCDF-4, or - for CSV on standard input) of a sensor at rest, or --sensor and --address
     to record one now. The table shows the scatter of averages of 1, 10, 100 samples, beside that of independent
     samples. The Allan deviation shows the kinds of noise and where averaging stops to help. The recommended number for
-    `measure --samples` is the smallest that meets --target and --target-range, or without a target the largest that is
+    `measure --samples` is the smallest that meets --target, or without a target the largest that is
     worth its time. Degrees are those of an axis near level.
     """
     from tiltcal.files.atomic import check_writable
-    from tiltcal.logs.noise import NoiseTarget, characterise_readings, stated_scale
+    from tiltcal.logs.noise import characterise_readings, require_target, stated_scale
     from tiltcal.report.record_figures import draw_noise
 
     log = log and options.of_topic(log, topic)
     _require_log_or_sensor(log, recorded)
     sensor, address, rate, output = (recorded[name] for name in ("sensor", "address", "rate", "output"))
-    try:
-        sizes = tuple(int(part) for part in averages.split(",") if part.strip())
-    except ValueError:
-        raise UsageError(f"--averages {averages!r}: write whole numbers of samples, such as 5,20") from None
     scale, channels = stated_scale(sensor, address, calibration, unit)
-    wanted = NoiseTarget(target, target_range)
-    wanted.require_scale(scale)  # before a sensor is recorded
+    require_target(target, scale)  # before a sensor is recorded
     if figure is not None:
         check_writable(figure, *(path for path in (log, calibration) if path is not None))
     interrupted, name = False, None
@@ -99,8 +85,8 @@ def command(
             interrupted = tally.interrupted
             log, rate, name = str(path), None, str(output or "the record")
         progress = stack.enter_context(progress_bar("noise"))
-        how = {"columns": recorded["columns"], "skip_bad_rows": recorded["skip_bad_rows"], "averages": sizes}
-        found = characterise_readings(log, scale, channels, wanted, rate=rate, name=name, progress=progress, **how)
+        how = {"columns": recorded["columns"], "skip_bad_rows": recorded["skip_bad_rows"]}
+        found = characterise_readings(log, scale, channels, target, rate=rate, name=name, progress=progress, **how)
     if figure is not None:
         draw_noise(figure, found.channels, found.scale)
     for note in found.remarks:

@@ -25,7 +25,7 @@ HEADINGS = {
     "Data": "--columns --pair --orthogonal --phase --skip-bad-rows",
     "Result": "--output --golden --to --name --fixed --allow --figure --interval",
     "Recording": "--samples --rate --rows --for",
-    "Averages": "--target --target-range --averages",
+    "Averages": "--target",
     "Method": "--online --loops",
 }
 """The headings of a long help without declared options, the most used first; all others are under "Other"."""

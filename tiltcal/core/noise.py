@@ -36,9 +36,6 @@ Limit = Literal["target", "record", "rounding", "flicker", "walk", "drift", "unk
 an unknown cause, because of which more samples do not help."""
 
 FEWEST_SAMPLES = 64  # samples of a channel below which nothing is said of its noise
-RANGE_OF_100 = 5.0152
-"""Mean range of 100 independent values of a normal distribution, in standard deviations (Tippett, 1925)."""
-
 FLICKER = sqrt(2.0 * log(2.0) / pi)  # deviation of flicker noise over its coefficient B: 0.664
 TERMS = ("N", "B", "K", "R")
 
@@ -47,7 +44,7 @@ _LIMITS: Mapping[str, Limit] = {"B": "flicker", "K": "walk", "R": "drift"}
 _WIDTHS = (1, 2, 4, 8, 16, 32)  # stretches of a mean; of longer ones every start in 1/32 of the mean counts
 _PRESENT = 0.5  # share of a stretch's samples from which on its mean is used
 _FEWEST_STRETCHES = 4  # of the longest averaging time in the record
-_FEWEST_AVERAGES = 5  # of a size that nobody asked for
+_FEWEST_AVERAGES = 5  # of a size that is listed
 _FEWEST_OCTAVES = 6  # that remain when short ones are set aside
 _SIZES = 12_000  # numbers of samples that are tried, evenly in their logarithm
 _CHUNK = 1 << 16  # samples that are summed up at once
@@ -157,16 +154,16 @@ class NoiseScale:
         return degrees(value / self.per_g[channel]) if channel in self.per_g else None
 
 
-def characterise(samples: Array, interval: float, sizes: Sequence[int] = ()) -> ChannelNoise:
-    """Return the noise of one channel at rest, with averages of 1, 10, 100, ... and some ``sizes`` of samples.
+def characterise(samples: Array, interval: float) -> ChannelNoise:
+    """Return the noise of one channel at rest, with averages of 1, 10, 100, ... samples.
 
     Samples, shape (n,), are ``interval`` seconds apart, NaN where a value is missing; an EstimateError refuses too few.
     """
     factor, variance = allan_variance(samples)
     if not len(factor):
         raise EstimateError("so much is missing that no two neighbouring averages are left")
-    averages = [average(samples, size) for size in sorted({*(10**power for power in range(8)), *sizes})]
-    listed = [one for one in averages if one.count >= (2 if one.samples in sizes else _FEWEST_AVERAGES)]
+    averages = [average(samples, 10**power) for power in range(8)]
+    listed = [one for one in averages if one.count >= _FEWEST_AVERAGES]
     tau = np.asarray(factor * interval, dtype=np.float64)
     terms = kinds_of_noise(tau, variance, factor, len(samples))
     low, high = limits(variance, terms.dof)

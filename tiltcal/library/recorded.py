@@ -14,7 +14,7 @@ from tiltcal.logs.apply import ApplySummary, apply_to_log
 from tiltcal.logs.fit import fit_recorded
 from tiltcal.logs.log import Progress
 from tiltcal.logs.match import match_log, pairs_of
-from tiltcal.logs.noise import NoiseTarget, SensorNoise, characterise_readings, stated_scale
+from tiltcal.logs.noise import SensorNoise, characterise_readings, stated_scale
 from tiltcal.logs.options import ApplyOptions, FitOptions
 from tiltcal.options import complete, names_arguments, takes
 from tiltcal.stated_arguments import require_from_zero, require_text_or_none
@@ -215,9 +215,7 @@ def noise(
     sensor: str | None = None,
     calibration: Calibration | str | Path | None = None,
     columns: Mapping[str, str] | str = "",
-    averages: Sequence[int] = (),
     target: float | None = None,
-    target_range: float | None = None,
     skip_bad_rows: bool = False,
 ) -> SensorNoise:
     """Characterise the noise of a sensor at rest, and how many samples its positions need.
@@ -236,12 +234,8 @@ def noise(
         The sensor's own, or its file.
     columns : mapping of str to str, or str
         The column of each reading [x, y, z, as far as there] and of ``time``.
-    averages : sequence of int
-        More sizes of averages for the table, beside 1, 10, 100.
     target : float, optional
         Standard uncertainty that the mean of a position should have, degrees of an axis near level.
-    target_range : float, optional
-        Range that 100 means of a position should have, degrees of an axis near level.
     skip_bad_rows : bool
         Count rows of a log that cannot be parsed as missing.
 
@@ -262,7 +256,6 @@ def noise(
     require_text_or_none("--unit", unit)
     own = calibration.record if isinstance(calibration, Calibration) else calibration
     scale, channels = stated_scale(sensor, None, own, unit)
-    wanted = NoiseTarget(target, target_range)
     return characterise_readings(
-        readings, scale, channels, wanted, rate=rate, skip_bad_rows=skip_bad_rows, columns=columns, averages=averages
+        readings, scale, channels, target, rate=rate, skip_bad_rows=skip_bad_rows, columns=columns
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -18,7 +18,6 @@ from tiltcal.core.model import AXES, Array
 from tiltcal.core.noise import (
     FEWEST_SAMPLES,
     FLICKER,
-    RANGE_OF_100,
     ChannelNoise,
     Limit,
     NoiseScale,
@@ -34,7 +33,7 @@ from tiltcal.logs.columns import TIME, locate_columns, locate_readings, named_co
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.printable import counted, in_html
-from tiltcal.stated_arguments import require_above_zero, require_whole
+from tiltcal.stated_arguments import require_above_zero
 
 _LATE = 1.5  # rows are missing where the next one is late by so many intervals
 _MILLISECOND = 1e-3  # times that are written to the millisecond may be off by as much, seconds
@@ -69,41 +68,6 @@ class Pace:
     rows: int
     gaps: int = 0
     lost: int = 0
-
-
-@dataclass(frozen=True)
-class NoiseTarget:
-    """How good the mean of a position should be, degrees of an axis near level; None where it is not stated.
-
-    ``uncertainty`` is the standard uncertainty of the mean, ``range`` that of 100 such means, as the source's table I
-    judges them.
-    """
-
-    uncertainty: float | None = None
-    range: float | None = None
-
-    def __post_init__(self) -> None:
-        require_above_zero("--target", self.uncertainty)
-        require_above_zero("--target-range", self.range)
-
-    @property
-    def degrees(self) -> float | None:
-        """The standard uncertainty that meets both; None where neither is stated."""
-        stated = [self.uncertainty, None if self.range is None else self.range / RANGE_OF_100]
-        return min((target for target in stated if target is not None), default=None)
-
-    def __str__(self) -> str:
-        parts = {"": self.uncertainty, "a range of ": self.range}
-        return " and ".join(f"{name}{value:g}°" for name, value in parts.items() if value is not None)
-
-    def require_scale(self, scale: NoiseScale) -> None:
-        """Raise UsageError for degrees where nothing states how much a degree is."""
-        if self.degrees is not None and not scale.per_g:
-            option = "--target" if self.range is None else "--target-range"
-            raise UsageError(
-                f"{option} is in degrees, and nothing says how much a degree is: give the --sensor model, a "
-                "--calibration, or --unit g or m/s2"
-            )
 
 
 def stated_scale(
@@ -142,15 +106,24 @@ def stated_scale(
     return NoiseScale(stated, {}), channels
 
 
+def require_target(target: float | None, scale: NoiseScale) -> None:
+    """Raise UsageError for a target in degrees where nothing states how much a degree is."""
+    require_above_zero("--target", target)
+    if target is not None and not scale.per_g:
+        raise UsageError(
+            "--target is in degrees, and nothing says how much a degree is: give the --sensor model, a --calibration, "
+            "or --unit g or m/s2"
+        )
+
+
 def characterise_readings(
     readings: Any,
     scale: NoiseScale,
     channels: Sequence[str],
-    target: NoiseTarget,
+    target: float | None,
     *,
     rate: float | None = None,
     columns: Mapping[str, str] | str = "",
-    averages: Sequence[int] = (),
     skip_bad_rows: bool = False,
     name: str | None = None,
     progress: Progress | None = None,
@@ -159,12 +132,8 @@ def characterise_readings(
 
     ``name`` is what messages call the log, in place of its own name.
     """
-    target.require_scale(scale)
+    require_target(target, scale)
     require_above_zero("--rate", rate)
-    if not isinstance(averages, Iterable):
-        raise UsageError(f"--averages takes several sizes, such as [5, 50], not {averages!r}")
-    for size in averages:
-        require_whole("--averages", size, 1, "samples")
     named = named_columns(columns, AXES)
     with open_log(readings, name=name, skip_bad_rows=skip_bad_rows, progress=progress) as log:
         asked = tuple(axis for axis in AXES if axis in named)
@@ -182,7 +151,7 @@ def characterise_readings(
     if rate is None:
         samples, pace = evenly_spaced(samples, numbers.by_role[TIME], name)
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        each = threads.map(partial(_noise, file=name, interval=pace.interval, averages=averages), channels, samples)
+        each = threads.map(partial(_noise, file=name, interval=pace.interval), channels, samples)
         noises = dict(zip(channels, each, strict=True))
     missing = {channel: pace.rows - noise.count for channel, noise in noises.items() if noise.count < pace.rows}
     moved = moved_rows(samples, [noise.step for noise in noises.values()])
@@ -232,7 +201,7 @@ def evenly_spaced(columns: list[Array], times: Array, file: str) -> tuple[list[A
     return [np.insert(column, np.repeat(rows[1 + late], lost), np.nan) for column in columns], pace
 
 
-def _noise(channel: str, samples: Array, file: str, interval: float, averages: Sequence[int]) -> ChannelNoise:
+def _noise(channel: str, samples: Array, file: str, interval: float) -> ChannelNoise:
     """Characterise one channel; refuse one that has no noise to characterise."""
     there = np.isfinite(samples)
     values = samples if there.all() else samples[there]
@@ -249,7 +218,7 @@ def _noise(channel: str, samples: Array, file: str, interval: float, averages: S
             file=file,
         )
     with np.errstate(over="ignore", invalid="ignore"):  # noise beyond any number is refused by its variance
-        return characterise(samples, interval, averages)
+        return characterise(samples, interval)
 
 
 @dataclass(frozen=True)
@@ -266,8 +235,9 @@ class SensorNoise:
         Values that are missing in the log's own rows, per channel that lacks some; rows that could not be parsed.
     moved, stuck : sequence of (start, end), (start, end) or None
         Rows at an even pace, missing ones counted: where the sensor was moved, and where no channel changed.
-    scale, target : NoiseScale, NoiseTarget
-        How much of the readings' unit a g is, where that is stated, and how good the mean of a position should be.
+    scale, target : NoiseScale, float or None
+        How much of the readings' unit a g is, where that is stated, and the standard uncertainty that the mean of a
+        position should have, degrees of an axis near level.
     """
 
     pace: Pace
@@ -277,7 +247,7 @@ class SensorNoise:
     moved: Sequence[Span]
     stuck: Span | None
     scale: NoiseScale
-    target: NoiseTarget
+    target: float | None
 
     @property
     def remarks(self) -> list[str]:
@@ -311,8 +281,7 @@ class SensorNoise:
     @cached_property
     def _targets(self) -> dict[str, float]:
         """The standard uncertainty that the mean of each channel of known scale must have, unit."""
-        target = self.target.degrees
-        return {} if target is None else {name: radians(target) * size for name, size in self.scale.per_g.items()}
+        return {name: radians(self.target) * size for name, size in self.scale.per_g.items()} if self.target else {}
 
     @cached_property
     def advice(self) -> dict[str, tuple[int, Limit]]:
@@ -366,16 +335,12 @@ class SensorNoise:
                 yield f"{channel if row == 0 else '':3} {one.samples:>8} {one.count:>9}  " + "  ".join(cells)
 
     def _recommendation(self) -> Iterator[str]:
-        def listed(factor: float) -> str:
-            return ", ".join(f"{name} {_sized(name, factor * u, self.scale)}" for name, u in self.uncertainty.items())
-
         interval, (settles, (_, limit)) = self.pace.interval, next(iter(self.advice.items()))
         yield f"measure --samples {self.samples}: a position takes {self.samples * interval:.4g} s at this pace"
-        yield f"  its mean is uncertain by {listed(1.0)}"
-        if self.target.range is not None:
-            yield f"  100 such means range over {listed(RANGE_OF_100)}"
+        sizes = ", ".join(f"{channel} {_sized(channel, u, self.scale)}" for channel, u in self.uncertainty.items())
+        yield f"  its mean is uncertain by {sizes}"
         yield f"  {settles}: {_WHY[limit]}"
-        yield from (f"  {channel} does not meet {self.target}" for channel, met in self.met.items() if not met)
+        yield from (f"  {channel} does not meet {self.target:g}°" for channel, met in self.met.items() if not met)
         if self.scale.source:
             yield f"  degrees of an axis near level, by the {self.scale.source}"
 
@@ -401,8 +366,7 @@ class SensorNoise:
                 "seconds": self.samples * pace.interval,
                 "channel": settles,
                 "limit": limit,
-                "target_degrees": self.target.uncertainty,
-                "target_range_degrees": self.target.range,
+                "target_degrees": self.target,
                 "met": all(met.values()) if met else None,
                 "channels": {
                     channel: {

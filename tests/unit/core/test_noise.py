@@ -24,8 +24,8 @@ def white(rows: int, sigma: float = 1.0, seed: int = 1) -> coloured.Samples:
     return coloured.white(rng(seed), rows, sigma)
 
 
-def noise_of(samples: coloured.Samples, *sizes: int) -> ChannelNoise:
-    return characterise(samples, DT, sizes)
+def noise_of(samples: coloured.Samples) -> ChannelNoise:
+    return characterise(samples, DT)
 
 
 def test_the_allan_deviation_is_that_of_allantools() -> None:
