@@ -103,12 +103,12 @@ def _look_over(log: str, calibration: CalibrationRecord, file: Path, columns: st
     prepared = prepare(calibration, stated, file=file)
     with (
         progress_bar("report") as progress,
-        open_log(log, skip_bad_rows=skip_bad_rows, digest=True, progress=progress) as rows,
+        open_log(log, skip_bad_rows=skip_bad_rows, progress=progress) as rows,
     ):
         clock = named_columns(columns, prepared.channels).get(TIME, TIME)
         time = rows.names.index(clock) if clock in rows.names else None
         overview = look_over(rows, prepared, stated, time)
-        return ReportedLog(Path(rows.name).name, rows.sha256, overview, time is not None)
+        return ReportedLog(Path(rows.name).name, str(rows.sha256), overview, time is not None)
 
 
 def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[str, PairDrawing]:

@@ -177,13 +177,11 @@ def is_number(text: str) -> bool:
 class RecordedColumns:
     """Columns of a log by role, each of shape (rows,), NaN where a value is missing: readings, °C, seconds.
 
-    ``name`` is the log as the user named it, ``sha256`` that of the file, None of a frame; ``faulty`` counts the rows
-    that could not be parsed.
+    ``name`` is the log as the user named it; ``faulty`` counts the rows that could not be parsed.
     """
 
     by_role: Mapping[str, Array]
     name: str
-    sha256: str | None
     faulty: int
 
     def __len__(self) -> int:
@@ -214,7 +212,7 @@ def read_columns(log: LogReader, where: Mapping[str, int], *, needs_time: bool =
         columns = [np.asarray(np.memmap(file, dtype=np.float64, mode="r")) for file in files]  # a map outlives its file
     columns = columns or [np.concatenate([np.empty(0), *kept]) for kept in blocks]
     by_role = dict(zip(where, columns, strict=True))
-    return RecordedColumns(by_role, log.name, log.sha256 if log.source.digest else None, faulty)
+    return RecordedColumns(by_role, log.name, faulty)
 
 
 def read_readings(

@@ -84,7 +84,7 @@ def fit_recorded(
     serial = _serial(options["serial"], options["base"])
     known = bases_of(steps, options["base"], [serial]).get(serial)
     own = None if known is None else known.calibration
-    with nullcontext() if table else open_log(data, digest=isinstance(data, str | Path), progress=progress) as log:
+    with nullcontext() if table else open_log(data, progress=progress) as log:
         header = LogHeader() if log is None else _header_of(log, options["columns"])
         unknown = own is None and model is None
         identity = _identity(own, model, steps, options["unit"] or (header.unit if unknown else None), serial)
@@ -219,7 +219,7 @@ def _of_log(
             which = "1 sample is" if far == 1 else f"{far} samples are"
             options["say"](f"{one.position}: {which} far off the others or missing, and left out")
     times = [interval.times for interval in intervals if interval.times is not None]
-    provenance = _provenance("recorded log", times, log=_log_record(data, record), segments=origin)
+    provenance = _provenance("recorded log", times, log=_log_record(data, log, record), segments=origin)
     return FitPositions(measurements if determines.free else placed(intervals, procedure, file=file), provenance)
 
 
@@ -253,18 +253,18 @@ def _of_ramp(
         None,
         dict.fromkeys(sensor.channels, SampleSummary(0.0, 0.0, 1, 0.0)),
     )
-    read = _log_record(data, record, end - start - ramp.rows or None)
+    read = _log_record(data, log, record, end - start - ramp.rows or None)
     times = [(ramp.time[0], ramp.time[-1])]
     return FitPositions(
         [attitude], _provenance("recorded log", times, log=read, segments=_origin(given, SegmentsRecord)), ramp
     )
 
 
-def _log_record(data: Any, record: RecordedColumns, missing: int | None = None) -> LogRecord | None:
+def _log_record(data: Any, log: LogReader, record: RecordedColumns, missing: int | None = None) -> LogRecord | None:
     """Return what was read of a file; None of a frame."""
-    if record.sha256 is None:
+    if (sha := log.sha256) is None:
         return None
-    return LogRecord(name=Path(data).name, sha256=record.sha256, rows=len(record), missing=missing)
+    return LogRecord(name=Path(data).name, sha256=sha, rows=len(record), missing=missing)
 
 
 def _provenance(what: str, times: Sequence[tuple[float, float]] = (), **origins: Any) -> Provenance:

@@ -63,7 +63,7 @@ class LogSource:
     """The source of a log: an open file or standard input, its path or ``-``, its name for messages, its size in bytes.
 
     With ``skip_bad_rows`` rows of CSV that cannot be parsed are kept and named in :attr:`LogBlock.faults`, instead of
-    raising; with ``digest`` the checksum of CSV is that of what was read, which a pipe gives only once.
+    raising.
     """
 
     stream: BinaryIO
@@ -71,7 +71,6 @@ class LogSource:
     name: str
     size: int | None = None
     skip_bad_rows: bool = False
-    digest: bool = False
     progress: Progress | None = None
 
 
@@ -93,8 +92,8 @@ class LogReader(ABC):
         return self.source.name
 
     @property
-    def sha256(self) -> str:
-        """The checksum of the log, hexadecimal."""
+    def sha256(self) -> str | None:
+        """The checksum of the log, hexadecimal; None of a frame."""
         return sha256_of(self.source.path)
 
     @property

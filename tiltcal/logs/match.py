@@ -120,9 +120,8 @@ def match_log(
     if online and phase is None:
         raise UsageError("--online needs --phase: without an encoder, p and q are matched from the whole record")
     channels = tuple(dict.fromkeys(channel for pair in pairs for channel in pair.channels))
-    is_file = isinstance(data, str | Path)
     with (
-        open_log(data, skip_bad_rows=skip_bad_rows, digest=is_file, live=online, progress=progress) as log,
+        open_log(data, skip_bad_rows=skip_bad_rows, live=online, progress=progress) as log,
         _explained(log, phase),
     ):
         read = read_pair_log(log, channels, phase, say=say, online=online)
@@ -146,7 +145,7 @@ def match_log(
     provenance = PairProvenance(
         made_by="match of a recorded log",
         software=f"tiltcal {tiltcal.__version__}",
-        log=LogRecord(name=name, sha256=log.sha256, rows=rows, missing=read.missing) if is_file else None,
+        log=LogRecord(name=name, sha256=sha, rows=rows, missing=read.missing) if (sha := log.sha256) else None,
         stage_angle=None if phase else "estimated from the readings",
     )
     spin = SpinRecord(turns=read.turns, frequency=read.frequency, phase=phase)

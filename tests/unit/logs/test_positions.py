@@ -15,7 +15,7 @@ from tiltcal.logs.positions import StaticInterval, intervals_of, rise
 
 def intervals(values: Array, segments: Sequence[Segment]) -> list[StaticInterval]:
     """Of channels x and y and, where there are three columns, a temperature."""
-    record = RecordedColumns(dict(zip(("x", "y", "temperature"), values, strict=False)), "the log", None, 0)
+    record = RecordedColumns(dict(zip(("x", "y", "temperature"), values, strict=False)), "the log", 0)
     return intervals_of(record, ("x", "y"), segments, {}, file="the segments")
 
 

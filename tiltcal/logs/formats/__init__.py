@@ -64,7 +64,6 @@ def open_log(
     *,
     name: str | None = None,
     skip_bad_rows: bool = False,
-    digest: bool = False,
     live: bool = False,
     progress: Progress | None = None,
 ) -> Iterator[LogReader]:
@@ -86,7 +85,7 @@ def open_log(
     called = name or ("standard input" if path == STANDARD else path)
     bag = log_format(path) == ROSBAG
     with nullcontext((BytesIO(), None)) if bag else log_source(path, live=live) as (stream, size):
-        opened: LogReader = reader(LogSource(stream, path, called, size, skip_bad_rows, digest, progress))
+        opened: LogReader = reader(LogSource(stream, path, called, size, skip_bad_rows, progress))
         try:
             yield opened
         finally:

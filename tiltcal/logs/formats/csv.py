@@ -43,7 +43,7 @@ class CsvReader(LogReader):
     def __init__(self, source: LogSource, *, block: int = _BLOCK) -> None:
         super().__init__(source)
         self._block, self._line = block, 1
-        self._digest = sha256() if source.digest else None
+        self._digest = sha256() if source.size is None else None  # a pipe gives its bytes once
         top = self._top()
         first, end, self._pending = top.partition(b"\n")
         self.header = in_utf8(first.removesuffix(b"\r"))
@@ -62,7 +62,7 @@ class CsvReader(LogReader):
         self._line += self.dialect.has_header
 
     @property
-    def sha256(self) -> str:
+    def sha256(self) -> str | None:
         return super().sha256 if self._digest is None else self._digest.hexdigest()
 
     def read(self, size: int) -> bytes:

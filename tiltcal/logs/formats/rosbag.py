@@ -67,7 +67,7 @@ class RosbagReader(LogReader):
         return wanted or topics[0]
 
     @property
-    def sha256(self) -> str:
+    def sha256(self) -> str | None:
         """The checksum of the bag; of a folder that of its files, in the order of their names."""
         if self._path.is_file():
             return sha256_of(self._path)
