@@ -8,10 +8,8 @@ import re
 from decimal import Decimal
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support import FIXTURES
-from support import accelerometer_disk as disk
 from support.command import tiltcal
 
 from tiltcal.files.calibration import read_calibration
@@ -99,25 +97,6 @@ def test_the_golden_file_finds_the_truth(procedure: str) -> None:
         assert found.offset[row] == pytest.approx(truth.offset[channel], abs=1.5)
         for column, axis in enumerate(found.axes):
             assert found.sensitivity[row, column] == pytest.approx(truth.sensitivity[channel][axis], abs=1.5)
-
-
-def test_the_golden_pairs_find_the_truth() -> None:
-    """p and q from the twin's accelerometers by what the matched sum must do, within four stated uncertainties."""
-    truth = read_document(FIXTURES / "twins" / "disk.yaml").data["truth"]["disk"]["accelerometers"]
-    vectors = []
-    for name, phi in zip(("a1", "a2", "a3", "a4"), disk.PHASES, strict=True):
-        part = truth[name]
-        angle = phi + np.deg2rad(float(part.get("phase_error", 0.0)))
-        tilt = np.deg2rad(float(part["misalignment"]))
-        sin, cos = np.cos(angle) - tilt * np.sin(angle), np.sin(angle) + tilt * np.cos(angle)
-        vectors.append(float(part["scale"]) * np.array([sin, cos]))
-    written = read(FIXTURES / "rotation.yaml").record.matchings
-    for matching, (first, second, orthogonal) in zip(written, ((0, 1, 3), (2, 3, 0)), strict=True):
-        system = np.stack([vectors[first], vectors[orthogonal]], axis=1)
-        rest, q = np.linalg.solve(system, -vectors[second])
-        assert matching.p == pytest.approx(1.0 - rest, abs=4 * matching.u_p)
-        assert matching.q == pytest.approx(q, abs=4 * matching.u_q)
-        assert 0.0 < matching.u_p < 1e-5
 
 
 def test_the_golden_drift_of_the_sensitivity_is_the_twins() -> None:

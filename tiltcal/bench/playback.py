@@ -90,15 +90,16 @@ class Playback:
         self._connect()
 
     def _connect(self) -> None:
-        self._drivers = [
-            device.wired.driver(PlayedLink(self, device.letter, number), self._clock)
-            for number, device in enumerate(self.setup.devices)
-        ]
+        devices = zip(self._names, self.setup.devices, strict=True)
+        self._drivers = {
+            name: device.wired.driver(PlayedLink(self, device.letter, number), self._clock)
+            for number, (name, device) in enumerate(devices)
+        }
 
     def link_statistics(self) -> dict[str, dict[str, int]]:
         """Return the link statistics of each device that counts them, by serial number."""
         counted = {serial: dict(counts) for serial, counts in self._statistics.items()}
-        for name, driver in zip(self._names, self._drivers, strict=True):
+        for name, driver in self._drivers.items():
             if name not in self._given_up and (counts := driver.link_statistics()):
                 before = counted.get(name, {})
                 counted[name] = {what: before.get(what, 0) + n for what, n in counts.items()}
@@ -169,14 +170,13 @@ class Playback:
     def _sample(self, *, fresh: bool = False) -> RecordedSample | None:
         """Return a sample of all devices; None where one of them failed, or no further is there."""
         self._interrupted = False
-        devices = list(zip(self._names, self._drivers, strict=True))
         readings: dict[str, Reading] = {}
         name = ""
         try:
-            for name, driver in devices if fresh else ():
+            for name, driver in self._drivers.items() if fresh else ():
                 if name not in self._given_up:
                     driver.discard()
-            for number, (name, driver) in enumerate(devices):
+            for number, (name, driver) in enumerate(self._drivers.items()):
                 if not self._gives_up(number):
                     readings[name] = driver.read()
         except HardwareError as error:

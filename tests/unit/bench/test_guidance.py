@@ -64,14 +64,6 @@ def test_nothing_is_ok_where_nothing_is_known() -> None:
     assert guidance(replace(SCA100T, scaled=False), STRAIGHT, counts(30.0, 0.0), UP_30, expected()) == {}
 
 
-def test_a_reading_beyond_1_g_has_no_angle_unless_it_is_asked_for() -> None:
-    """1.05 g is within what an uncalibrated part may read at 90°, and no angle of it is known at 30°."""
-    reading = [1024.0 + 1.05 * 819.0, 1024.0]
-    assert guidance(SCA100T, STRAIGHT, reading, (1.0, 0.0, 0.0), expected())["x"]["present"] == 90.0
-    beyond = guidance(SCA100T, STRAIGHT, reading, UP_30, expected())["x"]
-    assert (beyond["present"], beyond["difference"], beyond["ok"]) == (None, None, False)
-
-
 @pytest.mark.parametrize("axes", [("x", "y"), ("-y", "x"), ("z", "x")])
 def test_the_present_attitude_is_in_the_frame_of_the_fixture(axes: tuple[str, str]) -> None:
     """A sensor that is exact reads what was set, however it sits; the axis that it lacks is as it was asked for."""
