@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from array import array
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import nan
 from typing import TYPE_CHECKING, Any
@@ -127,8 +127,6 @@ class RecordedSession:
             self._rows.extend(row)
         elif self.setup.steps.ramp is not None:
             self.leg.append(sample)
-        elif sample.fresh:
-            self._samples.clear()  # the last reading before the samples
         else:
             self._samples.append(sample)
 
@@ -262,11 +260,6 @@ def _text(record: CalibrationRecord | PairRecord) -> str:
     from tiltcal.files.pair import dump_pair
 
     return dump_pair(record)
-
-
-def samples_of(journal: Journal) -> Iterator[RecordedSample]:
-    """Iterate over every sample of a session, those of the settling and of refused positions too."""
-    return (item for item in Playback(journal) if isinstance(item, RecordedSample))
 
 
 def positions_of(journal: Journal) -> RecordedSession:

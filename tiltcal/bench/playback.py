@@ -36,14 +36,12 @@ MARKS = (ANSWER, POSITION, LIVE_READING, RESUMED)  # the events that are no tran
 class RecordedSample:
     """A sample of a session, its readings by serial number; a sensor that was given up is left out.
 
-    ``line`` is that of the last event before it ended, ``now_ns`` its time since the session began. It is ``fresh``
-    where what the sensors had sent before was dropped.
+    ``line`` is that of the last event before it ended, ``now_ns`` its time since the session began.
     """
 
     line: int
     now_ns: int
     readings: Sample
-    fresh: bool = False
 
 
 @dataclass
@@ -80,7 +78,8 @@ class Playback:
         self._event: Event | None = next(self._events, None)
         self._coming = deque(event.content(AcceptedPosition) for event in journal.accepted)
         self._interrupted = False
-        self._since = 0  # samples since the last one before which the sensors dropped what they had sent
+        self._since = 0
+        """Samples of the next position; in format 1 those since the sensors last dropped what they had sent."""
         self._given_up: set[str] = set()
         self._lacking: set[str] = set()
         """The sensors that the last accepted position lacks."""
@@ -106,11 +105,15 @@ class Playback:
         return counted
 
     def __iter__(self) -> Iterator[RecordedSample | Event]:
+        begun = None
         while (event := self._event) is not None:
             if event.kind not in MARKS:
+                lines = self._coming[0].lines if self._coming else None
+                if lines is not None and lines is not begun and event.line >= lines[0]:
+                    begun, self._since = lines, 0
                 drops = event.kind in STREAMS and event.payload[:2] == ("", "")
                 if (sample := self._sample(fresh=drops)) is not None:
-                    self._since = 0 if drops else self._since + 1
+                    self._since = 0 if drops and lines is None else self._since + 1
                     yield sample
                 continue
             yield from self._kept_by_drivers(event)
@@ -184,7 +187,7 @@ class Playback:
                 self.breaks += 1
                 self.failures[name] = str(named_error(name, error, alone=len(self.setup.sensors) == 1))
             return None
-        return RecordedSample(self._line, self.now_ns, at_one_temperature(readings), fresh)
+        return RecordedSample(self._line, self.now_ns, at_one_temperature(readings))
 
     def _gives_up(self, number: int) -> bool:
         """Return whether a device that has failed is given up: where it would be read, another one is.

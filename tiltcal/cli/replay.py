@@ -9,7 +9,8 @@ from pathlib import Path
 
 import click
 
-from tiltcal.bench.journal import calibrations_of, samples_of
+from tiltcal.bench.journal import calibrations_of
+from tiltcal.bench.playback import Playback, RecordedSample
 from tiltcal.bench.record import write_samples
 from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.cli import options
@@ -57,7 +58,7 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
     if samples is not None:
         require_apart(samples, journal)
         with whole_file(samples) as stream:
-            write_samples(stream, setup, samples_of(captured))
+            write_samples(stream, setup, (item for item in Playback(captured) if isinstance(item, RecordedSample)))
     texts = {files.outputs[serial]: text for serial, text in calibrations_of(captured).texts().items()}
     if golden is not None and not _gives(journal, texts, golden):
         return NEGATIVE_VERDICT
