@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from html import escape
+from math import ceil
 
 
 def printable(text: str) -> str:
@@ -26,3 +27,9 @@ def in_html(result: object) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun: ``1 row``, ``2 rows``."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def in_minutes(seconds: float) -> str:
+    """Return a time in words, such as ``12 min`` or ``3 h 20 min``; one that has begun counts as a minute."""
+    hours, minutes = divmod(ceil(seconds / 60.0), 60)
+    return f"{f'{hours} h ' if hours else ''}{minutes} min"

@@ -8,7 +8,7 @@ positions before have shown.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import asin, ceil, degrees, hypot, radians, sin, sqrt
+from math import asin, degrees, hypot, radians, sin, sqrt
 from typing import Any, TypedDict
 
 from tiltcal.core.attitude import Orientation, Vector
@@ -104,12 +104,6 @@ def rows_of(readings: Mapping[str, Any], sensors: Mapping[str, Any]) -> Iterator
             yield [f"{serial} {channel}", *cells], axis and axis["ok"]
         if reading["temperature"] is not None:
             yield [f"{serial} T", "", "", "", f"{reading['temperature']:.2f} °C"], None
-
-
-def remaining_in_words(seconds: float) -> str:
-    """Return how much time remains, such as ``about 12 min left``."""
-    hours, minutes = divmod(ceil(seconds / 60.0), 60)
-    return f"about {f'{hours} h ' if hours else ''}{minutes} min left"
 
 
 def present_gravity(orientation: Orientation, axes: Mapping[str, AxisGuidance], gravity: Vector) -> Vector | None:

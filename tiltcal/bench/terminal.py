@@ -16,10 +16,10 @@ from rich.console import Console
 from rich.text import Text
 
 from tiltcal.bench import guidance
-from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, AxisGuidance, remaining_in_words, rows_of
+from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, AxisGuidance, rows_of
 from tiltcal.bench.operators import LOOK, LineReader, Message, Operator, in_words
 from tiltcal.errors import Stopped
-from tiltcal.printable import printable
+from tiltcal.printable import in_minutes, printable
 
 ENTER, ESCAPE = "\n", "\x1b"
 REST = 0.05  # time within which the rest of an escape sequence arrives, s
@@ -200,7 +200,7 @@ class Terminal(Operator):
                 if event["accepted"]:
                     self._say(f"  kept from before: {', '.join(event['accepted'])}")
             case "progress":
-                self._remaining = remaining_in_words(event["seconds"])
+                self._remaining = f"about {in_minutes(event['seconds'])} left"
             case "look" if self._live:
                 self._show(event)
             case "turn" if self._live:

@@ -23,7 +23,7 @@ from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
 from tiltcal.files.procedure import Procedure
-from tiltcal.printable import in_html
+from tiltcal.printable import in_html, in_minutes
 
 PARTS = 8  # positions that stand for a leg of a ramp
 
@@ -161,7 +161,7 @@ def predict(
         for name, coefficient, share in prediction.worth_adding[:SHOWN]:
             cut = f"would cut the uncertainty of {_in_words(coefficient)} by {100 * (1 - share):.0f} %"
             yield f"  One more position, {name}, {cut}"
-        held = _duration(seconds)
+        held = in_minutes(seconds)
         yield f"  readings are held still and sampled for {held}; setting and changing temperatures on top"
         if not_covered:
             yield f"  {not_covered}"
@@ -186,14 +186,6 @@ def _in_words(coefficient: str) -> str:
     letter, index = label(coefficient).symbol
     name = label(coefficient).words
     return f"S_{index}" if letter == "S" else f"the {name[:1].lower()}{name[1:]}"
-
-
-def _duration(seconds: float) -> str:
-    """Return a time in words, such as ``12 min`` or ``3 h 20 min``."""
-    minutes = round(seconds / 60.0)
-    if minutes < 2:
-        return f"{seconds:.0f} s"
-    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
 def _jig_in_words(jig: float | None) -> str:
