@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from html import escape
 from math import ceil
 
@@ -27,6 +28,15 @@ def in_html(result: object) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun: ``1 row``, ``2 rows``."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def did_you_mean(word: str, words: Iterable[str]) -> str:
+    """Return a suggestion to stand behind a word that there is not; empty where none of the words is near it."""
+    from difflib import get_close_matches
+
+    folded = {one.casefold(): one for one in words}
+    near = get_close_matches(word.casefold(), folded, n=1)
+    return f" (did you mean {folded[near[0]]!r}?)" if near else ""
 
 
 def in_minutes(seconds: float) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from numbers import Integral, Real
 from os import PathLike
 from typing import Any, cast
 
 from tiltcal.errors import InputError, UsageError
+from tiltcal.printable import did_you_mean
 
 LEAST, MOST = 1e-9, 1e9
 """Bounds of the size of a number that is stated, in a file or an option, and is not 0."""
@@ -72,6 +74,29 @@ def require_text_or_none(option: str, value: object) -> None:
     """Refuse a value that is no text, with a UsageError; None is not stated."""
     if value is not None:
         require_text(option, value)
+
+
+def named_values(option: str, given: object, names: Sequence[str], what: str, example: str) -> dict[str, Any]:
+    """Return values by name of a mapping, or of a text such as ``roll=180,yaw=90``; a UsageError where it is none.
+
+    ``what`` is what a name stands for, and ``example`` a pair, for the messages.
+    """
+    if not isinstance(given, str | Mapping):
+        raise UsageError(f"{option} takes {what}s by name, such as {example}, not {given!r}")
+    pairs = [part.strip() for part in given.split(",")] if isinstance(given, str) else []
+    named: dict[str, Any] = {} if isinstance(given, str) else dict(given)
+    for pair in filter(None, pairs):
+        name, _, value = (part.strip() for part in pair.partition("="))
+        if not value:
+            raise UsageError(f"{option}: {pair!r} is no pair; write {example}")
+        if name in named:
+            raise UsageError(f"{option}: {name} is named twice")
+        named[name] = value
+    for name in named:
+        if name not in names:
+            near = did_you_mean(str(name), names)
+            raise UsageError(f"{option}: there is no {what} {name!r}{near}; the {what}s are {', '.join(names)}")
+    return named
 
 
 def require_path(what: str, value: object) -> None:

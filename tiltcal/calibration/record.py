@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import radians
+from math import nan, radians
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ from tiltcal.files.coefficients import ANGLES, LARGEST_ANGLES, in_degrees
 from tiltcal.files.document import Document
 from tiltcal.files.pair import PairRecord, pair_record
 from tiltcal.files.yaml_text import read_text
-from tiltcal.stated_arguments import is_number, require_boolean, require_path, shown
+from tiltcal.stated_arguments import is_number, named_values, require_boolean, require_path, shown
 
 if TYPE_CHECKING:
     from tiltcal.drivers.model import Model
@@ -70,24 +70,16 @@ def compensation_of(calibration: CalibrationRecord, *, first_order: bool = False
 
 def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
     """Return the mounting of angles in degrees, or of the text of ``--mounting``; what is not named is 0."""
-    if not isinstance(angles, str | Mapping):
-        raise UsageError(f"--mounting takes angles by name, such as {{'roll': 180}}, not {angles!r}")
-    named: dict[str, float] = {} if isinstance(angles, str) else dict(angles)
-    for pair in filter(None, (part.strip() for part in angles.split(",")) if isinstance(angles, str) else ()):
-        name, _, number = (part.strip() for part in pair.partition("="))
-        if name in named:
-            raise UsageError(f"--mounting: {name} is named twice")
+    stated: dict[str, float] = {}
+    for name, given in named_values("--mounting", angles, ANGLES, "angle", "roll=180").items():
         try:
-            named[name] = float(number)
-        except ValueError:
-            raise UsageError(f"--mounting: {pair!r} is no angle in degrees; write name=degrees: roll=180") from None
-    for name, angle in named.items():
-        if name not in ANGLES:
-            raise UsageError(f"--mounting: there is no angle {name!r}; the angles are {', '.join(ANGLES)}, in degrees")
+            stated[name] = float(given)
+        except (TypeError, ValueError):
+            stated[name] = nan
         largest = LARGEST_ANGLES[name]
-        if not is_number(angle) or abs(angle) > largest:
-            raise UsageError(f"--mounting: {name} is between -{largest:g} and {largest:g} degrees, not {shown(angle)}")
-    return Mounting(**{name: radians(angle) for name, angle in named.items()})
+        if not is_number(stated[name]) or abs(stated[name]) > largest:
+            raise UsageError(f"--mounting: {name} is between -{largest:g} and {largest:g} degrees, not {shown(given)}")
+    return Mounting(**{name: radians(angle) for name, angle in stated.items()})
 
 
 def mounting_in_words(mounting: Mounting) -> str:

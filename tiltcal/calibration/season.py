@@ -14,7 +14,6 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from difflib import get_close_matches
 from functools import cached_property
 from itertools import chain, pairwise
 from operator import attrgetter
@@ -33,7 +32,7 @@ from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, read_ca
 from tiltcal.files.calibration_folder import date_of, index_folder
 from tiltcal.files.moments import to_the_second
 from tiltcal.files.results import FitRecord, ProcedureRecord, Provenance
-from tiltcal.printable import counted
+from tiltcal.printable import counted, did_you_mean
 from tiltcal.stated_arguments import require_path, require_text
 
 DAY = 86_400.0  # seconds
@@ -200,8 +199,7 @@ class CalibrationFolder:
         return DatedCalibration(record, date_of(record, path), path, name)
 
     def _unknown(self, serial: str) -> str:
-        near = get_close_matches(serial, self.serials, n=1)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        hint = did_you_mean(serial, self.serials)
         unusable = f"; left out: {self.index.problems[0]}" if self.index.problems else ""
         return f"{self.folder} has no calibration of {serial!r}{hint}; it has {self.listed}{unusable}"
 

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from math import inf, isfinite
 from pathlib import Path
 from types import NoneType, UnionType
@@ -24,6 +23,7 @@ from tiltcal.errors import InputError, TiltcalError
 from tiltcal.files.moments import moment
 from tiltcal.files.record import FORMAT_VERSION, KINDS
 from tiltcal.files.yaml_text import DEPTH_LIMIT, Place, dotted, parse, read_text
+from tiltcal.printable import did_you_mean
 from tiltcal.stated_arguments import LEAST, require_printable
 
 T = TypeVar("T")
@@ -95,7 +95,7 @@ class Document:
         for name in names:
             if name not in known:
                 listed = ", ".join(known) or "none"
-                raise self.error(f"unknown key {name!r}{_hint(name, known)}; known here: {listed}", *place, name)
+                raise self.error(f"unknown key {name!r}{did_you_mean(name, known)}; known here: {listed}", *place, name)
         missing = [name for name in known if name not in names] if complete else []
         if missing:
             raise self.error(f"the key {missing[0]!r} is missing; it is required here", *place)
@@ -295,7 +295,8 @@ def _numeral(value: Any, base: Any) -> float | None:
 def _refusal(value: Any, needed: Any) -> str:
     """Return why a value is refused: a type is needed, or one of a few words."""
     if isinstance(needed, Collection) and isinstance(value, str):
-        return f"unknown value {value!r}{_hint(value, needed)}; it is one of {', '.join(map(str, needed))}"
+        words = list(map(str, needed))
+        return f"unknown value {value!r}{did_you_mean(value, words)}; it is one of {', '.join(words)}"
     if isinstance(value, str) and not value.strip() and needed is str:
         return "the text is empty; write a text"
     advice = ""
@@ -303,12 +304,6 @@ def _refusal(value: Any, needed: Any) -> str:
         advice = "; it must be finite" if _NOT_FINITE.fullmatch(value) else _advice(value.strip())
     kind = _NEEDED.get(needed, "text") if isinstance(needed, type) else "text"
     return f"{kind} is needed here, found {_shown(value)}{advice}"
-
-
-def _hint(word: str, words: Collection[str]) -> str:
-    """Return the word that is meant, where one is near."""
-    near = get_close_matches(word, list(words), n=1)
-    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 def _beyond(value: Any, number: float, metas: tuple[msgspec.Meta, ...]) -> str:

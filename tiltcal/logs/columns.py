@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from difflib import get_close_matches
 from tempfile import TemporaryFile, gettempdir
 from typing import IO, TYPE_CHECKING
 
@@ -15,6 +14,8 @@ import numpy as np
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError, UsageError
 from tiltcal.logs.cf_attributes import DEGREE, same_unit, split_unit
+from tiltcal.printable import did_you_mean
+from tiltcal.stated_arguments import named_values
 
 if TYPE_CHECKING:
     from tiltcal.logs.log import LogReader
@@ -38,26 +39,8 @@ def named_columns(
     A log may have ``channels`` and ``others`` besides temperature and time.
     """
     roles = tuple(dict.fromkeys((*channels, TEMPERATURE, TIME, *others)))
-    named: dict[str, str] = {}
-    if columns and not isinstance(columns, str | Mapping):
-        raise UsageError(f"--columns takes the column of each role, such as {{{roles[0]!r}: 'VoutX'}}, not {columns!r}")
-    for role, column in columns.items() if isinstance(columns, Mapping) else _pairs(columns or "", roles[0]):
-        if role not in roles:
-            raise UsageError(
-                f"--columns: there is no role {role!r}{_suggestion(role, roles)}; the roles are {', '.join(roles)}"
-            )
-        if role in named:
-            raise UsageError(f"--columns: {role} is named twice")
-        named[role] = str(column)
-    return named
-
-
-def _pairs(text: str, example: str) -> Iterator[tuple[str, str]]:
-    for pair in filter(None, (part.strip() for part in text.split(","))):
-        role, equals, column = (part.strip() for part in pair.partition("="))
-        if not equals or not column:
-            raise UsageError(f"--columns: {pair!r} is no pair; write role=column, such as {example}=VoutX")
-        yield role, column
+    named = named_values("--columns", columns or "", roles, "role", f"{roles[0]}=VoutX")
+    return {role: str(column) for role, column in named.items()}
 
 
 def column_names(names: Sequence[str], roles: Sequence[str], named: Mapping[str, str]) -> dict[str, str]:
@@ -155,13 +138,9 @@ def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:
         why = f"there is no column {column!r}; the log has no header, and its columns are called 1 to {len(names)}: "
         return f"{why}name one, such as {option}{min(2, len(names))}"
     listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
-    return f"there is no column {column!r}{_suggestion(column, names)}; the log has {listed}. Name it with {option}NAME"
-
-
-def _suggestion(wanted: str, present: Sequence[str]) -> str:
-    folded = {name.casefold(): name for name in present}
-    near = get_close_matches(wanted.casefold(), folded, n=1)
-    return f" (did you mean {folded[near[0]]!r}?)" if near else ""
+    return (
+        f"there is no column {column!r}{did_you_mean(column, names)}; the log has {listed}. Name it with {option}NAME"
+    )
 
 
 def is_number(text: str) -> bool:

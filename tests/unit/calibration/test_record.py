@@ -29,7 +29,7 @@ def test_angles_that_are_none_are_refused() -> None:
     for angles, why in (
         ({"heading": 3.0}, "there is no angle 'heading'"),
         ("pitch=91", "pitch is between -90 and 90"),
-        ("roll", "'roll' is no angle in degrees"),
+        ("roll", "'roll' is no pair"),
         ("roll=1,roll=2", "roll is named twice"),
         ({"yaw": float("nan")}, "yaw is between -180 and 180"),
     ):
