@@ -75,7 +75,6 @@ class Afterwards:
         """Return what somebody chooses; until then show the live tilt, or why there is none."""
         question = {"ask": "afterwards", "verify": bool(self._of_tilt), "prompt": "Calibrated. The tilt here is live."}
         while True:
-            tilts = {}
             try:
                 with live_tilts(self._devices, self._of_tilt, self._session.setup.thermometer) as read:
                     while (answer := self._asked(question)) == LOOK:
@@ -83,8 +82,8 @@ class Afterwards:
                         self._operator.tell({"event": "live", "tilts": tilts})
                     return answer
             except HardwareError as error:
-                tilts = {serial: [("no reading", str(error), "")] for serial in self._of_tilt}
-                self._operator.tell({"event": "live", "tilts": tilts})
+                dead = {serial: [("no reading", str(error), "")] for serial in self._of_tilt}
+                self._operator.tell({"event": "live", "tilts": dead})
             if (answer := self._asked(question)) != LOOK:
                 return answer
 
