@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import nan, radians
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -73,12 +73,12 @@ def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
     stated: dict[str, float] = {}
     for name, given in named_values("--mounting", angles, ANGLES, "angle", "roll=180").items():
         try:
-            stated[name] = float(given)
+            angle = stated[name] = float(given)
         except (TypeError, ValueError):
-            stated[name] = nan
+            raise UsageError(f"--mounting: {name} is an angle in degrees, not {given!r}") from None
         largest = LARGEST_ANGLES[name]
-        if not is_number(stated[name]) or abs(stated[name]) > largest:
-            raise UsageError(f"--mounting: {name} is between -{largest:g} and {largest:g} degrees, not {shown(given)}")
+        if not is_number(angle) or abs(angle) > largest:
+            raise UsageError(f"--mounting: {name} is between -{largest:g} and {largest:g} degrees, not {shown(angle)}")
     return Mounting(**{name: radians(angle) for name, angle in stated.items()})
 
 
