@@ -74,7 +74,7 @@ OTHERS = (
     ("registers.py", "if count > 1 else 0", "if False else 0"),
     ("converters.py", "/ 32768\n", "/ 32767\n"),
     ("converters.py", "if held & DONE:", "if True:"),
-    ("converters.py", "if held & ~DONE == RESET & ~DONE != config & ~DONE:", "if False:"),
+    ("converters.py", "if held & ~DONE != config & ~DONE:", "if False:"),
     ("converters.py", "code in (-0x8000, 0x7FFF)", "code in (-0x8000,)"),
     ("converters.py", "answer[1] & 0x0F", "answer[1]"),
     ("converters.py", "CODES = 4096", "CODES = 4095"),

@@ -386,8 +386,9 @@ def _configured(model: Model, address: Address) -> Model:
     edges = address.choice("wiring", {"sentences": False, "edges": True}, address.scheme in ("gpio", "vcd"))
     if not edges:
         return model
-    schemes = ("gpio", "vcd", "serial")
-    return replace(model, schemes=schemes, thermometer=False, driver=Adxl202Edges, twin=VirtualEdges)
+    serial, *captured = model.addresses
+    edged = replace(model, addresses=(*captured, serial), thermometer=False)
+    return replace(edged, driver=Adxl202Edges, twin=VirtualEdges)
 
 
 def _model(name: str, extent: str, duty_per_g: float, noise_density: float) -> Model:
@@ -399,7 +400,6 @@ def _model(name: str, extent: str, duty_per_g: float, noise_density: float) -> M
         title=f"Analog Devices {name.upper()} accelerometer, {extent}, duty cycle",
         channels=("x", "y"),
         unit="duty",
-        schemes=("serial", "gpio", "vcd"),
         addresses=(
             "serial:///dev/ttyUSB0?baudrate=115200",
             "gpio:///dev/gpiochip0?x=17&y=27",

@@ -26,7 +26,7 @@ from tiltcal.drivers import adxl202, sca100t
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.converters import NOMINAL, SCHEMES, Inputs, VirtualAds1115, take_inputs
+from tiltcal.drivers.converters import NOMINAL, Inputs, VirtualAds1115, take_inputs
 from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, Truth, uniform
 from tiltcal.errors import DeviceFault
@@ -88,7 +88,7 @@ def wired(part: TiltPart | Divider, inputs: Inputs, **facts: Any) -> Model:
 
     options = (*facts.pop("options"), "supply", "vdd", *inputs.converter.options)
     driver = partial(AnalogSensor, part, inputs)
-    return Model(schemes=SCHEMES, spi=inputs.converter.spi, driver=driver, twin=twin, options=options, **facts)
+    return Model(spi=inputs.converter.spi, driver=driver, twin=twin, options=options, **facts)
 
 
 @dataclass(frozen=True)

@@ -393,7 +393,6 @@ def serial_columns_at(address: Address) -> Model:
         TEMPERATURE in columns.names,
         name="serial-columns",
         title="any device that prints numbers on a line",
-        schemes=("serial",),
         addresses=("serial:///dev/ttyUSB0?columns=x,y,temperature",),
         driver=partial(ColumnsSensor, columns),
         twin=partial(virtual_columns, columns),

@@ -172,8 +172,6 @@ RANGES = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256)
 """Full scales, V, by their code. An input may never exceed the converter's own supply, whatever the full scale."""
 RATES = (8, 16, 32, 64, 128, 250, 475, 860)
 """Conversions per second, by their code."""
-ADDRESSES = (0x48, 0x49, 0x4A, 0x4B)
-"""Bus addresses, by what ADDR is tied to: GND, VDD, SDA, SCL."""
 TOLERANCE = 0.1
 """The converter's clock may be this much slower or faster than nominal."""
 POLLS = 20
@@ -188,9 +186,6 @@ class Ads1115(Converter):
     inputs, steps, options = 4, 32768, ("range", "rate")
 
     def __init__(self, address: Address) -> None:
-        if "address" in address.options and not address.simulated and address.integer("address") not in ADDRESSES:
-            known = ", ".join(map(hex, ADDRESSES))
-            address.refuse(f"an ADS1115 is at one of {known}, not at {address.text('address')}")
         self.full_scale = address.choice("range", {f"{volts:g}": volts for volts in RANGES}, RANGES[0])
         self.rate = address.choice("rate", {str(rate): rate for rate in RATES}, 128)
         self.description = f"ADS1115, ±{self.full_scale:g} V, {self.rate} conversions per second"
@@ -221,12 +216,10 @@ class Ads1115(Converter):
             answer = _register(link, CONFIG)
             check_data_line(answer, "config register")
             held = int.from_bytes(answer, "big")
-            if held & ~DONE == RESET & ~DONE != config & ~DONE:
-                raise DeviceFault("the ADS1115 lost its settings, so its supply failed for a moment: check its supply")
             if held & ~DONE != config & ~DONE:
                 raise DeviceFault(
-                    f"the config register reads {held:04X} where {config:04X} was written: does another program use "
-                    "this converter, or is another device at this address?"
+                    f"the config register reads {held:04X} where {config:04X} was written: did the converter's supply "
+                    "fail (8583), does another program use it, or is another device at this address?"
                 )
             if held & DONE:
                 return

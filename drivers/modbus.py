@@ -68,7 +68,10 @@ EXCEPTIONS = {
 }
 """Meaning of the exception codes."""
 
-_COLUMN = re.compile(r"([^@:*]+)@(0[xX][0-9a-fA-F]{1,8}|[0-9]{1,9})(?::([a-z0-9]+))?(?:\*([-+0-9.eE]+))?")
+_COLUMN = re.compile(
+    r"([^@:*]+)@(0[xX][0-9a-fA-F]{1,8}|[0-9]{1,9})(?::([a-z0-9]+))?(?:\*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?))?",
+    re.ASCII,
+)
 
 
 @dataclass(frozen=True)
@@ -269,10 +272,7 @@ def column_of(address: Address, text: str) -> RegisterColumn:
     word = word or "int16"
     if word not in TYPES:
         address.refuse(f"type {word!r} of column {name} is not one of {', '.join(TYPES)}")
-    try:
-        scale = float(factor or 1.0)
-    except ValueError:
-        scale = 0.0
+    scale = float(factor or 1.0)
     if not isfinite(scale) or scale == 0.0:
         address.refuse(f"factor {factor!r} of column {name} is no number other than 0")
     column = RegisterColumn(name, int(first, 16 if "x" in first.lower() else 10), TYPES[word], scale)
@@ -295,7 +295,6 @@ def modbus_columns_at(address: Address) -> Model:
         unit_option=UNIT,
         name="modbus-columns",
         title="any device with numbers in Modbus registers, RTU or TCP",
-        schemes=("modbus",),
         addresses=(
             "modbus:///dev/ttyUSB0?unit=1&columns=x@0:int16*0.001,y@1:int16*0.001",
             "modbus:tcp://192.168.1.7:502?unit=1&columns=x@0:float32,y@2:float32,temperature@4:float32",

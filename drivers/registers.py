@@ -229,11 +229,6 @@ class RegisterPart:
             for group in self.set_up
         )
 
-    @property
-    def schemes(self) -> tuple[str, ...]:
-        """Those of its addresses."""
-        return tuple(address.partition(":")[0] for address in self.addresses)
-
     def at_range_and_rate(self, address: Address) -> RegisterPart:
         """Return the part with the options ``range`` and ``rate`` of an address."""
         rate = address.number("rate", self.rate)
@@ -260,7 +255,6 @@ class RegisterPart:
             name=self.name,
             title=self.title,
             channels=tuple(self.channels),
-            schemes=self.schemes,
             addresses=self.addresses,
             sensitivity=self.counts_per_g,
             offset_spread=offset,
@@ -277,7 +271,7 @@ class RegisterPart:
             not_modelled=self.not_modelled,
             memory_fault=self.memory_fault is not None,
             default_truth=partial(self.limits.draw, tuple(self.channels), self.counts_per_g, noise),
-            spi=port if "spi" in self.schemes else None,
+            spi=port if SPI in self.addresses else None,
             options=self.options,
             configure=lambda address: self.configure(self, address).model(),
             bus=self.bus,
@@ -445,7 +439,8 @@ class VirtualRegisters(VirtualPart):
     def __init__(self, part: RegisterPart, truth: Truth, fixture: HeldPose, clock: Clock) -> None:
         super().__init__(truth, fixture, clock)
         self._part = part
-        self.letter = part.bus.letter if part.schemes[0] == "package" and part.bus else part.schemes[0][0]
+        example = part.addresses[0]
+        self.letter = part.bus.letter if example.startswith("package:") and part.bus else example[0]
         self.bit_seconds = BIT_SECONDS[self.letter]
         self._set_up = {write.register: write.value for write in chain(*part.writes) if write.kept}
         first, known = part.identity or (0, (b"",))

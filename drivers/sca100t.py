@@ -347,7 +347,6 @@ def _inclinometer(
     model = Model(
         name=part.lower(),
         title=f"{title.format(part)}, SPI",
-        schemes=("spi",),
         addresses=("spi:///dev/spidev0.0",),
         sensitivity=counts_per_g,
         offset_spread=deviation_within(sin(radians(offset_limit))),

@@ -437,7 +437,6 @@ def _model(name: str, part: Scl3300Part, address: Address) -> Model:
         name=name,
         title=f"Murata {part.name} three-axis {part.kind}, {measuring.extent}, SPI",
         channels=("x", "y", "z"),
-        schemes=("spi",),
         addresses=("spi:///dev/spidev0.0", f"spi:///dev/spidev0.0?range={part.ranges[-1].word}"),
         sensitivity=measuring.counts_per_g,
         offset_spread=deviation_within(_LIMITS.offset),

@@ -294,13 +294,11 @@ HeldPose = Fixture | Pose
 
 def _rotated(vector: Vector, angles: list[float]) -> Vector:
     """Return the vector rotated about x, then y, then z by small angles in radians."""
-    x, y, z = vector
-    (c, s) = cos(angles[0]), sin(angles[0])
-    y, z = c * y - s * z, s * y + c * z
-    (c, s) = cos(angles[1]), sin(angles[1])
-    x, z = c * x + s * z, c * z - s * x
-    (c, s) = cos(angles[2]), sin(angles[2])
-    x, y = c * x - s * y, s * x + c * y
+    turned = list(vector)
+    for (one, next_one), angle in zip(((1, 2), (2, 0), (0, 1)), angles, strict=True):
+        a, b = turned[one], turned[next_one]
+        turned[one], turned[next_one] = cos(angle) * a - sin(angle) * b, sin(angle) * a + cos(angle) * b
+    x, y, z = turned
     return x, y, z
 
 

@@ -151,7 +151,6 @@ WITMOTION = Model(
     name="witmotion",
     title="WitMotion WT901, JY901, BWT61 and others, serial frames",
     channels=CHANNELS,
-    schemes=("serial",),
     addresses=("serial:///dev/ttyUSB0?baudrate=9600",),
     sensitivity=COUNT_PER_G,
     offset_spread=deviation_within(OFFSET),

@@ -95,18 +95,22 @@ class Device:
     """What a bus has to know of a device.
 
     name: what the user types, such as ``sca100t-d02``.
-    schemes, addresses: address schemes that it can be connected by; an example for each way, the preferred one first.
+    addresses: an example for each way to connect it, the preferred one first.
     options: those of an address that belong to the device and not to its bus, such as the input of x.
     spi: None where the part has no SPI.
     bus: what opens its ``package:`` addresses: the bus of a package that adds the model, where tiltcal has none.
     """
 
     name: str
-    schemes: tuple[str, ...]
     addresses: tuple[str, ...]
     options: tuple[str, ...] = ()
     spi: SpiPort | None = None
     bus: Bus | None = None
+
+    @property
+    def schemes(self) -> tuple[str, ...]:
+        """The address schemes that it can be connected by."""
+        return tuple(dict.fromkeys(address.partition(":")[0] for address in self.addresses))
 
 
 LINE = ("baudrate", "parity", "stopbits")

@@ -28,11 +28,11 @@ Angles = Mapping[str, float]
 
 
 DEVICES = {
-    kind: Device(name=f"a machine of kind {kind}", schemes=(scheme,), addresses=(example,), options=options)
-    for kind, scheme, example, options in (
-        ("text", "serial", "serial:///dev/ttyUSB0?baudrate=115200", ()),
-        ("modbus", "modbus", "modbus:tcp://192.168.1.7:502?unit=1", ("table", "order")),
-        ("object", "python", "python:rig:table_x", ()),
+    kind: Device(name=f"a machine of kind {kind}", addresses=(example,), options=options)
+    for kind, example, options in (
+        ("text", "serial:///dev/ttyUSB0?baudrate=115200", ()),
+        ("modbus", "modbus:tcp://192.168.1.7:502?unit=1", ("table", "order")),
+        ("object", "python:rig:table_x", ()),
     )
 }
 

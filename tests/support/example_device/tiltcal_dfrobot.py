@@ -119,7 +119,6 @@ DFROBOT_SCA100T = replace(
     sca100t.D02,
     name="dfrobot-sca100t",
     title="DFRobot TOY0048 module with a Murata SCA100T-D02, ±90°, serial",
-    schemes=("serial",),
     addresses=("serial:///dev/ttyUSB0?baudrate=9600",),
     driver=Dfrobot,
     twin=VirtualDfrobot,
