@@ -148,28 +148,28 @@ class PulseTrains:
         if rise is None:
             return None
         self._pulses[edge.line].append(Pulse(rise, edge.time_ns))
-        return self._cycle()
+        try:
+            return self._cycle()
+        except DeviceFault:
+            self._clear()
+            raise
 
     def _clear(self) -> None:
         self._rise: list[int | None] = [None, None]
         self._pulses: tuple[deque[Pulse], deque[Pulse]] = (deque(), deque())
 
-    def _fail(self, why: str) -> DeviceFault:
-        self._clear()
-        return DeviceFault(why)
-
     def _cycle(self) -> Cycle | None:
         xs, ys = self._pulses
         for pulses, others, name, other in ((xs, ys, "x", "y"), (ys, xs, "y", "x")):
             if not pulses and len(others) >= ALONE:
-                raise self._fail(
+                raise DeviceFault(
                     f"{other} pulses and {name} does not: check the wire of {name}, and whether the axis is at its rail"
                 )
         while len(xs) > 1 and len(ys) > 1:
             x, next_x, y, next_y = xs[0], xs[1], ys[0], ys[1]
             about = next_x.rise - x.rise
             if about <= 0:
-                raise self._fail("two pulses of x rise at one time, or in wrong order: check the times of the edges")
+                raise DeviceFault("two pulses of x rise at one time, or in wrong order: check the times of the edges")
             apart = _between_centres(x, y)
             if abs(apart) > about / 2:
                 (xs if apart > 0 else ys).popleft()

@@ -82,15 +82,6 @@ class IioSensor(Sensor):
 
     def _compare(self) -> None:
         """Compare the settings with those of the first sample."""
-        settings = self._present()
-        for name, first in self._settings.items():
-            if settings.get(name) != first:
-                raise DeviceFault(
-                    f"the {name} of the device was {first} and is {settings.get(name)}: set it back, or calibrate anew"
-                )
-        self._settings = settings
-
-    def _present(self) -> dict[str, str]:
         settings = {}
         for name, attributes in SETTINGS.items():
             texts = (self._text(attribute) for attribute in attributes)
@@ -98,7 +89,12 @@ class IioSensor(Sensor):
                 settings[name] = text
         if not settings.get("name", "").isprintable() or "name" not in settings:
             raise BusError(f"the device names itself {settings.get('name', '')!r}: is it one of Linux?")
-        return settings
+        for name, first in self._settings.items():
+            if settings.get(name) != first:
+                raise DeviceFault(
+                    f"the {name} of the device was {first} and is {settings.get(name)}: set it back, or calibrate anew"
+                )
+        self._settings = settings
 
     def _text(self, attribute: str) -> str:
         return whole_text(self._link.exchange(attribute.encode()))

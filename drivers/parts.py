@@ -67,11 +67,6 @@ def with_whole_temperature(sensor: RegisterSensor) -> Registers:
     return registers | whole
 
 
-def _with_revision(sensor: RegisterSensor) -> Mapping[str, str]:
-    said = in_words(sensor.read())
-    return {"revision": str(sensor.register(0x03)), **sensor.part.range_in_words, **said}
-
-
 ADXL355 = RegisterPart(
     name="adxl355",
     title="Analog Devices ADXL355 three-axis accelerometer, ±2, ±4 or ±8 g, SPI or I2C",
@@ -103,8 +98,7 @@ ADXL355 = RegisterPart(
     settling=4,
     new_sample=(0x04, 0x01),
     take=with_whole_temperature,
-    probe=_with_revision,
-    held={0x03: 1, 0x2C: 0x81, 0x2D: 0x01, **dict(enumerate(bytes.fromhex("2A7C05913E"), SHADOW))},
+    held={0x2C: 0x81, 0x2D: 0x01, **dict(enumerate(bytes.fromhex("2A7C05913E"), SHADOW))},
     limits=Tolerances(offset=0.075, sensitivity=0.08, drift=0.15e-3, gain=1e-4, thermometer=5.0),
     noise_density=25e-6,
     corner=0.25,
