@@ -1,14 +1,16 @@
-"""``modbus-columns`` through pymodbus, RTU and TCP, with units that answer by the letter, late, busy or not at all."""
+"""``modbus-columns`` through pymodbus on a serial line, with units that answer by the letter, late, busy or not at all.
+
+A server of TCP moves the table of ``test_machines``.
+"""
 
 from __future__ import annotations
 
 import os
-import socket
 import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 
 import pytest
 
@@ -84,13 +86,11 @@ def test_registers_are_written_one_or_several() -> None:
     script.close()
 
 
-@pytest.mark.parametrize("rtu", [False, True], ids=["tcp", "rtu"])
-def test_the_registers_of_a_unit_are_read(rtu: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_registers_of_a_unit_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(modbus, "SILENCE", 0.1)
-    with (serial_line if rtu else server)(by_the_letter) as place:
-        bracketed = place.replace("127.0.0.1", "[127.0.0.1]")  # as an IPv6 address is written
-        columns = "columns=x@0*0.001,y@10:float32,z@12:float32,temperature@4*0.1"
-        with unit(bracketed, f"unit=7&{columns}") as sensor:
+    columns = "columns=x@0*0.001,y@10:float32,z@12:float32,temperature@4*0.1"
+    with serial_line(by_the_letter) as place:
+        with unit(place, f"unit=7&{columns}") as sensor:
             assert sensor.probe() == {"x": "-0.5", "y": "0.125", "z": "-0.75", "temperature": "23.5 °C"}
         with pytest.raises(DeviceFault, match="no such register"), unit(place, "unit=7&columns=x@500") as sensor:
             sensor.read()
@@ -99,8 +99,6 @@ def test_the_registers_of_a_unit_are_read(rtu: bool, monkeypatch: pytest.MonkeyP
             unit(place, "unit=8&timeout=0.05&columns=x@0") as lost,
         ):
             lost.read()
-    with pytest.raises(BusError, match=r"no Modbus server answers at tcp://|does not exist"), unit(place, columns):
-        pass
 
 
 def test_units_on_one_line_share_its_port() -> None:
@@ -115,28 +113,6 @@ def test_units_on_one_line_share_its_port() -> None:
             unit(place, "unit=8&baudrate=19200&columns=x@0", lines),
         ):
             pass
-
-
-@contextmanager
-def server(answer: Answer) -> Iterator[str]:
-    """Yield the place of a TCP server, whose frames are numbered and have no checksum (MBAP)."""
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-
-        def serve() -> None:
-            with suppress(OSError):
-                while True:
-                    connection, _ = listening.accept()
-                    with connection:
-                        while head := connection.recv(6):
-                            request = connection.recv(head[5])
-                            for _, frame in answer(request, 0):
-                                connection.sendall(head[:4] + len(frame).to_bytes(2, "big") + frame)
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        yield f"tcp://127.0.0.1:{listening.getsockname()[1]}"
-        listening.shutdown(socket.SHUT_RDWR)
-    thread.join(10.0)
 
 
 @contextmanager
