@@ -102,14 +102,10 @@ def _plug_ins(path: tuple[str, ...]) -> Mapping[str, list[EntryPoint]]:
 
 def _refuse_rivals(name: str, claims: list[EntryPoint]) -> None:
     """Refuse a name that two packages claim, so that the order of installation does not matter."""
-    if name in _BUILT_IN and claims:
-        raise UsageError(
-            f"package {_package(claims[0])!r} adds a sensor model called {name!r}, which tiltcal has built in: "
-            "uninstall the package or rename its model"
-        )
-    if len(claims) > 1:
-        packages = " and ".join(sorted(repr(_package(entry)) for entry in claims))
-        raise UsageError(f"packages {packages} both add a sensor model called {name!r}: uninstall one of them")
+    owners = ["tiltcal"] * (name in _BUILT_IN) + sorted(map(_package, claims))
+    if len(owners) > 1:
+        packages = " and ".join(map(repr, owners))
+        raise UsageError(f"packages {packages} both have a sensor model called {name!r}: uninstall one or rename it")
 
 
 def _loaded(entry: EntryPoint) -> Model:

@@ -17,16 +17,7 @@ from dataclasses import replace
 from typing import Literal
 
 from tiltcal.drivers.bus import SpiPort
-from tiltcal.drivers.registers import (
-    I2C,
-    SPI,
-    Field,
-    Range,
-    RegisterPart,
-    RegisterSensor,
-    Thermometer,
-    Write,
-)
+from tiltcal.drivers.registers import I2C, SPI, Field, Range, RegisterPart, RegisterSensor, Thermometer, Write
 from tiltcal.drivers.virtual import Tolerances
 
 COUNTING_ON = {"i": 0x80, "s": 0x40}

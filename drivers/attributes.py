@@ -20,17 +20,11 @@ from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.attributes import ACCELERATION, LETTER, as_text
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.columns import (
-    TEMPERATURE,
-    ColumnLayout,
-    columns_of,
-    model_of_numbers,
-)
+from tiltcal.drivers.columns import AXES, TEMPERATURE, ColumnLayout, columns_of, model_of_numbers
 from tiltcal.drivers.model import OF_G, Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
-AXES = ("x", "y", "z")
 SCALE = 16384
 """Of the virtual device, count/g."""
 
@@ -104,12 +98,8 @@ class PythonSensor(Sensor):
     """The driver of an object of Python."""
 
     def __init__(self, columns: ColumnLayout, link: Link, clock: Clock) -> None:
-        self._columns = columns
+        self._columns, self.channels = columns, columns.channels
         self._link = link
-
-    def probe(self) -> Mapping[str, str]:
-        """Return a reading as text."""
-        return in_words(self.read(), self._columns.channels, "{:g}", trimmed=True)
 
     def read(self) -> Reading:
         """Return the numbers of the object.

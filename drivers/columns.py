@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.model import OF_G, Model, Reading, Sensor, in_words, link_in_words
+from tiltcal.drivers.model import OF_G, Model, Reading, Sensor
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 
@@ -193,16 +193,9 @@ class ColumnsSensor(Sensor):
     """The driver of a device that prints numbers on a serial line."""
 
     def __init__(self, columns: ColumnLayout, link: Link, clock: Clock) -> None:
-        self._columns = columns
+        self._columns, self.channels = columns, columns.channels
         self._lines = LineBuffer(link, clock)
         self._used = self._damaged = 0
-
-    def probe(self) -> Mapping[str, str]:
-        """Return the numbers of a new line, and the link statistics, as text; the errors are those of :meth:`read`."""
-        self.discard()
-        reading = self.read()
-        said = in_words(reading, self._columns.channels, "{:g}", trimmed=True)
-        return said | {"link": link_in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """Return the next line of numbers; none with the right number of columns is a BusError."""
@@ -401,6 +394,4 @@ def serial_columns_at(address: Address) -> Model:
     )
 
 
-SERIAL_COLUMNS = serial_columns_at(parse_address("sim:"))
-
-MODELS = {SERIAL_COLUMNS.name: SERIAL_COLUMNS}
+MODELS = {"serial-columns": serial_columns_at(parse_address("sim:"))}

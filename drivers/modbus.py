@@ -23,14 +23,8 @@ from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT, WRITE, WRITE_ONE
-from tiltcal.drivers.columns import (
-    TEMPERATURE,
-    TIME,
-    channels_of,
-    model_of_numbers,
-    require_name,
-)
-from tiltcal.drivers.model import Model, Reading, Sensor, in_words
+from tiltcal.drivers.columns import TEMPERATURE, TIME, channels_of, model_of_numbers, require_name
+from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
@@ -138,13 +132,9 @@ class ModbusColumns(Sensor):
     """The driver of a device with numbers in Modbus registers."""
 
     def __init__(self, layout: RegisterLayout, link: Link, clock: Clock) -> None:
-        self._layout = layout
+        self._layout, self.channels = layout, layout.channels
         self._link = link
         self._clock = clock
-
-    def probe(self) -> Mapping[str, str]:
-        """Read every number once, and return them by their names; the errors are those of :meth:`read`."""
-        return in_words(self.read(), self._layout.channels, "{:g}", trimmed=True)
 
     def read(self) -> Reading:
         """Read every number; the errors are those of :meth:`numbers`."""

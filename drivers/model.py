@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import sqrt
 from typing import NamedTuple
@@ -59,11 +59,19 @@ class SelfTest(NamedTuple):
 
 
 class Sensor(ABC):
-    """The base of every driver, which is made on one link: what it has to do, and what it may do."""
+    """The base of every driver, which is made on one link: what it has to do, and what it may do.
 
-    @abstractmethod
+    channels: of its readings, as :meth:`probe` names them.
+    """
+
+    channels: Sequence[str] = "xyz"
+
     def probe(self) -> Mapping[str, str]:
-        """Return what the device reports about itself, for the operator."""
+        """Return what the device reports about itself, for the operator: a new reading and the link statistics."""
+        self.discard()
+        said = in_words(self.read(), self.channels, "{:g}", trimmed=True)
+        counts = self.link_statistics()
+        return said | ({"link": link_in_words(counts)} if counts else {})
 
     @abstractmethod
     def read(self) -> Reading:

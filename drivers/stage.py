@@ -24,14 +24,7 @@ from typing import NamedTuple
 
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.columns import (
-    SERIAL_COLUMNS,
-    UNKNOWN,
-    UNSTATED,
-    ColumnLayout,
-    ColumnsSensor,
-    columns_of,
-)
+from tiltcal.drivers.columns import UNKNOWN, UNSTATED, ColumnLayout, ColumnsSensor, columns_of, serial_columns_at
 from tiltcal.drivers.model import Model
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth, normal, part_errors
 
@@ -156,7 +149,7 @@ def gradiometer_at(address: Address) -> Model:
     """Return the stage with the columns and the unit of an address."""
     columns = columns_of(address, PRINTED)
     return replace(
-        SERIAL_COLUMNS,
+        serial_columns_at(parse_address("sim:")),
         name="gradiometer",
         title="four accelerometers on a rotary stage, as numbers on a line",
         channels=columns.channels,

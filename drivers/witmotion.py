@@ -17,7 +17,7 @@ from struct import Struct
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, link_in_words
+from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 
@@ -58,12 +58,6 @@ class WitMotionSensor(Sensor):
         self._link = link
         self._arrived = b""
         self._used = self._damaged = 0
-
-    def probe(self) -> Mapping[str, str]:
-        """Return a new reading and the link statistics as text."""
-        self.discard()
-        said = in_words(self.read(), CHANNELS, "{:g}", trimmed=True)
-        return said | {"link": link_in_words(self.link_statistics())}
 
     def read(self) -> Reading:
         """Return the next acceleration.

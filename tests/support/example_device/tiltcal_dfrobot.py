@@ -22,7 +22,7 @@ from tiltcal.drivers import sca100t
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.model import Model, Reading, Sensor, in_words, link_in_words
+from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.drivers.virtual import SILENCE, HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
 
@@ -56,9 +56,6 @@ class Dfrobot(Sensor):
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link = link
         self._counts = {"answers": 0, "damaged": 0}
-
-    def probe(self) -> Mapping[str, str]:
-        return in_words(self.read()) | {"link": link_in_words(self._counts)}
 
     def read(self) -> Reading:
         received = b""
