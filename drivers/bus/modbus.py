@@ -23,6 +23,8 @@ PORT = 502
 _PORT_NUMBER = re.compile("[0-9]{1,5}")
 TIMEOUT = 1.0
 """Timeout after which an answer counts as lost, s."""
+TRIES = 2
+"""How often a request is sent: a frame is lost now and then, and a chamber is asked for hours."""
 
 SILENCE = 3.0
 """Seconds without a byte after which no late answer is expected."""
@@ -117,20 +119,21 @@ class ModbusLine:
         }[function]
         cause: Exception | None = None
         self.open()
-        try:
-            answer = request(first, device_id=unit)
-            if answer.isError() and answer.function_code == function | FAILED:
-                return bytes([function | FAILED, answer.exception_code])
-            if answer.function_code == function and function in (WRITE_ONE, WRITE):
-                return bytes([function])
-            if answer.function_code == function and len(answer.registers) == words[0]:
-                data = b"".join(int(register).to_bytes(2, "big") for register in answer.registers)
-                return bytes([function, len(data)]) + data
-        except (ModbusException, OSError) as error:
-            cause = error
-        if not self._numbered:
-            with suppress(ModbusException, OSError):  # the port is gone
-                self._await_silence()
+        for _ in range(TRIES):
+            try:
+                answer = request(first, device_id=unit)
+                if answer.isError() and answer.function_code == function | FAILED:
+                    return bytes([function | FAILED, answer.exception_code])
+                if answer.function_code == function and function in (WRITE_ONE, WRITE):
+                    return bytes([function])
+                if answer.function_code == function and len(answer.registers) == words[0]:
+                    data = b"".join(int(register).to_bytes(2, "big") for register in answer.registers)
+                    return bytes([function, len(data)]) + data
+            except (ModbusException, OSError) as error:
+                cause = error
+            if not self._numbered:
+                with suppress(ModbusException, OSError):  # the port is gone
+                    self._await_silence()
         raise BusError(
             f"no answer of unit {unit} on {self.place}: check the supply, A and B, the unit's number, baud rate and "
             "parity, and that it answers within timeout="

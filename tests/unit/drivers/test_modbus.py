@@ -171,10 +171,9 @@ def test_a_late_answer_is_never_that_of_another_register(monkeypatch: pytest.Mon
         unit(place, "unit=1&timeout=0.15&columns=x@0,y@9", lines) as both,
         unit(place, "unit=1&timeout=0.15&columns=y@9", lines) as other,
     ):
-        assert both.read().values == (111.0, 222.0)
-        with pytest.raises(BusError, match=r"no answer of unit 1 .* answers within timeout="):
-            both.read()
-        assert other.read().values == (222.0,)
+        for _ in range(2):
+            assert both.read().values == (111.0, 222.0)
+            assert other.read().values == (222.0,)
 
 
 def test_an_answer_of_another_function_or_length_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,7 +183,6 @@ def test_an_answer_of_another_function_or_length_is_none(monkeypatch: pytest.Mon
         serial_line(lambda _, count: [(0.0, frames[count - 1])]) as place,
         unit(place, "unit=1&timeout=0.1&columns=x@0") as sensor,
     ):
-        for _ in range(2):
-            with pytest.raises(BusError, match="no answer of unit 1"):
-                sensor.read()
+        with pytest.raises(BusError, match=r"no answer of unit 1 .* answers within timeout="):
+            sensor.read()
         assert sensor.read().values == (333.0,)
