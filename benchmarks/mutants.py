@@ -102,7 +102,7 @@ OTHERS = (
     ("adxl202.py", "if abs(next_y.rise - y.rise - about) > MOST_APART * about:", "if False:"),
     ("modbus.py", "word[::-1] if swapped", "word if swapped"),
     ("modbus.py", "if not isfinite(number):", "if False:"),
-    ("bus/modbus.py", "if not self._numbered:", "if False:"),
+    ("bus/modbus.py", "while not self._numbered and silent < SILENCE:", "while False:"),
     ("bus/modbus.py", "answer.function_code == function and len(", "len("),
     ("bus/modbus.py", "and len(answer.registers) == words[0]", ""),
     ("bus/address.py", "high is not None and value > high", "False"),

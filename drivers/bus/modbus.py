@@ -81,69 +81,35 @@ class ModbusLine:
 
     An answer on a serial line names its unit, its function and its length, but not the registers, so a late one could
     be taken for that of the next request. After a request without its answer the line therefore has to be silent for as
-    long as a late answer may take. An answer of TCP has the number of its request.
+    long as a late answer may take.
 
-    The client is one of pymodbus, not connected yet, without retries; ``numbered`` is whether answers have the number
-    of their request.
+    client: one of pymodbus, not connected yet, without retries; ``numbered`` is whether answers have the number of
+        their request, as those of TCP.
     """
 
     def __init__(self, place: str, client: Any, *, numbered: bool = False) -> None:
         self.place = place
         self.settings = client.comm_params
-        self._client = client
+        self.client = client
         self._numbered = numbered
 
     def open(self) -> None:
         """Open the line, unless it is open."""
         opened = False
         with suppress(UnicodeError):  # a name that cannot be one of a host
-            opened = self._client.connect()
+            opened = self.client.connect()
         if not opened:
             raise BusError(_why_not_opened(self.place))
 
     def close(self) -> None:
         """Close the line; closing twice is allowed, and the next request opens it again."""
-        self._client.close()
+        self.client.close()
 
-    def exchange(self, unit: int, out: bytes) -> bytes:
-        """Return the answer of a unit to a request: see :meth:`ModbusLink.exchange`."""
-        from pymodbus.exceptions import ModbusException
-
-        function, first = out[0], int.from_bytes(out[1:3], "big")
-        words = [int.from_bytes(out[at : at + 2], "big") for at in range(3, len(out), 2)]
-        request = {
-            HOLDING: partial(self._client.read_holding_registers, count=words[0]),
-            INPUT: partial(self._client.read_input_registers, count=words[0]),
-            WRITE_ONE: partial(self._client.write_register, value=words[0]),
-            WRITE: partial(self._client.write_registers, values=words),
-        }[function]
-        cause: Exception | None = None
-        self.open()
-        for _ in range(TRIES):
-            try:
-                answer = request(first, device_id=unit)
-                if answer.isError() and answer.function_code == function | FAILED:
-                    return bytes([function | FAILED, answer.exception_code])
-                if answer.function_code == function and function in (WRITE_ONE, WRITE):
-                    return bytes([function])
-                if answer.function_code == function and len(answer.registers) == words[0]:
-                    data = b"".join(int(register).to_bytes(2, "big") for register in answer.registers)
-                    return bytes([function, len(data)]) + data
-            except (ModbusException, OSError) as error:
-                cause = error
-            if not self._numbered:
-                with suppress(ModbusException, OSError):  # the port is gone
-                    self._await_silence()
-        raise BusError(
-            f"no answer of unit {unit} on {self.place}: check the supply, A and B, the unit's number, baud rate and "
-            "parity, and that it answers within timeout="
-        ) from cause
-
-    def _await_silence(self) -> None:
-        """Discard late answers until none can come."""
+    def await_silence(self) -> None:
+        """Discard late answers until none can come, where an answer does not say to which request it belongs."""
         pieces, silent = 0, 0.0
-        while silent < SILENCE:
-            if not self._client.recv(None):
+        while not self._numbered and silent < SILENCE:
+            if not self.client.recv(None):
                 silent += self.settings.timeout_connect
                 continue
             pieces, silent = pieces + 1, 0.0
@@ -168,7 +134,36 @@ class ModbusLink:
         the function code, the number of bytes and the registers, or function code + 0x80 and an exception code. Codes
         6 and 16 write what follows the first register, and are answered with the code alone.
         """
-        return self._line.exchange(self._unit, out)
+        from pymodbus.exceptions import ModbusException
+
+        client, function, first = self._line.client, out[0], int.from_bytes(out[1:3], "big")
+        words = [int.from_bytes(out[at : at + 2], "big") for at in range(3, len(out), 2)]
+        request = {
+            HOLDING: partial(client.read_holding_registers, count=words[0]),
+            INPUT: partial(client.read_input_registers, count=words[0]),
+            WRITE_ONE: partial(client.write_register, value=words[0]),
+            WRITE: partial(client.write_registers, values=words),
+        }[function]
+        cause: Exception | None = None
+        self._line.open()
+        for _ in range(TRIES):
+            try:
+                answer = request(first, device_id=self._unit)
+                if answer.isError() and answer.function_code == function | FAILED:
+                    return bytes([function | FAILED, answer.exception_code])
+                if answer.function_code == function and function in (WRITE_ONE, WRITE):
+                    return bytes([function])
+                if answer.function_code == function and len(answer.registers) == words[0]:
+                    data = b"".join(int(register).to_bytes(2, "big") for register in answer.registers)
+                    return bytes([function, len(data)]) + data
+            except (ModbusException, OSError) as error:
+                cause = error
+            with suppress(ModbusException, OSError):  # the port is gone
+                self._line.await_silence()
+        raise BusError(
+            f"no answer of unit {self._unit} on {self._line.place}: check the supply, A and B, the unit's number, baud "
+            "rate and parity, and that it answers within timeout="
+        ) from cause
 
     def close(self) -> None:
         """Close the line; closing twice is allowed, and the next request of another unit opens it again."""
