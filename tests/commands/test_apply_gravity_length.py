@@ -188,14 +188,3 @@ def test_each_sensor_of_a_folder_has_its_own_note_and_flags(options: tuple[str, 
     assert out["S-2_reason"].to_list() == [256] * size
     assert out["S-2_tilt_x"].is_nan().to_list() == [row == bad for row in range(size)]
     assert done.stderr.count("|g| is") == done.stderr.count("S-2: |g| is 0.97:") == 1
-
-
-def test_the_report_of_a_log_counts_the_rows() -> None:
-    """Raw, and as `apply` wrote it."""
-    calibration()
-    applied(0.97 * still())
-    for log in ("log.csv", "out-log.csv"):
-        done = tiltcal("report", "cal.yaml", log, "-o", "page.html")
-        assert done.returncode == 0, done.stderr
-        page = re.sub(r"<[^>]*>|\s+", " ", Path("page.html").read_text())
-        assert re.search(r"256 +length of gravity is not 1 g +1[^0-9]?000 +100\.000", page)

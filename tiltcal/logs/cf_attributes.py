@@ -142,32 +142,23 @@ def describe(
     ``like`` are those of a reading, whose unit the matched sum of a pair has; ``units`` are those of columns that have
     the unit of another column of the log.
     """
-    lead = next((one[:-4] for one in added if one.endswith("_flag") and name.startswith(one[:-4])), "")
-    if lead:
-        of_sensor = [column.removeprefix(lead) for column in added if column.startswith(lead)]
-        attributes = describe(name.removeprefix(lead), of_sensor, like, units)
-        attributes["long_name"] += f", of {lead.removesuffix('_')}"
-        if "ancillary_variables" in attributes:
-            beside = attributes["ancillary_variables"].split()
-            attributes["ancillary_variables"] = " ".join(lead + column for column in beside)
-        return attributes
-    place = {"coordinates": like["coordinates"]} if "coordinates" in like else {}
+    sensor = next((one[:-4] for one in added if one.endswith("_flag") and name.startswith(one[:-4])), "")
+    name, whose = name.removeprefix(sensor), f", of {sensor.removesuffix('_')}" if sensor else ""
+    attributes: dict[str, Any] = {"coordinates": like["coordinates"]} if "coordinates" in like else {}
     if name in _JUDGEMENTS:
-        return {**_JUDGEMENTS[name], **place}
+        return {**attributes, **_JUDGEMENTS[name], "long_name": _JUDGEMENTS[name]["long_name"] + whose}
     if name == COUNT:
-        return {"long_name": "number of rows of which each row is the mean", "units": "1", **place}
+        return attributes | {"long_name": "number of rows of which each row is the mean", "units": "1"}
     lead = next((lead for lead in _UNCERTAINTIES if name.startswith(lead)), "")
     quantity = name.removeprefix(lead)
     kind, _, of = quantity.partition("_")
-    attributes = {"long_name": _LONG_NAMES.get(kind, "gradient signal").format(of)}
     unit: str | None = "1" if kind == "g" else DEGREE
     if (units and quantity in units) or kind in ("matched", "gradient"):
         unit = (units or {}).get(quantity, like.get("units"))
     if unit is not None:
         attributes["units"] = unit
     if lead:
-        attributes["long_name"] = _UNCERTAINTIES[lead].format(quantity)
-    else:
-        beside = ("flag", "reason", *(f"{lead}{quantity}" for lead in _UNCERTAINTIES))
-        attributes["ancillary_variables"] = " ".join(column for column in beside if column in added)
-    return attributes | place
+        return attributes | {"long_name": _UNCERTAINTIES[lead].format(quantity) + whose}
+    beside = [sensor + column for column in ("flag", "reason", *(f"{one}{quantity}" for one in _UNCERTAINTIES))]
+    attributes["ancillary_variables"] = " ".join(column for column in beside if column in added)
+    return attributes | {"long_name": _LONG_NAMES.get(kind, "gradient signal").format(of) + whose}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, BinaryIO
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, BinaryIO, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,26 +161,20 @@ class LogReader(ABC):
         """Let go of what the format's library holds open; nothing where it holds nothing."""
 
 
+@dataclass
 class LogWriter(ABC):
     """The rows of a log on their way out to ``sink``, with the ``added`` columns behind their own.
 
     ``origin`` is what these were made with: ``software``, ``calibration``, ...; ``units`` has the unit of those that
-    have that of a column of the log, None where that one states none.
+    have that of a column of the log, None where that one states none; ``frames``: blocks must have columns with types.
     """
 
-    frames = False
-    """Whether the blocks must have their columns with types."""
-
-    def __init__(
-        self,
-        sink: BinaryIO,
-        log: LogReader,
-        added: Sequence[str] = (),
-        origin: Mapping[str, str] | None = None,
-        units: Mapping[str, str | None] | None = None,
-    ) -> None:
-        self._sink, self._log, self._added = sink, log, tuple(added)
-        self._origin, self._units = dict(origin or {}), dict(units or {})
+    sink: BinaryIO
+    log: LogReader
+    added: Sequence[str] = ()
+    origin: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str | None] = field(default_factory=dict)
+    frames: ClassVar[bool] = False
 
     @abstractmethod
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:

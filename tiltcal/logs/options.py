@@ -86,16 +86,18 @@ class ApplyOptions(TypedDict, total=False):
 
 def require_consistent(options: ApplyOptions) -> None:
     """Raise UsageError for options that contradict each other or need another."""
-    for name in ("stability", "reading_noise"):
-        if options[name] is not None and not options["uncertainty"]:
-            raise UsageError(f"--{name.replace('_', '-')} needs --uncertainty")
+    for name, needed in (
+        ("stability", ("uncertainty",)),
+        ("reading_noise", ("uncertainty",)),
+        ("magnetometer_noise", ("magnetometer", "uncertainty")),
+    ):
+        if options[name] is not None and not all(options[other] for other in needed):  # type: ignore[literal-required]
+            raise UsageError(f"--{name.replace('_', '-')} needs {' and '.join(f'--{other}' for other in needed)}")
     declination = options["declination"]
     if declination is not None and not (options["magnetometer"] or options["velocity"]):
         raise UsageError("--declination needs --magnetometer or --velocity")
     if declination is not None and not (is_number(declination) and abs(declination) <= 180.0):
         raise UsageError(f"--declination is between -180 and 180 degrees, not {shown(declination)}")
-    if options["magnetometer_noise"] is not None and not (options["uncertainty"] and options["magnetometer"]):
-        raise UsageError("--magnetometer-noise needs --magnetometer and --uncertainty")
 
 
 @dataclass(frozen=True)

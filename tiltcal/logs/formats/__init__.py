@@ -6,12 +6,12 @@ A new format is a module with a reader and a writer, and a line in :data:`FORMAT
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from tiltcal.errors import UsageError
 from tiltcal.logs.log import LogReader, LogSource, LogWriter, Progress
@@ -92,14 +92,7 @@ def open_log(
             opened.close()
 
 
-def create_log(
-    output: str | Path,
-    sink: BinaryIO,
-    log: LogReader,
-    added: Sequence[str] = (),
-    origin: Mapping[str, str] | None = None,
-    units: Mapping[str, str | None] | None = None,
-) -> LogWriter:
-    """Return what writes the rows of a log, in the format of the output's name; see :class:`LogWriter`."""
-    writer: LogWriter = _imported(log_format(output), "Writer")(sink, log, added, origin, units)
+def create_log(output: str | Path, *parts: Any) -> LogWriter:
+    """Return what writes the rows of a log, in the format of the output's name; ``parts`` as :class:`LogWriter` has."""
+    writer: LogWriter = _imported(log_format(output), "Writer")(*parts)
     return writer

@@ -226,7 +226,7 @@ class CsvWriter(LogWriter):
 
     @property
     def frames(self) -> bool:  # type: ignore[override]
-        return not isinstance(self._log, CsvReader)
+        return not isinstance(self.log, CsvReader)
 
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
         """Write each block while the next is read and compensated; a single thread keeps the order."""
@@ -259,19 +259,19 @@ class CsvWriter(LogWriter):
         return words.hstack([pl.Series(name, column) for name, column in table.items()])
 
     def _as_it_stands(self, frame: pl.DataFrame, *, first: bool) -> None:
-        log = cast("CsvReader", self._log)
+        log = cast("CsvReader", self.log)
         if first:
-            added = "".join(f"{log.dialect.separator}{name}" for name in self._added)
-            self._sink.write(log.header + added.encode() + log.line_end.encode())
-            self._sink.flush()  # the engine writes to the file itself
+            added = "".join(f"{log.dialect.separator}{name}" for name in self.added)
+            self.sink.write(log.header + added.encode() + log.line_end.encode())
+            self.sink.flush()  # the engine writes to the file itself
         self._write_csv(frame, quote_style="never", line_terminator=log.line_end)
 
     def _in_words(self, frame: pl.DataFrame, *, first: bool) -> None:
         self._write_csv(frame, include_header=first)
 
     def _write_csv(self, frame: pl.DataFrame, **options: Any) -> None:
-        if isinstance(self._log, CsvReader):
-            options["separator"] = self._log.dialect.separator
-            options["decimal_comma"] = self._log.dialect.decimal == ","
-        with refusing("this log cannot become CSV", self._log.name):
-            frame.write_csv(cast("Any", self._sink), **{"include_header": False} | options)
+        if isinstance(self.log, CsvReader):
+            options["separator"] = self.log.dialect.separator
+            options["decimal_comma"] = self.log.dialect.decimal == ","
+        with refusing("this log cannot become CSV", self.log.name):
+            frame.write_csv(cast("Any", self.sink), **{"include_header": False} | options)

@@ -81,24 +81,24 @@ class NetcdfWriter(LogWriter):
     def write(self, blocks: Iterable[tuple[LogBlock, Table]]) -> None:
         import h5netcdf
 
-        log = self._log
+        log = self.log
         if not isinstance(log, NetcdfReader):
             raise UsageError(f"only a NetCDF log becomes NetCDF, and {log.name} is another kind")
         rows = iter(blocks)
         first = next(rows)
         columns, chunk = list(first[0].values), len(first[0])
-        history = _history(log.data.attrs.get("history"), self._origin, datetime.now(UTC))
+        history = _history(log.data.attrs.get("history"), self.origin, datetime.now(UTC))
         if first[0].counts is not None:
-            means = log.with_columns([first, *rows], columns, self._units)
+            means = log.with_columns([first, *rows], columns, self.units)
             with refusing(_NO_ROOM, log.name):
-                means.assign_attrs(history=history).to_netcdf(self._sink, engine="h5netcdf")
+                means.assign_attrs(history=history).to_netcdf(self.sink, engine="h5netcdf")
             return
         log.source.stream.seek(0)
-        shutil.copyfileobj(log.source.stream, self._sink, 1 << 20)
-        self._sink.flush()
+        shutil.copyfileobj(log.source.stream, self.sink, 1 << 20)
+        self.sink.flush()
         dimension, like = log.dimension(columns), log.data[log.names[columns[0]]].attrs
-        with refusing(_NO_ROOM, log.name), h5netcdf.File(self._sink, "r+") as file:
-            for name in self._added:
+        with refusing(_NO_ROOM, log.name), h5netcdf.File(self.sink, "r+") as file:
+            for name in self.added:
                 self._create(file, name, dimension, like, chunk)
             self._write_tables(file, (table for _, table in chain([first], rows)))
             file.attrs["history"] = history
@@ -134,7 +134,7 @@ class NetcdfWriter(LogWriter):
             shuffle=True,
             fillvalue=None if whole else np.nan,
         )
-        variable.attrs.update(describe(name, self._added, like, self._units))
+        variable.attrs.update(describe(name, self.added, like, self.units))
 
 
 def _history(before: Any, origin: Mapping[str, str], moment: datetime) -> str:

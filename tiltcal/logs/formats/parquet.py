@@ -91,10 +91,10 @@ class ParquetWriter(LogWriter):
         whole = (_widened(block, table) for block, table in blocks)
         first = next(whole)
         frames = chain([first], read_ahead(whole, _ROW_GROUP // _ROWS))
-        notes = {**self._log.notes, **({"tiltcal": json.dumps(self._origin)} if self._origin else {})}
-        with refusing("this log cannot become Parquet", self._log.name):
+        notes = {**self.log.notes, **({"tiltcal": json.dumps(self.origin)} if self.origin else {})}
+        with refusing("this log cannot become Parquet", self.log.name):
             register_io_source(lambda *_: frames, schema=first.schema).sink_parquet(
-                self._sink,
+                self.sink,
                 compression_level=_LEVEL,
                 row_group_size=_ROW_GROUP,
                 maintain_order=True,
