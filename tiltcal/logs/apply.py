@@ -27,7 +27,7 @@ from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare, with_lag
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import BlockOfMeans, Means
-from tiltcal.logs.options import ApplyOptions
+from tiltcal.logs.options import ApplyOptions, require_consistent
 from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of, with_writeback
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_path
@@ -87,6 +87,7 @@ def _require_new_columns(log: LogReader, prepared: PreparedCalibration) -> None:
 
 def prepare_any(calibration: Applied, options: ApplyOptions) -> Callable[[LogReader], PreparedCalibration]:
     """Make a calibration, its file or a folder ready for a log; options that are not for it are a UsageError."""
+    require_consistent(options)
     if isinstance(calibration, str | Path) and os.path.isdir(calibration):
         calibration = CalibrationFolder(calibration)
     if isinstance(calibration, CalibrationFolder):

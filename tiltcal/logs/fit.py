@@ -89,7 +89,7 @@ def fit_recorded(
         unknown = own is None and model is None
         identity = _identity(own, model, steps, options["unit"] or (header.unit if unknown else None), serial)
         if unknown:
-            identity = identity.replaced(channels=_channels(data, header, steps, options))
+            identity = identity.replaced(channels=_channels(data, None if table else header, steps, options))
         columns = {axis: name for axis, name in header.columns.items() if axis in identity.channels and name != axis}
         identity = identity.replaced(columns=columns or identity.columns)
         nominal = None if model is None or model.unit != identity.unit else model
@@ -151,15 +151,15 @@ def _require_table_alone(procedure: Procedure, options: FitOptions) -> None:
         raise UsageError(f"{procedure.name} takes a continuous record, not a --table of positions")
 
 
-def _channels(data: Any, header: LogHeader, procedure: Procedure, options: FitOptions) -> tuple[str, ...]:
-    """Return the axes of a procedure that the data have a reading of: a sensor of two axes has no column z."""
+def _channels(data: Any, header: LogHeader | None, procedure: Procedure, options: FitOptions) -> tuple[str, ...]:
+    """Return the axes of a procedure that a log or a table has a reading of: a sensor of two axes has no column z."""
     axes = procedure.determines.axes
     if procedure.determines.free or not axes:
         return axes or AXES
-    if header.columns or options["columns"]:
-        found = tuple(axis for axis in axes if axis in {**named_columns(options["columns"], axes), **header.columns})
-    else:
+    if header is None:
         found = tabled_channels(_path_or_rows(data, "the table", TabledRow), axes)
+    else:
+        found = tuple(axis for axis in axes if axis in {**named_columns(options["columns"], axes), **header.columns})
     absent = [axis for axis in axes if axis not in found]
     if found and absent:
         options["say"](f"there is no {' and no '.join(absent)}: the sensor has {' and '.join(found)}")

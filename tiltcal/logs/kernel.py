@@ -27,7 +27,7 @@ from tiltcal.files.pair import PairRecord
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.columns import HEADING, TIME
 from tiltcal.logs.log import Table
-from tiltcal.logs.options import ApplyOptions, GroupSize, require_consistent, vectors
+from tiltcal.logs.options import ApplyOptions, GroupSize, vectors
 from tiltcal.options import complete
 from tiltcal.printable import counted
 
@@ -229,7 +229,6 @@ def prepare(
     origin: Mapping[str, str] | None = None,
 ) -> PreparedCalibration:
     """Make a calibration ready; ``file`` is its file, for messages, ``origin`` what is known of it."""
-    require_consistent(options)
     named, size, say = vectors(options), GroupSize.of(options["average"], options["every"]), options["say"]
     stated = {"software": f"tiltcal {tiltcal.__version__}", **(origin or {})}
     if isinstance(calibration, PairRecord):

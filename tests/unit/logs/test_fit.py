@@ -135,6 +135,9 @@ def test_a_two_axis_sensor_of_no_known_model(kind: str, tmp_path: Path) -> None:
         data = tmp_path / "log.csv"
         rows.write_csv(data, include_header=kind == "log")
         options["columns"] = "x=a,y=b" if kind == "log" else "x=1,y=2"
+    if kind == "log":
+        with pytest.raises(tiltcal.InputError, match="there is no column 'x'; the log has a, b"):
+            fit("cross-axis", data, **SENSOR, segments=segments)
     found = fit("cross-axis", data, **SENSOR, **options, jig=0.01, say=said.append)
     assert found.sensor.channels == ("x", "y")
     assert said == ["there is no z: the sensor has x and y"]
