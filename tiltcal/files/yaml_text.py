@@ -52,18 +52,15 @@ def read_text(path: str | Path) -> str:
     require_path("a file", path)
     try:
         with open(path, "rb") as stream:
-            size = Path(path).stat().st_size
-            # A pipe or device has no size of its own, so what is read is bounded too.
-            data = b"" if size > SIZE_LIMIT else stream.read(SIZE_LIMIT + 1)
+            data = stream.read(SIZE_LIMIT + 1)
     except FileNotFoundError:
         raise InputError("no such file", file=path) from None
     except IsADirectoryError:
         raise InputError("this is a folder; name a file in it", file=path) from None
     except (OSError, ValueError) as failure:
         raise InputError(f"cannot be read: {getattr(failure, 'strerror', None) or failure}", file=path) from None
-    if size > SIZE_LIMIT or len(data) > SIZE_LIMIT:
-        found = f"{size:,} bytes" if size > SIZE_LIMIT else "more bytes than that"
-        raise InputError(f"the file is too large: at most {SIZE_LIMIT:,} bytes are read, found {found}", file=path)
+    if len(data) > SIZE_LIMIT:
+        raise InputError(f"the file is too large: at most {SIZE_LIMIT:,} bytes are read", file=path)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as failure:

@@ -196,11 +196,11 @@ def test_number_of_values_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "more than 2,000 values in one file" in str(complaint("[" + "1," * 2000 + "]"))
 
 
-def test_large_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
+def test_large_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "large.yaml"
     path.touch()
     os.truncate(path, 1 << 30)
-    with pytest.raises(InputError, match=r"too large.*1,073,741,824"):
+    with pytest.raises(InputError, match="too large: at most 4,000,000 bytes"):
         read_document(path)
 
 
