@@ -22,11 +22,15 @@ PATIENCE = 30.0
 
 
 class Browser:
-    """A running Chromium; ``complaints`` are what its pages wrote to their console, and errors."""
+    """A running Chromium; ``complaints`` are what its pages wrote to their console, and errors.
+
+    ``requests`` are the addresses that pages with ``Network.enable`` asked for.
+    """
 
     def __init__(self, into: int, out_of: int) -> None:
         self._into, self._out_of, self._rest, self._last = into, out_of, b"", 0
         self.complaints: list[str] = []
+        self.requests: list[str] = []
 
     def call(self, method: str, session: str | None = None, /, **params: Any) -> Any:
         """Carry out one command, and return its result."""
@@ -45,6 +49,8 @@ class Browser:
                 return said["result"]
             if said.get("method") in ("Runtime.consoleAPICalled", "Runtime.exceptionThrown"):
                 self.complaints.append(json.dumps(said["params"])[:500])
+            if said.get("method") == "Network.requestWillBeSent":
+                self.requests.append(said["params"]["request"]["url"])
 
     def open(self, url: str) -> Tab:
         """Open a page in a window of its own."""
