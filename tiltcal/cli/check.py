@@ -28,7 +28,7 @@ from tiltcal.files.record import KINDS
 @options.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
 @click.argument("paths", metavar="FILE...", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--schema", type=click.Choice([*KINDS]), help="Print the JSON Schema of a kind of file, for an editor.")
-@click.option("--json", "as_json", is_flag=True, help="Print a JSON list.")
+@options.as_json
 def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
     """Check calibration files, procedures, twins and journals.
 

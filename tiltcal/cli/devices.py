@@ -14,7 +14,7 @@ from tiltcal.drivers.model import Model
 
 @options.command(epilog="Example: tiltcal devices sca100t-d02")
 @click.argument("model", required=False)
-@click.option("--json", "as_json", is_flag=True, help="Print a JSON list.")
+@options.as_json
 def command(model: str | None, as_json: bool) -> None:
     """List the sensor models, or show the addresses, the readings and the virtual twin of one."""
     known = list(models()) if model is None else [find_model(model)]

@@ -120,7 +120,7 @@ file_option = partial(click.option, type=FILE)
 above_zero = partial(click.option, type=Number(require_above_zero))
 """Options that take a path, and a number above 0."""
 
-as_json = click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
+as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 
 def left_at_default(option: str) -> bool:

@@ -15,7 +15,7 @@ from tiltcal.files.procedure import Determines, Procedure, Rotation, find_proced
 )
 @click.argument("procedure", required=False)
 @click.option("--source", is_flag=True, help="Print the procedure file, to copy and edit.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@options.as_json
 def command(procedure: str | None, source: bool, as_json: bool) -> None:
     """List the procedures, or show the positions of one (its name, or the path of your own)."""
     if procedure is None:
