@@ -5,6 +5,7 @@ Gravity is turned by scipy's rotations, correlated noise is filtered by scipy, r
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import cos, radians, sqrt
 
@@ -86,78 +87,72 @@ def plane(
     return observations
 
 
-def inside(found: Estimate, names: tuple[str, ...], truth: float = 0.0) -> Array:
-    known, u, factors = found.coefficients.offset, found.uncertainty(), found.uncertain.by_name(found.uncertain.factors)
-    return np.array([abs(known[k] - truth) <= factors[n] * u[n] for k, n in enumerate(names)])
+def share_inside(draw: Callable[[np.random.Generator], list[Observation]], wanted: Design, seed: int) -> float:
+    """The share of 70 benches in which the interval of an offset holds the truth, 0."""
+    rng, hits = np.random.default_rng(seed), []
+    for _ in range(70):
+        found = estimate(draw(rng), wanted)
+        half = (found.uncertain.factors * found.uncertain.u)[[0, 3]]
+        hits.append(np.abs(found.coefficients.offset) <= half)
+    return float(np.mean(hits))
 
 
 class TestLean:
-    OFFSETS = ("offset.x", "offset.y")
+    WANTED = Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2)
+    BY_LEAN = radians(0.2) * (1 + cos(radians(30))) / 2  # the mean of cos 30° and 1
 
     def test_a_stated_lean_is_in_the_offsets(self) -> None:
-        """A lean of 0.2° moves the offsets by 0.93 of it, the mean of cos 30° and 1; 95 % of 70 benches."""
-        rng = np.random.default_rng(1)
-        hits = []
-        for _ in range(70):
-            first, second = radians(0.2) * rng.standard_normal(2)
-            found = estimate(plane(rng, (first, second), jig=0.1), Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2))
-            hits.append(inside(found, self.OFFSETS))
-        assert np.mean(hits) == pytest.approx(0.95, abs=0.055)
-        by_lean = radians(0.2) * (1 + cos(radians(30))) / 2
-        assert sqrt(found.uncertain.sources["table"][0]) == pytest.approx(by_lean, rel=0.12)
+        def draw(rng: np.random.Generator) -> list[Observation]:
+            return plane(rng, tuple(radians(0.2) * rng.standard_normal(2)), jig=0.1)
+
+        assert share_inside(draw, self.WANTED, 1) == pytest.approx(0.95, abs=0.055)
+        found = estimate(draw(np.random.default_rng(2)), self.WANTED)
+        assert sqrt(found.uncertain.sources["table"][0]) == pytest.approx(self.BY_LEAN, rel=0.12)
 
     def test_plan_counts_it_and_says_what_a_heading_brings(self) -> None:
-        positions = [
-            Observation(f"p{k}", np.array(gravity_from_tilt(tilt)), np.zeros(2), np.full(2, NOISE))
-            for k, tilt in enumerate(PLANE)
-        ]
-        plan = predict_uncertainty(Design(("x", "y"), ("x", "y"), jig=0.1, table=0.2), positions)
-        by_lean = radians(0.2) * (1 + cos(radians(30))) / 2
-        assert plan.uncertain.u[0] == pytest.approx(by_lean, rel=0.12)
+        planned = [replace(one, u=np.full(2, NOISE)) for one in plane(np.random.default_rng(1), (0.0, 0.0))]
+        plan = predict_uncertainty(self.WANTED, planned)
+        assert plan.uncertain.u[0] == pytest.approx(self.BY_LEAN, rel=0.12)
         name, _, share = plan.worth_adding[0]
         assert name == "p0 with the fixture turned by 180°"
         assert share < 0.6
 
     def test_a_heading_that_is_off(self) -> None:
-        """A table that leans by 1° and headings that are off by 2°: the angles move by 0.035°, 95 % are inside."""
-        rng = np.random.default_rng(4)
-        hits = []
-        for _ in range(70):
-            lean = (radians(1.0), radians(-0.8))
-            headings = (0.0, 0.0, 180.0, 180.0)
+        """A table that leans by 1° and headings that are off by 2°: the angles move by 0.035°."""
+        headings = (0.0, 0.0, 180.0, 180.0)
+
+        def draw(rng: np.random.Generator) -> list[Observation]:
             off = tuple(h + e for h, e in zip(headings, 2.0 * rng.standard_normal(4), strict=True))
-            observations = [replace(one, heading=h) for one, h in zip(plane(rng, lean, off), headings, strict=True)]
-            found = estimate(observations, Design(("x", "y"), ("x", "y"), jig=0.0, heading=2.0))
-            hits.append(inside(found, self.OFFSETS))
-        assert np.mean(hits) == pytest.approx(0.95, abs=0.065)
+            taken = plane(rng, (radians(1.0), radians(-0.8)), off)
+            return [replace(one, heading=h) for one, h in zip(taken, headings, strict=True)]
+
+        wanted = Design(("x", "y"), ("x", "y"), jig=0.0, heading=2.0)
+        assert share_inside(draw, wanted, 4) == pytest.approx(0.95, abs=0.065)
+
+
+TEMPERATURES = (0.0, 20.0, 40.0, 20.5, 0.5)
+
+
+def looped(jig: float, *, held: bool) -> Estimate:
+    """Level at 0, 20 and 40 °C on the way up, 0.4 more on the way down."""
+    design = Design(("x",), ("x",), drift=1, jig=jig, priors={"sensitivity.x.x": Prior(1.0)})
+    met = [
+        Observation(f"p{k}", LEVEL, np.array([0.01 * t + 0.4 * (k > 2)]), np.array([0.03]), t, held=held and k > 0)
+        for k, t in enumerate(TEMPERATURES)
+    ]
+    return with_hysteresis(estimate(met, design), SensorObservations(design, met))
 
 
 def test_a_loop_counts_where_noise_and_jig_do_not_explain_it() -> None:
-    """Level at 0, 20 and 40 °C on the way up, 0.4 more on the way down; set anew each time with a jig of 10°."""
-    temperatures = (0.0, 20.0, 40.0, 20.5, 0.5)
-    observations = [
-        Observation(f"p{k}", LEVEL, np.array([0.01 * t + 0.4 * (k > 2)]), np.array([0.03]), t)
-        for k, t in enumerate(temperatures)
-    ]
-    untouched = [replace(one, held=k > 0) for k, one in enumerate(observations)]
-    for jig, met, counts in ((0.0, observations, True), (10.0, observations, False), (10.0, untouched, True)):
-        design = Design(("x",), ("x",), drift=1, jig=jig, priors={"sensitivity.x.x": Prior(1.0)})
-        found = with_hysteresis(estimate(met, design), SensorObservations(design, met))
-        assert ("hysteresis" in found.uncertain.sources) is counts
+    """Set anew each time with a jig of 10°, it does."""
+    for jig, held, counts in ((0.0, False, True), (10.0, False, False), (10.0, True, True)):
+        assert ("hysteresis" in looped(jig, held=held).uncertain.sources) is counts
 
 
 def test_a_loop_is_in_offset_and_drift() -> None:
     """A straight line through five temperatures, of which the middle one is met once: by numpy's pseudo-inverse."""
-    temperatures, later = (0.0, 20.0, 40.0, 20.5, 0.5), (0, 0, 0, 1, 1)
-    observations = [
-        Observation(
-            f"p{k}", np.array([0.0, 0.0, 1.0]), np.array([0.01 * t + 0.4 * way]), np.array([0.03]), t, held=k > 0
-        )
-        for k, (t, way) in enumerate(zip(temperatures, later, strict=True))
-    ]
-    design = Design(("x",), ("x",), drift=1, jig=0.0, priors={"sensitivity.x.x": Prior(1.0)})
-    found = with_hysteresis(estimate(observations, design), SensorObservations(design, observations))
-    drift, offset = np.linalg.pinv(np.vander(temperatures, 2))
+    found = looped(0.0, held=True)
+    drift, offset = np.linalg.pinv(np.vander(TEMPERATURES, 2))
     loop = max(found.residuals[3, 0] - found.residuals[1, 0], found.residuals[4, 0] - found.residuals[0, 0])
     expected = [loop**2 / 12.0 * (np.sum(by) ** 2 + by[2] ** 2) for by in (offset, drift)]
     assert loop == pytest.approx(0.4, abs=0.01)
