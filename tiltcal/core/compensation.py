@@ -53,7 +53,7 @@ SHORTEST, LONGEST = 0.5, 2.0  # lengths of gravity beyond which three axes have 
 
 _EDGE = cos(radians(45.0))  # the z component between those of a sensor near level and of one on edge
 _OVER = -sin(radians(5.0))  # element zz of the mounting below which two axes hang upside down: an estimate is no sign
-CHUNK, UNCERTAIN_CHUNK = 32_768, 4096
+CHUNK, UNCERTAIN_CHUNK = 32_768, 8192
 """Rows whose columns stay in the cache from the first step to the last; and with the derivatives of uncertainties."""
 
 _ROUNDING = 1e-12  # g: an argument this close to a bound is at the bound, whatever the order of the arithmetic
