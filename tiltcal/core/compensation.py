@@ -23,24 +23,9 @@ from math import cos, inf, isfinite, pi, radians, sin
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tiltcal.core import flags
 from tiltcal.core.attitude import mounting_matrix
-from tiltcal.core.flags import (
-    CLIPPED,
-    FAIL,
-    GRAVITY_LENGTH,
-    MISSING,
-    NO_DIRECTION,
-    NO_TEMPERATURE,
-    NOT_A_NUMBER,
-    PASS,
-    RAIL,
-    SUSPECT,
-    TEMPERATURE_RANGE,
-    TILT_RANGE,
-    Bytes,
-    Reasons,
-    mark,
-)
+from tiltcal.core.flags import Bytes, Reasons, mark
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, polynomial, take_out_nonlinearity
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
 from tiltcal.errors import EstimateError
@@ -247,7 +232,7 @@ class Compensation:
 
     def _compensate(self, rows: slice, u: Array, temperature: Array | None, out: Compensated) -> KernelChunk:
         """Compute one chunk into ``out``; ``u`` has a row for each channel."""
-        out.flag.fill(PASS)
+        out.flag.fill(flags.PASS)
         out.reason.fill(0)
         dt, application = self._temperature_difference(temperature, out), out.gravity.T
         signal = self._signal(u, dt)
@@ -273,15 +258,15 @@ class Compensation:
             known = np.isfinite(temperature)
             if self.temperatures is not None:
                 low, high = self.temperatures
-                mark(out, known & ((temperature < low) | (temperature > high)), SUSPECT, TEMPERATURE_RANGE)
+                mark(out, known & ((temperature < low) | (temperature > high)), flags.SUSPECT, flags.TEMPERATURE_RANGE)
         if self._thermal is None:
             return None
         if temperature is None or known is None:
-            mark(out, np.ones(len(out.flag), bool), SUSPECT, NO_TEMPERATURE)
+            mark(out, np.ones(len(out.flag), bool), flags.SUSPECT, flags.NO_TEMPERATURE)
             return None
         dt: Array = temperature - self._thermal.reference
         if not known.all():
-            mark(out, ~known, SUSPECT, NO_TEMPERATURE)
+            mark(out, ~known, flags.SUSPECT, flags.NO_TEMPERATURE)
             dt[~known] = 0.0
         return dt
 
@@ -312,7 +297,7 @@ class Compensation:
         if q.any():
             own -= q[:, None] * hidden
             excess = np.einsum("ij,ij->j", own, own) - 1.0
-        mark(out, excess > _ROUNDING, SUSPECT, CLIPPED)
+        mark(out, excess > _ROUNDING, flags.SUSPECT, flags.CLIPPED)
         return hidden
 
     def _mount(self, own: Array, hidden: Array | None, application: Array) -> None:
@@ -330,10 +315,10 @@ class Compensation:
         inside = (square >= self._squares[0]) & (square <= self._squares[1])
         if inside.all():
             return
-        mark(out, ~inside, SUSPECT, GRAVITY_LENGTH)
+        mark(out, ~inside, flags.SUSPECT, flags.GRAVITY_LENGTH)
         lost = ~inside & ~((square >= SHORTEST**2 - _ROUNDING) & (square <= LONGEST**2 + _ROUNDING))
-        mark(out, lost, FAIL, GRAVITY_LENGTH)
-        mark(out, square <= VANISHES**2, FAIL, NO_DIRECTION)
+        mark(out, lost, flags.FAIL, flags.GRAVITY_LENGTH)
+        mark(out, square <= VANISHES**2, flags.FAIL, flags.NO_DIRECTION)
         out.angles[lost] = np.nan
 
     def _blank_unknown_sign(self, hidden: Array, out: Compensated) -> None:
@@ -341,7 +326,7 @@ class Compensation:
         unknown = np.abs(hidden) < _EDGE - _ROUNDING
         if self.rotation is None or not unknown.any():
             return
-        mark(out, unknown, FAIL, NO_DIRECTION)
+        mark(out, unknown, flags.FAIL, flags.NO_DIRECTION)
         by_hidden = self.rotation[:2, 2] - self.rotation[:2, :2] @ self.coupling
         for column in np.flatnonzero(np.abs(by_hidden) > _ROUNDING):
             out.gravity[unknown, column] = out.angles[unknown, column] = np.nan
@@ -351,18 +336,18 @@ class Compensation:
         for axis, (low, high) in self.reach.items():
             argument = own[axis]
             measured = np.abs(argument) <= CLIP_LIMIT + _ROUNDING
-            mark(out, measured & ((argument < low) | (argument > high)), SUSPECT, TILT_RANGE)
+            mark(out, measured & ((argument < low) | (argument > high)), flags.SUSPECT, flags.TILT_RANGE)
 
     def _judge_readings(self, u: Array, out: Compensated) -> None:
         """Mark readings at the rail, and blank the rows that have a reading which is no number."""
         for channel, (low, high) in self._rails.items():
-            mark(out, (u[channel] <= low) | (u[channel] >= high), FAIL, RAIL)
+            mark(out, (u[channel] <= low) | (u[channel] >= high), flags.FAIL, flags.RAIL)
         finite = np.isfinite(u).all(axis=0)
         if finite.all():
             return
         missing = ~finite
-        out.flag[missing] = MISSING
-        out.reason[missing] = NOT_A_NUMBER
+        out.flag[missing] = flags.MISSING
+        out.reason[missing] = flags.NOT_A_NUMBER
         out.gravity[missing] = out.angles[missing] = np.nan
 
 
@@ -373,9 +358,9 @@ def _arcsine(argument: Array, angle: Array, out: Compensated) -> None:
     inside = size <= 1.0 + _ROUNDING
     if inside.all():
         return
-    mark(out, ~inside, SUSPECT, CLIPPED)
+    mark(out, ~inside, flags.SUSPECT, flags.CLIPPED)
     lost = ~(size <= CLIP_LIMIT + _ROUNDING)
-    mark(out, lost, FAIL, CLIPPED)
+    mark(out, lost, flags.FAIL, flags.CLIPPED)
     angle[lost] = np.nan
 
 

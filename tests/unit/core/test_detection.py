@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
-from tiltcal.core.detection import (
-    identical_by_chance,
-    is_still,
-    moved_rows,
-    stuck_spans,
-    window_scatter,
-)
+from tiltcal.core.detection import identical_by_chance, is_still, moved_rows, stuck_spans, window_scatter
 
 REST = np.random.default_rng(1).normal(0.0, 1.0, (2000, 2))
 

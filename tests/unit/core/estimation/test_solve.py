@@ -10,18 +10,7 @@ import pytest
 import scipy
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from support.simulated_bench import (
-    FACES,
-    XYZ,
-    Plan,
-    design,
-    fixture,
-    measured,
-    part,
-    plan_of,
-    sweep,
-    two_temperatures,
-)
+from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of, sweep, two_temperatures
 
 from tiltcal.core.attitude import gravity_from_tilt
 from tiltcal.core.estimation.design import predict_uncertainty
