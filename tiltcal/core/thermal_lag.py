@@ -14,8 +14,6 @@ ramp, and amplifies the noise of the thermometer by no more than 1 + 1 / LOG_SMO
 
 from __future__ import annotations
 
-from math import sqrt
-
 import numpy as np
 
 from tiltcal.core.model import Array
@@ -56,27 +54,12 @@ class ThermalLag:
         added = (mean - decay) * before + (1.0 - mean) * temperature
         fresh = ~(step >= 0.0)
         decay[fresh], added[fresh] = 0.0, temperature[fresh]
-        filtered = _recursion(decay, added, 0.0 if np.isnan(self._filtered) else self._filtered)
-        self._time, self._temperature, self._filtered = float(time[-1]), float(temperature[-1]), float(filtered[-1])
+        last, each = 0.0 if np.isnan(self._filtered) else self._filtered, []
+        for factor, value in zip(decay.tolist(), added.tolist(), strict=True):
+            last = factor * last + value
+            each.append(last)
+        filtered = np.array(each)
+        self._time, self._temperature, self._filtered = float(time[-1]), float(temperature[-1]), last
         if self._lag > 0.0:
             return filtered
         return np.asarray(temperature + (temperature - filtered) / LOG_SMOOTHING)
-
-
-def _recursion(decay: Array, added: Array, start: float) -> Array:
-    """Return y_k = decay_k y_(k-1) + added_k for all k, ``start`` being the y before the first."""
-    size = len(decay)
-    length = int(sqrt(size)) or 1
-    rows = -(-size // length)
-    factors, values = np.ones(rows * length), np.zeros(rows * length)
-    factors[:size], values[:size] = decay, added
-    factors, values = (np.ascontiguousarray(part.reshape(rows, length).T) for part in (factors, values))
-    # Column by column of the table at once; then each row of it starts where the one before ends.
-    for k in range(1, length):
-        values[k] += factors[k] * values[k - 1]
-        factors[k] *= factors[k - 1]
-    starts = np.empty(rows)
-    for row, (factor, value) in enumerate(zip(factors[-1].tolist(), values[-1].tolist(), strict=True)):
-        starts[row] = start
-        start = factor * start + value
-    return np.asarray((values + factors * starts).T.reshape(-1)[:size])

@@ -389,16 +389,11 @@ class RampMeans:
 
     def played(self, width: float) -> Array:
         """Return the powers of a temperature that follows that of the thermometer with a play of some °C."""
-        temperature, behind = self._record.temperature, 1
-        low, high = temperature - width / 2.0, temperature + width / 2.0
-        low[0] = high[0] = temperature[0]
-        # A row limits the place of the row before; here it limits those of 1, 2, 4, ... rows before, until all agree.
-        while behind < len(temperature):
-            low[behind:], high[behind:] = (
-                np.clip(limit[:-behind], low[behind:], high[behind:]) for limit in (low, high)
-            )
-            behind *= 2
-        return self._powers_of(self.averaged(low) - self.reference)
+        place, followed = float(self._record.temperature[0]), []
+        for temperature in self._record.temperature.tolist():
+            place = min(max(place, temperature - width / 2.0), temperature + width / 2.0)
+            followed.append(place)
+        return self._powers_of(self.averaged(np.array(followed)) - self.reference)
 
     def noise_covariance(self, design: Array, values: Array) -> Array:
         """Return the covariance of the noise of one channel: white, and a process whose correlation decays with time.
