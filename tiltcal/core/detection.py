@@ -126,16 +126,13 @@ def window_scatter(columns: Sequence[Array], lost: Mask, window: int) -> Array:
     for start in range(0, len(scatter), _PIECE):
         rows = slice(start, min(start + _PIECE, len(scatter)) + window - 1)
         gone = lost[rows]
-        some = bool(gone.any())
         squares = np.zeros(len(gone) - window + 1)
         for column in columns:
             # Squares of what is far from zero would lose the noise in their last digits.
             part = column[rows]
-            centre = part[~gone].mean() if some and not gone.all() else part.mean()
-            part = np.where(gone, 0.0, part - centre) if some else part - centre
+            part = np.where(gone, 0.0, part - (0.0 if gone.all() else part[~gone].mean()))
             squares += _window_sums(part * part, window) - _window_sums(part, window) ** 2 / window
-        if some:
-            squares[_window_sums(gone.astype(float), window) > 0.5] = inf
+        squares[_window_sums(gone.astype(float), window) > 0.5] = inf
         scatter[start : start + _PIECE] = np.sqrt(np.maximum(squares, 0.0) / (window - 1))
     return scatter
 

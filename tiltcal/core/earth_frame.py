@@ -84,11 +84,11 @@ class EarthFrame:
     @classmethod
     def of_field(cls, up: Array, field: Array, declination: float) -> EarthFrame:
         """Find the earth's directions from the field, (3, n); magnetic north is east of north by the declination."""
-        across = cross(field, up)
+        across = np.cross(field, up, axis=0)
         horizontal = length_of(across)
         horizontal[horizontal <= _VANISHES * length_of(field)] = np.nan
         magnetic_east = across / horizontal
-        magnetic_north = cross(up, magnetic_east)
+        magnetic_north = np.cross(up, magnetic_east, axis=0)
         east = cos(declination) * magnetic_east + sin(declination) * magnetic_north
         north = cos(declination) * magnetic_north - sin(declination) * magnetic_east
         heading = np.arctan2(east[0], north[0])
@@ -105,7 +105,7 @@ class EarthFrame:
         length[length <= _VANISHES] = np.nan
         along /= length
         heading = np.where(np.isfinite(length), heading, np.nan)
-        right = cross(along, up)
+        right = np.cross(along, up, axis=0)
         sine, cosine = np.sin(heading), np.cos(heading)
         return cls(up, along * sine + right * cosine, along * cosine - right * sine, full_circle(heading, 2 * np.pi))
 
@@ -205,12 +205,12 @@ class EarthFrameCompensation:
 
         def gradients() -> Iterator[tuple[Array, Array, Array | float]]:
             for by_up, by_azimuth in frame.gradients(velocity):
-                by_turn = cross(frame.up, by_up)
+                by_turn = np.cross(frame.up, by_up, axis=0)
                 if field is None or frame.field is None:
                     yield by_up, by_turn, 0.0
                 else:
                     by_field = -by_azimuth / frame.field[1]
-                    by_turn += cross(field, by_field * frame.field[0])
+                    by_turn += np.cross(field, by_field * frame.field[0], axis=0)
                     yield by_up, by_turn, (by_field * self._field_noise) ** 2 * chunk.share
 
         found = uncertain.of_up(chunk, gradients())
@@ -248,11 +248,6 @@ def full_circle(angle: Array, turn: float) -> Array:
     angle = np.mod(angle, turn)
     angle[angle == turn] = 0.0
     return angle
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Return the vector product of vectors in columns; twice as fast as numpy's."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def length_of(vectors: Array) -> Array:
