@@ -27,7 +27,7 @@ from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.converters import NOMINAL, Inputs, VirtualAds1115, take_inputs
-from tiltcal.drivers.model import Model, Reading, Sensor
+from tiltcal.drivers.model import Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import JIG, TIME_CONSTANT, HeldPose, Truth, uniform
 from tiltcal.errors import DeviceFault
 
@@ -55,13 +55,7 @@ class AnalogSensor(Sensor):
 
     def probe(self) -> Mapping[str, str]:
         """Return a sample, the supply and the converter as text; the errors are those of :meth:`read`."""
-        reading = self.read()
-        said = {
-            channel: f"{value:.4f} V, referred to {NOMINAL:g} V"
-            for channel, value in zip(CHANNELS, reading.values, strict=False)
-        }
-        if reading.temperature is not None:
-            said["temperature"] = f"{reading.temperature:.2f} °C"
+        said = in_words(self.read(), CHANNELS, f"{{:.4f}} V, referred to {NOMINAL:g} V", trimmed=True)
         return said | self._inputs.said(self._volts)
 
     def read(self) -> Reading:

@@ -40,4 +40,4 @@ def test_it_finds_the_twin(model: str, procedure: str, address: str, tmp_path: P
 def test_probe_of_a_thermistor(tmp_path: Path) -> None:
     result = tiltcal("probe", "--sensor", "thermistor", "--address", "sim:", "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert json.loads(result.stdout)["answers"]["temperature"] == "24.00 °C"
+    assert json.loads(result.stdout)["answers"]["temperature"] == "24.0 °C"

@@ -75,9 +75,9 @@ class Bench:
         """Let every message fail with this errno from now on; 0 lets them pass again."""
         self._order(fault=number)
 
-    def break_part(self, broken: bool = True) -> None:
-        """Let the part send its fault signal, words below 102."""
-        self._order(broken=broken)
+    def break_part(self) -> None:
+        """Let the part send its fault signal."""
+        self._order(broken=True)
 
     def kill(self, signal: int) -> None:
         """Send a signal to the program."""
@@ -89,7 +89,7 @@ class Bench:
         return [Message(start, end, bytes.fromhex(out), bytes.fromhex(answer)) for start, end, out, answer in rows]
 
     def settings(self) -> dict[str, int]:
-        """SPI: mode, bits per word and speed in Hz that the program has set. I2C: the address last spoken to."""
+        """Mode, bits per word and speed in Hz that the program has set on SPI."""
         settings: dict[str, int] = self._order(messages=True)["settings"]
         return settings
 
@@ -116,17 +116,13 @@ class Bench:
         self.process.stdin.write(line + "\n")  # type: ignore[union-attr]
         self.process.stdin.flush()  # type: ignore[union-attr]
 
-    def lead(self, answer: Mapping[str, object] | None = None) -> list[dict[str, Any]]:
-        """Be the tilt table of ``--operator json``: take each position that is asked for, until the program ends.
-
-        It is told ``answer`` once a position is taken, ready where that is left out. Returns every line that it said.
-        """
+    def lead(self) -> list[dict[str, Any]]:
+        """Take each position that ``--operator json`` asks for, until the program ends; return every line of it."""
         said = []
         for line in self.process.stdout:  # type: ignore[union-attr]
             said.append(json.loads(line))
             if "ask" in said[-1]:
-                self.pose(said[-1]["gravity"], said[-1].get("temperature"))
-                self.say(json.dumps(answer) if answer else READY)
+                self.take(said[-1])
         return said
 
     def _order(self, **order: object) -> dict[str, Any]:
