@@ -108,6 +108,7 @@ class Compensation:
     takes the sensor's frame to the application's. A g_z that two channels do not see is solved for where ``solves_z``;
     the mounting turns such a sensor over where ``upside_down``, and ``on_edge`` by more than 45° from both. ``reach``
     is the range of each axis by its place, as components of gravity, g; ``temperatures`` the calibrated range, °C.
+    ``columns`` are the names of what :meth:`table` gives, of which ``angles`` are some.
     """
 
     def __init__(self, coefficients: Coefficients, limits: Limits | None = None, *, first_order: bool = False) -> None:
@@ -159,16 +160,8 @@ class Compensation:
             self.axes,
         )
         self.temperatures = overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
-
-    @property
-    def angles(self) -> tuple[str, ...]:
-        """Names of the columns of :meth:`table` that are angles."""
-        return (*(f"tilt_{axis}" for axis in self.axes), *(DIRECTIONS if len(self.axes) == 3 else ()))
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns that :meth:`table` gives."""
-        return (*(f"g_{axis}" for axis in self.axes), *self.angles, "flag", "reason")
+        self.angles = (*(f"tilt_{axis}" for axis in self.axes), *(DIRECTIONS if channels == 3 else ()))
+        self.columns = (*(f"g_{axis}" for axis in self.axes), *self.angles, "flag", "reason")
 
     def table(self, compensated: Compensated) -> dict[str, NDArray[np.float64] | Bytes]:
         """Return the columns of a result under the names that :attr:`columns` lists."""

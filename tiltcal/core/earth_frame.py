@@ -138,7 +138,8 @@ class EarthFrameCompensation:
     heading, degrees. ``uncertain``: adds the uncertainty of each column, with that of each component of the field,
     ``field_noise``, in its unit. ``averaged``: rows are means, whose uncertainties have a random and a common share.
 
-    Sensor and magnetometer have the same axes, and a mounting turns both, but not the velocities.
+    Sensor and magnetometer have the same axes, and a mounting turns both, but not the velocities. ``columns`` are the
+    names of the columns of a call, in order.
     """
 
     def __init__(
@@ -156,14 +157,8 @@ class EarthFrameCompensation:
             raise EstimateError("heading and velocities take a sensor that measures at least x and y")
         self._compensation, self._declination = compensation, radians(declination)
         self._uncertain, self._field_noise, self._averaged = uncertain, field_noise, averaged
-        self._own = (*((HEADING,) if magnetometer else ()), *(VELOCITY if velocity else ()))
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns of a call, in order."""
-        if self._uncertain is None:
-            return self._own
-        return (*self._own, *uncertainty_columns(self._own, averaged=self._averaged))
+        own = (*((HEADING,) if magnetometer else ()), *(VELOCITY if velocity else ()))
+        self.columns = own if uncertain is None else (*own, *uncertainty_columns(own, averaged=averaged))
 
     def __call__(self, chunk: KernelChunk, field: Array | None, heading: Array | None, velocity: Array | None) -> Array:
         """Return the columns of compensated rows, shape (columns, n), and mark their flags.

@@ -23,17 +23,16 @@ GRADIENT = "gradient"
 
 
 class PairCompensation:
-    """One or two matched pairs, ready to be applied to rows of readings of their ``channels``, in this order."""
+    """One or two matched pairs, ready to be applied to rows of readings of their ``channels``, in this order.
+
+    It adds ``columns`` to a log; two pairs give the gradient.
+    """
 
     def __init__(self, matchings: Sequence[Matching]) -> None:
         self._matchings = tuple(matchings)
         self.channels = tuple(dict.fromkeys(name for matching in matchings for name in matching.pair.channels))
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns that the result adds to a log; two pairs give the gradient."""
-        sums = (f"matched_{matching.pair.name}" for matching in self._matchings)
-        return (*sums, *((GRADIENT,) if len(self._matchings) == 2 else ()), "flag", "reason")
+        sums = (f"matched_{matching.pair.name}" for matching in matchings)
+        self.columns = (*sums, *((GRADIENT,) if len(matchings) == 2 else ()), "flag", "reason")
 
     def __call__(self, readings: Array) -> dict[str, Array | Bytes | Reasons]:
         """Return the columns of some rows by name; ``readings``, shape (n, channels), are NaN where one is missing."""
