@@ -29,20 +29,12 @@ from tiltcal.errors import EstimateError
 
 def cross_axis(coefficients: Coefficients, uncertain: Uncertain) -> Uncertain:
     """Return the cross-axis sensitivity of each channel that has its own axis, % (Cross-axis Compensation, eq. 1)."""
-
-    def shares(at: Coefficients) -> Array:
-        return np.array([float(cross_axis_sensitivity(own, *others)) for own, others in _rows(at)])
-
-    return _following([c for c in coefficients.channels if c in coefficients.axes], shares, coefficients, uncertain)
+    return _by_channel(lambda own, others: cross_axis_sensitivity(own, *others), coefficients, uncertain)
 
 
 def misalignment(coefficients: Coefficients, uncertain: Uncertain) -> Uncertain:
     """Return the angle between each channel's sensitive direction and its nominal axis, by the channel, degrees."""
-
-    def angles(at: Coefficients) -> Array:
-        return np.array([degrees(atan2(hypot(*others), own)) for own, others in _rows(at)])
-
-    return _following([c for c in coefficients.channels if c in coefficients.axes], angles, coefficients, uncertain)
+    return _by_channel(lambda own, others: degrees(atan2(hypot(*others), own)), coefficients, uncertain)
 
 
 def intrinsic(coefficients: Coefficients, uncertain: Uncertain) -> Uncertain:
@@ -103,14 +95,20 @@ def _following(
     return replace(found, value=function(coefficients))
 
 
-def _rows(coefficients: Coefficients) -> list[tuple[float, list[float]]]:
-    """Return the sensitivity of each channel to its own axis, and to the two others."""
-    rows = []
-    for channel, row in zip(coefficients.channels, coefficients.sensitivity.tolist(), strict=True):
-        along = dict(zip(coefficients.axes, row, strict=True))
-        if channel in along:
-            rows.append((along[channel], [along.get(axis, 0.0) for axis in AXES if axis != channel]))
-    return rows
+def _by_channel(
+    function: Callable[[float, list[float]], float], coefficients: Coefficients, uncertain: Uncertain
+) -> Uncertain:
+    """Return a function of the sensitivity of each channel to its own axis and to the two others, by the channel."""
+
+    def of_rows(at: Coefficients) -> Array:
+        found = []
+        for channel, row in zip(at.channels, at.sensitivity.tolist(), strict=True):
+            along = dict(zip(at.axes, row, strict=True))
+            if channel in along:
+                found.append(function(along[channel], [along.get(axis, 0.0) for axis in AXES if axis != channel]))
+        return np.array(found)
+
+    return _following([c for c in coefficients.channels if c in coefficients.axes], of_rows, coefficients, uncertain)
 
 
 def _matrix(coefficients: Coefficients) -> Array:
