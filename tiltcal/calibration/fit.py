@@ -29,10 +29,6 @@ from tiltcal.files.results import ProcedureRecord
 
 OF_BASE = "of the base calibration"  # the origin of a sensitivity that the sensor's own calibration lends
 
-NO_THERMOMETER = "the thermometer's uncertainty is not stated (--thermometer)"
-NO_NOISE = "the table states no uncertainties of its means (ux, uy, uz)"
-FEW = 3.0  # degrees of freedom below which a variance is hardly known
-
 NO_SENSITIVITY = (
     "determines no sensitivity, and none is known: name a --sensor model whose nominal one may stand in, state it in "
     "the address (sensitivity=..., unit per g), or name the sensor's own calibration with --base"
@@ -108,12 +104,11 @@ def _remarks(found: Estimate, sensor: MeasuredSensor, design: Design) -> Iterato
             )
     if design.thermal and not design.thermometer:
         shown = found.estimated_thermometer
-        yield f"{NO_THERMOMETER}: " + (
-            f"the residuals show {shown:.2g} °C, which counts" if shown else "temperatures count as exact"
-        )
-    if found.estimated_noise is not None and found.noise_dof is not None:
-        hidden = ", which hardly separate it from the jig: intervals are wide" if found.noise_dof < FEW else ""
-        yield f"{NO_NOISE}: the residuals show noise of {found.estimated_noise:.2g} in them, which counts{hidden}"
+        counts = f"the residuals show {shown:.2g} °C, which counts" if shown else "temperatures count as exact"
+        yield f"the thermometer's uncertainty is not stated (--thermometer): {counts}"
+    if found.estimated_noise is not None:
+        unstated = "the table states no uncertainties of its means (ux, uy, uz)"
+        yield f"{unstated}: the residuals show noise of {found.estimated_noise:.2g} in them, which counts"
 
 
 def along_gravity(channels: Sequence[str], directions: Sequence[Sequence[float]]) -> bool:

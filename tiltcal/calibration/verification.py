@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from tiltcal.calibration.measurement import Measurement
-from tiltcal.calibration.stated import length_tolerance
+from tiltcal.calibration.record import compensation_of
 from tiltcal.core.attitude import tilt_from_gravity
-from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES
 from tiltcal.core.rounding import plus_minus
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
@@ -99,8 +98,7 @@ def verify(
     """Judge how a calibration reads the positions of its sensor; ``jig`` is that of a set angle, degrees."""
     coefficients = calibration.coefficients
     # What is judged is the sensor's own frame, in which positions are set; the mounting is the application's.
-    length = length_tolerance(calibration.uncertainty, coefficients, calibration.limits)
-    compensation = Compensation(replace(coefficients, mounting=None), replace(calibration.limits, length=length))
+    compensation = compensation_of(replace(calibration, coefficients=replace(coefficients, mounting=None)))
     axes, whole = compensation.axes, len(compensation.axes) == 3
     found = []
     for measurement in measurements:

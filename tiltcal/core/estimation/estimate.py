@@ -78,7 +78,6 @@ class Estimate:
     estimated_jig: float | None = None  # of a set angle, degrees
     estimated_thermometer: float | None = None  # of a temperature beside a stated jig, °C
     estimated_noise: float | None = None  # of the readings, unit
-    noise_dof: float | None = None  # the degrees of freedom of that
     by_reading: Array | None = None  # how the coefficients follow the readings, (coefficients, positions, channels)
     notes: tuple[str, ...] = ()  # what limits the numbers, in words
     not_covered: tuple[str, ...] = ()  # errors of the bench that no position shows and that are not in the uncertainty
@@ -192,7 +191,6 @@ def _estimates(solution: Solution, dof: int, chi_square: float) -> tuple[Estimat
                 estimated_jig=degrees(bench[JIG]) if design.jig is None and dof else None,
                 estimated_thermometer=bench[THERMOMETER] or None if source == THERMOMETER else None,
                 estimated_noise=None if by_noise is None else noise,
-                noise_dof=None if by_noise is None else by_noise.own_dof,
                 by_reading=np.swapaxes(by_reading.reshape(-1, *shape), 1, 2),
                 notes=tuple(_notes(solution, dof)),
                 not_covered=() if covered else (LEAN,),

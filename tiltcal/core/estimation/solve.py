@@ -56,11 +56,6 @@ class EstimatedVariance:
     count: int = 0  # and in how many directions
 
     @property
-    def own_dof(self) -> float:
-        """Degrees of freedom of the value alone: few where what is stated beside it hides it."""
-        return self.dof * (self.value / self.whole) ** 2 if self.whole else 0.0
-
-    @property
     def excess(self) -> float:
         """By which share of the whole intervals are wider, because that is estimated."""
         return float(_excess(np.array(self.dof)))
