@@ -52,24 +52,20 @@ class DatedCalibration:
 
 @dataclass(frozen=True)
 class SensorHistory:
-    """The calibrations of one sensor in the order of time, and remarks on copies."""
+    """The calibrations of one sensor in the order of time."""
 
     calibrations: tuple[DatedCalibration, ...]
-    remarks: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, found: Sequence[DatedCalibration]) -> SensorHistory:
         """Put the calibrations of one sensor in order, copies left out; an InputError where two files contradict."""
         first, *rest = sorted(found, key=attrgetter("date"))
-        kept, remarks = [first], []
+        kept = [first]
         for calibration in rest:
-            before = kept[-1]
-            _require_consistent(before, calibration)
-            if before.date == calibration.date:
-                remarks.append(f"{calibration.name} is a copy of {before.name}")
-            else:
+            _require_consistent(kept[-1], calibration)
+            if calibration.date != kept[-1].date:
                 kept.append(calibration)
-        return cls(tuple(kept), tuple(remarks))
+        return cls(tuple(kept))
 
     def __repr__(self) -> str:
         dates = " to ".join(dict.fromkeys(f"{self.calibrations[end].date:%Y-%m-%d}" for end in (0, -1)))
@@ -125,16 +121,12 @@ class SensorHistory:
         """Refuse a calibration, counted from 0, and the next that do not lie on a line, with a UsageError."""
         before, after = self.calibrations[k : k + 2]
         one, other, named = before.record.coefficients, after.record.coefficients, f"{before.name} and {after.name}"
-        for what, differ in (
-            ("other axes", one.axes != other.axes),
-            ("temperature terms", (one.thermal is None) != (other.thermal is None)),
-            ("a mounting", (one.mounting is None) != (other.mounting is None)),
-        ):
-            if differ:
-                raise UsageError(
-                    f"{named}: one has {what} and the other has not: give both the same coefficients, such as with "
-                    "`tiltcal combine`"
-                )
+        kinds = [(c.axes, c.thermal is None, c.mounting is None) for c in (one, other)]
+        if kinds[0] != kinds[1]:
+            raise UsageError(
+                f"{named}: one has axes, temperature terms or a mounting that the other has not: give both the same "
+                "coefficients, such as with `tiltcal combine`"
+            )
         for channel, new, old in zip(other.channels, other.sensitivity, one.sensitivity, strict=True):
             if np.linalg.norm(new - old) > LARGEST_CHANGE * np.linalg.norm(old):
                 raise UsageError(
@@ -385,7 +377,6 @@ class FleetHistory:
             ],
             "due": to_the_second(history.due(self.interval)),
             "is_due": self.is_due(history),
-            "remarks": list(history.remarks),
         }
 
     def __str__(self) -> str:
@@ -397,7 +388,6 @@ class FleetHistory:
             for place, calibration in enumerate(history.calibrations):
                 words = f"  {history.comparisons[place - 1].in_words}" if place else ""
                 lines.append(f"  {calibration.date:%Y-%m-%d}  {calibration.name}{words}")
-            lines += [f"  note: {remark}" for remark in history.remarks]
         for fleet in self.models:
             at = "" if fleet.reference is None else f" at {fleet.reference:g} °C"
             lines += ["", f"{len(fleet.histories)} {fleet.model}, {fleet.unit}{at}"]

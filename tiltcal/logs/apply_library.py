@@ -70,8 +70,6 @@ def prepare_library(library: CalibrationFolder, log: LogReader, options: ApplyOp
     sensors = []
     for serial, lead in _serials(library, log, options):
         history = library.history(serial)
-        for remark in history.remarks:
-            say(f"note: {remark}")
         for calibration in history.calibrations[:-1]:
             for objection in objections(calibration.record):
                 say(f"note: {calibration.name}: {objection}")

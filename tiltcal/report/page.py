@@ -140,7 +140,6 @@ def fleet_page(history: FleetHistory) -> str:
             }
             for number, model in enumerate(history.models, start=1)
         ],
-        remarks=list(sentences.fleet_remarks(history)),
     )
 
 

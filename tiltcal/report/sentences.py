@@ -77,12 +77,6 @@ def fleet_facts(history: FleetHistory) -> list[Fact]:
     return stated(said)
 
 
-def fleet_remarks(history: FleetHistory) -> Iterator[str]:
-    """Yield the remarks on sensors."""
-    for sensor in history.histories:
-        yield from (f"{sensor.sensor.serial}: {remark}" for remark in sensor.remarks)
-
-
 def provenance_facts(provenance: Provenance | PairProvenance, source: FileRecord) -> list[Fact]:
     """Return the content of a provenance, times first, and the calibration file that states it."""
     facts = [Fact("Calibrated", period(provenance))]
