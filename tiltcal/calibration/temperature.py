@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
-from itertools import combinations
 from math import hypot, inf, radians, sqrt
 from operator import add
 
@@ -27,7 +26,7 @@ from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Me
 from tiltcal.calibration.stated import rounded_covariance, uncertain_coefficients
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
-from tiltcal.core.estimation.estimate import ALIKE, Estimate, estimate_jointly
+from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, met_twice
 from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.core.model import Array, Coefficients, Thermal, vector_of, with_vector
 from tiltcal.core.ramp.fit import RampFit, fit_ramp
@@ -144,16 +143,11 @@ def _prediction(fitted: Estimate, position: Observation) -> tuple[Array, Array]:
 
 def _hysteresis(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> dict[str, Hysteresis]:
     """Return the largest difference of residuals at one temperature that was met twice, per channel, unit."""
-    residuals = calibration.fit.residuals
-    met = [measurement for measurement in measurements if measurement.temperature is not None]
-    met_twice = [
-        (one.position, other.position)
-        for one, other in combinations(met, 2)
-        if one.gravity == other.gravity and abs((one.temperature or 0.0) - (other.temperature or 0.0)) <= ALIKE
-    ]
+    residuals, names = calibration.fit.residuals, [measurement.position for measurement in measurements]
+    pairs = [(names[i], names[j]) for i, j in met_twice(measurements)]
     loops = {}
     for channel in calibration.coefficients.channels:
-        differences = {pair: residuals[pair[1]][channel] - residuals[pair[0]][channel] for pair in met_twice}
+        differences = {pair: residuals[pair[1]][channel] - residuals[pair[0]][channel] for pair in pairs}
         if differences:
             pair = max(differences, key=lambda pair: abs(differences[pair]))
             loops[channel] = Hysteresis(difference=significant(differences[pair], 4), between=pair)

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import degrees, hypot, inf, radians, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -304,7 +305,7 @@ def _sizes(equations: Equations, z: Array) -> list[Array]:
 
 def with_hysteresis(fitted: Estimate, sensor: SensorObservations) -> Estimate:
     """Return the estimate with the loops between temperatures that were met twice in its uncertainty."""
-    observations, pairs = sensor.observations, _met_twice(sensor.observations)
+    observations, pairs = sensor.observations, met_twice(sensor.observations)
     if fitted.coefficients.thermal is None or fitted.by_reading is None or not pairs:
         return fitted
     jig = fitted.estimated_jig if sensor.design.jig is None else sensor.design.jig
@@ -334,8 +335,8 @@ def with_hysteresis(fitted: Estimate, sensor: SensorObservations) -> Estimate:
     return replace(fitted, uncertain=fitted.uncertain + by_loops)
 
 
-def _met_twice(observations: Sequence[Observation]) -> list[tuple[int, int]]:
-    """Return the pairs of positions with one attitude and one temperature."""
+def met_twice(observations: Sequence[Any]) -> list[tuple[int, int]]:
+    """Return the pairs of positions, observed or measured, with one attitude and one temperature."""
     return [
         (i, j)
         for (i, first), (j, second) in combinations(enumerate(observations), 2)
