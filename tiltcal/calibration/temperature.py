@@ -303,7 +303,7 @@ def _estimate(
         chi_square=None,
         p=None,
         stated=False,
-        notes=_notes(fit, design),
+        notes=_notes(fit),
     )
 
 
@@ -402,15 +402,10 @@ def _ramp_record(fit: RampFit, channels: Sequence[str]) -> RampFitRecord:
     )
 
 
-def _notes(fit: RampFit, design: Design) -> tuple[str, ...]:
-    lag = f"a thermal lag of {plus_minus(fit.found_lag, fit.u_lag)} s"
-    parts = zip(design.channels, fit.explained.tolist(), strict=True)
-    explains = " and ".join(f"{100.0 * part:.1f} % in {channel}" for channel, part in parts)
-    note = (
-        f"{lag} is used: it makes the residuals of every leg smaller when it is fitted to the other legs, and explains "
-        f"the difference between the ways up and down ({explains})"
-    )
-    if not fit.uses_lag:
-        note = f"{lag} is not used: the legs do not confirm it, or hysteresis explains the record as well"
+def _notes(fit: RampFit) -> tuple[str, ...]:
+    why = "not used: the legs do not confirm it, or hysteresis explains the record as well"
+    if fit.uses_lag:
+        why = "used: it makes the residuals of every leg smaller when it is fitted to the other legs"
+    note = f"a thermal lag of {plus_minus(fit.found_lag, fit.u_lag)} s is {why}"
     differ = "the ways up and down differ: the intervals of the drift hold the readings of both"
     return (note, differ) if fit.loop_covariance.any() else (note,)

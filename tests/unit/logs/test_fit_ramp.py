@@ -79,7 +79,8 @@ def test_the_file_has_the_lag_and_what_each_leg_says_of_it(calibration, tmp_path
     assert found.uncertainty["temperature.lag"] < 1.2
     assert (ramp.used, [leg.way for leg in ramp.legs]) == (True, ["up", "down", "up", "down"])
     assert all(leg.lagged["y"] < leg.polynomial["y"] / 5.0 for leg in ramp.legs)
-    assert found.record.fit.notes[0].endswith("the ways up and down (100.0 % in x and 100.0 % in y)")
+    assert ramp.explained_percent == pytest.approx({"x": 100.0, "y": 100.0}, abs=0.1)
+    assert found.record.fit.notes[0].endswith("when it is fitted to the other legs")
     assert {one.position.rsplit("-", 1)[0] for one in found.positions} == {"up-1", "down-2", "up-3", "down-4"}
 
 
