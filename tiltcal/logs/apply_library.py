@@ -51,12 +51,6 @@ SERIAL_NOTES = ("serial", "serial_number", "sensor_serial_number", "instrument_s
 """The attributes or metadata of a log that may state its sensor."""
 
 _GROWTH, _DOUBLINGS = 8, 20  # steps of the time outside for each doubling of it, from an hour to 120 years
-_WITHOUT_UNCERTAINTY: ApplyOptions = {
-    "uncertainty": False,
-    "reading_noise": None,
-    "stability": None,
-    "magnetometer_noise": None,
-}
 
 
 def prepare_library(library: CalibrationFolder, log: LogReader, options: ApplyOptions) -> PreparedCalibration:
@@ -131,7 +125,7 @@ class LibraryKernel:
         self.columns = last.added
         self._remarks = last.remarks if last.judge is None else RowRemarks()
         self._options: ApplyOptions = {**options, "say": silent}
-        self._plain: ApplyOptions = {**self._options, **_WITHOUT_UNCERTAINTY}
+        self._plain: ApplyOptions = {**self._options, "uncertainty": False}
         self._start, self._log = start, log
         records = [one.record for one in history.calibrations]
         if options["mounting"]:  # it replaces that of each

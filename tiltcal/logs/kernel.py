@@ -104,7 +104,7 @@ def with_lag(kernel: Kernel, lag: float, file: str) -> Kernel:
             steps = np.diff(time[known], prepend=last)
             if np.any(steps <= 0.0):
                 wrong = int(np.argmax(steps <= 0.0))
-                how = f"time {'goes back' if steps[wrong] < 0.0 else 'stands still'} at row {rows + int(known[wrong])}"
+                how = f"time stands still or goes back at row {rows + int(known[wrong])}"
                 advice = "sort the log, or name a column of times that go on (--columns time=NAME)"
                 raise InputError(f"{how}, and the calibration follows a thermal lag: {advice}", file=file)
             last, rows = float(time[known[-1]]) if len(known) else last, rows + len(time)

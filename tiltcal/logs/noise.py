@@ -29,7 +29,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import OF_G
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.logs.columns import TIME, locate_columns, locate_readings, named_columns, read_columns
+from tiltcal.logs.columns import TIME, locate_readings, named_columns, read_columns
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.printable import counted, in_html
@@ -140,10 +140,8 @@ def characterise_readings(
         there = tuple(axis for axis in AXES if axis in log.names)
         # With neither, x is looked for, and the message that it is not there says how to name it.
         channels = asked or channels or there or AXES[:1]
-        if scale.unit is not None:
-            locate_readings(log, channels, named, scale.unit)
-        where = locate_columns(log, channels, named)
-        where = {channel: where[channel] for channel in channels}
+        located = locate_readings(log, channels, named, scale.unit or "1")  # which fits every unit
+        where = {channel: located[channel] for channel in channels}
         if rate is None:
             where[TIME] = _time_column(log, named)
         numbers = read_columns(log, where)
