@@ -210,5 +210,5 @@ def test_consecutive_segments_of_one_name_are_one_placement(tmp_path: Path) -> N
     (tmp_path / "seg.csv").write_text("\n".join([*segments, ""]))
     found = fitted(tmp_path, tmp_path / "log.csv", "--segments", "seg.csv", "--unit", "m/s2").calibration
     assert len(found.positions) == 15
-    assert found.positions[0].rows == ((0, 4), (4, 10))
+    assert (found.positions[0].rows, found.positions[0].n) == (((0, 4), (4, 10)), 10)
     assert [one.position for one in (found.positions[0], found.positions[-1])] == ["p0", "p0 (2)"]

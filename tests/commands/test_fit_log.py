@@ -283,8 +283,8 @@ class TestMounting:
         readings = np.array([2.5, 2.4, 2.6]) + 2.0 * seen + np.random.default_rng(3).normal(0.0, 1e-4, seen.shape)
         return "mounting", dict(zip("xyz", readings.T, strict=True)), spans(names, 20), *options
 
-    @pytest.mark.parametrize("angles", [(12.0, -25.0, 40.0), (170.0, 40.0, -120.0)])
-    def test_the_rotation_that_the_log_was_made_with(self, angles: tuple[float, float, float], tmp_path: Path) -> None:
+    def test_the_rotation_that_the_log_was_made_with(self, tmp_path: Path) -> None:
+        angles = (170.0, 40.0, -120.0)
         about = [Rotation.from_rotvec(-radians(angle) * axis) for angle, axis in zip(angles, np.eye(3), strict=True)]
         rotation = about[2] * about[1] * about[0]
         found = calibrated(

@@ -98,18 +98,6 @@ def test_a_log_without_an_angle_has_no_empty_figure_and_one_without_time_counts_
     assert re.search(r">row</text>", (tmp_path / "r.html").read_text(encoding="utf-8"))
 
 
-def test_the_page_does_not_grow_with_the_log(bare: str, tmp_path: Path) -> None:
-    sizes = []
-    for rows in (20_000, 100_000):
-        path = tmp_path / f"{rows}.csv"
-        lines = "".join(f"{k},{1000 + k * 7919 % 50},{1020 + k * 104729 % 30},20\n" for k in range(rows))
-        path.write_text("time,x,y,temperature\n" + lines, encoding="utf-8")
-        output = tmp_path / f"{rows}.html"
-        report(bare, path, output=output)
-        sizes.append(output.stat().st_size)
-    assert sizes[1] < 1.3 * sizes[0] < 600_000
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_a_name_with_markup_is_text(tmp_path: Path) -> None:
     path = tmp_path / "<img src=x onerror=alert(1)>.csv"
