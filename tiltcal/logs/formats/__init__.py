@@ -49,13 +49,14 @@ def require_way(log: str | Path, output: str | Path) -> None:
     """Raise UsageError for what cannot be written: NetCDF in another format, another format in NetCDF, or no log."""
     if Path(output).suffix.lower() in UNKNOWN:
         raise UsageError(f"{output}: a log is written as .csv or .parquet, or stays .nc: name one of these")
-    was_netcdf, is_netcdf = (log_format(name) == NETCDF for name in (log, output))
-    if log_format(output) == ROSBAG:
+    before, after = log_format(log), log_format(output)
+    if after == ROSBAG:
         raise UsageError(f"{output}: no bag is written: name a .csv or .parquet")
-    if was_netcdf and not is_netcdf:
-        raise UsageError(f"{log} is NetCDF and stays it: name an output that ends in .nc, with -o")
-    if is_netcdf and not was_netcdf:
-        raise UsageError(f"{output} would be NetCDF, and only a NetCDF log becomes that: name a .csv or .parquet")
+    if NETCDF in (before, after) and before != after:
+        end = ".nc" if before == NETCDF else ".csv or .parquet"
+        raise UsageError(
+            f"a NetCDF log stays NetCDF, and no other becomes it: name an output that ends in {end}, with -o"
+        )
 
 
 @contextmanager
