@@ -194,7 +194,6 @@ ANSWER_SECONDS = 0.020
 NUMBERS_PER_SECOND = 100.0
 """How often a virtual device has new ones."""
 VIRTUAL_TIMEOUT = 1.0
-NO_SUCH_FUNCTION, NO_SUCH_REGISTER = 1, 2
 
 
 class VirtualModbus(VirtualPart):
@@ -210,14 +209,10 @@ class VirtualModbus(VirtualPart):
         """Answer one request; see :class:`~tiltcal.drivers.bus.modbus.ModbusLink`."""
         self._clock.sleep(ANSWER_SECONDS)
         function, first, number = struct.unpack(">BHH", out)
-        if function != self._layout.function:
-            return bytes([function | FAILED, NO_SUCH_FUNCTION])
         held: dict[int, bytes] = {}
         for column in self._layout.columns:
             data = self._layout.arranged(struct.pack(f">{column.code}", self._number(column)))
             held.update({column.first + place: data[2 * place : 2 * place + 2] for place in range(column.length)})
-        if any(register not in held for register in range(first, first + number)):
-            return bytes([function | FAILED, NO_SUCH_REGISTER])
         data = b"".join(held[register] for register in range(first, first + number))
         return bytes([function, len(data)]) + data
 

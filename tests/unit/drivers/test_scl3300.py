@@ -84,6 +84,26 @@ def test_a_fault_that_stays_is_told_over_a_damaged_status(place: int | None) -> 
         device.sensor.read()
 
 
+def test_a_part_that_is_shaken_and_wires_that_damage_a_frame_are_told_apart() -> None:
+    device = VirtualDevice(SCL)
+    device.sensor.read()
+
+    def shaken(out: bytes, answer: bytes) -> bytes:
+        device.line.link._raise(0x040)
+        return answer
+
+    device.line.change = shaken
+    with pytest.raises(DeviceFault, match="signal path is saturated"):
+        device.sensor.read()
+    assert device.sensor.link_statistics() == {"samples": 1, "damaged": 0, "saturated": 12, "restarts": 0}
+    device.line.mend()
+    device.sensor.read()
+    # Only what reads x has a wrong checksum.
+    device.line.change = lambda out, answer: answer[:3] + b"?" if answer[0] >> 2 == frames.ACC_X[0] >> 2 else answer
+    with pytest.raises(BusError, match="12 samples in a row were damaged"):
+        device.sensor.read()
+
+
 @pytest.mark.parametrize("after", range(5))
 def test_a_reset_within_a_sample_is_no_reading(after: int) -> None:
     device = VirtualDevice(SCL, "range=mode4", noise={})
