@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.json_program import Event, ProgramSession, lead
+from support.json_program import Event, lead
 
 from tiltcal.bench import devices
 from tiltcal.files.calibration import read_calibration
@@ -42,6 +42,9 @@ positions:
 """
 
 
+OPTIONS = ("--sensor", "sca100t-d02", "--address", "sim:twin=twin.yaml", "--serial", "S-1", "-o", "S-1.yaml")
+
+
 def chamber(message: Event) -> Event | None:
     """A program of a chamber, which also reports the temperature that it had when it was asked."""
     return {"answer": "ready", "temperature": 21.0} if "ask" in message else None
@@ -53,11 +56,8 @@ def test_to_go_back_is_refused_and_costs_nothing(tmp_path: Path, monkeypatch: py
     Path("twin.yaml").write_text(TWIN)
     Path("quick.yaml").write_text(PROCEDURE)
     answers = iter(["ready", "back", "redo", "ready", "back", "ready"])
-    options = ("--sensor", "sca100t-d02", "--address", "sim:twin=twin.yaml", "--serial", "S-1", "-o", "S-1.yaml")
     session = lead(
-        "measure",
-        "quick.yaml",
-        *options,
+        *("measure", "quick.yaml", *OPTIONS),
         cwd=tmp_path,
         answer=lambda message: {"answer": next(answers)} if message.get("ask") == "position" else None,
     )
@@ -66,26 +66,15 @@ def test_to_go_back_is_refused_and_costs_nothing(tmp_path: Path, monkeypatch: py
     assert [event["position"] for event in session.events("accepted")] == ["down", "up", "back"]
 
 
-@pytest.fixture(scope="module")
-def led(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ProgramSession]:
-    folder = tmp_path_factory.mktemp("ramp")
-    (folder / "twin.yaml").write_text(TWIN)
-    (folder / "quick.yaml").write_text(PROCEDURE)
-    options = ("--sensor", "sca100t-d02", "--address", "sim:twin=twin.yaml", "--serial", "S-1", "-o", "S-1.yaml")
-    return folder, lead("measure", "quick.yaml", *options, "--jig", "0", cwd=folder, answer=chamber)
-
-
-def test_a_program_leads_through_the_turns(led: tuple[Path, ProgramSession]) -> None:
-    _, session = led
+def test_a_program_leads_through_the_turns_and_the_lag_is_that_of_the_twin(tmp_path: Path) -> None:
+    (tmp_path / "twin.yaml").write_text(TWIN)
+    (tmp_path / "quick.yaml").write_text(PROCEDURE)
+    session = lead("measure", "quick.yaml", *OPTIONS, "--jig", "0", cwd=tmp_path, answer=chamber)
     assert session.exit_code == 0, session.errors
     assert [(ask["position"], ask["temperature"]) for ask in session.asks] == [("down", 5), ("up", 40), ("back", 5)]
     assert [event["position"] for event in session.events("accepted")] == ["down", "up", "back"]
     assert "a thermal lag of" in session.errors
-
-
-def test_the_lag_and_the_drift_are_those_of_the_twin(led: tuple[Path, ProgramSession]) -> None:
-    folder, _ = led
-    found = read_calibration(folder / "S-1.yaml")
+    found = read_calibration(tmp_path / "S-1.yaml")
     thermal = found.coefficients.thermal
     assert thermal is not None
     assert thermal.lag == pytest.approx(60.0, abs=3.0 * found.uncertainty["temperature.lag"])
