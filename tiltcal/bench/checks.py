@@ -207,18 +207,19 @@ class ReadingSpans:
                 spans = zip(before, reading.values, strict=True)
                 self._spans[serial] = [(min(low, one), max(high, one), step) for (low, high, _), one in spans]
 
-    def quiet_channels(self, positions: Sequence[Position]) -> dict[str, list[str]]:
-        """Return the channels that no position tilts and that have shown at most two values, by serial number.
+    def quiet_channels(self, positions: Sequence[Position]) -> dict[str, dict[str, int]]:
+        """Return by serial number the channels that no position tilts and that showed one value or two, with the count.
 
-        That is the normal state of a good sensor without noise, and of a dead converter.
+        Two are the normal state of a sound sensor whose step is coarse, and of a dead converter that flickers.
         """
-        quiet: dict[str, list[str]] = {}
+        quiet: dict[str, dict[str, int]] = {}
         for sensor in self._sensors:
             seen = np.array([sensor.orientation.seen(one.gravity) for one in positions])
             flat = [channel for channel, by in zip("xyz", np.ptp(seen, axis=0), strict=True) if by <= TILTED]
             spans = zip(sensor.wired.channels, self._spans.get(sensor.serial, []), strict=False)
-            channels = [name for name, (low, high, step) in spans if high - low <= 1.5 * step and name in flat]
-            quiet |= {sensor.serial: channels} if channels else {}
+            quiet[sensor.serial] = {
+                name: 1 + (high > low) for name, (low, high, step) in spans if high - low <= 1.5 * step and name in flat
+            }
         return quiet
 
 

@@ -48,10 +48,6 @@ if TYPE_CHECKING:
     from tiltcal.core.ramp.record import RampRecord
     from tiltcal.files.pair import PairRecord
 
-QUIET = (
-    " any movement: it showed at most two values, as a dead converter does; tip it while you look at it with tiltcal "
-    "live, or once in a new session"
-)
 DIGITS = 1e-9  # part of its size by which a mean may differ from the one that was accepted
 
 
@@ -308,7 +304,7 @@ def _tilt_calibrations(
     """Return the calibration of each sensor that was not given up, by its serial number."""
     from tiltcal.calibration.calibrate import calibrate
     from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
-    from tiltcal.calibration.wording import NOT_FOLLOWED
+    from tiltcal.calibration.wording import quiet_note
 
     setup, settings, accepted, ramps = session.setup, session.setup.settings, session.results(), session.ramp_records()
     # The steps of the sensors' own thermometers count where those are the only ones.
@@ -334,7 +330,7 @@ def _tilt_calibrations(
     calibrations = {}
     quiet = session.spans.quiet_channels(setup.steps.positions)
     for sensor, record in zip(session.at_work, records, strict=True):
-        notes = [*setup.overdue(), *(f"{channel} {NOT_FOLLOWED}{QUIET}" for channel in quiet.get(sensor.serial, ()))]
+        notes = [*setup.overdue(), *(quiet_note(channel, n) for channel, n in quiet[sensor.serial].items())]
         bench = BenchRecord(
             address=sensor.address,
             axes=() if sensor.orientation.straight else tuple(sensor.orientation.names),

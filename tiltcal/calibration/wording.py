@@ -19,10 +19,22 @@ from tiltcal.files.results import FitRecord, MountingFit
 INCREDIBLE = 1e-3  # probability of a chi-square below which it is not credible
 
 NOT_FOLLOWED = "was not seen to follow"
+ONE_VALUE = "it showed one value"
 """What a note says of a channel that showed at most two neighbouring values in a whole session."""
 
 REMARKABLE = 0.05  # probability of a chi-square below which it is remarked
 LARGEST_ESTIMATED_JIG = 5.0  # estimated jig above which a calibration is judged failing, degrees
+
+
+def quiet_note(channel: str, count: int) -> str:
+    """Return the note on a channel that no position tilts and that showed one value in a whole session, or two."""
+    shown = f"{ONE_VALUE}, as a dead converter does"
+    if count == 2:
+        shown = "it showed two values, as a coarse sensor does and a dead converter that flickers"
+    return (
+        f"{channel} {NOT_FOLLOWED} any movement: {shown}; tip it while you look at it with tiltcal live, or once in a "
+        "new session"
+    )
 
 
 def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:
@@ -145,7 +157,7 @@ def objections(calibration: CalibrationRecord) -> list[str]:
     if fit.suspect_positions:
         named = [f"{position} ({suspect.off_degrees:g}°)" for position, suspect in fit.suspect_positions.items()]
         found.append(f"further off than the stated jig allows, the worst first: {', '.join(named)}")
-    return [*found, *(note for note in fit.notes if NOT_FOLLOWED in note), *_objections_to_mounting(fit.mounting)]
+    return [*found, *(note for note in fit.notes if ONE_VALUE in note), *_objections_to_mounting(fit.mounting)]
 
 
 def remarks_on_chance(fit: FitRecord) -> Iterator[str]:
