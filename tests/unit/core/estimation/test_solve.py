@@ -83,6 +83,22 @@ class TestBudgetByHand:
         half = sqrt(normal**2 * (total - by_hand["noise"]) + student**2 * by_hand["noise"])
         assert budget.factors[1] * budget.u[1] == pytest.approx(half, rel=1e-6)
 
+    def test_residuals_smaller_than_the_noise_are_the_noise(self) -> None:
+        """Eight readings alike, ±0.05 about their means where noise is stated as 0.1, of a jig that is not stated.
+
+        S = (mean up - mean down) / (2 sin 30°), so its variance is s² (1 / 4 + 1 / 4), with s² of 8 - 2 residuals.
+        """
+        observations = [
+            Observation(f"{sign}{k}", np.array([sign / 2, 0.0, cos(radians(30))]), np.array([mean]), np.array([0.1]))
+            for sign in (1, -1)
+            for k, mean in enumerate(1024.0 + sign * self.S / 2 + 0.05 * np.array([1, -1, 1, -1]))
+        ]
+        budget = estimate(observations, Design(("x",), ("x",))).uncertain
+        by_hand = 8 * 0.05**2 / 6 / 2
+        assert budget.sources["noise"][1] == pytest.approx(by_hand, rel=1e-4)
+        assert budget.covariance[1, 1] == pytest.approx(by_hand, rel=1e-4)
+        assert budget.factors[1] == pytest.approx(scipy.stats.t.ppf(0.975, 6), rel=1e-4)
+
     def test_residuals_of_one_channel_are_the_textbooks(self) -> None:
         """Angles alone, not stated: a set angle errs by cos a, and numpy weighs by it; Student's t with n - 2."""
         rng = np.random.default_rng(40)
@@ -150,6 +166,8 @@ def test_the_truth_is_in_95_percent_of_the_intervals(plan: Plan, sensors: int, s
         found = estimate_jointly(fixture(observations, design(plan, jig=plan.jig if stated else None)))
         half = np.array([one.uncertain.factors * one.uncertain.u for one in found])
         off = np.array([coefficients(one) for one in found]) - [one.truth for one in parts]
+        for one in found:
+            np.testing.assert_allclose(sum(one.uncertain.sources.values()), one.uncertain.u**2, rtol=1e-7)
         shares.append(100.0 * np.mean(np.abs(off) <= half))
     error = np.std(shares, ddof=1) / sqrt(sessions)
     assert 93.0 - 3 * error <= np.mean(shares) <= 97.0 + 3 * error
