@@ -20,7 +20,7 @@ from tiltcal.core.pair.demodulate import CHUNK, Demodulation, demodulate
 from tiltcal.core.pair.matching import Matching, PairCoefficients, drifts, match, solve
 from tiltcal.core.pair.model import Pair, matched_sum
 from tiltcal.core.pair.online import Online
-from tiltcal.core.pair.stage import STANDSTILL, StageRecord, estimated_angle, require_turns, stage_record
+from tiltcal.core.pair.stage import StageRecord, estimated_angle, stage_record
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance
@@ -38,7 +38,7 @@ _TURNS_OF_SEGMENT, _LONGEST_SEGMENT = 8, 1 << 18  # turns and, at the most, rows
 
 @dataclass(frozen=True)
 class PairLog:
-    """A log of pairs, demodulated: so many ``turns`` of the stage in ``rows``, others being ``missing`` a value.
+    """A log of pairs, demodulated: so many ``turns`` of the stage in ``rows``, others being left out (``missing``).
 
     ``seconds`` are those from the first row to the last, None without time.
     """
@@ -124,7 +124,7 @@ def match_log(
         open_log(data, skip_bad_rows=skip_bad_rows, live=online, progress=progress) as log,
         _explained(log, phase),
     ):
-        read = read_pair_log(log, channels, phase, say=say, online=online)
+        read = read_pair_log(log, channels, phase, say=say)
         whole, course = read.demodulation, list[tuple[float, float, float, float]]()
         if online:
             estimators = _estimators(pairs, read.record, say)
@@ -140,7 +140,7 @@ def match_log(
         _say_drift(matching, whole, say)
     rows = read.rows + read.missing
     if read.missing:
-        say(f"{read.missing} of {rows} rows have a missing value and are left out")
+        say(f"{read.missing} of {rows} rows are left out: a value is missing, or the stage does not turn on")
     name = Path(log.name).name
     provenance = PairProvenance(
         made_by="match of a recorded log",
@@ -189,13 +189,11 @@ def read_pair_log(
     phase: str | None,
     *,
     say: Callable[[str], None] = lambda line: None,
-    online: bool = False,
 ) -> PairLog:
     """Read a log to its end, and demodulate its readings; say which channel is stuck, and from which row on.
 
     ``phase`` is the column of the stage angle in degrees; without an encoder the spin is estimated, from the column
-    ``time`` or, without one, from the number of the row. Where ``online``, a stage that turns too little, or backwards,
-    is left to the online estimators.
+    ``time`` or, without one, from the number of the row.
     """
     located = locate_columns(log, channels, {}, option="--pair or --orthogonal ")
     where = {channel: located[channel] for channel in channels}
@@ -214,14 +212,11 @@ def read_pair_log(
     record = stage_record(channels, theta, readings)
     for line in record.stuck:
         say(line)
-    angle = record.angle[record.whole]
-    if len(angle) and (not online or np.ptp(angle) < STANDSTILL):
-        require_turns(angle)
+    turns, rows = record.turns, int(np.count_nonzero(record.whole))
     demodulation = demodulate(channels, record.angle, readings, record.whole)
     known = time[np.isfinite(time)]
     seconds = float(known[-1] - known[0]) if timed and len(known) else 0.0
-    turns, missing = float(angle[-1] - angle[0]), len(numbers) - len(angle)
-    return PairLog(record, demodulation, turns, len(angle), missing, seconds if seconds > 0.0 else None)
+    return PairLog(record, demodulation, turns, rows, len(numbers) - rows, seconds if seconds > 0.0 else None)
 
 
 @contextmanager

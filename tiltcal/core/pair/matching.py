@@ -18,7 +18,7 @@ import numpy as np
 from tiltcal.core.model import Array
 from tiltcal.core.pair.demodulate import COARSE_BLOCKS, Demodulation, demodulate
 from tiltcal.core.pair.model import FEWEST_TURNS, Pair, sum_weights
-from tiltcal.core.pair.stage import StageRecord, stage_record, turning
+from tiltcal.core.pair.stage import StageRecord, stage_record
 from tiltcal.errors import EstimateError
 
 STAGES = ("before", "after_p", "after_pq")
@@ -201,7 +201,6 @@ def rotation_of(channels: Sequence[str], rows: Array) -> MatchedRotation:
     kept, turned, counted, left_out = list[StageRecord](), 0, np.zeros(2), 0
     for part in split_at_breaks(rows):
         span = stage_record(channels, part[:, 1], part[:, 2:].T)
-        span.whole[span.whole] = turning(span.angle[span.whole])
         follows = span.whole[1:] & span.whole[:-1]
         turns_and_seconds = np.array([np.diff(column)[follows].sum() for column in (span.angle, part[:, 0])])
         turned += turns_and_seconds[0]

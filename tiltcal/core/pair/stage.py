@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan2, ceil, floor, pi
+from math import atan2, ceil, pi
 
 import numpy as np
 
@@ -20,12 +20,11 @@ from tiltcal.core.model import Array
 from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.errors import EstimateError
 
-STANDSTILL = 0.05  # turns in a whole record below which the stage does not turn
+STANDSTILL = 0.05  # turns below which the stage does not turn
 PARTS = 8  # of a turn, each of which must have rows
-BACKWARDS = 0.1875  # turns that the angle of a stream may fall behind before the stage runs backwards
+BACKWARDS = 0.1875  # turns that the angle may fall behind its highest, by encoder noise and play
 STANDING = 4.0  # times the rows of a typical part after which the stage stands
 ROUNDING = 1e-6  # turns by which an angle may be rounded
-_BACKLASH = 0.25  # turns that the angle of a record may fall behind its highest, by encoder noise and play
 _JUMP = 0.125  # turns back from one row to the next from which on rows are missing
 _STUCK = 0.25  # turns over which a value must stay the same to be stuck
 _FEWEST_ROWS = 16  # that show a spin
@@ -52,29 +51,7 @@ def follow(theta: Array, last: float | None = None) -> Array:
     return np.asarray(angle - np.cumsum(whole))
 
 
-def require_turns(angle: Array) -> None:
-    """Refuse a record whose stage stands, turns backwards, or turns less than twice; angle in turns, shape (n,)."""
-    turns = float(angle[-1] - angle[0])
-    backlash = float(np.max(np.maximum.accumulate(angle) - angle))
-    if np.ptp(angle) < STANDSTILL:
-        raise EstimateError(
-            f"the stage is not turning: its angle changes by {360.0 * turns:.2f}° over {len(angle)} rows; is "
-            "this the column of the stage angle, in degrees?"
-        )
-    if backlash > _BACKLASH:
-        raise EstimateError(
-            f"the stage angle runs backwards by {360.0 * backlash:.0f}°: the encoder must count up in the direction in "
-            "which the stage turns (swap its two tracks, or log the angle with the other sign); match a stretch in "
-            "which it turns one way"
-        )
-    # Each row stands for one step, the last one too.
-    covered = turns * len(angle) / (len(angle) - 1)
-    if covered < FEWEST_TURNS - ROUNDING:
-        stated = floor(100.0 * covered) / 100.0
-        raise EstimateError(f"the record has {stated:.2f} turns of the stage; at least {FEWEST_TURNS:g} are needed")
-
-
-def turning(angle: Array) -> Mask:
+def _turning(angle: Array) -> Mask:
     """Return the rows in which the stage turns on, neither standing nor turned back; angle in turns, shape (n,)."""
     if not len(angle):
         return np.zeros(0, dtype=bool)
@@ -90,7 +67,8 @@ def turning(angle: Array) -> Mask:
 class StageRecord:
     """The samples of a turning stage: its angle in degrees and in turns that do not wrap, and readings of channels.
 
-    All are of shape (n,), NaN where a value is missing; in ``whole`` rows nothing is missing or stuck.
+    All are of shape (n,), NaN where a value is missing. In ``whole`` rows nothing is missing or stuck, and the stage
+    turns on.
     """
 
     channels: tuple[str, ...]
@@ -99,6 +77,20 @@ class StageRecord:
     readings: Sequence[Array] | Array
     whole: Mask
     stuck: tuple[str, ...]
+
+    @property
+    def turns(self) -> float:
+        """The turns from the first whole row to the last; an EstimateError where they are less than two."""
+        angle = self.angle[self.whole]
+        turns = max(float(angle[-1] - angle[0]), 0.0) if len(angle) > 1 else 0.0
+        # Each row stands for one step, the last one too.
+        if turns * len(angle) / max(len(angle) - 1, 1) < FEWEST_TURNS - ROUNDING:
+            raise EstimateError(
+                f"the record has {turns:.2f} turns of the stage; at least {FEWEST_TURNS:g} are needed, by an angle in "
+                "degrees that counts up: where it runs backwards, swap the tracks of the encoder, or log it with the "
+                "other sign"
+            )
+        return turns
 
 
 def stage_record(channels: Sequence[str], theta: Array, readings: Sequence[Array] | Array) -> StageRecord:
@@ -117,6 +109,7 @@ def stage_record(channels: Sequence[str], theta: Array, readings: Sequence[Array
             whole[first:end] = False
             why = f"{name} is stuck at {column[first]:.6g} while the stage turns; left out until it changes"
             stuck.append((first, f"row {first}: {why}"))
+    whole[whole] = _turning(angle[whole])
     return StageRecord(tuple(channels), theta, angle, readings, whole, tuple(line for _, line in sorted(stuck)))
 
 
