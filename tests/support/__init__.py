@@ -9,5 +9,5 @@ ROOT = Path(__file__).parents[2]
 
 FIXTURES = ROOT / "fixtures"
 
-WITHOUT_PRIORS = Path(__file__).parent / "zero_45_without_priors.yaml"
+WITHOUT_PRIORS = Path(__file__).parent / "calibration_without_priors.yaml"
 """A calibration file of the time when what no position determines counted as zero."""

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.calibration.fit import covered_tilts, design_of
+from tiltcal.calibration.fit import covered_tilts
 from tiltcal.calibration.measurement import BenchUncertainty
+from tiltcal.calibration.priors import design_of
 from tiltcal.calibration.record import half_widths, tilt_lines
 from tiltcal.calibration.wording import label
 from tiltcal.core.attitude import STRAIGHT, Orientation, solve_mounting

@@ -21,8 +21,9 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from tiltcal.calibration.fit import design_of, fit_jointly, observed_sensor, record_of
+from tiltcal.calibration.fit import fit_jointly, observed_sensor, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
+from tiltcal.calibration.priors import design_of
 from tiltcal.calibration.stated import rounded_covariance, uncertain_coefficients
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER

@@ -36,9 +36,9 @@ from tiltcal.logs.kernel import (
     tilt_kernel,
 )
 from tiltcal.logs.log import LogReader, Table
+from tiltcal.logs.numbers_and_times import no_time_yet
 from tiltcal.logs.options import ApplyOptions, silent
 from tiltcal.logs.streams import sha256_of
-from tiltcal.logs.text_to_numbers import no_time_yet
 from tiltcal.stated_arguments import require_from_zero
 
 FARTHEST_TURN = 5.0

@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
-from tiltcal.calibration.fit import NO_SENSITIVITY
 from tiltcal.calibration.measurement import (
     BenchUncertainty,
     MeasuredSensor,
@@ -20,6 +19,7 @@ from tiltcal.calibration.measurement import (
     require_no_jig,
     require_tilt,
 )
+from tiltcal.calibration.priors import NO_SENSITIVITY
 from tiltcal.calibration.record import bases_of
 from tiltcal.core.estimation.free import fit_free
 from tiltcal.core.model import AXES

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
 from tiltcal.logs.cf_attributes import split_unit
+from tiltcal.logs.numbers_and_times import column_numbers, column_seconds, unread_time
 from tiltcal.logs.streams import keep_freed_memory, read_ahead, sha256_of
-from tiltcal.logs.text_to_numbers import column_numbers, column_seconds, unread_time
 
 if TYPE_CHECKING:
     import polars as pl

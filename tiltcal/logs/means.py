@@ -23,8 +23,8 @@ from tiltcal.errors import InputError
 from tiltcal.logs.cf_attributes import COUNT
 from tiltcal.logs.kernel import PreparedSensor
 from tiltcal.logs.log import LogBlock, LogReader, Table
+from tiltcal.logs.numbers_and_times import no_time_yet, texts_of_times
 from tiltcal.logs.options import GroupSize
-from tiltcal.logs.text_to_numbers import no_time_yet, texts_of_times
 
 if TYPE_CHECKING:
     import polars as pl

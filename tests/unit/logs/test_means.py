@@ -17,7 +17,8 @@ from tiltcal.errors import InputError, UsageError
 from tiltcal.library.calibration import Calibration, read
 from tiltcal.library.recorded import apply_log
 from tiltcal.logs.formats.csv import ColumnTypes
-from tiltcal.logs.formats.csv_rows import Dialect, RowGrammar
+from tiltcal.logs.formats.csv_dialect import Dialect
+from tiltcal.logs.formats.csv_rows import RowGrammar
 from tiltcal.logs.kernel import RoleValues, prepare
 from tiltcal.logs.means import GroupSize
 from tiltcal.logs.options import ApplyOptions

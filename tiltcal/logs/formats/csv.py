@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from tiltcal.errors import InputError
-from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, Dialect, RowGrammar, between_commas, dialect_of, in_utf8
+from tiltcal.logs.formats.csv_dialect import Dialect, dialect_of
+from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, RowGrammar, between_commas, in_utf8
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
+from tiltcal.logs.numbers_and_times import numbers
 from tiltcal.logs.streams import refusing
-from tiltcal.logs.text_to_numbers import numbers
 
 if TYPE_CHECKING:
     import polars as pl

@@ -1,4 +1,4 @@
-"""The grammar of a CSV log: how it is written, and our own rule on what a row is, in front of the engine.
+"""The grammar of a CSV log: our own rule on what a row is, in front of the engine.
 
 CSV readers differ in silence on short and long rows, on a row that a power cut tore, on blank lines and odd numbers. So
 the grammar is our own, and the same for every row of every file:
@@ -7,7 +7,7 @@ the grammar is our own, and the same for every row of every file:
 - A field in double quotes may hold separators and doubled quotes, but no line end; elsewhere a quote is a character.
 - A NUL byte, or a bare CR outside quotes, is damage.
 - A last line that has no end is torn where it is short, or stops inside a number.
-- :mod:`tiltcal.logs.text_to_numbers` defines what is a number, and what is a time.
+- :mod:`tiltcal.logs.numbers_and_times` defines what is a number, and what is a time.
 
 There are two ways. Blocks that are seen to break no rule, and have no quotes, are parsed by the engine at once; all
 others line by line, which says what is wrong with which row.
@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.logs.columns import is_number
+from tiltcal.logs.formats.csv_dialect import Dialect
 from tiltcal.logs.log import LogBlock
-from tiltcal.logs.text_to_numbers import is_cut, numbers, seconds
+from tiltcal.logs.numbers_and_times import is_cut, numbers, seconds
 from tiltcal.printable import counted
 
 if TYPE_CHECKING:
@@ -42,68 +42,6 @@ UTF8_BOM = b"\xef\xbb\xbf"
 
 _MARGINS = re.compile(rb"^[ \t]+|[ \t]+(?=\r?$)", re.MULTILINE)
 _GAPS = re.compile(rb"[ \t]+")
-_DECIMAL_COMMA = r"(?:^|{0})[ \t]*[+-]?\d*,\d+(?:[eE][+-]?\d+)?[ \t]*(?={0}|\r?$)"
-_SWAPPED = str.maketrans(".,", ",.")
-
-
-@dataclass(frozen=True)
-class Dialect:
-    """How the rows of a CSV log are written; ``has_blanks``: these are between fields in place of the separator."""
-
-    names: tuple[str, ...]
-    separator: str = ","
-    decimal: str = "."
-    has_header: bool = True
-    has_blanks: bool = False
-
-    def with_point(self, cell: str) -> str:
-        """Return a cell with its decimal mark as a point; a point in place of a decimal comma is no longer one."""
-        return cell if self.decimal == "." else cell.translate(_SWAPPED)
-
-    def with_points(self, cells: pl.Series, *, moments: bool = False) -> pl.Series:
-        """Return cells likewise; of ``moments``, which may have a point nevertheless, points stay."""
-        if self.decimal == ".":
-            return cells
-        marks = ([","], ["."]) if moments else ([".", ","], [",", "."])
-        return cells.str.replace_many(*marks)
-
-
-def dialect_of(top: str) -> Dialect:
-    """Return how a log is written whose first lines these are, the last of them perhaps torn.
-
-    A ``#`` in front of names between blanks is none of them. A first line that merely counts (0,1,2 or 1,2,3), as some
-    programs write above columns that nobody named, is a header.
-    """
-    first, _, rows = top.partition("\n")
-    first, second = first.removesuffix("\r"), rows.partition("\n")[0].removesuffix("\r")
-    if (names := _numbered(first.split())) and "," not in first:
-        return Dialect(names, has_header=False, has_blanks=len(names) > 1)
-    names = tuple(first.removeprefix("#").split())
-    if len(names) > 1 and "," not in first + second and len(second.split()) == len(names):
-        return Dialect(names, has_blanks=True)
-    for separator in ";\t":
-        if separator not in first or first.count(separator) != second.count(separator):
-            continue
-        comma = re.search(_DECIMAL_COMMA.format(separator), first + "\n" + rows, re.MULTILINE) is not None
-        cells = [cell.translate(_SWAPPED) if comma else cell for cell in first.split(separator)]
-        names = _numbered(cells)
-        if names or "," not in first:
-            return Dialect(names or _named(first, separator), separator, "," if comma else ".", not names)
-    names = _numbered(first.split(","))
-    return Dialect(names or _named(first, ","), has_header=not names)
-
-
-def _named(header: str, separator: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in next(csv.reader([header], delimiter=separator, strict=True), []))
-
-
-def _numbered(fields: list[str]) -> tuple[str, ...]:
-    """Return the columns' numbers where the fields of a first line are a row of numbers; none where they are names."""
-    filled = [field.strip() for field in fields if field.strip()]  # a cell of a first row may be missing
-    if not filled or not all(map(is_number, filled)):
-        return ()
-    counted = filled in ([str(first + k) for k in range(len(filled))] for first in (0, 1))
-    return () if counted and len(fields) > 1 else tuple(str(place) for place in range(1, len(fields) + 1))
 
 
 def in_utf8(text: bytes) -> bytes:

@@ -21,7 +21,8 @@ from tiltcal.errors import InputError
 from tiltcal.logs.columns import locate_columns
 from tiltcal.logs.formats import csv_rows
 from tiltcal.logs.formats.csv import CsvReader
-from tiltcal.logs.formats.csv_rows import Dialect, RowGrammar, dialect_of
+from tiltcal.logs.formats.csv_dialect import Dialect, dialect_of
+from tiltcal.logs.formats.csv_rows import RowGrammar
 from tiltcal.logs.log import LogSource
 
 NAMES = ("time", "x", "y")

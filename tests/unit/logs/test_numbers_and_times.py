@@ -19,7 +19,7 @@ from tiltcal.logs.formats.csv import CsvReader
 from tiltcal.logs.formats.parquet import ParquetReader
 from tiltcal.logs.frames import FrameReader
 from tiltcal.logs.log import LogSource
-from tiltcal.logs.text_to_numbers import seconds
+from tiltcal.logs.numbers_and_times import seconds
 
 NOON = datetime(2026, 5, 1, 12, tzinfo=UTC).timestamp()
 

@@ -1,0 +1,88 @@
+"""The unknowns of a fit, and the priors of those that no position determines.
+
+They come from the sensor's data sheet, from its nominal sensitivity, or from the calibration that it has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+
+from tiltcal.calibration.measurement import BenchUncertainty
+from tiltcal.core.estimation.positions import Design, Prior
+from tiltcal.core.model import AXES, values
+from tiltcal.drivers.model import Model, deviation_within
+from tiltcal.errors import EstimateError
+from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.procedure import Procedure
+
+NO_SENSITIVITY = (
+    "determines no sensitivity, and none is known: name a --sensor model whose nominal one may stand in, state it in "
+    "the address (sensitivity=..., unit per g), or name the sensor's own calibration with --base"
+)
+
+
+def design_of(
+    sensor: SensorIdentity,
+    procedure: Procedure,
+    bench: BenchUncertainty,
+    *,
+    nominal: Model | None = None,
+    base: CalibrationRecord | None = None,
+) -> Design:
+    """Return what a procedure determines of a sensor, and how well the bench sets what it sets."""
+    determines = procedure.determines
+    channels = tuple(c for c in sensor.channels if not determines.axes or c in determines.axes)
+    if not channels:
+        axes = ", ".join(determines.axes)
+        raise EstimateError(f"{procedure.name} determines the axes {axes}; {sensor.model} has none of them")
+    design = Design(
+        channels,
+        determines.axes or channels,
+        determines.drift,
+        determines.gain,
+        procedure.reference or 0.0,
+        inf if determines.free else bench.jig,
+        table=bench.table,
+        heading=bench.heading or 0.0,
+        thermometer=bench.thermometer,
+        nonlinearity=determines.nonlinearity,
+    )
+    if determines.axes:
+        return design if design.free or nominal is None else _with_data_sheet(design, nominal)
+    if base is not None:
+        return _with_base(design, base, whole=determines.level)
+    if nominal is None or not nominal.scaled:
+        raise EstimateError(f"{procedure.name} {NO_SENSITIVITY}")
+    own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)
+    priors = {f"sensitivity.{c}.{axis}": own if axis == c else cross for c in channels for axis in design.axes}
+    return replace(design, priors=priors)
+
+
+def _with_data_sheet(design: Design, model: Model) -> Design:
+    """Return the design with what no position determines, and what the data sheet of the model states of it."""
+    own, channels = design.axes, design.channels
+    two_of_three = len(channels) == 2 and set(channels) <= set(AXES) and model.cross_axis_limit > 0.0
+    u = model.sensitivity * deviation_within(model.cross_axis_limit)
+    axes = (*own, *(axis for axis in AXES if axis not in own)) if two_of_three else own
+    order = max(design.nonlinearity, len(model.nonlinearity)) if set(channels) <= set(axes) else 0
+    priors = {f"sensitivity.{c}.{axis}": Prior(0.0, u) for c in channels for axis in axes if axis not in own}
+    for k in range(design.nonlinearity, order):
+        priors |= {f"nonlinearity.{c}.{k + 2}": Prior(0.0, model.nonlinearity[k]) for c in channels}
+    scale = model.sensitivity if model.scaled else 0.0
+    return replace(design, axes=axes, nonlinearity=order, priors=priors, nominal=scale)
+
+
+def _with_base(design: Design, base: CalibrationRecord, *, whole: bool) -> Design:
+    """Return the design with the sensitivity of the sensor's own calibration, ``whole`` with temperature terms."""
+    coefficients, u = base.coefficients, base.uncertainty
+    order = 0 if coefficients.nonlinearity is None else coefficients.nonlinearity.shape[1]
+    kept = ("sensitivity.", "nonlinearity.", *(["temperature."] if whole else []))
+    priors = {
+        name: Prior(value, u.get(name, 0.0)) for name, value in values(coefficients).items() if name.startswith(kept)
+    }
+    design = replace(design, axes=coefficients.axes, nonlinearity=order, priors=priors)
+    thermal = coefficients.thermal if whole else None
+    if thermal is None:
+        return design
+    return replace(design, drift=thermal.drift.shape[1], gain=thermal.gain.shape[1], reference=thermal.reference)
