@@ -46,11 +46,12 @@ def dialect_of(top: str) -> Dialect:
     """
     first, _, rows = top.partition("\n")
     first, second = first.removesuffix("\r"), rows.partition("\n")[0].removesuffix("\r")
-    if (names := _numbered(first.split())) and "," not in first:
-        return Dialect(names, has_header=False, has_blanks=len(names) > 1)
-    names = tuple(first.removeprefix("#").split())
-    if len(names) > 1 and "," not in first + second and len(second.split()) == len(names):
-        return Dialect(names, has_blanks=True)
+    if "," not in first and not _has_tabs_alone(first, second):
+        if names := _numbered(first.split()):
+            return Dialect(names, has_header=False, has_blanks=len(names) > 1)
+        names = tuple(first.removeprefix("#").split())
+        if len(names) > 1 and "," not in second and len(second.split()) == len(names):
+            return Dialect(names, has_blanks=True)
     for separator in ";\t":
         if separator not in first or first.count(separator) != second.count(separator):
             continue
@@ -61,6 +62,13 @@ def dialect_of(top: str) -> Dialect:
             return Dialect(names or _named(first, separator), separator, "," if comma else ".", not names)
     names = _numbered(first.split(","))
     return Dialect(names or _named(first, ","), has_header=not names)
+
+
+def _has_tabs_alone(first: str, second: str) -> bool:
+    """Return whether one tab is between any two fields, as spreadsheets write it: then a cell may be empty."""
+    tabs = first.count("\t")
+    whole = tabs > 0 and second.count("\t") == tabs and len(first.split()) == tabs + 1
+    return whole and " " not in first + second and not first.startswith("#")
 
 
 def _named(header: str, separator: str) -> tuple[str, ...]:

@@ -338,11 +338,21 @@ def test_the_dialect_is_seen_at_the_top() -> None:
         "time;x\r\n0.5;1\r\n": Dialect(("time", "x"), ";"),
         "time\tx\n0,5\t1,25\n": Dialect(("time", "x"), "\t", ","),
         "Time (s)\tx (m/s^2)\n0.5\t1.25\n": Dialect(("Time (s)", "x (m/s^2)"), "\t"),
+        "time\tx\ty\n0\t1.25\t\n": Dialect(("time", "x", "y"), "\t"),
+        "0\t1.25\t7\n1\t\t7\n": Dialect(("1", "2", "3"), "\t", has_header=False),
+        "time\t\tx\n0.5\t\t1.25\n": Dialect(("time", "x"), has_blanks=True),
+        "time x\ty\n0.5 1.25\t7\n": Dialect(("time", "x", "y"), has_blanks=True),
         "0,5;1,25\n1,5;2,5\n": Dialect(("1", "2"), ";", ",", has_header=False),
         "a;b,c\n1;2,3\n": Dialect(("a;b", "c")),
         "note,x\na;b,1\n": Dialect(("note", "x")),
     }.items():
         assert dialect_of(content) == expected
+
+
+def test_a_cell_between_tabs_may_be_empty() -> None:
+    """Between blanks an empty cell is none, and the row is too short."""
+    values = table(b"time\tx\ttemperature\n0\t1.5\t24\n1\t\t24\n2\t2.5\t\n")
+    np.testing.assert_array_equal(values, [(0, 1.5, 24), (1, np.nan, 24), (2, 2.5, np.nan)])
 
 
 class TestDecimalComma:
