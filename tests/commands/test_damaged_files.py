@@ -1,20 +1,65 @@
-"""Damaged Parquet and NetCDF files: an error that names them, or the library's own end; never a half-written output."""
+"""Damaged files of every kind: an error that names them, or the library's own end; never a half-written output."""
 
 from __future__ import annotations
 
+import io
 import shutil
 from pathlib import Path
 
 import h5netcdf
 import numpy as np
 import polars as pl
+import pytest
 from support import FIXTURES
 from support.command import tiltcal, tiltcal_process
 
 from tiltcal.logs.formats import open_log
 
-DAMAGED = Path(__file__).parents[1] / "support" / "damaged"
+PANICS = Path(__file__).parents[1] / "support" / "damaged" / "panic.parquet"
 CAL = str(FIXTURES / "mavs.yaml")
+LEVELS = 1024.0 + np.random.default_rng(0).random((20_000, 2))
+
+
+def parquet() -> bytes:
+    stream = io.BytesIO()
+    pl.DataFrame(LEVELS, schema=["x", "y"]).write_parquet(stream)
+    return stream.getvalue()
+
+
+JOURNAL, PARQUET = (FIXTURES / "plane.journal.jsonl").read_bytes(), parquet()
+BOMB = "a0: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]\n" for n in range(1, 30))
+DAMAGED = {
+    "torn.journal.jsonl": JOURNAL[: JOURNAL.index(b"\n", 5000) - 9],
+    "changed.journal.jsonl": JOURNAL.replace(b',"s",', b',"S",', 1),
+    "short.parquet": PARQUET[:-2000],
+    "holed.parquet": PARQUET[:100_000] + bytes(100_000) + PARQUET[200_000:],
+    "zeros.csv": b"x,y\n" + bytes(5000),
+    "bomb.yaml": BOMB.encode(),
+    "binary.yaml": bytes(range(256)) * 8,
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_it_is_named_wherever_it_is_given(name: str, tmp_path: Path) -> None:
+    """`benchmarks/fuzz.py` tries many more."""
+    (tmp_path / name).write_bytes(DAMAGED[name])
+    (tmp_path / "log.csv").write_text("x,y\n1024,1024\n")
+    (tmp_path / "out.csv").write_text("the one before")
+    before = sorted(path.name for path in tmp_path.iterdir())
+    for command in (
+        f"check {name}",
+        f"replay {name} -o new.yaml",
+        f"apply {CAL} {name} -o out.csv",
+        f"apply {name} log.csv -o out.csv",
+        f"fit level {name} --base {CAL} -o new.yaml",
+        f"fit level log.csv --base {name} -o new.yaml",
+        f"report {CAL} {name} -o page.html",
+    ):
+        done = tiltcal(*command.split(), cwd=tmp_path)
+        interrupted = command == "check torn.journal.jsonl"
+        assert (done.returncode, name in done.stdout + done.stderr) == (1 if interrupted else 2, True), command
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    assert (tmp_path / "out.csv").read_text() == "the one before"
 
 
 def netcdf(path: Path, rows: int = 4, **attributes: object) -> None:
@@ -30,7 +75,7 @@ def netcdf(path: Path, rows: int = 4, **attributes: object) -> None:
 
 def test_an_engine_that_panics(tmp_path: Path) -> None:
     """It raises what no handler of errors catches, and prints words of its own before."""
-    shutil.copy(DAMAGED / "panic.parquet", tmp_path)
+    shutil.copy(PANICS, tmp_path)
     done = tiltcal_process("apply", CAL, "panic.parquet", "-o", "out.csv", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith("tiltcal: panic.parquet: this is no Parquet file, or a damaged one")
