@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import json
-import os
-import signal
-import subprocess
-import sys
-import termios
-import time
-from math import asin, degrees
+from math import asin, cos, degrees, hypot, radians
 from pathlib import Path
 
 import pytest
-from support import FIXTURES
 from support.applied import PLAIN, apply, refused
-from support.command import TILTCAL
+from support.applied import rows as numbers
 
 from tiltcal.errors import InputError, UsageError
 
@@ -31,16 +23,11 @@ WARM = (
     sensitivity: {x: [0.0], y: [0.0]}
 """
 )
-THREE = """\
-tiltcal: 1
-kind: tilt
-sensor: {model: bench-built, serial: S-3, unit: count, channels: [x, y, z]}
-calibration:
-  offset: {x: 0.0, y: 0.0, z: 0.0}
-  sensitivity:
-    x: {x: 1000.0, y: 0.0, z: 0.0}
-    y: {x: 0.0, y: 1000.0, z: 0.0}
-    z: {x: 0.0, y: 0.0, z: 1000.0}
+KNOWN = """\
+uncertainty:
+  offset: {x: 0.003, y: 0.003}
+  sensitivity: {x: {x: 0.002, y: 0.0}, y: {x: 0.0, y: 0.002}}
+  single_reading: {x: 0.004, y: 0.004}
 """
 LOG = "time,x,y,note\n0.0,3.5,2.5,level\n0.1,2.5,1.5,\n"
 
@@ -78,13 +65,6 @@ class TestOutput:
         assert [float(row["tilt_x"]) for row in rows(result.stdout)] == pytest.approx([30.0, 0.0], abs=1e-9)
         assert [float(row["tilt_y"]) for row in rows(result.stdout)] == pytest.approx([0.0, 30.0], abs=1e-9)
 
-    def test_a_log_in_latin_1_becomes_utf_8(self, bench: Path) -> None:
-        log = "time,x,y,Bemerkung °C\r\n0,3.5,2.5,über 20°\r\n".encode()
-        (bench / "log.csv").write_bytes(log.decode().encode("latin-1"))
-        assert apply("cal.yaml", "log.csv", "-o", "out.csv").exit_code == 0
-        before, after = log.split(b"\r\n"), (bench / "out.csv").read_bytes().split(b"\r\n")
-        assert [line.startswith(start) for line, start in zip(after, before, strict=True)] == [True] * 3
-
     def test_columns_by_name(self) -> None:
         log = "t,VoutX,VoutY,T\n0,3.6,2.5,30\n"
         Path("warm.yaml").write_text(WARM)
@@ -103,25 +83,35 @@ class TestOutput:
 
 
 @pytest.mark.usefixtures("bench")
-class TestFlags:
-    def test_a_row_without_temperature_is_suspect(self) -> None:
-        Path("warm.yaml").write_text(WARM)
-        result = apply("warm.yaml", "-", stdin=b"x,y,temperature\n3.5,2.5,NA\n3.5,2.5,20\n3.5,2.5,31\n")
-        assert [(row["flag"], row["reason"]) for row in rows(result.stdout)] == [("3", "16"), ("1", "0"), ("3", "2")]
-        assert float(rows(result.stdout)[0]["tilt_x"]) == pytest.approx(30.0, abs=1e-12)
-        assert rows(apply("warm.yaml", "-", stdin=b"x,y\n3.5,2.5\n").stdout)[0]["reason"] == "16"
+class TestUncertainty:
+    def test_columns_stand_behind_all_others(self) -> None:
+        Path("known.yaml").write_text(PLAIN + KNOWN)
+        plain, found = (apply("known.yaml", "log.csv", *more).stdout for more in ((), ("--uncertainty",)))
+        assert found.splitlines()[0].endswith("flag,reason,u_tilt_x,u_tilt_y,U95_tilt_x,U95_tilt_y")
+        assert [line.rsplit(",", 4)[0] for line in found.splitlines()] == plain.splitlines()
 
-    def test_the_rails_are_those_of_the_model_unless_the_file_names_them(self) -> None:
-        from tiltcal.drivers import find_model
+    def test_columns_are_what_the_gum_gives(self) -> None:
+        """Offset 0.003, sensitivity 0.002, reading 0.004 V of 2 V/g, at level and at 30°."""
+        Path("known.yaml").write_text(PLAIN + KNOWN)
+        level, tilted = numbers(apply("known.yaml", "-", "--uncertainty", stdin="x,y\n2.5,2.5\n3.5,2.5\n").stdout)
+        assert level["u_tilt_x"] == pytest.approx(degrees(0.005 / 2), rel=1e-3)
+        expected = degrees(hypot(0.005, 0.5 * 0.002) / 2 / cos(radians(30)))
+        assert tilted["u_tilt_x"] == pytest.approx(expected, rel=1e-3)
+        assert tilted["U95_tilt_x"] == pytest.approx(1.96 * expected, rel=2e-3)
 
-        low, high = find_model("sca100t-d02").rails
-        text = PLAIN.replace("bench-built", "sca100t-d02").replace("unit: V", "unit: count").replace("2.5", "1024.0")
-        text = text.replace("2.0", "819.0")
-        log = f"x,y\n{high},1024\n{low},1024\n1024,1024\n".encode()
-        Path("counts.yaml").write_text(text)
-        Path("limited.yaml").write_text(text + "limits: {reading: {x: [0, 1024]}}\n")
-        assert [int(row["reason"]) & 4 for row in rows(apply("counts.yaml", "-", stdin=log).stdout)] == [4, 4, 0]
-        assert int(rows(apply("limited.yaml", "-", stdin=log).stdout)[2]["reason"]) & 4
+    def test_no_uncertainty_at_all_is_refused_with_what_to_do(self) -> None:
+        for silent in (PLAIN, PLAIN + "uncertainty: {}\n"):
+            Path("silent.yaml").write_text(silent)
+            result = apply("silent.yaml", "log.csv", "--uncertainty", "-o", "out.csv")
+            assert "under `uncertainty`" in refused(result, InputError)
+            assert "silent.yaml" in str(result.exception)
+            assert not Path("out.csv").exists()
+
+    def test_what_counts_as_exact_is_named(self) -> None:
+        Path("half.yaml").write_text(PLAIN + "uncertainty: {offset: {x: 0.003, y: 0.003}}\n")
+        said = apply("half.yaml", "log.csv", "--uncertainty").stderr
+        assert "no uncertainty is stated of sensitivity.x.x, sensitivity.x.y" in said
+        assert "--reading-noise" in said
 
 
 @pytest.mark.usefixtures("bench")
@@ -182,21 +172,3 @@ class TestRefusals:
     def test_a_result_is_not_compensated_again(self) -> None:
         once = apply("cal.yaml", "log.csv").stdout_bytes
         assert "standard input has a column 'g_x' already" in refused(apply("cal.yaml", "-", stdin=once), UsageError)
-
-
-def test_ctrl_c_ends_the_wait_for_a_pipe_that_has_gone_quiet(tmp_path: Path) -> None:
-    """More than a block of rows has been parsed by then: the engine that did so must not keep Ctrl-C to itself."""
-    command = [*TILTCAL, "apply", FIXTURES / "plane.yaml", "-", "-o", "out.csv"]
-    with subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        if process.stdin is None or process.stderr is None:
-            raise RuntimeError("no pipes")
-        process.stdin.write(b"time,x,y,temperature\n" + b"".join(b"%d,1020,1021,24\n" % n for n in range(400_000)))
-        process.stdin.flush()
-        deadline = time.monotonic() + 60
-        while int.from_bytes(fcntl.ioctl(process.stdin, termios.FIONREAD, bytes(4)), sys.byteorder):
-            assert time.monotonic() < deadline, "the rows were not read"
-            time.sleep(0.0005)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 130
-        assert "interrupted" in process.stderr.read().decode()
-    assert os.listdir(tmp_path) == []

@@ -25,8 +25,6 @@ x,y,mx,my,mz,u,v,w,h
 2.5,2.5,20,0,-40,0,1,0,5
 3.5,2.5,-11.339746,17.320508,-39.641016,1,0,0,65
 """
-TIMES = ("time", "1777640400", "1777726800")
-"""Noon of May 1st and 2nd, 2026, UTC, seconds since 1970."""
 COMPASS = ("--magnetometer", "mx,my,mz", "--declination", "5", "--velocity", "u,v,w")
 BY_HAND = {"heading": [5.0, 65.0], "v_east": [-0.996195, 0.784886], "v_north": [0.087156, 0.365998], "v_up": [0.0, 0.5]}
 """Worked out in docs/how-to/heading.md."""
@@ -77,26 +75,6 @@ def test_notes_name_the_north_and_what_counts_as_exact() -> None:
     assert "the magnetometer counts as exact" in found.stderr
     # 0.003 and 0.004 V of 2 V/g are 0.1433°; the field dips by atan 2.
     assert columns(found)["u_heading"][0] == pytest.approx(2 * 0.14324, rel=1e-3)
-
-
-def test_a_field_of_another_length_is_flagged_on_its_row() -> None:
-    Path("log.csv").write_text(LOG + "2.5,2.5,30,0,-40,0,1,0,5\n")
-    found = columns(apply(*COMPASS))
-    assert (found["flag"], found["reason"]) == ([1, 1, 3], [0, 0, 128])
-
-
-def test_a_folder_of_calibrations_gives_the_same() -> None:
-    Path("folder").mkdir()
-    for day in (1, 3):
-        dated = f'provenance: {{started: "2026-05-0{day}T00:00:00Z", ended: "2026-05-0{day}T01:00:00Z"}}\n'
-        Path(f"folder/{day}.yaml").write_text(CAL + dated)
-    Path("log.csv").write_text("\n".join(map(",".join, zip(TIMES, LOG.splitlines(), strict=True))) + "\n")
-    options = (*COMPASS, "--uncertainty")
-    one = columns(apply(*options))
-    found = columns(CliRunner().invoke(command, ["--calibrations", "folder", "log.csv", *options]))
-    assert list(found) == list(one)
-    for name in BY_HAND:
-        assert found[name] == pytest.approx(one[name], abs=1e-12)
 
 
 def test_netcdf_states_units_and_meanings() -> None:

@@ -122,19 +122,6 @@ class TestMeans:
         assert out["flag"].to_list() == [1] * 10
         assert NOTE not in said
 
-    def test_readings_that_are_wrong_on_both_sides(self) -> None:
-        calibration()
-        length = np.tile([0.9, 1.1], 50)
-        length[20] = 0.4
-        length[[41, 42]] = 1.0, np.nan
-        length[43:50] = 1.0
-        length[40] = 1.0
-        out, _ = applied(length[:, None] * [0.0, 0.0, 1.0], "--average", "10")
-        assert out["flag"].to_list() == [3, 3, 4, 3, 1, 3, 3, 3, 3, 3]
-        assert out["reason"].to_list() == [256, 256, 256, 256, 0, 256, 256, 256, 256, 256]
-        assert out["tilt_x"].is_nan().to_list() == [flag == 4 for flag in out["flag"]]
-        assert out["count"].to_list() == [10, 10, 10, 10, 9, 10, 10, 10, 10, 10]
-
 
 class TestOnEdge:
     def test_the_sign_that_nothing_shows(self) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from datetime import UTC, date, datetime, timedelta
 from decimal import Decimal
 from math import nan
@@ -174,14 +173,6 @@ class TestFromCsvToParquet:
         assert not (bench / "out.parquet").exists()
 
 
-class TestFromParquetToCsv:
-    def test_goes_to_standard_output_as_csv(self) -> None:
-        header, first, second, *_ = apply("cal.yaml", "log.parquet").stdout.splitlines()
-        assert header == ",".join(["time", "x", "y", *ADDED])
-        assert first.startswith("0.0,3.5,2.5,")
-        assert second == "0.1,,1.5,NaN,NaN,NaN,NaN,9,32"
-
-
 class TestRefusals:
     def test_what_is_no_parquet(self, bench: Path) -> None:
         for content in (b"", b"x,y\n1,2\n", b"PAR1" + b"\0" * 64 + b"PAR1"):
@@ -189,17 +180,6 @@ class TestRefusals:
             said = refused(apply("cal.yaml", "bad.parquet", "-o", "out.parquet"), InputError)
             assert said.startswith("bad.parquet: this is no Parquet file, or a damaged one: ")
             assert not (bench / "out.parquet").exists()
-
-    def test_damage_in_the_middle_leaves_no_output(self, bench: Path) -> None:
-        draw = np.random.default_rng(0)
-        pl.DataFrame({"x": draw.random(200_000), "y": draw.random(200_000)}).write_parquet("in.parquet")
-        content = bytearray((bench / "in.parquet").read_bytes())
-        content[len(content) // 3 : len(content) // 2] = bytes(len(content) // 2 - len(content) // 3)
-        (bench / "in.parquet").write_bytes(content)
-        (bench / "out.parquet").write_text("the one before")
-        assert "in.parquet: " in refused(apply("cal.yaml", "in.parquet", "-o", "out.parquet"), InputError)
-        assert (bench / "out.parquet").read_text() == "the one before"
-        assert not [name for name in os.listdir(bench) if name.startswith(".")]
 
     def test_rows_that_the_engine_loses_in_silence_are_missed(self, monkeypatch: pytest.MonkeyPatch) -> None:
         with open_log("log.parquet") as log:

@@ -86,17 +86,6 @@ def test_wrong_segments(folder: Path) -> None:
     assert "'six-face'" in tiltcal("fit", "six-faces", *FIT, cwd=folder).stderr
 
 
-def test_a_wrong_procedure_of_ones_own(tmp_path: Path) -> None:
-    (tmp_path / "mine.yaml").write_text(
-        "tiltcal: 1\nkind: procedure\nname: mine\ntitle: T\ndetermines: {axes: [x]}\npositions:\n"
-        "  - {name: a, tilt: {x: 95}, prompt: p}\n"
-    )
-    result = measure(procedure="mine.yaml", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "mine.yaml:7: positions[0]" in result.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.yaml"]
-
-
 def test_a_damaged_journal_names_the_line(tmp_path: Path) -> None:
     measure(cwd=tmp_path)
     journal = tmp_path / "S-1.journal.jsonl"

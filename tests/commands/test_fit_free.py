@@ -48,20 +48,14 @@ def xsens(tmp_path_factory: pytest.TempPathFactory) -> Fit:
     return fitted(tmp_path_factory.mktemp("xsens"), XSENS, *XSENS_OPTIONS)
 
 
-@pytest.fixture(scope="module")
-def mpu(tmp_path_factory: pytest.TempPathFactory) -> Fit:
-    return fitted(tmp_path_factory.mktemp("mpu"), MPU, *MPU_OPTIONS)
-
-
 @needs_data
 class TestXsens:
     """The Xsens MTi: blanks between columns, no header, counts; g there is 9.81744 m/s²."""
 
-    def test_the_published_scales_within_0_02_percent(self, xsens: Fit) -> None:
+    def test_the_published_scales_and_offsets(self, xsens: Fit) -> None:
+        """Scales within 0.02 %, offsets within twice their uncertainty."""
         scales = xsens.calibration.derived.sensitivity_per_m_s2
         assert [scales[axis] for axis in "xyz"] == pytest.approx([414.41, 412.05, 414.61], rel=2e-4)
-
-    def test_the_published_offsets_within_twice_their_uncertainty(self, xsens: Fit) -> None:
         published, u = (33123.8, 33275.2, 32364.5), (0.24, 0.14, 0.15)
         for found, value, uncertainty in zip(xsens.calibration.coefficients.offset, published, u, strict=True):
             assert abs(found - value) < 2 * uncertainty
@@ -100,16 +94,14 @@ def _spans(rows: Any) -> Sequence[tuple[int, int]]:
 class TestMpu9150:
     """The MPU-9150: readings in m/s², g = 9.81; the record in which a strict threshold leaves nine attitudes."""
 
-    def test_the_published_scale_errors_within_0_02_percent(self, mpu: Fit) -> None:
+    def test_the_published_scale_errors_and_offsets(self, tmp_path: Path) -> None:
+        """Errors within 0.02 %, offsets within twice their uncertainty and half of the last digit."""
+        mpu = fitted(tmp_path, MPU, *MPU_OPTIONS)
         errors = mpu.calibration.derived.scale_error_percent
         assert [errors[axis] for axis in "xyz"] == pytest.approx([0.363, 0.315, 0.647], abs=0.02)
-
-    def test_the_published_offsets_within_twice_the_uncertainty(self, mpu: Fit) -> None:
         for axis, published in {"x": 0.103, "y": 0.097, "z": 0.344}.items():
             found = mpu.calibration.coefficients.offset["xyz".index(axis)]
-            assert (
-                abs(found - published) < 2 * mpu.calibration.uncertainty[f"offset.{axis}"] + 0.0005
-            )  # half its last digit
+            assert abs(found - published) < 2 * mpu.calibration.uncertainty[f"offset.{axis}"] + 0.0005
 
 
 # ------------------------------------------------------------------------------------------- without recorded data

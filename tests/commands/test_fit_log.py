@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
-import xarray
 from scipy.spatial.transform import Rotation
 from support.command import tiltcal
 
@@ -84,18 +83,6 @@ class TestTimes:
             assert {position.time for position in found.positions} == {None}
             assert (found.provenance.started, found.provenance.ended) == (None, None)
 
-    def test_a_variable_that_is_no_time_of_the_rows_is_left_alone(self, tmp_path: Path) -> None:
-        for time in (
-            ("row", np.arange(80), {"units": "months since 2026-01-01"}),
-            ("row", np.zeros(80, bool)),
-            ("other", np.zeros(3)),
-            ((), 5.0),
-        ):
-            log = xarray.Dataset({name: ("row", column) for name, column in self.readings().items()} | {"time": time})
-            log.to_netcdf(tmp_path / "log.nc", engine="h5netcdf")
-            found = calibrated(tmp_path, "plane", "log.nc", spans(self.PLACES, 20), *self.VOLTS)
-            assert found.provenance.ended is None
-
 
 class TestCoarseReadings:
     """An ideal sensor of 100 count/g with odd offsets on six faces, 100 samples each."""
@@ -167,25 +154,6 @@ class TestRemarks:
         assert "no degree of freedom is left: the positions fit whatever was read, and nothing checks them" in said
 
 
-def test_the_lean_of_a_table_turns_with_the_heading_and_the_offset_does_not(tmp_path: Path) -> None:
-    """By hand: the offset is the mean of the four headings, and uncertain by what noise and jig leave of a mean."""
-    lean_x, lean_y = sin(radians(0.5)), sin(radians(-0.3))
-    turns = np.radians([0, 90, 180, 270])  # to the left: the sensor feels the table turn to the right
-    means = [np.cos(turns) * lean_x + np.sin(turns) * lean_y, np.cos(turns) * lean_y - np.sin(turns) * lean_x]
-    readings = np.array([[1030.0], [1019.0]]) + 819.0 * np.repeat(means, 100, axis=1)
-    readings += np.random.default_rng(11).normal(0, 0.5, readings.shape)
-    segments = spans([f"heading-{heading}" for heading in (0, 90, 180, 270)], 100)
-    log = dict(zip("xy", readings, strict=True))
-    found = calibrated(tmp_path, "reversal", log, segments, *SCA100T, "--jig", "0.02")
-    u = sqrt((0.5 / 10.0) ** 2 + (819.0 * radians(0.02)) ** 2) / sqrt(4.0)
-    for channel, offset, by_hand in zip("xy", found.coefficients.offset, readings.mean(axis=1), strict=True):
-        assert offset == pytest.approx(by_hand, abs=0.001)
-        assert found.uncertainty[f"offset.{channel}"] == pytest.approx(u, rel=0.05)
-    # Without the headings half a degree of lean would be the jig's fault, and chi-square would be tens of thousands.
-    assert found.fit.p_value > 0.01
-    assert found.fit.degrees_of_freedom == 4
-
-
 class TestTemperaturePoint:
     """A log of ``two-temperature`` in which the second point may not have been waited for."""
 
@@ -196,15 +164,6 @@ class TestTemperaturePoint:
         log = {axis: 1024.0 + 0.3 * (warmth - 24.0) + draw.normal(0.0, 0.5, 100) for axis in "xy"}
         log["temperature"] = warmth + draw.normal(0.0, 0.05, 100)
         return "two-temperature", log, spans(("level-warm", "level-cold"), 50), *SCA100T, *options
-
-    def test_the_thermometer_that_was_stated_counts(self, tmp_path: Path) -> None:
-        """By hand: 0.3 count/°C over 19 °C, both ends uncertain by 0.4 °C."""
-        u = []
-        for told in ("0", "0.4"):
-            found = calibrated(tmp_path, *self.arguments(0.0, "--thermometer", told, "--jig", "0"))
-            u.append(found.uncertainty["temperature.offset.x.1"])
-            drift = found.coefficients.thermal.drift[0][0]  # type: ignore[union-attr]
-        assert sqrt(u[1] ** 2 - u[0] ** 2) == pytest.approx(drift * 0.4 * sqrt(2) / 19.0, rel=0.02)
 
     def test_one_that_was_heated_too_fast_is_refused_with_its_line(self, tmp_path: Path) -> None:
         said = refused(tmp_path, *self.arguments(2.0))
@@ -247,24 +206,6 @@ class TestTemperaturePoint:
         assert "segments.csv:2: segment level-warm: the temperature drifts by -" in said
 
 
-def test_a_sweep_has_the_order_that_shows_and_its_hysteresis(tmp_path: Path) -> None:
-    """A straight drift, and x is 0.8 count higher on the way up at 15 °C."""
-    names = ("down-24", "down-15", "down-5.5", "up-15", "up-24", "up-32", "up-40", "back-32", "back-24")
-    warmth = np.repeat([float(name.split("-")[1]) for name in names], 100)
-    draw = np.random.default_rng(8)
-    log = {axis: 1024.0 + 0.2 * (warmth - 24.0) + draw.normal(0.0, 0.5, 900) for axis in "xy"}
-    log["x"][300:400] += 0.8
-    found = calibrated(tmp_path, "temperature-sweep", {**log, "temperature": warmth}, spans(names, 100), *SCA100T)
-    thermal = found.coefficients.thermal
-    assert thermal is not None
-    assert found.fit.cross_validation.order == 1
-    assert not thermal.drift[:, 1:].any()
-    assert found.uncertainty["temperature.offset.x.3"] > 0.0
-    loop = found.fit.hysteresis["x"]
-    assert loop.between == ("down-15", "up-15")
-    assert loop.difference == pytest.approx(0.8, abs=3 * 0.05 * sqrt(2))
-
-
 class TestMounting:
     """How a calibrated sensor of 2 V/g sits in its application."""
 
@@ -282,19 +223,6 @@ class TestMounting:
         seen = np.repeat(rotation.inv().apply(self.UP[: len(names)]), 20, axis=0)
         readings = np.array([2.5, 2.4, 2.6]) + 2.0 * seen + np.random.default_rng(3).normal(0.0, 1e-4, seen.shape)
         return "mounting", dict(zip("xyz", readings.T, strict=True)), spans(names, 20), *options
-
-    def test_the_rotation_that_the_log_was_made_with(self, tmp_path: Path) -> None:
-        angles = (170.0, 40.0, -120.0)
-        about = [Rotation.from_rotvec(-radians(angle) * axis) for angle, axis in zip(angles, np.eye(3), strict=True)]
-        rotation = about[2] * about[1] * about[0]
-        found = calibrated(
-            tmp_path, *self.arguments(tmp_path, self.NAMES, rotation, "--base", "base.yaml", "--jig", "0.01")
-        )
-        mounting = found.coefficients.mounting
-        assert mounting is not None
-        assert np.degrees([mounting.roll, mounting.pitch, mounting.yaw]) == pytest.approx(angles, abs=0.02)
-        assert found.coefficients.offset == pytest.approx([2.5, 2.4, 2.6], abs=0.0)
-        assert found.provenance.made_by == "fit of a recorded log"
 
     def test_positions_that_were_exchanged_are_not_credible(self, tmp_path: Path) -> None:
         for names in (self.NAMES, ("level", "y-up", "x-down", "x-up", "y-down")):

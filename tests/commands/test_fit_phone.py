@@ -20,38 +20,34 @@ HEADERS = {
 }
 
 
-def held() -> np.ndarray:
-    """Readings every 20 ms of a phone that lies in 14 attitudes and is turned between them, with times, s."""
-    rng = np.random.default_rng(3)
-    up = np.vstack([np.eye(3), -np.eye(3), rng.normal(size=(8, 3))])
-    up /= np.linalg.norm(up, axis=1)[:, None]
-    still = np.repeat(up * SCALE + OFFSET, 150, axis=0).reshape(-1, 150, 3) + rng.normal(0.0, 0.02, (14, 150, 3))
-    turned = still[:, -60:] + rng.normal(0.0, 3.0, (14, 60, 3))
-    rows = np.concatenate([still, turned], axis=1).reshape(-1, 3)
-    return np.column_stack([0.02 * np.arange(len(rows)), rows])
+def carried(up: np.ndarray, rows: int, seed: int) -> np.ndarray:
+    """Readings every 20 ms of a phone that lies in attitudes and is turned between them, with times, s."""
+    draw = np.random.default_rng(seed)
+    up = up / np.linalg.norm(up, axis=1)[:, None]
+    still = np.repeat(up * SCALE + OFFSET, rows, axis=0).reshape(-1, rows, 3)
+    still += draw.normal(0.0, 0.02, still.shape)
+    turned = still[:, -60:] + draw.normal(0.0, 3.0, (len(up), 60, 3))
+    readings = np.concatenate([still, turned], axis=1).reshape(-1, 3)
+    return np.column_stack([0.02 * np.arange(len(readings)), readings])
 
 
-def faces() -> np.ndarray:
-    """The same of a phone that is laid on its six faces, z-up twice, and leans on a book in between."""
-    rng = np.random.default_rng(4)
-    up = np.array(
-        [[0, 0, 1], [0.5, 0.5, 0.7], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]], float
-    )
-    up += rng.normal(0.0, 0.005, up.shape) * (np.abs(up) < 0.1)
-    up /= np.linalg.norm(up, axis=1)[:, None]
-    still = np.repeat(up * SCALE + OFFSET, 200, axis=0).reshape(-1, 200, 3) + rng.normal(0.0, 0.02, (8, 200, 3))
-    turned = still[:, -60:] + rng.normal(0.0, 3.0, (8, 60, 3))
-    rows = np.concatenate([still, turned], axis=1).reshape(-1, 3)
-    return np.column_stack([0.02 * np.arange(len(rows)), rows])
+HELD = carried(np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(3).normal(size=(8, 3))]), 150, 3)
+"""In 14 attitudes."""
+LEANING = (0.5, 0.5, 0.7)
+FACES = carried(
+    np.array([[0, 0, 1], LEANING, [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
+    + np.random.default_rng(4).normal(0.0, 0.005, (8, 3)),
+    200,
+    5,
+)
+"""On its six faces, z-up twice, and against a book in between."""
 
 
 def written(
-    path: Path, header: tuple[str, ...], separator: str = ",", point: str = ".", rows: np.ndarray | None = None
+    path: Path, header: tuple[str, ...], separator: str = ",", point: str = ".", rows: np.ndarray = HELD
 ) -> Path:
     lines = [separator.join(f'"{name}"' for name in header)]
-    lines += [
-        separator.join(f"{cell:.6e}".replace(".", point) for cell in row) for row in (held() if rows is None else rows)
-    ]
+    lines += [separator.join(f"{cell:.6e}".replace(".", point) for cell in row) for row in rows]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8-sig" if point == "," else "utf-8")
     return path
 
@@ -75,7 +71,7 @@ def test_a_phone_is_calibrated_by_one_command_without_options(app: str, tmp_path
 
 
 def test_the_faces_of_a_phone_are_found_and_named(tmp_path: Path) -> None:
-    log = written(tmp_path / "faces.csv", HEADERS["phyphox"], ";", ",", faces())
+    log = written(tmp_path / "faces.csv", HEADERS["phyphox"], ";", ",", FACES)
     line = ["fit", "six-face", log, "--serial", "PHONE", "-o", "phone.yaml"]
     done = tiltcal(*line, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -91,7 +87,7 @@ def test_the_faces_of_a_phone_are_found_and_named(tmp_path: Path) -> None:
 
 
 def test_a_face_that_is_missing_is_named(tmp_path: Path) -> None:
-    log = written(tmp_path / "faces.csv", HEADERS["phyphox"], rows=faces()[: 5 * 260])
+    log = written(tmp_path / "faces.csv", HEADERS["phyphox"], rows=FACES[: 5 * 260])
     done = tiltcal("fit", "six-face", log, "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path)
     assert done.returncode == 2
     assert "no threshold finds the sensor still in every position" in done.stderr

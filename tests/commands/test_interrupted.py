@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TextIO
 
 import pytest
 from support import FIXTURES
-from support.command import TILTCAL
+from support.command import TILTCAL, called
 
 CAL, LEVEL = (str(FIXTURES / name) for name in ("mavs.yaml", "level.yaml"))
 LONG = "x,y,note\n" + "1024,1024,longer than a log that is read without the engine\n" * 5000
@@ -27,32 +31,15 @@ def test_nothing_is_imported_before_ctrl_c_is_caught() -> None:
     assert done.stdout.split() == ["tiltcal", "tiltcal.__main__"]
 
 
-@pytest.mark.parametrize("module", ["click", "numpy.linalg", "tiltcal.logs.apply"])
-def test_ctrl_c_while_a_module_is_imported(module: str, tmp_path: Path) -> None:
-    script = f"""
-import os, signal, sys
-from tiltcal.__main__ import main
-
+IMPORTED = """
 class Interrupt:
     def find_spec(self, name, path=None, target=None):
-        if name == {module!r}:
+        if name == "{module}":
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Interrupt())
-main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])
 """
-    (tmp_path / "log.csv").write_text(LONG)
-    done = started([sys.executable, "-c", script], tmp_path)
-    assert (done.returncode, done.stderr.strip()) == (130, "tiltcal: interrupted")
-    assert not (tmp_path / "out.csv").exists()
-
-
-def test_ctrl_c_that_a_library_loses(tmp_path: Path) -> None:
-    """An engine that it met in a callback ended in a TypeError; seen in 1 of 200 interrupted commands."""
-    script = f"""
-import signal
-from tiltcal.__main__ import main
-
+LOST = """
 import polars
 
 def interrupted(*_words, **_options):
@@ -63,19 +50,9 @@ def interrupted(*_words, **_options):
     raise TypeError("'<unprintable str object>' is not a data type")
 
 polars.read_csv = polars.scan_csv = interrupted
-main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])
 """
-    (tmp_path / "log.csv").write_text(LONG)
-    done = started([sys.executable, "-c", script], tmp_path)
-    assert (done.returncode, done.stderr.strip()) == (130, "tiltcal: interrupted")
-
-
-def test_ctrl_c_while_a_finaliser_runs(tmp_path: Path) -> None:
-    """Python drops an exception of a finaliser; seen in 2 of 200 interrupted commands."""
-    script = f"""
-import os, signal, sys
-from tiltcal.__main__ import main
-
+"""An engine that met it in a callback ended in a TypeError; seen in 1 of 200 interrupted commands."""
+FINALISED = """
 class Finalised:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGINT)
@@ -87,22 +64,32 @@ class Drop:
             signal.pause()  # until the dropped one comes again
 
 sys.meta_path.insert(0, Drop())
-main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])
 """
+"""Python drops an exception of a finaliser; seen in 2 of 200 interrupted commands."""
+MODULES = ("click", "numpy.linalg", "tiltcal.logs.apply")
+
+
+@pytest.mark.parametrize("script", [*(IMPORTED.format(module=name) for name in MODULES), LOST, FINALISED])
+def test_ctrl_c_where_it_is_easily_lost(script: str, tmp_path: Path) -> None:
+    """While a module is imported, in a callback of a library, in a finaliser."""
     (tmp_path / "log.csv").write_text(LONG)
-    done = started([sys.executable, "-c", script], tmp_path)
+    command = f'main(["apply", {CAL!r}, "log.csv", "-o", "out.csv"])'
+    before = "import os, signal, sys\nfrom tiltcal.__main__ import main\n"
+    done = started([sys.executable, "-c", before + script + command], tmp_path)
     assert (done.returncode, done.stderr.strip()) == (130, "tiltcal: interrupted")
+    assert not (tmp_path / "out.csv").exists()
 
 
 def test_ctrl_c_in_the_middle_of_a_log(tmp_path: Path) -> None:
-    """The first of several logs is a pipe, which the command waits for."""
+    """The first of several logs is a pipe that has gone quiet; by then more than a block of rows has been parsed: the
+    engine that did so must not keep Ctrl-C to itself."""
     os.mkfifo(tmp_path / "a.csv")
     (tmp_path / "b.csv").write_text("x,y,temperature\n1024,1030,15\n")
     (tmp_path / "tilt").mkdir()
     for command in (["a.csv", "-o", "tilt/a.csv"], ["a.csv", "b.csv", "-o", "tilt"]):
         process = subprocess.Popen([*TILTCAL, "apply", CAL, *command], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
         with open(tmp_path / "a.csv", "wb", buffering=0) as pipe:  # waits for the command to open it
-            pipe.write(b"x,y,temperature\n" + b"1024,1030,15\n" * 1000)
+            pipe.write(b"x,y,temperature\n" + b"1024,1030,15\n" * 400_000)  # all but 64 KiB is taken
             process.send_signal(signal.SIGINT)
             said = process.communicate(timeout=60)[1]
             assert (process.returncode, said.strip()) == (130, "tiltcal: interrupted")
@@ -134,3 +121,78 @@ def test_a_reader_that_is_gone(tmp_path: Path) -> None:
     process.stderr.close()
     assert process.wait(60) == 0
     assert "Traceback" not in said
+
+
+# Whoever reads standard output or error is gone: a session goes on, and its exit code says what became of it.
+
+MEASURE = (
+    *("measure", "plane", "--sensor", "sca100t-d02", "--address", "sim:?seed=1"),
+    *("--serial", "S-1", "-o", "S-1.yaml"),
+)
+VERIFY = ("verify", FIXTURES / "plane.yaml", "--address", "sim:?seed=2", "--journal", "v.jsonl", "--samples", "3")
+
+
+@contextmanager
+def abandoned(disk: str | None = None) -> Iterator[TextIO]:
+    """Yield a pipe that nobody reads, or a disk that is full."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    if disk is not None:
+        os.close(writing)
+    stream = open(disk or writing, "w", encoding="utf-8")  # noqa: SIM115
+    try:
+        yield stream
+    finally:
+        with suppress(OSError):  # what it could not write
+            stream.close()
+
+
+def code_of(*args: str | Path, folder: Path, out: bool = False, err: bool = False) -> int:
+    """The exit code of a command whose standard output or error nobody reads."""
+    with abandoned() as gone, open(os.devnull) as nothing:
+        return called(args, folder, nothing, gone if out else io.StringIO(), gone if err else io.StringIO())
+
+
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        ((*MEASURE, "--operator", "sim", "--samples", "3"), 0),
+        ((*MEASURE, "--operator", "terminal"), 130),
+        ((*VERIFY, "--operator", "sim"), 1),
+        (("measure", "nothing"), 2),
+        (("measure", "--nothing"), 2),
+    ],
+)
+def test_talk_that_nobody_reads_stops_no_session(command: tuple[str | Path, ...], code: int, tmp_path: Path) -> None:
+    assert code_of(*command, folder=tmp_path, err=True) == code
+    assert (tmp_path / "S-1.yaml").exists() == (code == 0)
+
+
+def test_a_verdict_that_nobody_reads_is_the_exit_code(tmp_path: Path) -> None:
+    assert code_of(*VERIFY, "--operator", "sim", folder=tmp_path, out=True) == 1
+    journal = (FIXTURES / "plane.journal.jsonl").read_bytes()
+    (tmp_path / "j.jsonl").write_bytes(journal[: journal.index(b"\n", 5000) + 1])
+    assert code_of("check", FIXTURES / "plane.yaml", "j.jsonl", folder=tmp_path, out=True) == 1
+    assert code_of("check", FIXTURES / "plane.yaml", folder=tmp_path, out=True) == 0
+    assert code_of("procedures", folder=tmp_path, out=True) == 0
+
+
+def logs_of(folder: Path) -> list[str]:
+    """Write one sound log, and one that is damaged."""
+    (folder / "good.csv").write_text("x,y\n1024,1024\n")
+    (folder / "bad.csv").write_text("x,y\n1024\n")
+    (folder / "tilt").mkdir()
+    return ["bad.csv", "good.csv"]
+
+
+@pytest.mark.parametrize("disk", [None, "/dev/full"])
+def test_talk_that_cannot_be_written_changes_no_exit_code_of_apply(disk: str | None, tmp_path: Path) -> None:
+    command = ("apply", FIXTURES / "plane.yaml", *logs_of(tmp_path), "-o", "tilt")
+    with abandoned(disk) as gone, open(os.devnull) as nothing:
+        assert called(command, tmp_path, nothing, io.StringIO(), gone) == 2
+    assert (tmp_path / "tilt" / "good.csv").exists()
+
+
+def test_results_that_nobody_reads_change_no_exit_code_of_apply(tmp_path: Path) -> None:
+    command = ("apply", FIXTURES / "plane.yaml", *logs_of(tmp_path), "-o", "tilt", "--json")
+    assert code_of(*command, folder=tmp_path, out=True) == 2

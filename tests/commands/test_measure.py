@@ -10,7 +10,9 @@ import polars as pl
 import pytest
 import yaml
 from support import ROOT
-from support.command import Completed, tiltcal
+from support.command import Completed, measure, tiltcal
+
+from tiltcal.files.calibration import read_calibration
 
 SIM = ("--sensor", "sca100t-d02", "--address", "sim:seed=7", "--serial", "S-7", "-o", "S-7.yaml")
 READY = '{"answer": "ready"}\n'
@@ -80,3 +82,37 @@ def test_the_log_of_the_demo_lies_within_what_was_calibrated(tmp_path: Path) -> 
     assert "a row outside the calibrated range gets 3" in done.stdout
     lines = lines_of(done)
     assert len(lines) == len(set(lines))
+
+
+def offcorr(t: float) -> float:
+    """The data sheet's mean offset curve in degrees (section 6 of the device facts), typed from there."""
+    return -0.0000006 * t**3 + 0.0001 * t**2 - 0.0039 * t + 0.0522
+
+
+def scorr(t: float) -> float:
+    """The data sheet's mean sensitivity curve in per cent."""
+    return -0.00011 * t**2 + 0.0022 * t + 0.0408
+
+
+def test_typical_temperature_is_the_data_sheets_curve_and_said_in_the_file(tmp_path: Path) -> None:
+    assert measure("--typical-temperature", cwd=tmp_path).returncode == 0
+    calibration = read_calibration(tmp_path / "S-1.yaml")
+    thermal, reference = calibration.coefficients.thermal, calibration.coefficients.thermal.reference
+    for t in (-20.0, 0.0, 40.0, 60.0):
+        dt = t - reference
+        drift = sum(k * dt**power for power, k in enumerate(thermal.drift[0], start=1))
+        assert drift == pytest.approx(819.0 * 0.017453293 * (offcorr(t) - offcorr(reference)), abs=0.02)
+        gain = sum(k * dt**power for power, k in enumerate(thermal.gain[1], start=1))
+        expected = (1 + scorr(t) / 100) / (1 + scorr(reference) / 100) - 1
+        assert gain == pytest.approx(expected, abs=2e-7)
+    assert any("not this unit's own" in line for line in calibration.derived.assumed)
+    # ±0.008 °/°C and ±0.014 %/°C over the parts.
+    assert calibration.uncertainty["temperature.offset.x.1"] == pytest.approx(819 * 0.017453293 * 0.008, rel=1e-3)
+    assert calibration.uncertainty["temperature.sensitivity.y.1"] == pytest.approx(1.4e-4)
+
+
+def test_a_units_own_run_wins_and_other_models_have_no_curves(tmp_path: Path) -> None:
+    refused = measure("--typical-temperature", cwd=tmp_path, procedure="mavs")
+    assert (refused.returncode, "or measures them" in refused.stderr) == (2, True)
+    refused = measure("--typical-temperature", "--sensor", "sca3000-d01", cwd=tmp_path)
+    assert (refused.returncode, "measure it" in refused.stderr) == (2, True)

@@ -23,15 +23,6 @@ from tiltcal.errors import InputError, UsageError
 SCA100T_D02 = 819.0
 """count/g"""
 
-CALIBRATION = """\
-tiltcal: 1
-kind: tilt
-sensor: {model: sca100t-d02, serial: S-1, unit: count, channels: [x, y]}
-calibration:
-  offset: {x: 1024.0, y: 1024.0}
-  sensitivity: {x: {x: 600.0, y: 3.0}, y: {x: 5.0, y: -700.0}}
-"""
-
 
 def noise(*arguments: str | Path, stdin: bytes | None = None) -> Result:
     return CliRunner().invoke(command, [str(one) for one in arguments], input=stdin)

@@ -34,13 +34,6 @@ def test_one_sensor_at_a_rate(tmp_path: Path) -> None:
     assert seconds[-1] - seconds[0] == pytest.approx(19 / 5, abs=0.002)
 
 
-def test_a_sensor_that_sends_by_itself_is_recorded_for_a_time(tmp_path: Path) -> None:
-    """The virtual microcontroller sends a sentence every 10 ms."""
-    done = tiltcal("record", "--sensor", "adxl202", "--address", "sim:", "--for", "2", "-o", "log.csv", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert len(rows_of(tmp_path / "log.csv")) == pytest.approx(200, abs=1)
-
-
 def test_a_bench_to_parquet(tmp_path: Path) -> None:
     (tmp_path / "bench.yaml").write_text(
         "tiltcal: 1\nkind: bench\nthermometer: {model: thermistor, address: 'sim:'}\nsensors:\n"

@@ -1,4 +1,4 @@
-"""The example of the library, which mypy checks as a user of ``mypy --strict`` would; nothing runs it."""
+"""Types of the library, which mypy checks as a user of ``mypy --strict`` would; nothing runs it."""
 
 from __future__ import annotations
 
@@ -17,32 +17,13 @@ class Rig:
         return {"answer": "ready", "tilt": ask["tilt"]}
 
 
-def example(frame: polars.DataFrame, table: polars.DataFrame, readings: polars.DataFrame) -> None:
-    cal = tiltcal.read("S-0042.yaml")
-    print(cal.offset["x"], cal.sensitivity["x", "y"], cal.uncertainty["offset.x"])
-    print(cal.limits, cal.fit.residuals, cal.provenance.ended)
-    out = cal.apply(frame)
-    out = cal.apply(frame, columns={"x": "VoutX"}, uncertainty=True)
-    print(out)
-    tiltcal.apply_log(cal, "night.csv", "night-tilt.parquet", uncertainty=True)
-
-    cal = tiltcal.fit("six-face", table, serial="IMU1", unit="m/s2", jig=0.1)
-    cal = tiltcal.fit("free", readings, serial="IMU1", unit="m/s2", gravity=9.81744)
-    cal.save("IMU1.yaml")
-    cal.report("IMU1.html")
-    print(cal)
-
-    print(tiltcal.plan("zero-45", sensor="sca100t-d02", jig=0.1))
-    print(tiltcal.compare(tiltcal.read("old.yaml"), cal))
-    print(tiltcal.match(frame, pairs=[("a1", "a2", "a4")], phase="theta"))
-    print(tiltcal.noise(readings, rate=102.4, unit="m/s2"))
+def values(cal: tiltcal.Calibration) -> None:
+    """Coefficients and records have types; an operator is any object."""
+    assert_type(cal.offset["x"] + cal.sensitivity["x", "y"] + cal.uncertainty["offset.x"], float)
+    assert_type(cal.provenance.ended, str | None)
     with tiltcal.open_sensor("sca100t-d02", "spi:///dev/spidev0.0") as sensor:
         print(sensor.read().values)
-    measured = tiltcal.measure(
-        "plane", sensor="sca100t-d02", address="sim:", serial="A-1", operator=Rig(), output="A-1.yaml"
-    )
-    measured.report("A-1.html")
-    print(tiltcal.open_calibrations(".").at("A-1", "2026-05-01").offset)
+    tiltcal.measure("plane", sensor="sca100t-d02", address="sim:", serial="A-1", operator=Rig(), output="A-1.yaml")
 
 
 def kinds(frame: polars.DataFrame, data: xarray.Dataset, lists: dict[str, list[float]], unknown: Any) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from math import copysign, floor, inf, log10, nan
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiltcal.core.rounding import plus_minus, round_to, significant
+from tiltcal.core.rounding import bracketed, plus_minus, round_to, significant
 
 
 def test_last_digit_is_the_fourth_of_the_uncertainty() -> None:
@@ -53,3 +54,26 @@ def test_a_value_has_the_decimals_of_its_uncertainty() -> None:
     assert plus_minus(0.0012, 0.00042, signed=True) == "+0.00120 ± 0.00042"
     assert plus_minus(-3.0, 0.4, signed=True) == "-3.00 ± 0.40"
     assert plus_minus(2.1e-6, 3.44e-7, signed=True) == "(+2.10 ± 0.34)e-6"
+
+
+def test_one_digit_of_uncertainty_by_hand() -> None:
+    for value, uncertainty, text in (
+        (3.38301, 3e-4, "3.3830(3)"),
+        (-0.0747, 2.6e-4, "-0.0747(3)"),
+        (-0.00001, 2e-4, "0.0000(2)"),
+        (1.23456, 9.6e-4, "1.235(1)"),
+        (0.99996, 1e-4, "1.0000(1)"),
+        (1234.5, 20.0, "1230(20)"),
+        (-0.010207148, 8.9e-7, "-0.0102071(9)"),
+        (0.5, 0.0, "0.5"),
+        (0.5, float("inf"), "0.5"),
+    ):
+        assert bracketed(value, uncertainty) == text
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e4))
+def test_what_is_printed_is_the_value_within_its_uncertainty(value: float, uncertainty: float) -> None:
+    number, digit = bracketed(value, uncertainty).removesuffix(")").split("(")
+    decimals = len(number.partition(".")[2])
+    assert float(digit) * 10.0**-decimals == pytest.approx(uncertainty, rel=0.5)
+    assert abs(float(number) - value) <= 0.51 * uncertainty * 2

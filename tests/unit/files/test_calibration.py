@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import radians
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,7 @@ from tiltcal.core.model import Mounting
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration, read_calibration, tilt_record
 from tiltcal.files.document import parse_document
-from tiltcal.files.results import FitRecord, PositionRecord, Provenance, WorstResidual
-from tiltcal.library.calibration import Calibration
+from tiltcal.files.results import FitRecord, Provenance, WorstResidual
 
 EXAMPLE = """\
 tiltcal: 1
@@ -58,27 +56,17 @@ calibration: {offset: {x: 3.1}, sensitivity: {x: {x: 6554.0, y: 120.0}}}
         read(text.replace("{x: 6554.0, y: 120.0}", "{y: 120.0, z: 4.0}"))
 
 
-def test_example_is_read() -> None:
+def test_angles_are_radians_inside_and_what_is_left_out_is_there() -> None:
+    """All else of the example is in :data:`WRITTEN`, which is written from it."""
     calibration = read(EXAMPLE)
-    coefficients = calibration.coefficients
-    assert calibration.sensor == SensorIdentity("sca100t-d02", "0042", "count", ("x", "y"))
-    assert coefficients.axes == ("x", "y")
-    np.testing.assert_array_equal(coefficients.offset, [1024.6, 1021.9])
-    np.testing.assert_array_equal(coefficients.sensitivity, [[818.2, 9.1], [-6.4, 820.7]])
-    assert coefficients.thermal is not None
-    np.testing.assert_array_equal(coefficients.thermal.drift, [[0.21, 0.0], [-0.05, 1e-4]])
-    assert coefficients.thermal.gain.shape == (2, 0)
-    assert coefficients.thermal.range == (5.5, 24.0)
-    assert coefficients.mounting == Mounting(roll=radians(180), pitch=radians(-2.5))
+    thermal = calibration.coefficients.thermal
+    assert thermal is not None
+    np.testing.assert_array_equal(thermal.drift, [[0.21, 0.0], [-0.05, 1e-4]])
+    assert thermal.gain.shape == (2, 0)
+    assert calibration.coefficients.mounting == Mounting(roll=radians(180), pitch=radians(-2.5))
     assert calibration.limits.tilt == {"x": (radians(-60), radians(60)), "y": (radians(-60), radians(60))}
-    assert calibration.limits.temperature == (0.0, 30.0)
-    assert calibration.limits.reading == {"x": (101.0, 2047.0)}
-    assert calibration.uncertainty["offset.x"] == 0.1
-    assert calibration.uncertainty.covariance is not None
-    assert calibration.uncertainty.covariance.matrix == ((0.01, 1e-8), (1e-8, 0.01))
-    worst = WorstResidual(position="level", channel="x", residual=2.0)
-    assert calibration.fit == FitRecord(chi_square=3.1, notes=("one",), worst=worst)
-    assert calibration.positions == (PositionRecord(position="level", mean={"x": 1024.6}),)
+    assert calibration.sensor == SensorIdentity("sca100t-d02", "0042", "count", ("x", "y"))
+    assert calibration.fit.worst == WorstResidual(position="level", channel="x", residual=2.0)
     assert calibration.provenance == Provenance()
 
 
@@ -90,14 +78,6 @@ def test_former_names_of_keys_are_read() -> None:
         read(head + "fit: {jig_estimated_degrees: 0.1, jig_that_shows_degrees: 0.1}\n")
     text = EXAMPLE.replace("  covariance", "  reading: {x: 0.2}\n  covariance")
     assert read(text).uncertainty.single_reading == {"x": 0.2}
-
-
-def test_two_channels_may_have_a_z_column() -> None:
-    text = EXAMPLE.replace("y: 9.1}", "z: 3.0, y: 9.1}").replace("y: 820.7}", "y: 820.7, z: 1.0}")
-    coefficients = read(text).coefficients
-    assert coefficients.axes == ("x", "y", "z")
-    np.testing.assert_array_equal(coefficients.sensitivity, [[818.2, 9.1, 3.0], [-6.4, 820.7, 1.0]])
-    assert sorted(read(text).limits.tilt) == ["x", "y"]
 
 
 def test_error_names_line_and_key() -> None:
@@ -194,12 +174,6 @@ def test_unit_cannot_break_the_file() -> None:
     calibration = read(EXAMPLE)
     strange = replace(calibration, sensor=calibration.sensor.replaced(unit="a\nb: # c"))
     assert read(dump_calibration(strange)).sensor.unit == "a\nb: # c"
-
-
-def test_nothing_is_written_where_a_record_is_not_finite(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"fit.chi_square: nan"):
-        Calibration(replace(read(EXAMPLE), fit=FitRecord(chi_square=float("nan")))).save(tmp_path / "a.yaml")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_every_calibration_of_ours_is_written_as_it_was_read() -> None:

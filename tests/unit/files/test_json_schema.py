@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import Any
 import yaml
 from jsonschema import Draft202012Validator
 from support import ROOT
-from support.command import tiltcal
 
 from tiltcal.errors import InputError
 from tiltcal.files.bench import bench_of
@@ -94,9 +92,3 @@ def test_what_passes_one_passes_both(tmp_path: Path) -> None:
         kind = yaml.load(good, Loader)["kind"]
         assert passes(kind, good, tmp_path / "file.yaml") == (True, True)
         assert passes(kind, good.replace(old, new), tmp_path / "file.yaml") == (False, False), new
-
-
-def test_the_command_prints_it_alone() -> None:
-    result = tiltcal("check", "--schema", "twin", "--json")
-    assert result.returncode == 0
-    assert json.loads(result.stdout) == SCHEMAS["twin"]

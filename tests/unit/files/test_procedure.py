@@ -7,7 +7,6 @@ from math import cos, radians
 from pathlib import Path
 
 import pytest
-import yaml
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.document import document_of
@@ -116,12 +115,6 @@ def test_record_gives_the_procedure_again_through_json(own: Path) -> None:
         assert procedure_in(document_of(json.loads(json.dumps(procedure.record))), angle) == procedure
         # A default that changes later changes no journal: 100 samples by the reference.
         assert (procedure.record["samples"], procedure.record["soak"]["seconds"]) == (100, 20.0)
-
-
-def test_damaged_record_names_the_journal_line() -> None:
-    record = yaml.safe_load(OWN.replace("tilt: {}", "tilt: {x: 91}"))
-    with pytest.raises(InputError, match=r"j\.jsonl:1: positions\[0\]\.tilt: a tilt of 91"):
-        procedure_in(document_of(record, "j.jsonl", 1))
 
 
 def refused(path: Path, text: str, changes: list[tuple[str, str, int, str, str]]) -> None:
