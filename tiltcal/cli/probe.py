@@ -79,7 +79,8 @@ def _listen(address: Address, as_json: bool) -> int:
     options.print_judged(f"{place} prints {found.numbers} number{plural} a line, {rate:.0f} lines a second:")
     options.print_judged(f"  {found.example}")
     procedure = "six-face" if "z" in found.columns.split(",") else "PROCEDURE"
-    known = f", unit={unit}" if unit else ", and unit= is not known: state it, such as &unit=count&sensitivity=16384"
+    unknown = ", and unit= is not known: add it and what 1 g is, such as &unit=count&sensitivity=16384"
+    known = f", unit={unit}" if unit else unknown
     how = "" if found.unit or not unit else " (at rest they are as long as gravity)"
     options.print_judged(f"as columns={found.columns}{known}{how}. If that is right:")
     measure = f'tiltcal measure {procedure} --sensor serial-columns --address "{advised}" --serial IMU1 -o IMU1.yaml'

@@ -60,9 +60,7 @@ class Source:
     def require_three_axes(self, target: str) -> None:
         """Refuse a sensor that does not measure x, y and z, with a UsageError."""
         if len(self.affine.matrix) < 3:
-            raise UsageError(
-                f"{target} takes three axes, and {self.record.sensor.serial} has fewer: export to c or python"
-            )
+            raise UsageError(f"{target} takes three axes, and {self.record.sensor.serial} has fewer: export to c")
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,8 @@ class ApplyOptions(TypedDict, total=False):
     """How a calibration is applied."""
 
     columns: Annotated[
-        Mapping[str, str] | str, Option("Columns: x=VoutX,temperature=T, or numbers from 1.", "ROLE=NAME,…", default="")
+        Mapping[str, str] | str,
+        Option("Columns: x=VoutX,temperature=T; numbers without a header.", "ROLE=NAME,…", default=""),
     ]
     uncertainty: Annotated[bool, _flag("Add u_tilt_x (standard uncertainty) and U95_tilt_x (95 % interval) of angles.")]
     skip_bad_rows: Annotated[bool, _flag("Keep rows that cannot be parsed, with flag 9.")]
@@ -169,7 +170,7 @@ class FitOptions(TypedDict, total=False):
     ]
     columns: Annotated[
         Mapping[str, str] | str,
-        Option("The column of each reading [x, y, z, temperature], or a number from 1.", "x=NAME,…", default=""),
+        Option("The column of each reading [x, y, z, temperature]; a number without a header.", "x=NAME,…", default=""),
     ]
     unit: Annotated[str | None, Option("The unit of the readings, such as m/s2, V or count [the model's].", "UNIT")]
     serial: Annotated[str | None, Option("The sensor's serial number [that of the base].", "S")]

@@ -234,7 +234,7 @@ def _too_few(tried: Sequence[StaticDetection], lost: int) -> str:
         found = f"the sensor still in every position: {', '.join(absent) or 'a further one'} is missing"
     else:
         most = max((len(choice.intervals) for choice in tried), default=0)
-        found = f"enough attitudes to determine the sensor and check the result (12 to 18 or more): at most {most}"
+        found = f"enough attitudes to determine the sensor and check the result (10, better 12 to 18): at most {most}"
     lost_too = f"; {lost} rows are missing, or stuck at one value" if lost else ""
     return (
         f"no threshold finds {found} in windows of {WINDOWS[-1]} rows or more{lost_too}. Hold the sensor still for "
