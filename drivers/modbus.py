@@ -40,7 +40,7 @@ UNIT = "measured_in"
 """The option for the unit of the numbers, because ``unit`` is the device on the line."""
 
 LONGEST = 125
-"""Registers of one request."""
+"""Registers of one request (MODBUS Application Protocol V1.1b3, 6.3)."""
 
 RATE = 10.0
 """Samples per second if the address states no rate."""

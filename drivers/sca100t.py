@@ -300,7 +300,7 @@ def _draw(model: Model, population: Population, seed: int) -> Truth:
     _, slope, *higher = _recentred(population.drift, REFERENCE)
     mean, steepness, *bends = _recentred(population.gain, REFERENCE)
     within, nonlinearity = part_errors(seed), {}
-    if model.driver is Sca100t:
+    if model.nonlinearity:
         # Each term of the response has half of the tolerance, which their sum then keeps.
         square, cube = (k / 2.0 for k in model.nonlinearity)
         nonlinearity = {

@@ -29,7 +29,7 @@ STILL_FOR = 1.5
 """Seconds of readings by which the page calls a sensor still."""
 
 MOVING = 0.3
-"""A change from the first to the second half of these readings above this is a movement, degrees."""
+"""A change from the first to the second half of these readings above this is a movement, degrees; ours."""
 
 MOVED = 5.0
 """Free hands take a position only where its reading is farther than this from that of the position before, degrees."""

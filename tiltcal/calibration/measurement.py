@@ -117,13 +117,15 @@ def at_rail(channel: str, reading: str, rails: tuple[float, float]) -> str:
     )
 
 
-LEAST_ANGLE = 15.0  # channels whose directions are closer together are one channel twice, degrees
+LEAST_ANGLE = 15.0
+"""Channels whose directions are closer together are one channel twice, degrees; ours: no part is so skew."""
 
 REACTION = 3.0
 """Expanded uncertainties that a sensitivity must be apart from zero: noise alone is beyond one of them in 5 of 100."""
 
 ROUNDING = 1e-9  # the share of a reading below which a sensitivity is a rounding error
-CLEARLY = 2.0  # a channel whose sensitivity to another axis is so many times that to its own is that axis's channel
+CLEARLY = 2.0
+"""So many times the sensitivity to its own axis, or to what its unit says, is another axis or unit; ours."""
 
 COPIES = "two copies of one channel? Look at the wiring, and at --columns"
 
