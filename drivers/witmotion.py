@@ -34,7 +34,7 @@ NOISE = 2.0
 """Of a sample of a virtual part, count; no source states it."""
 
 LONGEST = 2048
-"""Bytes without an acceleration that are an error: nearly two seconds of the ten other kinds of frame, 110 bytes a second each."""
+"""Bytes without an acceleration that are an error: nearly two seconds of ten other kinds, 110 bytes a second each."""
 
 THERMOMETERS: Mapping[str, tuple[float, float] | None] = {
     "no": None,

@@ -2,9 +2,11 @@
 
 They read as they read at the bench, and each of their requests is compared with the recorded one. A transaction begins
 a sample, which is a reading of each device in their order. A driver may have got several readings with one message:
-they follow without a transaction. Between the answer ``ready`` and the acceptance stand the transactions of settling and
-of sampling, without a mark between them; the accepted position names the line at which its samples begin (in format 1
-they are the last ones). :mod:`tiltcal.files.journal` shows the lines.
+they follow without a transaction.
+
+Between the answer ``ready`` and the acceptance stand the transactions of settling and of sampling, without a mark; the
+accepted position names the line at which its samples begin (in format 1 they are the last ones).
+:mod:`tiltcal.files.journal` shows the lines.
 """
 
 from __future__ import annotations
