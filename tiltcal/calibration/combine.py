@@ -435,7 +435,12 @@ def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRe
     """Return the tilts that the sensitivity was measured in, the temperatures of the drift, the rails of all."""
     reading: dict[str, tuple[float, float]] = {}
     for channel, rails in (pair for record in records for pair in record.limits.reading.items()):
-        reading[channel] = overlap(rails, reading.get(channel)) or rails
+        reading[channel] = low, high = overlap(rails, reading.get(channel)) or rails
+        if not low < high:
+            raise EstimateError(
+                f"limits.reading.{channel}: the calibrations have no readings in common: they are not of one sensor in "
+                "one range; correct the limits, or leave one out"
+            )
     met = [record.limits.temperature for record in records if record.limits.temperature and record.coefficients.thermal]
     tilts = {axis: _union([r.limits.tilt[axis] for r in scaled if axis in r.limits.tilt]) for axis in AXES}
     return Limits({axis: tilt for axis, tilt in tilts.items() if tilt is not None}, _union(met), reading)

@@ -180,6 +180,13 @@ def test_what_is_not_stated_is_asked_for() -> None:
         combine([SCALE])
 
 
+def test_rails_without_a_reading_in_common_are_refused() -> None:
+    """No command would read the file."""
+    other = replace(DRIFT.record, limits=replace(DRIFT.record.limits, reading={"x": (3000.0, 4000.0)}))
+    with pytest.raises(EstimateError, match=r"limits\.reading\.x: the calibrations have no readings in common"):
+        combine([SCALE, Calibration(other)])
+
+
 def test_an_offset_without_a_temperature_is_left_out() -> None:
     found = combine([calibrated(ZERO_45, session(ZERO_45, 1)), OF_BASE])
     assert found.offset == pytest.approx(OF_BASE.offset, abs=1e-3)
