@@ -155,7 +155,7 @@ def predict(
         for name, u in uncertainty.items():
             # What unit gravity leaves open is the choice of a frame, in which these are 0.
             if u > 0.0 or not design.free:
-                yield f"  {name:<28} {u:.2g} {label(name, model.unit).unit}"
+                yield f"  {name:<28} {u:.2g} {label(name, model.unit).unit}".rstrip()
         yield from tilt_lines(tilts)
         unchecked = "" if prediction.dof else ": no residuals are left to check the result"
         yield f"  degrees of freedom {prediction.dof}{unchecked}"

@@ -16,7 +16,7 @@ from tiltcal.drivers.model import Model
 @click.argument("model", required=False)
 @options.as_json
 def command(model: str | None, as_json: bool) -> None:
-    """List the sensor models, or show the addresses, the readings and the virtual twin of one."""
+    """List the sensor models, or show the addresses, their options, the readings and the virtual twin of one."""
     known = list(models()) if model is None else [find_model(model)]
     if as_json:
         click.echo(options.json_text([_facts(one) for one in known], 2))
@@ -37,6 +37,8 @@ def _show(model: Model) -> None:
     for number, address in enumerate(model.addresses):
         click.echo(f"  {'' if number else 'address':<10} {address}")
     click.echo("             sim: for the virtual twin (sim:?twin=FILE&seed=N)")
+    if model.options:
+        click.echo(f"  options    {', '.join(model.options)}")
     click.echo("  the twin does not model")
     for effect in model.omissions:
         click.echo(f"    - {effect}")
