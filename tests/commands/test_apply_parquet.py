@@ -174,13 +174,6 @@ class TestFromCsvToParquet:
 
 
 class TestRefusals:
-    def test_what_is_no_parquet(self, bench: Path) -> None:
-        for content in (b"", b"x,y\n1,2\n", b"PAR1" + b"\0" * 64 + b"PAR1"):
-            (bench / "bad.parquet").write_bytes(content)
-            said = refused(apply("cal.yaml", "bad.parquet", "-o", "out.parquet"), InputError)
-            assert said.startswith("bad.parquet: this is no Parquet file, or a damaged one: ")
-            assert not (bench / "out.parquet").exists()
-
     def test_rows_that_the_engine_loses_in_silence_are_missed(self, monkeypatch: pytest.MonkeyPatch) -> None:
         with open_log("log.parquet") as log:
             monkeypatch.setattr(log, "_rows", 5)

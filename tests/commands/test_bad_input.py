@@ -118,13 +118,6 @@ def test_a_serial_number_with_a_control_character(tmp_path: Path) -> None:
         assert not (tmp_path / "new.yaml").exists()
 
 
-def test_a_calibration_file_that_is_a_folder(tmp_path: Path) -> None:
-    for output in (".", "..", "/"):
-        refused = measure("-o", output, cwd=tmp_path)
-        said = f"tiltcal: cannot write {output}: it is a folder; name a file in it\n"
-        assert (refused.returncode, refused.stderr) == (2, said)
-
-
 @pytest.mark.parametrize(
     ("closed", "arguments"),
     [

@@ -102,14 +102,6 @@ class TestCoarseReadings:
     def of(self, folder: Path, readings: np.ndarray) -> CalibrationRecord:
         return calibrated(folder, "six-face", self.columns(readings), spans(self.FACES, 100), *self.OPTIONS)
 
-    def test_a_channel_that_stands_at_a_rounded_value_is_uncertain_by_the_rounding(self, tmp_path: Path) -> None:
-        """One count, rectangular: 1/sqrt(12) a reading. Four faces read alike and share theirs: the offset is the mean
-        of one of them and the two others."""
-        coarse = self.readings(noise=1.0)
-        coarse[:, :, 1] = 100.0 * np.array([[0], [0], [1], [-1], [0], [0]]) - 4.0
-        found = self.of(tmp_path, np.round(coarse))
-        assert found.uncertainty["offset.y"] == pytest.approx(1.0 / sqrt(12) / sqrt(3), rel=0.01)
-
     def test_a_converter_ten_times_coarser_than_the_noise(self, tmp_path: Path) -> None:
         """Most faces read one value in all channels: they are quantised, not stuck, and the rounding counts."""
         found = self.of(tmp_path, np.round(self.readings(noise=0.1, seed=5, scale=103.37)))

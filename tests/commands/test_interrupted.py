@@ -177,22 +177,14 @@ def test_a_verdict_that_nobody_reads_is_the_exit_code(tmp_path: Path) -> None:
     assert code_of("procedures", folder=tmp_path, out=True) == 0
 
 
-def logs_of(folder: Path) -> list[str]:
-    """Write one sound log, and one that is damaged."""
-    (folder / "good.csv").write_text("x,y\n1024,1024\n")
-    (folder / "bad.csv").write_text("x,y\n1024\n")
-    (folder / "tilt").mkdir()
-    return ["bad.csv", "good.csv"]
-
-
-@pytest.mark.parametrize("disk", [None, "/dev/full"])
-def test_talk_that_cannot_be_written_changes_no_exit_code_of_apply(disk: str | None, tmp_path: Path) -> None:
-    command = ("apply", FIXTURES / "plane.yaml", *logs_of(tmp_path), "-o", "tilt")
+@pytest.mark.parametrize(("stream", "disk"), [("stderr", None), ("stderr", "/dev/full"), ("stdout", None)])
+def test_what_cannot_be_written_changes_no_exit_code_of_apply(stream: str, disk: str | None, tmp_path: Path) -> None:
+    """Of a sound log, and one that is damaged."""
+    (tmp_path / "good.csv").write_text("x,y\n1024,1024\n")
+    (tmp_path / "bad.csv").write_text("x,y\n1024\n")
+    (tmp_path / "tilt").mkdir()
+    command = ("apply", FIXTURES / "plane.yaml", "bad.csv", "good.csv", "-o", "tilt", "--json")
     with abandoned(disk) as gone, open(os.devnull) as nothing:
-        assert called(command, tmp_path, nothing, io.StringIO(), gone) == 2
+        streams = {"stdout": io.StringIO(), "stderr": io.StringIO()} | {stream: gone}
+        assert called(command, tmp_path, nothing, **streams) == 2
     assert (tmp_path / "tilt" / "good.csv").exists()
-
-
-def test_results_that_nobody_reads_change_no_exit_code_of_apply(tmp_path: Path) -> None:
-    command = ("apply", FIXTURES / "plane.yaml", *logs_of(tmp_path), "-o", "tilt", "--json")
-    assert code_of(*command, folder=tmp_path, out=True) == 2

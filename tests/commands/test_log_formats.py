@@ -91,16 +91,3 @@ def test_fit(folder: Path) -> None:
         content = (folder / f"{end}.yaml").read_text(encoding="utf-8").replace(f"held.{end}", "held")
         files.append(re.sub(r'sha256: "?\w+"?', "", content))
     assert files[0] == files[1] == files[2]
-
-
-def test_a_recording_in_parquet_has_types(tmp_path: Path) -> None:
-    options = ("--sensor", "sca100t-d02", "--address", "sim:?seed=1", "--rows", "20", "--rate", "10")
-    assert tiltcal("record", *options, "-o", "log.parquet", cwd=tmp_path).returncode == 0
-    found = pl.read_parquet(tmp_path / "log.parquet")
-    assert found.schema == {
-        "time": pl.Datetime("us", "UTC"),
-        "x": pl.Float64(),
-        "y": pl.Float64(),
-        "temperature": pl.Float64(),
-    }
-    assert found["time"].diff().drop_nulls().dt.total_milliseconds().unique().to_list() == [100]

@@ -13,6 +13,7 @@ from support import FIXTURES
 from support.command import TILTCAL, measure, tiltcal, tiltcal_process
 
 LONG = "a" * 300
+SIM = ("--sensor", "sca100t-d02", "--address", "sim:", "--serial", "S")
 CSV = "x,y\n1024,1024\n1100,1000\n"
 
 
@@ -35,6 +36,7 @@ def folder(tmp_path: Path) -> Path:
         ("match", "log.csv", "--pair", "x,y", "--orthogonal", "z", "-o", "log.csv"),
         ("noise", "log.csv", "--figure", "log.csv"),
         ("replay", "plane.journal.jsonl", "-o", "plane.journal.jsonl"),
+        ("measure", "plane", *SIM, "-o", "new.yaml", "--journal", "new.yaml"),
     ],
 )
 def test_an_output_replaces_no_input(command: tuple[str, ...], folder: Path) -> None:
@@ -45,21 +47,15 @@ def test_an_output_replaces_no_input(command: tuple[str, ...], folder: Path) -> 
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
-def test_a_calibration_does_not_replace_its_journal(tmp_path: Path) -> None:
-    done = measure("-o", "S.yaml", "--journal", "S.yaml", cwd=tmp_path)
-    assert (done.returncode, os.listdir(tmp_path)) == (2, [])
-    assert "S.yaml: it would replace S.yaml" in done.stderr
-
-
 @pytest.mark.parametrize(
     "command",
     [
         ("check", LONG),
         ("report", LONG + ".yaml", "-o", "page.html"),
         ("fit", "plane", "log.csv", "--segments", LONG, "--unit", "V", "--serial", "S", "-o", "o.yaml"),
-        ("measure", "plane", "--sensor", "sca100t-d02", "--address", "sim:", "--serial", "S", "-o", LONG),
-        ("measure", "plane", "--sensor", "sca100t-d02", "--address", f"sim:?twin={LONG}", "--serial", "S", "-o", "o"),
-        ("record", "--sensor", "sca100t-d02", "--address", "sim:", "--rows", "2", "-o", LONG),
+        ("measure", "plane", *SIM, "-o", LONG),
+        ("measure", "plane", *SIM, "--address", f"sim:?twin={LONG}", "-o", "o"),
+        ("record", *SIM[:4], "--rows", "2", "-o", LONG),
         ("demo", LONG),
     ],
 )

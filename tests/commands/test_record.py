@@ -39,12 +39,15 @@ def test_a_bench_to_parquet(tmp_path: Path) -> None:
         "tiltcal: 1\nkind: bench\nthermometer: {model: thermistor, address: 'sim:'}\nsensors:\n"
         "  - {serial: A, model: adxl202, address: 'sim:'}\n  - {serial: B, model: sca3000-d01, address: 'sim:'}\n"
     )
-    result = tiltcal("record", "--bench", "bench.yaml", "--rows", "12", "-o", "log.parquet", cwd=tmp_path)
+    result = tiltcal(
+        "record", "--bench", "bench.yaml", "--rows", "12", "--rate", "10", "-o", "log.parquet", cwd=tmp_path
+    )
     assert result.returncode == 0, result.stderr
     log = pl.read_parquet(tmp_path / "log.parquet")
-    assert log.columns == ["time", "A_x", "A_y", "B_x", "B_y", "B_z", "temperature"]
+    numbers = dict.fromkeys(["A_x", "A_y", "B_x", "B_y", "B_z", "temperature"], pl.Float64())
+    assert log.schema == {"time": pl.Datetime("us", "UTC"), **numbers}
     assert len(log) == 12
-    assert log["time"].is_sorted()
+    assert log["time"].diff().drop_nulls().dt.total_milliseconds().unique().to_list() == [100]
     assert not (tmp_path / "log.parquet.csv").exists()
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import random
 import signal
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from itertools import chain, repeat
 from pathlib import Path
 
 import pexpect
@@ -13,7 +15,7 @@ import pytest
 from support import accelerometer_disk as disk
 from support.command import tiltcal
 from support.json_program import Event, ProgramSession, lead
-from support.stage_part import on_a_pty
+from support.pty_device import printing
 from support.warm_start import WarmStart, wait_until_grown
 
 from tiltcal.library.calibration import read
@@ -23,6 +25,13 @@ RECORD = disk.record(seconds=125.0, rate=25.0, spin=0.5, noise=3e-4, wander=0.01
 LINES = RECORD.lines(time=True)
 PAIRS = {"a1_a2": (0, 1, 3), "a3_a4": (2, 3, 0)}
 JOURNAL = "pair.journal.jsonl"
+
+
+def on_a_pty(lines: Sequence[bytes]) -> AbstractContextManager[str]:
+    """Print 1500 lines a second on a pseudo-terminal, the last one again and again; they wait for whoever reads."""
+    following = chain(lines, repeat(lines[-1]))
+    return printing(lambda: next(following), 1500, waits=True)
+
 
 OWN = """\
 tiltcal: 1

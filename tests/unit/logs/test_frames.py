@@ -14,7 +14,6 @@ import pyarrow as pa
 import pytest
 import xarray
 from support import FIXTURES
-from support.frames import READINGS, array
 
 from tiltcal.errors import InputError, TiltcalError
 from tiltcal.library.calibration import Calibration, read
@@ -27,6 +26,13 @@ from tiltcal.options import complete
 
 ROWS = 40_000  # more than a chunk of the kernel, and no multiple of one
 CAL = FIXTURES / "mavs.yaml"
+READINGS: dict[str, list[float]] = {"x": [1024.0, 1100.0], "y": [1024.0, 1000.0]}
+
+
+def array(frame: Any, name: str) -> np.ndarray[Any, Any]:
+    """Return a column of a frame of any kind."""
+    column = frame[name]
+    return np.asarray(column.values if isinstance(column, xarray.DataArray) else column)
 
 
 def log() -> pl.DataFrame:
