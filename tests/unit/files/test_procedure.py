@@ -10,7 +10,7 @@ import pytest
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.document import document_of
-from tiltcal.files.procedure import Determines, PairSelection, Rotation, find_procedure, procedure_in, read_procedure
+from tiltcal.files.procedure import PairSelection, Rotation, find_procedure, procedure_in, read_procedure
 
 OWN = """\
 tiltcal: 1
@@ -55,24 +55,6 @@ def turning(tmp_path: Path) -> Path:
     path = tmp_path / "turning.yaml"
     path.write_text(TURNING)
     return path
-
-
-SHIPPED = {
-    "plane": (Determines(("x", "y")), ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"]),
-    "cross-axis": (Determines(("x", "y", "z")), ["x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2", "z-tilt1", "z-tilt2"]),
-    "zero-45": (Determines(("x", "y")), ["level", "x-45", "y-45"]),
-    "two-temperature": (Determines((), drift=1), ["level-warm", "level-cold"]),
-    "mavs": (Determines(("x", "y"), drift=1), ["x-45", "y-45", "level-warm", "level-cold"]),
-    "six-face": (Determines(("x", "y", "z")), ["x-up", "x-down", "y-up", "y-down", "z-up", "z-down"]),
-}
-
-
-def test_shipped_procedure_is_what_its_document_does() -> None:
-    for name, (determines, positions) in SHIPPED.items():
-        procedure = find_procedure(name)
-        assert procedure.name == name
-        assert procedure.determines == determines
-        assert [position.name for position in procedure.positions] == positions
 
 
 def test_signs_are_the_physical_ones() -> None:
