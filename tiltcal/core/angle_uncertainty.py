@@ -167,22 +167,16 @@ class CompensationWithUncertainty:
                 found[a, b] += np.einsum("kn,kn->n", shared[a], by_shared)
         return found
 
-    def _variance(
+    def _half(
         self, errors: _Errors, by_measured: Array, by_turn: Array | None = None, more: Array | float = 0.0
     ) -> Array:
-        """Return the variance of a quantity from its gradients by the measured components and by a turn, (n,)."""
+        """Return half of the 95 % interval of a quantity from its gradients by measured components and turn, (n,)."""
         gradient = [*(self._compensation.inverse.T @ by_measured), *(() if by_turn is None else by_turn)]
         total = np.zeros(by_measured.shape[1]) + more
         for (a, b), covariance in errors.items():
             if b < len(gradient):
                 total += (1.0 if a == b else 2.0) * gradient[a] * gradient[b] * covariance
-        return np.maximum(total, 0.0, out=total)
-
-    def _half(
-        self, errors: _Errors, by_measured: Array, by_turn: Array | None = None, more: Array | float = 0.0
-    ) -> Array:
-        """Return the half width of the 95 % interval of a quantity."""
-        return np.asarray(NORMAL_FACTOR * np.sqrt(self._variance(errors, by_measured, by_turn, more)))
+        return np.asarray(NORMAL_FACTOR * np.sqrt(np.maximum(total, 0.0, out=total)))
 
     def _slope_of_hidden(self, errors: _Errors, gravity: Array) -> Array:
         """Return what the error of half the square of a hidden g_z is divided by for its own."""
@@ -209,7 +203,7 @@ class CompensationWithUncertainty:
             by_turn = None
             if self._rotated:
                 by_turn = np.cross(self._compensation.up(chunk), np.eye(3)[axis][:, None], axis=0)
-            _through_arcsine(argument, self._variance(errors, by_own, by_turn), half[axis])
+            _through_arcsine(argument, self._half(errors, by_own, by_turn), half[axis])
 
     def _angles_of_three(self, gravity: Array, errors: _Errors, half: Array) -> None:
         """Fill in the angles of three axes: arctangents of one component and the length of the two others."""
@@ -296,9 +290,9 @@ def _length(a: Array, b: Array) -> Array:
     return np.asarray(np.sqrt(a * a + b * b))  # in half the time of hypot: nothing here comes near an overflow
 
 
-def _through_arcsine(argument: Array, variance: Array, width: Array) -> None:
-    """Compute half the interval of an arcsine, radians, from its argument's variance; NaN where that is beyond ±1."""
-    room, half = 1.0 - argument * argument, NORMAL_FACTOR * np.sqrt(variance)
+def _through_arcsine(argument: Array, half: Array, width: Array) -> None:
+    """Compute half the interval of an arcsine, radians, from that of its argument; NaN where all is beyond ±1."""
+    room = 1.0 - argument * argument
     np.divide(half, np.sqrt(np.maximum(room, 1e-300)), out=width)
     curved = np.flatnonzero(half * np.abs(argument) > _CURVED * room)
     if len(curved):

@@ -14,7 +14,7 @@ import numpy as np
 from tiltcal.core.attitude import Vector, gravity_from_tilt
 from tiltcal.core.estimation.equations import ChannelReadings, Equations
 from tiltcal.core.estimation.free import UNKNOWNS, planned_uncertain
-from tiltcal.core.estimation.positions import Design, Observation, SensorObservations, require_sound
+from tiltcal.core.estimation.positions import Design, Observation, SensorObservations
 from tiltcal.core.estimation.solve import UNDETERMINED, budgets, solved_at, undetermined
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.uncertain import Uncertain
@@ -58,11 +58,11 @@ def require_determined(equations: Equations, z: Array) -> None:
             continue
         theta, certain = z[channel.coefficients], np.eye(len(u))[~moving]
         add = _positions_to_add(channel, theta, gravity, np.vstack([rows, certain]))
-        advice = f"add the position{'' if len(add) == 1 else 's'} {_listed(add)}"
+        advice = f"add the position{'' if len(add) == 1 else 's'} {listed(add)}"
         advice = advice if add else "add positions that differ from these"
         if len(mixed) == 1:
             raise EstimateError(f"no position determines {mixed[0]}: {advice}")
-        raise EstimateError(f"the {len(channel.dt)} positions do not separate {_listed(mixed)}: {advice}")
+        raise EstimateError(f"the {len(channel.dt)} positions do not separate {listed(mixed)}: {advice}")
 
 
 def _positions_to_add(channel: ChannelReadings, theta: Array, gravity: Array, rows: Array) -> list[str]:
@@ -109,8 +109,9 @@ def _strength(rows: Array) -> tuple[int, float]:
     return len(counted), round(float(counted[-1]), 9)
 
 
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+def listed(names: Sequence[str], link: str = "and") -> str:
+    """Return names in words."""
+    return f" {link} ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 # What a plan will reach
@@ -158,9 +159,7 @@ def predict_uncertainty(
         if design.free:
             gravity = np.array([position.gravity for position in planned])
             return planned_uncertain(gravity, float(planned[0].u[0]), sensitivity), len(planned) - UNKNOWNS
-        plan = [SensorObservations(as_stated, planned)] * sensors
-        require_sound(plan)
-        equations = Equations(plan)
+        equations = Equations([SensorObservations(as_stated, planned)] * sensors)
         z = np.zeros(equations.unknowns)
         z[: len(equations.names)] = np.tile(theta, sensors)
         require_determined(equations, z)

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.attitude import heading_rotations, tangent_basis, turned
-from tiltcal.core.estimation.positions import SensorObservations
+from tiltcal.core.estimation.positions import SensorObservations, require_sound
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
 
@@ -94,7 +94,7 @@ class Linearised:
 
 
 class Equations:
-    """All equations of a fixture; an EstimateError where two sensors disagree on the direction of a position.
+    """All equations of a fixture; an EstimateError where positions are not sound, or two sensors disagree on one.
 
     The coefficients have their ``names`` sensor by sensor, ``prior_value`` and ``prior_u``, which is infinite where
     nothing is stated and 0 for one that is held. ``stated_values``, ``stated_columns`` and ``stated_target`` are all
@@ -104,6 +104,7 @@ class Equations:
     """
 
     def __init__(self, sensors: Sequence[SensorObservations]) -> None:
+        require_sound(sensors)
         self.sensors = tuple(sensors)
         design = sensors[0].design
         self._place_positions()

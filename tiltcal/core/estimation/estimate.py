@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.core.estimation.design import require_determined
+from tiltcal.core.estimation.design import listed, require_determined
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, TABLE, THERMOMETER, Equations
-from tiltcal.core.estimation.positions import Design, Observation, SensorObservations, require_sound
+from tiltcal.core.estimation.positions import Design, Observation, SensorObservations
 from tiltcal.core.estimation.solve import (
     LARGEST_JIG,
     Solution,
@@ -129,7 +129,6 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
 
 def _begun(sensors: Sequence[SensorObservations]) -> tuple[Equations, Array]:
     """Return the equations of sensors and their unknowns as set; an EstimateError where these stay undetermined."""
-    require_sound(sensors)
     equations = Equations(sensors)
     start = start_as_set(equations)
     require_determined(equations, start)
@@ -248,7 +247,7 @@ def _wrong_position(equations: Equations, errors: Mapping[str, float], limit: fl
     """Name the position without which the others are off by less than a limit, degrees, else all beyond it."""
     named = [position for position in errors if _agree(equations.sensors, position, limit)]
     named = named or [position for position, off in errors.items() if off > limit]
-    return f"{' or '.join(filter(None, (', '.join(named[:-1]), named[-1])))} is wrong"
+    return f"{listed(named, 'or')} is wrong"
 
 
 def _errors_as_set(equations: Equations, start: Array) -> dict[str, float]:

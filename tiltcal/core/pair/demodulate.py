@@ -69,16 +69,13 @@ class Demodulation:
     weights: Array  # (blocks, 2, 2): and with each other
     rounding: Array  # (channels,): variance of a component by rounding, which all turns share, unit²
 
-    def mix(self, weights: Mapping[str, float]) -> Array:
-        """Return the mix with the weights of some channels, shape (channels,)."""
-        return np.array([weights.get(channel, 0.0) for channel in self.channels])
-
-    def components(self, mix: Array) -> Array:
+    def components(self, weights: Mapping[str, float]) -> Array:
         """sin and cos component of a mix, shape (2,)."""
-        return np.asarray(self.coefficients[:2] @ mix)
+        return np.asarray(self.coefficients[:2] @ self._mix(weights))
 
-    def covariance(self, mix: Array) -> Array:
+    def covariance(self, weights: Mapping[str, float]) -> Array:
         """Covariance of :meth:`components`, shape (2, 2), unit²: of the noise around the turning, and of rounding."""
+        mix = self._mix(weights)
         # A record without noise leaves less than the rounding of its sums, which may be negative.
         variance = max(float(mix @ self.residual @ mix), 0.0)
         noise = variance * self._colour(mix, variance) * self.inverse[:2, :2]
@@ -103,12 +100,20 @@ class Demodulation:
         fine, dof = scatter(self.scores @ mix, self.weights)
         power, freedom = (_WHITE + dof * fine) / (_WHITE + dof), _WHITE + dof
         if len(self.scores) >= 4 * COARSE_BLOCKS:
-            coarse, coarse_dof = scatter(*self.coarse(mix))
+            coarse, coarse_dof = scatter(*self._coarse(mix))
             if fdtrc(coarse_dof, dof, coarse / power) < _SURPRISE:  # slower than a turn: amplitudes that wander
                 power, freedom = coarse, coarse_dof
         return power * freedom / (freedom - 2.0)
 
-    def coarse(self, mix: Array) -> tuple[Array, Array]:
+    def stretches(self, weights: Mapping[str, float]) -> Array:
+        """Components of what is left of a mix in each of :data:`COARSE_BLOCKS` stretches, shape (stretches, 2)."""
+        scores, products = self._coarse(self._mix(weights))
+        return np.asarray(np.linalg.solve(products, scores[..., None])[..., 0])
+
+    def _mix(self, weights: Mapping[str, float]) -> Array:
+        return np.array([weights.get(channel, 0.0) for channel in self.channels])
+
+    def _coarse(self, mix: Array) -> tuple[Array, Array]:
         """Scores of a mix, shape (groups, 2), and weights, shape (groups, 2, 2), of groups of blocks."""
         groups = np.array_split(np.arange(len(self.scores)), COARSE_BLOCKS)
         scores, weights = (np.stack([of[group].sum(axis=0) for group in groups]) for of in (self.scores, self.weights))

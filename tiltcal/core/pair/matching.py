@@ -105,13 +105,13 @@ def match(record: Demodulation, pair: Pair, coefficients: PairCoefficients | Non
 
 
 def _component(record: Demodulation, weights: Mapping[str, float]) -> Component:
-    mix = record.mix(weights)
-    return Component(*record.components(mix).tolist(), *np.sqrt(np.diag(record.covariance(mix))).tolist())
+    u = np.sqrt(np.diag(record.covariance(weights)))
+    return Component(*record.components(weights).tolist(), *u.tolist())
 
 
 def solve(record: Demodulation, pair: Pair) -> PairCoefficients:
     """p and q in closed form; an EstimateError where a record cannot determine them, or p is too near to 1."""
-    first, second, orthogonal = (record.components(record.mix({channel: 1.0})) for channel in pair.channels)
+    first, second, orthogonal = (record.components({channel: 1.0}) for channel in pair.channels)
     _require_signal(record, pair)
     inverse = np.linalg.inv(np.stack([first, orthogonal], axis=1))
     rest, q = (-inverse @ second).tolist()
@@ -122,7 +122,7 @@ def solve(record: Demodulation, pair: Pair) -> PairCoefficients:
             f"{pair.first} has and cannot be matched to it; see that it {what}"
         )
     # The errors of the three components act as those of their mix in which nothing else is left.
-    covariance = record.covariance(record.mix(dict(zip(pair.channels, (rest, 1.0, q), strict=True))))
+    covariance = record.covariance(dict(zip(pair.channels, (rest, 1.0, q), strict=True)))
     u_p, u_q = np.sqrt(np.diag(inverse @ covariance @ inverse.T)).tolist()
     return PairCoefficients(1.0 - rest, q, u_p, u_q)
 
@@ -132,10 +132,10 @@ def drifts(record: Demodulation, matching: Matching) -> dict[str, float]:
     if len(record.scores) < 2 * COARSE_BLOCKS:
         return {}
     pair, weights = matching.pair, (1.0 - matching.p, 1.0, matching.q)
-    scores, products = record.coarse(record.mix(dict(zip(pair.channels, weights, strict=True))))
-    first, orthogonal = (record.components(record.mix({name: 1.0})) for name in (pair.first, pair.orthogonal))
+    first, orthogonal = (record.components({name: 1.0}) for name in (pair.first, pair.orthogonal))
     # What is left of each stretch, as what p and q of that stretch differ by.
-    away = np.linalg.solve(products, scores[..., None])[..., 0] @ np.linalg.inv(np.stack([first, -orthogonal]))
+    left = record.stretches(dict(zip(pair.channels, weights, strict=True)))
+    away = left @ np.linalg.inv(np.stack([first, -orthogonal]))
     time = (np.arange(len(away)) + 0.5) / len(away) - 0.5
     slopes = time @ away / (time @ time)
     rest = away - away.mean(axis=0) - np.outer(time, slopes)
