@@ -86,18 +86,6 @@ class TestAgainstASeparateCalculation:
         temperature = np.random.default_rng(7).uniform(-40.0, 85.0, len(gravity))
         return known.predict(gravity, temperature), temperature
 
-    def test_two_channels(self) -> None:
-        known = coefficients(TWO, thermal=second_order(2))
-        readings, temperature = self.measured(known, directions(self.COUNT, 1))
-        result = Compensation(known)(readings, temperature)
-        expected = [
-            [degrees(asin(g)) for g in cramer(known.sensitivity, signals(row, t, known))]
-            for row, t in zip(readings, temperature.tolist(), strict=True)
-        ]
-        np.testing.assert_allclose(result.tilt, expected, rtol=0, atol=1e-6)
-        assert (result.flag == 1).all()
-        assert result.angles.shape == (self.COUNT, 2)
-
     def test_one_channel_takes_the_other_axes_to_be_level(self) -> None:
         """A sensor of one axis from `plane`, which determines what y adds to it as well."""
         known = Coefficients(("x",), ("x", "y"), np.array([3.0]), np.array([[6554.0, 120.0]]))

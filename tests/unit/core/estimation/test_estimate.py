@@ -14,8 +14,6 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from support.recordings import RECORDINGS, needs
 
-from tiltcal.core.attitude import gravity_from_tilt
-from tiltcal.core.closed_forms import sensitivity_from_pair, tempco_from_two_temperatures
 from tiltcal.core.estimation.estimate import estimate
 from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.errors import EstimateError
@@ -57,31 +55,6 @@ class TestRecordedSession:
         np.testing.assert_allclose(found.coefficients.offset, self.OFFSET, atol=5.1e-6)
         np.testing.assert_allclose(found.coefficients.sensitivity, self.SENSITIVITY, atol=5.1e-6)
         assert np.abs(found.residuals).max() == pytest.approx(0.026, abs=5e-4)
-
-
-class TestClosedForms:
-    """Where the positions leave no freedom the estimator must give what the documents' formulas give."""
-
-    def test_pair_of_tilts(self) -> None:
-        """Cross-axis Compensation, eq. 2, with unequal tilts."""
-        readings = {30.0: 2.9, -29.0: 1.1}
-        found = estimate(
-            [observe(str(tilt), gravity_from_tilt({"x": tilt}), u) for tilt, u in readings.items()],
-            Design(("x",), ("x",)),
-        )
-        expected = sensitivity_from_pair(2.9, 1.1, radians(30.0), radians(29.0))
-        assert found.coefficients.sensitivity[0, 0] == pytest.approx(expected, rel=1e-12)
-
-    def test_two_temperatures(self) -> None:
-        """The paper's one linear coefficient per axis."""
-        found = estimate(
-            [observe("warm", (0, 0, 1), 2510.0, t=24.0), observe("cold", (0, 0, 1), 2450.0, t=5.5)],
-            Design(("x",), (), drift=1, reference=24.0),
-        )
-        assert found.coefficients.thermal is not None
-        drift = found.coefficients.thermal.drift[0, 0]
-        assert drift == pytest.approx(tempco_from_two_temperatures(2510.0, 2450.0, 24.0, 5.5), rel=1e-12)
-        assert drift == pytest.approx(60.0 / 18.5, rel=1e-12)
 
 
 directions = st.tuples(st.floats(-180, 180), st.floats(-90, 90)).map(
@@ -190,20 +163,3 @@ def test_a_square_and_a_cube_are_recovered() -> None:
     assert found.sensitivity[0, 0] == pytest.approx(own, rel=1e-9)
     gravity = np.array([observation.gravity for observation in observations])
     np.testing.assert_allclose(found.predict(gravity)[:, 0], [o.mean[0] for o in observations], rtol=1e-12)
-
-
-class TestRefused:
-    def test_an_axis_that_no_position_excites_is_named(self) -> None:
-        level = [observe("a", (0, 0, 1), 1.0), observe("b", (0, 0, -1), -1.0)]
-        with pytest.raises(EstimateError, match=r"no position determines sensitivity\.x\.x"):
-            estimate(level, Design(("x",), ("x", "z")))
-
-    def test_three_faces_are_told_what_to_add(self) -> None:
-        faces = [observe(name, FACES[name], 1.0) for name in ("x-up", "y-up", "z-up")]
-        with pytest.raises(EstimateError, match="add the position upside down"):
-            estimate(faces, Design(("x",), ("x", "y", "z"), jig=0.3))
-
-    def test_two_temperatures_for_curvature(self) -> None:
-        levels = [observe(f"{t}-{k}", (0, 0, 1), 1.0 + t, t=t) for k, t in enumerate((24.0, 5.0, 24.0))]
-        with pytest.raises(EstimateError, match=r"temperature\.offset\.x\.2.*add the position .*temperature"):
-            estimate(levels, Design(("x",), (), drift=2, reference=20.0))

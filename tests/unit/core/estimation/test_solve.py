@@ -10,10 +10,9 @@ import pytest
 import scipy
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from support.simulated_bench import FACES, XYZ, Plan, design, fixture, measured, part, plan_of, sweep, two_temperatures
+from support.simulated_bench import Plan, design, fixture, measured, part, plan_of, sweep, two_temperatures
 
 from tiltcal.core.attitude import gravity_from_tilt
-from tiltcal.core.estimation.design import predict_uncertainty
 from tiltcal.core.estimation.equations import Equations
 from tiltcal.core.estimation.estimate import Estimate, estimate, estimate_jointly
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
@@ -171,16 +170,3 @@ def test_the_truth_is_in_95_percent_of_the_intervals(plan: Plan, sensors: int, s
         shares.append(100.0 * np.mean(np.abs(off) <= half))
     error = np.std(shares, ddof=1) / sqrt(sessions)
     assert 93.0 - 3 * error <= np.mean(shares) <= 97.0 + 3 * error
-
-
-class TestPrediction:
-    FACES = tuple(Observation(f"p{k}", g, np.zeros(3), np.full(3, 1e-3)) for k, g in enumerate(FACES))
-
-    def test_it_is_what_the_estimate_then_states(self) -> None:
-        """The plan alone, and the same bench measured: within the per cent by which a part differs from nominal."""
-        rng = np.random.default_rng(50)
-        predicted = predict_uncertainty(Design(XYZ, XYZ, jig=0.1), self.FACES)
-        plan = plan_of(6, noise=1e-3, jig=0.1)
-        found = estimate_jointly(fixture(measured(rng, plan, [part(rng)]), design(plan, jig=0.1)))[0]
-        np.testing.assert_allclose(predicted.uncertain.u, found.uncertain.u, rtol=0.1)
-        assert predicted.dof == found.dof
