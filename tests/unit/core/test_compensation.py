@@ -204,14 +204,6 @@ class TestFlags:
         assert verdicts(result) == [(9, 32), (9, 32), (1, 0)]
         assert np.isnan([result.tilt[:2], result.gravity[:2]]).all()
 
-    @pytest.mark.parametrize("temperature", [None, [nan, nan], [inf, -inf]])
-    def test_without_temperature_the_reference_temperature_is_taken(self, temperature: list[float] | None) -> None:
-        known = coefficients(TWO, thermal=second_order(2))
-        readings = known.predict(np.array([[0.5, 0.0, 0.0], [0.0, -0.5, 0.0]]), np.array([24.0, 24.0]))
-        result = Compensation(known)(readings, temperature)
-        np.testing.assert_allclose(result.tilt, [[30.0, 0.0], [0.0, -30.0]], atol=1e-9)
-        assert verdicts(result) == [(3, 16), (3, 16)]
-
     def test_rails_and_tilts_outside_the_calibrated_range(self) -> None:
         """At the rail the row fails, and its tilt is still there."""
         limits = Limits(tilt={"x": (radians(-30), radians(45)), "y": (-pi / 2, pi / 2)}, reading={"x": (-800.0, 800.0)})
