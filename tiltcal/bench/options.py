@@ -84,7 +84,7 @@ class MeasureOptions(TypedDict, total=False):
     closing: Annotated[bool, _flag("Visit the first position again at the end, to show what changed meanwhile.")]
     turns: Annotated[int | None, Option("The most turns of a stage, in place of the procedure's.", "N", _POSITIONS)]
     resume: Annotated[
-        _Path, _file("Continue an interrupted session; of what else is stated -o counts.", "JOURNAL", _POSITIONS)
+        _Path, _file("Continue an interrupted session with the options that it began with.", "JOURNAL", _POSITIONS)
     ]
     operator: Annotated[
         object,
