@@ -27,7 +27,7 @@ def measured(value: float, uncertainty: float | None, digits: int = 6) -> str:
         return plain(value, digits)
     if Decimal(f"{uncertainty:.{LABORATORY - 1}e}").adjusted() - (LABORATORY - 1) >= -_MOST_DECIMALS:
         return signed(bracketed(value, uncertainty, LABORATORY))
-    power = max(Decimal(abs(value)).adjusted(), Decimal(uncertainty).adjusted())
+    power = Decimal(max(abs(value), uncertainty)).adjusted()
     mantissa = bracketed(value * 10.0**-power, uncertainty * 10.0**-power, LABORATORY)
     return f"{signed(mantissa)} × 10{str(power).translate(SUPERSCRIPT)}"
 
