@@ -107,6 +107,19 @@ def test_a_frame_of_positions_is_a_table(folder: Path) -> None:
         assert found.uncertainty == of_file.uncertainty
 
 
+def test_a_table_whose_noise_is_not_stated_is_not_judged_by_it() -> None:
+    """Its rounding alone would be no noise, against which sound positions are not credible."""
+    rng = np.random.default_rng(5)
+    placed = [np.array(up) + np.cross(rng.normal(0.0, np.radians(0.3), 3), up) for up in FACES.values()]
+    means = np.array([OFFSET + SENSITIVITY @ (up / np.linalg.norm(up)) for up in placed]).round(6)
+    table = {"position": list(FACES), **{axis: means[:, k].tolist() for k, axis in enumerate("xyz")}}
+    found = tiltcal.fit("six-face", table, jig=0.5, **SENSOR).fit
+    assert (found.degrees_of_freedom, found.chi_square, found.p_value) == (6, None, None)
+    assert any("states no uncertainties of its means" in note for note in found.notes)
+    stated = tiltcal.fit("six-face", table | {f"u{axis}": [0.001] * 6 for axis in "xyz"}, jig=0.5, **SENSOR).fit
+    assert (stated.p_value or 0.0) > 0.001
+
+
 def test_apply_and_apply_log_agree(folder: Path, columns: dict[str, Any], segments: list[dict[str, Any]]) -> None:
     found = tiltcal.fit("six-face", columns, segments=segments, columns=NAMED, **SENSOR)
     assert isinstance(found, tiltcal.Calibration)

@@ -178,7 +178,8 @@ def fit_record(found: Estimate, design: Design, noise: float) -> results.FitReco
         source = "noise alone: no position is left over"
     elif design.jig is None:
         source = results.NOISE_ALONE
-    judged = found.chi_square is not None and found.p is not None and found.stated
+    all_stated = found.stated and found.estimated_noise is None
+    judged = found.chi_square is not None and found.p is not None and all_stated
     return results.FitRecord(
         residuals=residuals,
         worst=worst if found.dof else None,

@@ -146,8 +146,6 @@ def objections(calibration: CalibrationRecord) -> list[str]:
         cause = "noise, jig or thermometer are worse than stated, and the uncertainties are too small"
         if warm is not None:
             cause = f"temperatures are off by {warm:g} °C, which counts, or noise or jig are worse than stated"
-        if fit.noise_estimated is not None:
-            cause = f"the means have noise of {fit.noise_estimated:g}, which counts, or the jig is worse than stated"
         found.append(
             f"chi-square {fit.chi_square:g} with {fit.degrees_of_freedom} degrees of freedom (probability {shown}) is "
             f"not credible: {cause}"
