@@ -61,6 +61,8 @@ def _listen(address: Address, as_json: bool) -> int:
     """Print what a device on a serial port sends, and the address that reads its numbers."""
     with closing(open_link(address, find_model("serial-columns"))) as link:
         lines, rate = listened(link, session_clock(datetime.now(UTC), virtual=False))
+    if any(line.startswith(b"$PTCDC,") for line in lines):
+        raise UsageError(f"{address} sends the times of duty cycles ($PTCDC,...): name the model, as --sensor adxl202")
     found = guess(lines)
     if not found.numbers:
         raise BusError(

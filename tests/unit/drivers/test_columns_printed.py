@@ -66,6 +66,8 @@ def test_a_port_alone_is_listened_to_and_the_advice_works() -> None:
         assert "9.5" in done.stdout or "9.49" in done.stdout
     with printing(lines_of(b"hello\r\n"), 50.0, waits=False) as port:
         assert "text without numbers" in tiltcal("probe", "--address", port).stderr
+    with printing(lines_of(b"$PTCDC,17,40960,38912,80000,80000,23.9*4C\r\n"), 50.0, waits=False) as port:
+        assert "--sensor adxl202" in tiltcal("probe", "--address", port).stderr
     assert "--sensor is missing" in tiltcal("probe", "--address", "spi:///dev/spidev0.0").stderr
 
 
