@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -10,6 +13,9 @@ from support import ROOT
 from support.adxl202_part import Adxl202Part, on_a_pty
 from support.command import tiltcal
 from support.json_program import Event, lead
+
+from tiltcal import TiltcalError, measure
+from tiltcal.files.bench import BenchFile, BenchSensor
 
 pytest.importorskip("serial", reason="the pyserial package is not installed")
 
@@ -61,3 +67,25 @@ def test_one_damaged_sentence_in_seven_is_counted_never_used_and_replays_to_the_
     assert damaged / (sentences + damaged) == pytest.approx(1 / 7, abs=0.03)
     replayed = tiltcal("replay", "A-1005.journal.jsonl", "--golden", "A-1005.yaml", cwd=tmp_path)
     assert replayed.returncode == 0, replayed.stderr
+
+
+def test_a_line_that_is_unplugged_is_dropped_by_the_replay_too(tmp_path: Path) -> None:
+    """It fails where the bench drops what has arrived, before any reading."""
+    kept, pulled = Adxl202Part(), Adxl202Part()
+    with on_a_pty(kept) as path, ExitStack() as line:
+        sensors = (
+            BenchSensor("PULLED", "adxl202", f"serial://{line.enter_context(on_a_pty(pulled))}"),
+            BenchSensor("KEPT", "adxl202", f"serial://{path}"),
+        )
+
+        class Rig:
+            def position(self, ask: Mapping[str, Any]) -> dict[str, str]:
+                kept.gravity = pulled.gravity = ask["gravity"]
+                if ask["position"] == "x-45":
+                    line.close()
+                return {"answer": "ready"}
+
+        bench = BenchFile(sensors)
+        with pytest.raises(TiltcalError, match="no calibration file for PULLED"):
+            measure("zero-45", bench=bench, operator=Rig(), output=tmp_path, samples=20, settle=0.3)
+    assert [file.name for file in tmp_path.glob("*.yaml")] == ["KEPT.yaml"]

@@ -115,7 +115,7 @@ class Playback:
                 lines = self._coming[0].lines if self._coming else None
                 if lines is not None and lines is not begun and event.line >= lines[0]:
                     begun, self._since = lines, 0
-                drops = event.kind in STREAMS and event.payload[:2] == ("", "")
+                drops = self._drops(event)
                 if (sample := self._sample(fresh=drops)) is not None:
                     self._since = 0 if drops and lines is None else self._since + 1
                     yield sample
@@ -180,9 +180,9 @@ class Playback:
         readings: dict[str, Reading] = {}
         name = ""
         try:
-            for name, driver in self._drivers.items() if fresh else ():
-                if name not in self._given_up:
-                    driver.discard()
+            for number, name in enumerate(self._names) if fresh else ():
+                if not self._gives_up(number):
+                    self._drivers[name].discard()
             for number, (name, driver) in enumerate(self._drivers.items()):
                 if not self._gives_up(number):
                     readings[name] = driver.read()
@@ -192,6 +192,15 @@ class Playback:
                 self.failures[name] = str(named_error(name, error, alone=len(self.setup.sensors) == 1))
             return None
         return RecordedSample(self._line, self.now_ns, at_one_temperature(readings))
+
+    def _drops(self, event: Event) -> bool:
+        """Return whether a sample begins with a drop of what arrived; it may fail on the first device that streams."""
+        if event.kind != HARDWARE_ERROR:
+            return event.kind in STREAMS and event.payload[:2] == ("", "")
+        number = event.payload[2] if len(event.payload) > 2 else 0
+        devices = zip(self._names, self.setup.devices, strict=True)
+        streaming = (n for n, (name, one) in enumerate(devices) if one.letter in STREAMS and name not in self._given_up)
+        return number == next(streaming, None)
 
     def _gives_up(self, number: int) -> bool:
         """Return whether a device that has failed is given up: where it would be read, another one is.
