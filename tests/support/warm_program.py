@@ -14,8 +14,10 @@ import socket
 import sys
 from array import array
 from collections.abc import Sequence
+from contextlib import suppress
 
 STREAMS = 3
+WAIT = 0.1  # seconds of one wait: a signal that came just before it is handled behind it
 
 
 def fork(path: str, arguments: Sequence[str], folder: str, streams: Sequence[int]) -> tuple[socket.socket, int]:
@@ -29,9 +31,11 @@ def fork(path: str, arguments: Sequence[str], folder: str, streams: Sequence[int
 
 def line_of(connection: socket.socket) -> bytes:
     """Return the next line; the other side sends one at a time."""
-    line = b""
-    while not line.endswith(b"\n") and (more := connection.recv(65536)):
-        line += more
+    line, more = b"", b"-"
+    connection.settimeout(WAIT)
+    while more and not line.endswith(b"\n"):
+        with suppress(TimeoutError):
+            line += (more := connection.recv(65536))
     return line
 
 
