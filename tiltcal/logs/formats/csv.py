@@ -1,6 +1,6 @@
 """CSV: a log read block by block so that its size does not matter, and written with columns behind its own.
 
-:mod:`tiltcal.logs.formats.csv_rows` finds how it is written, and defines a row.
+:mod:`tiltcal.logs.formats.csv_dialect` finds how it is written, :mod:`tiltcal.logs.formats.csv_rows` defines a row.
 """
 
 from __future__ import annotations
