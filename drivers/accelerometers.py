@@ -17,7 +17,20 @@ from dataclasses import replace
 from typing import Literal
 
 from tiltcal.drivers.bus import SpiPort
-from tiltcal.drivers.registers import I2C, SPI, Field, Range, RegisterPart, RegisterSensor, Thermometer, Write
+from tiltcal.drivers.registers import (
+    I2C,
+    SPI,
+    Field,
+    Frame,
+    Range,
+    RegisterPart,
+    RegisterSensor,
+    Sampling,
+    StartUp,
+    Thermometer,
+    VirtualFacts,
+    Write,
+)
 from tiltcal.drivers.virtual import Tolerances
 
 COUNTING_ON = {"i": 0x80, "s": 0x40}
@@ -46,22 +59,25 @@ ADXL345 = RegisterPart(
     # At full resolution a digit is 3.9 mg at each range, and the sign is extended to 16 bits.
     channels=_axes(0x32),
     bursts=((0x32, 6),),
-    ranges={f"{2 << code}g": Range(code, 256.0, (-(512 << code), (512 << code) - 1)) for code in range(4)},
-    rates={3200 * 0.5**n: 15 - n for n in range(10)},
-    rate=100.0,
-    addresses=(f"{I2C}0x53", SPI),
-    several={"s": 0x40},
-    spi=SpiPort((3,), fastest=5_000_000, speed=1_000_000),
-    identity=(0x00, (b"\xe5",)),
-    # In standby: no user offsets, no interrupts, no FIFO; rate, range; then it measures. It has no reset.
-    set_up=(
-        tuple(Write(register, 0x00, kept=False) for register in (0x2D, 0x1E, 0x1F, 0x20, 0x2E, 0x38)),
-        (Write(0x2C, 0x00, rate=1, kept=False), Write(0x31, 0x08, range=1)),
-        (Write(0x2D, 0x08),),
+    sampling=Sampling(
+        ranges={f"{2 << code}g": Range(code, 256.0, (-(512 << code), (512 << code) - 1)) for code in range(4)},
+        rates={3200 * 0.5**n: 15 - n for n in range(10)},
+        rate=100.0,
     ),
-    settling=4,
-    watched=0x2D,
-    limits=Tolerances(offset=0.15, sensitivity=0.1),
+    addresses=(f"{I2C}0x53", SPI),
+    frame=Frame(several={"s": 0x40}, spi=SpiPort((3,), fastest=5_000_000, speed=1_000_000)),
+    start_up=StartUp(
+        identity=(0x00, (b"\xe5",)),
+        # In standby: no user offsets, no interrupts, no FIFO; rate, range; then it measures. It has no reset.
+        set_up=(
+            tuple(Write(register, 0x00, kept=False) for register in (0x2D, 0x1E, 0x1F, 0x20, 0x2E, 0x38)),
+            (Write(0x2C, 0x00, rate=1, kept=False), Write(0x31, 0x08, range=1)),
+            (Write(0x2D, 0x08),),
+        ),
+        settling=4,
+        watched=0x2D,
+    ),
+    virtual=VirtualFacts(limits=Tolerances(offset=0.15, sensitivity=0.1)),
 )
 
 MPU6050 = RegisterPart(
@@ -71,25 +87,31 @@ MPU6050 = RegisterPart(
     channels=_axes(0x3B, order="big"),
     bursts=((0x3B, 8),),
     thermometer=Thermometer(Field(0x41, 16), zero=0, slope=340.0, reference=36.53),
-    ranges=_ranges(16384.0),
-    rates={1000 / n: n - 1 for n in (1, 2, 4, 5, 8, 10, 20, 40, 50, 100, 200, 250)},
-    rate=100.0,
-    addresses=(f"{I2C}0x68",),
-    identity=(0x75, (b"\x68",)),
-    family=MPU,
-    reset=Write(0x6B, 0x80, seconds=0.1),
-    # Awake, with the clock of the gyroscope; rate; 44 Hz filter; range.
-    set_up=(
-        (Write(0x6B, 0x01, seconds=0.03), Write(0x19, 0x00, rate=1, kept=False), Write(0x1A, 0x03, kept=False)),
-        (Write(0x1C, 0x00, range=0x08),),
+    sampling=Sampling(
+        ranges=_ranges(16384.0),
+        rates={1000 / n: n - 1 for n in (1, 2, 4, 5, 8, 10, 20, 40, 50, 100, 200, 250)},
+        rate=100.0,
     ),
-    settling=4,
-    watched=0x6B,
-    held={0x6B: 0x40},
-    limits=Tolerances(offset=0.08, sensitivity=0.03, cross=0.02, drift=0.9e-3, gain=2e-4, thermometer=3.0),
-    noise_density=400e-6,
-    corner=0.44,
-    nonlinearity=0.005,
+    addresses=(f"{I2C}0x68",),
+    start_up=StartUp(
+        identity=(0x75, (b"\x68",)),
+        family=MPU,
+        reset=Write(0x6B, 0x80, seconds=0.1),
+        # Awake, with the clock of the gyroscope; rate; 44 Hz filter; range.
+        set_up=(
+            (Write(0x6B, 0x01, seconds=0.03), Write(0x19, 0x00, rate=1, kept=False), Write(0x1A, 0x03, kept=False)),
+            (Write(0x1C, 0x00, range=0x08),),
+        ),
+        settling=4,
+        watched=0x6B,
+    ),
+    virtual=VirtualFacts(
+        held={0x6B: 0x40},
+        limits=Tolerances(offset=0.08, sensitivity=0.03, cross=0.02, drift=0.9e-3, gain=2e-4, thermometer=3.0),
+        noise_density=400e-6,
+        corner=0.44,
+        nonlinearity=0.005,
+    ),
 )
 
 MPU6500 = replace(
@@ -98,13 +120,19 @@ MPU6500 = replace(
     title="InvenSense MPU-6500, its accelerometer, ±2 to ±16 g, I2C",
     short="MPU6500",
     thermometer=Thermometer(Field(0x41, 16), zero=0, slope=333.87, reference=21.0),
-    identity=(0x75, (b"\x70",)),
-    # The filter of the accelerometer has a register of its own, which a reset clears; PWR_MGMT_1 is then as set up.
-    set_up=(*MPU6050.set_up, (Write(0x1D, 0x03),)),
-    watched=0x1D,
-    held={0x6B: 0x01},
-    limits=Tolerances(offset=0.08, sensitivity=0.03, cross=0.02, drift=1.5e-3, gain=2.6e-4, thermometer=3.0),
-    noise_density=300e-6,
+    start_up=replace(
+        MPU6050.start_up,
+        identity=(0x75, (b"\x70",)),
+        # The filter of the accelerometer has a register of its own, which a reset clears; PWR_MGMT_1 is then as set up.
+        set_up=(*MPU6050.start_up.set_up, (Write(0x1D, 0x03),)),
+        watched=0x1D,
+    ),
+    virtual=replace(
+        MPU6050.virtual,
+        held={0x6B: 0x01},
+        limits=Tolerances(offset=0.08, sensitivity=0.03, cross=0.02, drift=1.5e-3, gain=2.6e-4, thermometer=3.0),
+        noise_density=300e-6,
+    ),
 )
 
 MPU9250 = replace(
@@ -112,7 +140,7 @@ MPU9250 = replace(
     name="mpu9250",
     title="InvenSense MPU-9250 or MPU-9255, its accelerometer, ±2 to ±16 g, I2C",
     short="MPU9250",
-    identity=(0x75, (b"\x71", b"\x73")),
+    start_up=replace(MPU6500.start_up, identity=(0x75, (b"\x71", b"\x73"))),
 )
 
 
@@ -130,22 +158,27 @@ ICM20948 = replace(
     channels=_axes(0x2D, order="big"),
     bursts=((0x2D, 6), (0x39, 2)),
     thermometer=Thermometer(Field(0x39, 16), zero=0, slope=333.87, reference=21.0),
-    rates={1125 / n: n - 1 for n in (1, 2, 5, 10, 25, 50, 125, 250)},
-    rate=112.5,
-    identity=(0x00, (b"\xea",)),
-    family={},
-    begin=in_first_bank,
-    reset=Write(0x06, 0x80, seconds=0.1),
-    # Awake; in bank 2 rate, range and 50 Hz filter; back in bank 0.
-    set_up=(
-        (Write(0x06, 0x01, seconds=0.03),),
-        (Write(0x7F, 0x20, kept=False), Write(0x11, 0x00, rate=1, kept=False), Write(0x14, 0x19, range=0x02)),
-        (Write(0x7F, 0x00, kept=False),),
+    sampling=replace(MPU6500.sampling, rates={1125 / n: n - 1 for n in (1, 2, 5, 10, 25, 50, 125, 250)}, rate=112.5),
+    start_up=replace(
+        MPU6500.start_up,
+        identity=(0x00, (b"\xea",)),
+        family={},
+        begin=in_first_bank,
+        reset=Write(0x06, 0x80, seconds=0.1),
+        # Awake; in bank 2 rate, range and 50 Hz filter; back in bank 0.
+        set_up=(
+            (Write(0x06, 0x01, seconds=0.03),),
+            (Write(0x7F, 0x20, kept=False), Write(0x11, 0x00, rate=1, kept=False), Write(0x14, 0x19, range=0x02)),
+            (Write(0x7F, 0x00, kept=False),),
+        ),
+        watched=0x06,
     ),
-    watched=0x06,
-    held={0x06: 0x41},
-    limits=Tolerances(offset=0.05, sensitivity=0.005, cross=0.02, drift=0.8e-3, gain=2.6e-4, thermometer=3.0),
-    noise_density=230e-6,
+    virtual=replace(
+        MPU6500.virtual,
+        held={0x06: 0x41},
+        limits=Tolerances(offset=0.05, sensitivity=0.005, cross=0.02, drift=0.8e-3, gain=2.6e-4, thermometer=3.0),
+        noise_density=230e-6,
+    ),
 )
 
 LIS3DH = RegisterPart(
@@ -154,23 +187,26 @@ LIS3DH = RegisterPart(
     short="LIS3DH",
     channels=_axes(0x28, bits=12),
     bursts=((0x28, 6),),
-    # A digit is 1, 2, 4 and 12 mg.
-    ranges={**_ranges(1000.0, (0, 1, 2)), "16g": Range(3, 1000 / 12)},
-    rates={1.0: 1, 10.0: 2, 25.0: 3, 50.0: 4, 100.0: 5, 200.0: 6, 400.0: 7, 1344.0: 9},
-    rate=100.0,
-    addresses=(f"{I2C}0x18", SPI),
-    several=COUNTING_ON,
-    spi=SpiPort((3, 0), fastest=10_000_000, speed=1_000_000),
-    identity=(0x0F, (b"\x33",)),
-    # No high-pass filter, no FIFO; whole samples at high resolution; rate and axes. It has no reset.
-    set_up=(
-        (Write(0x21, 0x00, kept=False), Write(0x24, 0x00, kept=False)),
-        (Write(0x23, 0x88, range=0x10), Write(0x20, 0x07, rate=0x10)),
+    sampling=Sampling(
+        # A digit is 1, 2, 4 and 12 mg.
+        ranges={**_ranges(1000.0, (0, 1, 2)), "16g": Range(3, 1000 / 12)},
+        rates={1.0: 1, 10.0: 2, 25.0: 3, 50.0: 4, 100.0: 5, 200.0: 6, 400.0: 7, 1344.0: 9},
+        rate=100.0,
     ),
-    # At high resolution it needs seven sample periods to turn on.
-    settling=8,
-    watched=0x20,
-    held={0x20: 0x07},
+    addresses=(f"{I2C}0x18", SPI),
+    frame=Frame(several=COUNTING_ON, spi=SpiPort((3, 0), fastest=10_000_000, speed=1_000_000)),
+    start_up=StartUp(
+        identity=(0x0F, (b"\x33",)),
+        # No high-pass filter, no FIFO; whole samples at high resolution; rate and axes. It has no reset.
+        set_up=(
+            (Write(0x21, 0x00, kept=False), Write(0x24, 0x00, kept=False)),
+            (Write(0x23, 0x88, range=0x10), Write(0x20, 0x07, rate=0x10)),
+        ),
+        # At high resolution it needs seven sample periods to turn on.
+        settling=8,
+        watched=0x20,
+    ),
+    virtual=VirtualFacts(held={0x20: 0x07}),
 )
 
 
@@ -183,19 +219,23 @@ def _lsm6ds(name: str, title: str, identity: int, counts_per_degree: float) -> R
         channels=_axes(0x28),
         bursts=((0x28, 6), (0x20, 2)),
         thermometer=Thermometer(Field(0x20, 16, order="little"), zero=0, slope=counts_per_degree),
-        # A digit is 0.061, 0.122, 0.244 and 0.488 mg.
-        ranges=_ranges(1000 / 0.061, (0, 2, 3, 1)),
-        rates={12.5: 1, 26.0: 2, 52.0: 3, 104.0: 4, 208.0: 5, 416.0: 6, 833.0: 7},
-        rate=104.0,
+        sampling=Sampling(
+            # A digit is 0.061, 0.122, 0.244 and 0.488 mg.
+            ranges=_ranges(1000 / 0.061, (0, 2, 3, 1)),
+            rates={12.5: 1, 26.0: 2, 52.0: 3, 104.0: 4, 208.0: 5, 416.0: 6, 833.0: 7},
+            rate=104.0,
+        ),
         addresses=(f"{I2C}0x6a", SPI),
-        spi=SpiPort((3, 0), fastest=10_000_000, speed=1_000_000),
-        identity=(0x0F, (bytes([identity]),)),
-        family=LSM6DS,
-        reset=Write(0x12, 0x01, seconds=0.05),
-        # Whole samples, counting up; rate and range.
-        set_up=((Write(0x12, 0x44, kept=False), Write(0x10, 0x00, rate=0x10, range=0x04)),),
-        settling=6,
-        watched=0x10,
+        frame=Frame(spi=SpiPort((3, 0), fastest=10_000_000, speed=1_000_000)),
+        start_up=StartUp(
+            identity=(0x0F, (bytes([identity]),)),
+            family=LSM6DS,
+            reset=Write(0x12, 0x01, seconds=0.05),
+            # Whole samples, counting up; rate and range.
+            set_up=((Write(0x12, 0x44, kept=False), Write(0x10, 0x00, rate=0x10, range=0x04)),),
+            settling=6,
+            watched=0x10,
+        ),
     )
 
 
@@ -205,20 +245,24 @@ MMA8451 = RegisterPart(
     short="MMA8451",
     channels=_axes(0x01, bits=14, order="big"),
     bursts=((0x01, 6),),
-    ranges=_ranges(4096.0, (0, 1, 2)),
-    rates={800.0: 0, 400.0: 1, 200.0: 2, 100.0: 3, 50.0: 4, 12.5: 5, 6.25: 6, 1.5625: 7},
-    rate=100.0,
-    addresses=(f"{I2C}0x1d",),
-    identity=(0x0D, (b"\x1a",)),
-    # In standby: no FIFO; range, without high-pass filter; high resolution; then rate and active.
-    set_up=(
-        (Write(0x2A, 0x00, kept=False), Write(0x09, 0x00, kept=False)),
-        (Write(0x0E, 0x00, range=1), Write(0x2B, 0x02, kept=False)),
-        (Write(0x2A, 0x01, rate=0x08),),
+    sampling=Sampling(
+        ranges=_ranges(4096.0, (0, 1, 2)),
+        rates={800.0: 0, 400.0: 1, 200.0: 2, 100.0: 3, 50.0: 4, 12.5: 5, 6.25: 6, 1.5625: 7},
+        rate=100.0,
     ),
-    settling=4,
-    watched=0x2A,
-    noise_density=99e-6,
+    addresses=(f"{I2C}0x1d",),
+    start_up=StartUp(
+        identity=(0x0D, (b"\x1a",)),
+        # In standby: no FIFO; range, without high-pass filter; high resolution; then rate and active.
+        set_up=(
+            (Write(0x2A, 0x00, kept=False), Write(0x09, 0x00, kept=False)),
+            (Write(0x0E, 0x00, range=1), Write(0x2B, 0x02, kept=False)),
+            (Write(0x2A, 0x01, rate=0x08),),
+        ),
+        settling=4,
+        watched=0x2A,
+    ),
+    virtual=VirtualFacts(noise_density=99e-6),
 )
 
 BMI160 = RegisterPart(
@@ -228,21 +272,24 @@ BMI160 = RegisterPart(
     channels=_axes(0x12),
     bursts=((0x12, 6), (0x20, 2)),
     thermometer=Thermometer(Field(0x20, 16, order="little"), zero=0, slope=512.0, reference=23.0),
-    ranges=_ranges(16384.0, (3, 5, 8, 12)),
-    rates={12.5: 5, 25.0: 6, 50.0: 7, 100.0: 8, 200.0: 9, 400.0: 10, 800.0: 11, 1600.0: 12},
-    rate=100.0,
-    addresses=(f"{I2C}0x68",),
-    identity=(0x00, (b"\xd1",)),
-    reset=Write(0x7E, 0xB6, seconds=0.1),
-    # Normal mode, which takes 3.8 ms; rate with the narrowest filter, which a reset widens; range.
-    set_up=(
-        (Write(0x7E, 0x11, seconds=0.005, kept=False),),
-        (Write(0x40, 0x00, rate=1, seconds=0.001), Write(0x41, 0x00, range=1, seconds=0.001)),
+    sampling=Sampling(
+        ranges=_ranges(16384.0, (3, 5, 8, 12)),
+        rates={12.5: 5, 25.0: 6, 50.0: 7, 100.0: 8, 200.0: 9, 400.0: 10, 800.0: 11, 1600.0: 12},
+        rate=100.0,
     ),
-    settling=8,
-    watched=0x40,
-    held={0x40: 0x28, 0x41: 0x03},
-    noise_counts=30.0,
+    addresses=(f"{I2C}0x68",),
+    start_up=StartUp(
+        identity=(0x00, (b"\xd1",)),
+        reset=Write(0x7E, 0xB6, seconds=0.1),
+        # Normal mode, which takes 3.8 ms; rate with the narrowest filter, which a reset widens; range.
+        set_up=(
+            (Write(0x7E, 0x11, seconds=0.005, kept=False),),
+            (Write(0x40, 0x00, rate=1, seconds=0.001), Write(0x41, 0x00, range=1, seconds=0.001)),
+        ),
+        settling=8,
+        watched=0x40,
+    ),
+    virtual=VirtualFacts(held={0x40: 0x28, 0x41: 0x03}, noise_counts=30.0),
 )
 
 MSA311 = RegisterPart(
@@ -251,17 +298,21 @@ MSA311 = RegisterPart(
     short="MSA311",
     channels=_axes(0x02, bits=12),
     bursts=((0x02, 6),),
-    ranges=_ranges(1024.0),
-    rates={3.9: 2, 7.81: 3, 15.63: 4, 31.25: 5, 62.5: 6, 125.0: 7, 250.0: 8, 500.0: 9, 1000.0: 10},
-    rate=125.0,
+    sampling=Sampling(
+        ranges=_ranges(1024.0),
+        rates={3.9: 2, 7.81: 3, 15.63: 4, 31.25: 5, 62.5: 6, 125.0: 7, 250.0: 8, 500.0: 9, 1000.0: 10},
+        rate=125.0,
+    ),
     addresses=(f"{I2C}0x62",),
-    identity=(0x01, (b"\x13",)),
-    reset=Write(0x00, 0x24, seconds=0.02),
-    # Normal mode; all axes and rate; range.
-    set_up=((Write(0x11, 0x00), Write(0x10, 0x00, rate=1, kept=False), Write(0x0F, 0x00, range=1)),),
-    settling=4,
-    watched=0x11,
-    held={0x11: 0xC0},
+    start_up=StartUp(
+        identity=(0x01, (b"\x13",)),
+        reset=Write(0x00, 0x24, seconds=0.02),
+        # Normal mode; all axes and rate; range.
+        set_up=((Write(0x11, 0x00), Write(0x10, 0x00, rate=1, kept=False), Write(0x0F, 0x00, range=1)),),
+        settling=4,
+        watched=0x11,
+    ),
+    virtual=VirtualFacts(held={0x11: 0xC0}),
 )
 
 MODELS = {

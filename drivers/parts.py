@@ -18,11 +18,15 @@ from tiltcal.drivers.registers import (
     I2C,
     SPI,
     Field,
+    Frame,
     Range,
     RegisterPart,
     Registers,
     RegisterSensor,
+    Sampling,
+    StartUp,
     Thermometer,
+    VirtualFacts,
     Write,
 )
 from tiltcal.drivers.virtual import Tolerances
@@ -75,38 +79,46 @@ ADXL355 = RegisterPart(
     bursts=((0x08, 9), (TEMPERATURE, 2)),
     # Later revisions correct the 1852 of the first.
     thermometer=Thermometer(Field(TEMPERATURE, 12, signed=False), zero=1885, slope=-9.05),
-    ranges={"2g": Range(1, 256e3), "4g": Range(2, 128e3), "8g": Range(3, 64e3)},
-    rates={4000 * 0.5**step: step for step in range(11)},
-    range="2g",
-    rate=125.0,
-    addresses=(SPI, f"{I2C}0x1d"),
-    shift=1,
-    reading=0b01,
-    spi=SpiPort((0,), fastest=10_000_000, speed=1_000_000, slowest=100_000),
-    # At 100 kHz, reading a sample takes 2 ms.
-    fastest_on_i2c=500.0,
-    identity=(0x00, (bytes.fromhex("AD1DED"),)),
-    reset=Write(0x2F, 0x52, seconds=0.010),
-    begin=load_trim,
-    # FILTER and RANGE (bit 7 as after a reset) in standby; then POWER, which ends it.
-    set_up=(
-        (Write(0x28, 0x00, rate=1), Write(0x2C, 0x80, range=1)),
-        # The turn-on time is 10 ms.
-        (Write(0x2D, 0x00, seconds=0.010),),
+    sampling=Sampling(
+        ranges={"2g": Range(1, 256e3), "4g": Range(2, 128e3), "8g": Range(3, 64e3)},
+        rates={4000 * 0.5**step: step for step in range(11)},
+        range="2g",
+        rate=125.0,
     ),
-    # The group delay of the filter: four samples suffice at every rate.
-    settling=4,
+    addresses=(SPI, f"{I2C}0x1d"),
+    frame=Frame(
+        shift=1,
+        reading=0b01,
+        spi=SpiPort((0,), fastest=10_000_000, speed=1_000_000, slowest=100_000),
+        # At 100 kHz, reading a sample takes 2 ms.
+        fastest_on_i2c=500.0,
+    ),
+    start_up=StartUp(
+        identity=(0x00, (bytes.fromhex("AD1DED"),)),
+        reset=Write(0x2F, 0x52, seconds=0.010),
+        begin=load_trim,
+        # FILTER and RANGE (bit 7 as after a reset) in standby; then POWER, which ends it.
+        set_up=(
+            (Write(0x28, 0x00, rate=1), Write(0x2C, 0x80, range=1)),
+            # The turn-on time is 10 ms.
+            (Write(0x2D, 0x00, seconds=0.010),),
+        ),
+        # The group delay of the filter: four samples suffice at every rate.
+        settling=4,
+    ),
     new_sample=(0x04, 0x01),
     take=with_whole_temperature,
-    held={0x2C: 0x81, 0x2D: 0x01, **dict(enumerate(bytes.fromhex("2A7C05913E"), SHADOW))},
-    limits=Tolerances(offset=0.075, sensitivity=0.08, drift=0.15e-3, gain=1e-4, thermometer=5.0),
-    noise_density=25e-6,
-    corner=0.25,
-    nonlinearity=0.001,
-    not_modelled=(
-        "overrange, self-test, FIFO, high-pass filter, interrupts, offset trim; a reset that fails to load the trim",
-        "settings that are written while it measures: they take effect here",
-        "samples of two moments in one burst; thermometer noise; the tolerance of the part's clock",
+    virtual=VirtualFacts(
+        held={0x2C: 0x81, 0x2D: 0x01, **dict(enumerate(bytes.fromhex("2A7C05913E"), SHADOW))},
+        limits=Tolerances(offset=0.075, sensitivity=0.08, drift=0.15e-3, gain=1e-4, thermometer=5.0),
+        noise_density=25e-6,
+        corner=0.25,
+        nonlinearity=0.001,
+        not_modelled=(
+            "overrange, self-test, FIFO, high-pass, interrupts, offset trim; a reset that fails to load the trim",
+            "settings that are written while it measures: they take effect here",
+            "samples of two moments in one burst; thermometer noise; the tolerance of the part's clock",
+        ),
     ),
 )
 
@@ -122,38 +134,44 @@ IIS2ICLX = RegisterPart(
     channels={"x": Field(0x28, 16, order="little"), "y": Field(0x2A, 16, order="little")},
     bursts=((0x28, 4), (0x20, 2)),
     thermometer=Thermometer(Field(0x20, 16, order="little"), zero=0, slope=256.0),
-    ranges={
-        "0.5g": Range(0, 1000 / 0.015),
-        "1g": Range(2, 1000 / 0.031),
-        "2g": Range(3, 1000 / 0.061),
-        "3g": Range(1, 1000 / 0.122),
-    },
-    rates={12.5: 1, 26.0: 2, 52.0: 3, 104.0: 4, 208.0: 5, 416.0: 6, 833.0: 7},
-    range="2g",
-    rate=104.0,
+    sampling=Sampling(
+        ranges={
+            "0.5g": Range(0, 1000 / 0.015),
+            "1g": Range(2, 1000 / 0.031),
+            "2g": Range(3, 1000 / 0.061),
+            "3g": Range(1, 1000 / 0.122),
+        },
+        rates={12.5: 1, 26.0: 2, 52.0: 3, 104.0: 4, 208.0: 5, 416.0: 6, 833.0: 7},
+        range="2g",
+        rate=104.0,
+    ),
     addresses=(SPI, f"{I2C}0x6a"),
-    spi=SpiPort((0, 3), fastest=10_000_000, speed=1_000_000),
-    identity=(0x0F, (b"\x6b",)),
-    # The data sheet's turn-on time is 15 ms.
-    reset=Write(0x12, 0x01, seconds=0.020),
-    # DEVICE_CONF, which has to be set after every reset; whole samples, counting up; rate and range.
-    set_up=((Write(0x18, 0xE2), Write(0x12, 0x44), Write(0x10, 0x00, rate=0x10, range=0x04)),),
-    dropped=3,
+    frame=Frame(spi=SpiPort((0, 3), fastest=10_000_000, speed=1_000_000)),
+    start_up=StartUp(
+        identity=(0x0F, (b"\x6b",)),
+        # The data sheet's turn-on time is 15 ms.
+        reset=Write(0x12, 0x01, seconds=0.020),
+        # DEVICE_CONF, which has to be set after every reset; whole samples, counting up; rate and range.
+        set_up=((Write(0x18, 0xE2), Write(0x12, 0x44), Write(0x10, 0x00, rate=0x10, range=0x04)),),
+        dropped=3,
+    ),
     new_sample=(0x1E, 0x01),
     probe=lambda sensor: {
         "identity": "0x6B (of other ST parts as well: is it an IIS2ICLX?)",
-        **sensor.part.range_in_words,
+        **sensor.part.sampling.in_words,
         **in_words(sensor.read()),
     },
-    held={0x12: 0x04, 0x18: 0xE0},
-    # No source states the cross-axis sensitivity; the limit is ours.
-    limits=Tolerances(offset=0.008, sensitivity=0.02, drift=0.075e-3, gain=1.2e-4, thermometer=15.0),
-    noise_density=15e-6,
-    nonlinearity=0.001,
-    not_modelled=(
-        "filters, self-test, FIFO, user offset, interrupts; what reserved registers do to a real part",
-        "unsettled samples after power-down; bytes of two samples where they are not held",
-        "thermometer noise; cross-axis sensitivity of a real part, which no source names",
+    virtual=VirtualFacts(
+        held={0x12: 0x04, 0x18: 0xE0},
+        # No source states the cross-axis sensitivity; the limit is ours.
+        limits=Tolerances(offset=0.008, sensitivity=0.02, drift=0.075e-3, gain=1.2e-4, thermometer=15.0),
+        noise_density=15e-6,
+        nonlinearity=0.001,
+        not_modelled=(
+            "filters, self-test, FIFO, user offset, interrupts; what reserved registers do to a real part",
+            "unsettled samples after power-down; bytes of two samples where they are not held",
+            "thermometer noise; cross-axis sensitivity of a real part, which no source names",
+        ),
     ),
 )
 
@@ -227,13 +245,14 @@ def _lock_in_words(lock: int) -> str:
 def at_any_range(part: RegisterPart, address: Address) -> RegisterPart:
     """Return an SCA3000 of any range with the options of an address; a real one has to state its sensitivity."""
     # ±1 g must stay clear of the overload codes, and one count must be less than 1 g.
-    stated = part.counts_per_g if address.simulated else None
+    stated = part.sampling.counts_per_g if address.simulated else None
     counts = address.number("counts_per_g", stated, low=1.0, high=OVERLOAD[1])
-    rate = address.number("rate", part.rate, low=1.0, high=10_000.0)
+    rate = address.number("rate", part.sampling.rate, low=1.0, high=10_000.0)
     if address.choice("thermometer", {"no": False, "yes": True}, False):
         part = _with_thermometer(part)
     by_command = address.choice("pointer", {"register": False, "command": True}, False)
-    return replace(part, ranges={"": Range(0, counts, OVERLOAD)}, rate=rate, by_command=by_command)
+    frame = replace(part.frame, by_command=by_command)
+    return replace(part, sampling=Sampling(ranges={"": Range(0, counts, OVERLOAD)}, range="", rate=rate), frame=frame)
 
 
 def _with_thermometer(part: RegisterPart) -> RegisterPart:
@@ -246,29 +265,35 @@ SCA3000 = RegisterPart(
     short="SCA3000",
     channels={axis: Field(at, 13, shift=3, order="little") for axis, at in (("x", 0x04), ("y", 0x06), ("z", 0x08))},
     bursts=((0x09, 6),),
-    # Of a virtual part; that of a real one must be stated.
-    ranges={"": Range(0, 1333.0, OVERLOAD)},
-    range="",
-    # The slowest normal one of the known parts, the E04's.
-    rate=100.0,
+    sampling=Sampling(
+        # Of a virtual part; that of a real one must be stated.
+        ranges={"": Range(0, 1333.0, OVERLOAD)},
+        range="",
+        # The slowest normal one of the known parts, the E04's.
+        rate=100.0,
+    ),
     addresses=(f"{I2C}0x1d&counts_per_g=1333",),
-    shift=2,
-    reading=0b00,
-    writing=0b10,
-    count=-1,
-    # No source states the fastest clock; 4 MHz has been used, and 500 kHz suits the other parts of the maker.
-    spi=SpiPort((0,), fastest=None, speed=500_000),
-    # The values of real parts are unknown.
-    held={REVID: 0x21},
-    memory_fault=(STATUS, CHECKSUM_ERROR),
-    # No source states a tolerance: the limits of a virtual part are ours, and the spread is wide enough for any part,
-    # narrow enough to distinguish the faces of a cube.
-    limits=Tolerances(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.5e-3, gain=1e-4, thermometer=2.0),
-    spread=(0.1, 0.05),
-    noise_counts=1.5,
-    not_modelled=(
-        "the real noise, tolerances and drift, which no source states: a virtual part has ours",
-        "modes other than normal, ring buffer, motion detection, free fall, interrupts, writes",
+    frame=Frame(
+        shift=2,
+        reading=0b00,
+        writing=0b10,
+        count=-1,
+        # No source states the fastest clock; 4 MHz has been used, and 500 kHz suits the other parts of the maker.
+        spi=SpiPort((0,), fastest=None, speed=500_000),
+    ),
+    virtual=VirtualFacts(
+        # The values of real parts are unknown.
+        held={REVID: 0x21},
+        memory_fault=(STATUS, CHECKSUM_ERROR),
+        # No source states a tolerance: the limits of a virtual part are ours, and the spread is wide enough for any
+        # part, narrow enough to distinguish the faces of a cube.
+        limits=Tolerances(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.5e-3, gain=1e-4, thermometer=2.0),
+        spread=(0.1, 0.05),
+        noise_counts=1.5,
+        not_modelled=(
+            "the real noise, tolerances and drift, which no source states: a virtual part has ours",
+            "modes other than normal, ring buffer, motion detection, free fall, interrupts, writes",
+        ),
     ),
     take=in_unchanged_mode,
     probe=with_revision_and_mode,
@@ -285,8 +310,7 @@ def _sca3000(variant: str, counts_per_g: float, rate: float, buses: str = "SPI",
         SCA3000,
         name=f"sca3000-{variant.lower()}",
         title=f"VTI (Murata) SCA3000-{variant} three-axis accelerometer, {extent}, {buses}",
-        ranges={"": Range(0, counts_per_g, OVERLOAD)},
-        rate=rate,
+        sampling=replace(SCA3000.sampling, ranges={"": Range(0, counts_per_g, OVERLOAD)}, rate=rate),
         addresses=(SPI, f"{I2C}0x1d") if on_i2c else (SPI,),
         options=(),
         configure=lambda part, address: part,

@@ -120,51 +120,16 @@ class Write(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegisterPart:
-    """The facts of a part with registers, with the source of each number beside the row.
+class Frame:
+    """How registers are asked for on the buses of a part.
 
-    name, title, short: what the user types; maker, part and buses for the list of devices; its name in messages.
-    channels: x, y and z, as far as it has them.
-    bursts: the transactions of a sample: first register and number of registers.
-    ranges, rates: by the word of the option ``range``, such as ``2g``; code by samples per second.
-    range, rate: without an option of the address.
-    addresses: an example for each of its buses, the preferred one first; the virtual part has that one.
     shift, reading, writing: the first byte of an SPI frame is the register, shifted, with the bits that read or write.
     by_command: whether that byte takes the place of the register on I2C.
     several: bits of the first byte, by the letter of the bus, without which a burst repeats its first register.
     count: -1 where the address counts down in a burst.
     fastest_on_i2c: samples per second that the bus carries at 100 kHz.
-    identity, family: the first register of the part's identity, and the contents that are this part's; what models
-        have which.
-    set_up: the writes before it measures; each group is read back before the next one begins.
-    settling, dropped: sample periods from the last of them to a sample; samples dropped then.
-    new_sample: status register and bit of a new sample, which the first burst clears; without one a sample is taken at
-        any time.
-    watched: a register that a reset changes from what is set up, compared before each sample, where no bit shows that.
-    held: contents after power-up that are not 0, of the virtual part.
-    memory_fault: the status register and the bit of a fault of the part's memory.
-    limits, spread: as delivered; standard deviation of offset (g) and sensitivity (relative), where the limits do not
-        say it.
-    noise_density, corner, noise_counts: g/√Hz, and the bandwidth as a share of the rate; noise of a sample where no
-        source states a density, count.
-    nonlinearity: typical, relative to the range.
-    begin, take, probe: what is special, as functions of the :class:`RegisterSensor`: in place of identity and reset,
-        of the bursts and of what a probe tells.
-    configure: ``configure(part, address)`` returns the part with the options of an address.
-    bus: what opens its ``package:`` addresses, where tiltcal does not have its bus.
     """
 
-    name: str
-    title: str
-    short: str
-    channels: Mapping[str, Field]
-    bursts: tuple[tuple[int, int], ...]
-    thermometer: Thermometer | None = None
-    ranges: Mapping[str, Range]
-    rates: Mapping[float, int] = field(default_factory=dict)
-    range: str = "2g"
-    rate: float
-    addresses: tuple[str, ...]
     shift: int = 0
     reading: int = 0x80
     writing: int = 0x00
@@ -173,32 +138,50 @@ class RegisterPart:
     count: int = 1
     spi: SpiPort = ANY_PORT
     fastest_on_i2c: float = inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartUp:
+    """What comes before the first sample of a part.
+
+    identity, family: the first register of the part's identity, and the contents that are this part's; what models
+        have which.
+    begin: in place of the check of the identity and the reset, a function of the :class:`RegisterSensor`.
+    set_up: the writes before it measures; each group is read back before the next one begins.
+    settling, dropped: sample periods from the last of them to a sample; samples dropped then.
+    watched: a register that a reset changes from what is set up, compared before each sample, where no bit shows that.
+    """
+
     identity: tuple[int, tuple[bytes, ...]] | None = None
     family: Mapping[bytes, str] = field(default_factory=dict)
+    begin: Callable[[RegisterSensor], None] = lambda sensor: sensor.begin()
     reset: Write | None = None
     set_up: tuple[tuple[Write, ...], ...] = ()
     settling: int = 0
     dropped: int = 0
-    new_sample: tuple[int, int] | None = None
     watched: int | None = None
-    held: Registers = field(default_factory=dict)
-    memory_fault: tuple[int, int] | None = None
-    limits: Tolerances = ANY_PART
-    spread: tuple[float, float] | None = None
-    noise_density: float = 0.0
-    corner: float = 0.5
-    noise_counts: float = 1.0
-    nonlinearity: float = 0.0
-    not_modelled: tuple[str, ...] = ("the real tolerances and noise",)
-    begin: Callable[[RegisterSensor], None] = lambda sensor: sensor.begin()
-    take: Callable[[RegisterSensor], Registers] = lambda sensor: sensor.bursts()
-    probe: Callable[[RegisterSensor], Mapping[str, str]] = lambda sensor: {
-        **sensor.part.range_in_words,
-        **in_words(sensor.read()),
-    }
-    options: tuple[str, ...] = ("range", "rate")
-    configure: Callable[[RegisterPart, Address], RegisterPart] = lambda part, address: part.at_range_and_rate(address)
-    bus: Bus | None = None
+
+    def writes(self, sampling: Sampling) -> tuple[tuple[Write, ...], ...]:
+        """Return the groups of ``set_up`` with the codes of the rate and the range."""
+        rate, scale = sampling.rates.get(sampling.rate, 0), sampling.ranges[sampling.range].code
+        return tuple(
+            tuple(one._replace(value=one.value | one.rate * rate | one.range * scale) for one in group)
+            for group in self.set_up
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """The ranges and the rates of a part, and which of them is set.
+
+    ranges, rates: by the word of the option ``range``, such as ``2g``; code by samples per second.
+    range, rate: without an option of the address.
+    """
+
+    ranges: Mapping[str, Range]
+    rates: Mapping[float, int] = field(default_factory=dict)
+    range: str = "2g"
+    rate: float
 
     @property
     def counts_per_g(self) -> float:
@@ -211,67 +194,129 @@ class RegisterPart:
         return float(self.range.removesuffix("g"))
 
     @property
-    def range_in_words(self) -> dict[str, str]:
+    def in_words(self) -> dict[str, str]:
         """Range, sensitivity and rate, for the operator."""
         return {"range": f"±{self.extent:g} g, {round(self.counts_per_g, 1):g} count/g, {self.rate:g} samples/s"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualFacts:
+    """What a part is like as it is delivered: facts of its virtual part, and of the spread between parts.
+
+    held: contents after power-up that are not 0.
+    memory_fault: the status register and the bit of a fault of the part's memory.
+    limits, spread: as delivered; standard deviation of offset (g) and sensitivity (relative), where the limits do not
+        say it.
+    noise_density, corner, noise_counts: g/√Hz, and the bandwidth as a share of the rate; noise of a sample where no
+        source states a density, count.
+    nonlinearity: typical, relative to the range.
+    """
+
+    held: Registers = field(default_factory=dict)
+    memory_fault: tuple[int, int] | None = None
+    limits: Tolerances = ANY_PART
+    spread: tuple[float, float] | None = None
+    noise_density: float = 0.0
+    corner: float = 0.5
+    noise_counts: float = 1.0
+    nonlinearity: float = 0.0
+    not_modelled: tuple[str, ...] = ("the real tolerances and noise",)
+
+    def noise(self, sampling: Sampling) -> float:
+        """Return the standard deviation of a sample, count."""
+        density = sampling.counts_per_g * self.noise_density
+        return density * sqrt(sampling.rate * self.corner) if density else self.noise_counts
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterPart:
+    """The facts of a part with registers, with the source of each number beside the row.
+
+    name, title, short: what the user types; maker, part and buses for the list of devices; its name in messages.
+    channels: x, y and z, as far as it has them.
+    bursts: the transactions of a sample: first register and number of registers.
+    addresses: an example for each of its buses, the preferred one first; the virtual part has that one.
+    new_sample: status register and bit of a new sample, which the first burst clears; without one a sample is taken at
+        any time.
+    take, probe: what is special, as functions of the :class:`RegisterSensor`: in place of the bursts, and of what a
+        probe tells.
+    configure: ``configure(part, address)`` returns the part with the options of an address.
+    bus: what opens its ``package:`` addresses, where tiltcal does not have its bus.
+    """
+
+    name: str
+    title: str
+    short: str
+    addresses: tuple[str, ...]
+    channels: Mapping[str, Field]
+    bursts: tuple[tuple[int, int], ...]
+    thermometer: Thermometer | None = None
+    new_sample: tuple[int, int] | None = None
+    frame: Frame = Frame()
+    sampling: Sampling
+    start_up: StartUp = StartUp()
+    virtual: VirtualFacts = VirtualFacts()
+    take: Callable[[RegisterSensor], Registers] = lambda sensor: sensor.bursts()
+    probe: Callable[[RegisterSensor], Mapping[str, str]] = lambda sensor: {
+        **sensor.part.sampling.in_words,
+        **in_words(sensor.read()),
+    }
+    options: tuple[str, ...] = ("range", "rate")
+    configure: Callable[[RegisterPart, Address], RegisterPart] = lambda part, address: part.at_range_and_rate(address)
+    bus: Bus | None = None
 
     @property
     def word_rails(self) -> tuple[int, int]:
         """Numbers at or beyond which a word is no measurement."""
-        return self.ranges[self.range].rails or next(iter(self.channels.values())).rails
+        return self.sampling.ranges[self.sampling.range].rails or next(iter(self.channels.values())).rails
 
     @property
     def writes(self) -> tuple[tuple[Write, ...], ...]:
-        """The groups of ``set_up`` with its rate and its range."""
-        rate, scale = self.rates.get(self.rate, 0), self.ranges[self.range].code
-        return tuple(
-            tuple(one._replace(value=one.value | one.rate * rate | one.range * scale) for one in group)
-            for group in self.set_up
-        )
+        """The groups of writes that set it up, at its rate and its range."""
+        return self.start_up.writes(self.sampling)
 
     def at_range_and_rate(self, address: Address) -> RegisterPart:
         """Return the part with the options ``range`` and ``rate`` of an address."""
-        rate = address.number("rate", self.rate)
-        known = min(self.rates, key=lambda one: abs(one - rate), default=rate)
+        rates, ranges = self.sampling.rates, self.sampling.ranges
+        rate = address.number("rate", self.sampling.rate)
+        known = min(rates, key=lambda one: abs(one - rate), default=rate)
         if abs(known - rate) > NEAR_RATE * known:
-            address.refuse(f"option rate={rate:g} is none of {', '.join(f'{one:g}' for one in self.rates)}")
-        if address.scheme == "i2c" and known > self.fastest_on_i2c:
-            address.refuse(f"option rate={rate:g} is too fast for I2C (at most {self.fastest_on_i2c:g})")
-        return replace(
-            self, rate=known, range=address.choice("range", {word: word for word in self.ranges}, self.range)
-        )
+            address.refuse(f"option rate={rate:g} is none of {', '.join(f'{one:g}' for one in rates)}")
+        if address.scheme == "i2c" and known > self.frame.fastest_on_i2c:
+            address.refuse(f"option rate={rate:g} is too fast for I2C (at most {self.frame.fastest_on_i2c:g})")
+        scale = address.choice("range", {word: word for word in ranges}, self.sampling.range)
+        return replace(self, sampling=replace(self.sampling, rate=known, range=scale))
 
     def model(self) -> Model:
         """Return the sensor model of the part."""
-        offset, sensitivity = self.spread or map(deviation_within, (self.limits.offset, self.limits.sensitivity))
+        virtual, sampling = self.virtual, self.sampling
+        limits, extent = virtual.limits, sampling.extent if virtual.nonlinearity else 0.0
+        offset, sensitivity = virtual.spread or map(deviation_within, (limits.offset, limits.sensitivity))
         low, high = self.word_rails
         longest = max(count for _, count in self.bursts)
-        density = self.counts_per_g * self.noise_density
-        noise = density * sqrt(self.rate * self.corner) if density else self.noise_counts
-        bend = typical_nonlinearity(self.nonlinearity * self.extent, self.extent) if self.nonlinearity else ()
         # A burst must end before the next word is due, or it mixes bytes of two words.
-        port = replace(self.spi, slowest=max(self.spi.slowest, ceil(8 * (1 + longest) * self.rate)))
+        slowest = max(self.frame.spi.slowest, ceil(8 * (1 + longest) * sampling.rate))
         return Model(
             name=self.name,
             title=self.title,
             channels=tuple(self.channels),
             addresses=self.addresses,
-            sensitivity=self.counts_per_g,
+            sensitivity=sampling.counts_per_g,
             offset_spread=offset,
             sensitivity_spread=sensitivity,
-            nonlinearity=bend,
+            nonlinearity=typical_nonlinearity(virtual.nonlinearity * extent, extent) if extent else (),
             rails=(float(low), float(high)),
             resolution=1.0,
             # Where the part shows a new sample, a read waits for it.
-            interval=0.0 if self.new_sample else 1.0 / self.rate,
+            interval=0.0 if self.new_sample else 1.0 / sampling.rate,
             thermometer=self.thermometer is not None,
             thermometer_step=abs(1.0 / self.thermometer.slope) if self.thermometer else 0.0,
             driver=partial(RegisterSensor, self),
             twin=partial(VirtualRegisters, self),
-            not_modelled=self.not_modelled,
-            memory_fault=self.memory_fault is not None,
-            default_truth=partial(self.limits.draw, tuple(self.channels), self.counts_per_g, noise),
-            spi=port if SPI in self.addresses else None,
+            not_modelled=virtual.not_modelled,
+            memory_fault=virtual.memory_fault is not None,
+            default_truth=partial(limits.draw, tuple(self.channels), sampling.counts_per_g, virtual.noise(sampling)),
+            spi=replace(self.frame.spi, slowest=slowest) if SPI in self.addresses else None,
             options=self.options,
             configure=lambda address: self.configure(self, address).model(),
             bus=self.bus,
@@ -310,7 +355,9 @@ class RegisterSensor(Sensor):
             self._start()
         if not self._sample_comes():
             raise self._no_sample(ready)
-        if ready and (wrong := self._unlike(write for write in self._writes if write.register == part.watched)):
+        if ready and (
+            wrong := self._unlike(write for write in self._writes if write.register == part.start_up.watched)
+        ):
             raise self._was_reset(wrong)
         registers = part.take(self)
         self._ready = True
@@ -322,14 +369,14 @@ class RegisterSensor(Sensor):
 
         BusError: the transaction failed, or its answer has another length.
         """
-        command = self._command(first, self.part.reading)
-        command |= self.part.several.get(self.link.letter, 0) if count > 1 else 0
+        command = self._command(first, self.part.frame.reading)
+        command |= self.part.frame.several.get(self.link.letter, 0) if count > 1 else 0
         if self.link.letter == "i":
             data = require_length(self.link.exchange(bytes([command]), count), count)
         else:
             frame = bytes([command, *bytes(count)])
             data = require_length(self.link.exchange(frame), len(frame))[1:]
-        return dict(zip(range(first, first + self.part.count * count, self.part.count), data, strict=True))
+        return dict(zip(range(first, first + self.part.frame.count * count, self.part.frame.count), data, strict=True))
 
     def register(self, register: int) -> int:
         """Return one register."""
@@ -345,18 +392,18 @@ class RegisterSensor(Sensor):
 
     def write(self, write: Write) -> None:
         """Set a register."""
-        self.link.exchange(bytes([self._command(write.register, self.part.writing), write.value]))
+        self.link.exchange(bytes([self._command(write.register, self.part.frame.writing), write.value]))
         self._clock.sleep(write.seconds)
 
     def _command(self, register: int, access: int) -> int:
         """Return the first byte of a transaction."""
-        plain = self.link.letter == "i" and not self.part.by_command
-        return register if plain else register << self.part.shift | access
+        plain = self.link.letter == "i" and not self.part.frame.by_command
+        return register if plain else register << self.part.frame.shift | access
 
     def reset(self) -> None:
         """Reset the part, where it has a reset."""
-        if self.part.reset:
-            self.write(self.part.reset)
+        if reset := self.part.start_up.reset:
+            self.write(reset)
 
     def begin(self) -> None:
         """Check that it is the part, and reset it."""
@@ -365,13 +412,14 @@ class RegisterSensor(Sensor):
 
     def identify(self) -> None:
         """Check that it is the part."""
-        if self.part.identity is None:
+        start_up = self.part.start_up
+        if start_up.identity is None:
             return
-        first, known = self.part.identity
+        first, known = start_up.identity
         identity = bytes(self.registers(first, len(known[0])).values())
         check_data_line(identity)
         if identity not in known:
-            expected, other = " or ".join(one.hex(" ").upper() for one in known), self.part.family.get(identity)
+            expected, other = " or ".join(one.hex(" ").upper() for one in known), start_up.family.get(identity)
             advice = f"name it with --sensor {other}" if other else "is another device on this chip select or address?"
             raise DeviceFault(
                 f"the part says that it is {identity.hex(' ').upper()}, where an {self.part.short} says {expected}: "
@@ -380,7 +428,7 @@ class RegisterSensor(Sensor):
 
     def _start(self) -> None:
         """Begin, and write the settings."""
-        self.part.begin(self)
+        self.part.start_up.begin(self)
         for group in self.part.writes:
             for write in group:
                 self.write(write)
@@ -389,8 +437,8 @@ class RegisterSensor(Sensor):
                     f"the {self.part.short} does not keep what is written to it ({wrong}): check MOSI or SDA, the "
                     "clock and the supply"
                 )
-        self._clock.sleep(self.part.settling / self.part.rate)
-        for _ in range(self.part.dropped):
+        self._clock.sleep(self.part.start_up.settling / self.part.sampling.rate)
+        for _ in range(self.part.start_up.dropped):
             if not self._sample_comes():
                 raise self._no_sample(was_ready=False)
             self.registers(*self.part.bursts[0])
@@ -403,7 +451,7 @@ class RegisterSensor(Sensor):
             # A line that is stuck high has this bit as well; the data show it.
             if self.register(status) & bit:
                 return True
-            self._clock.sleep(1.0 / self.part.rate / POLLS)
+            self._clock.sleep(1.0 / self.part.sampling.rate / POLLS)
         return False
 
     def _unlike(self, writes: Iterable[Write]) -> str:
@@ -425,8 +473,8 @@ class RegisterSensor(Sensor):
         if was_ready and (wrong := self._unlike(self._writes)):
             return self._was_reset(wrong)
         return DeviceFault(
-            f"no sample came for {PERIODS * (1.0 / self.part.rate):.3g} s: the {self.part.short} does not measure; "
-            "switch its supply off and on"
+            f"no sample came for {PERIODS * (1.0 / self.part.sampling.rate):.3g} s: the {self.part.short} does not "
+            "measure; switch its supply off and on"
         )
 
 
@@ -443,24 +491,24 @@ class VirtualRegisters(VirtualPart):
         self.letter = part.bus.letter if example.startswith("package:") and part.bus else example[0]
         self.bit_seconds = BIT_SECONDS[self.letter]
         self._set_up = {write.register: write.value for write in chain(*part.writes) if write.kept}
-        first, known = part.identity or (0, (b"",))
-        self._after_reset = {**part.held, **dict(enumerate(known[0], first))}
+        first, known = part.start_up.identity or (0, (b"",))
+        self._after_reset = {**part.virtual.held, **dict(enumerate(known[0], first))}
         self._held = dict(self._after_reset)
         self._taken = -1
 
     def _answered(self, out: bytes, count: int) -> bytes:
         """Return the bytes that the part drives; on I2C the length of a transaction says whether it writes."""
-        part, on_spi = self._part, self.letter == "s"
-        several, access = part.several.get(self.letter, 0), part.reading | part.writing
+        frame, on_spi = self._part.frame, self.letter == "s"
+        several, access = frame.several.get(self.letter, 0), frame.reading | frame.writing
         plain = out[0] & ~several
-        register = (plain & ~access) >> part.shift if on_spi or part.by_command else plain
+        register = (plain & ~access) >> frame.shift if on_spi or frame.by_command else plain
         # It is unknown what the part sends during the command byte of SPI, so it is random here.
         head = bytes([self._filler()]) if on_spi else b""
-        if plain & access != part.writing if on_spi else len(out) == 1:
-            step = part.count if not several or out[0] & several else 0
+        if plain & access != frame.writing if on_spi else len(out) == 1:
+            step = frame.count if not several or out[0] & several else 0
             length = len(out) - 1 if on_spi else count
             return head + self._content([register + step * place for place in range(length)])
-        reset = self._part.reset
+        reset = self._part.start_up.reset
         if reset and register == reset.register and out[-1] & reset.value == reset.value:
             self._held = dict(self._after_reset)
         else:
@@ -470,16 +518,17 @@ class VirtualRegisters(VirtualPart):
     def _content(self, asked: Sequence[int]) -> bytes:
         """Return registers of one moment."""
         part, held = self._part, dict(self._held)
-        if part.memory_fault and self._fault().kind == "parity":
-            held[part.memory_fault[0]] = held.get(part.memory_fault[0], 0) | part.memory_fault[1]
+        if part.virtual.memory_fault and self._fault().kind == "parity":
+            status, bit = part.virtual.memory_fault
+            held[status] = held.get(status, 0) | bit
         if all(held.get(register) == value for register, value in self._set_up.items()):
             for channel, place in part.channels.items():
-                held |= place.encode(self._word(channel, part.rate, *part.word_rails))
+                held |= place.encode(self._word(channel, part.sampling.rate, *part.word_rails))
             if part.thermometer:
                 held |= part.thermometer.encode(self._celsius())
             if part.new_sample:
                 status, bit = part.new_sample
-                sample = int(self._clock.now_ns() / 1e9 * part.rate)
+                sample = int(self._clock.now_ns() / 1e9 * part.sampling.rate)
                 held[status] = bit if sample > self._taken else 0
                 if part.bursts[0][0] in asked:
                     self._taken = sample
