@@ -19,6 +19,9 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+
+pytest.register_assert_rewrite("support")
+
 from hypothesis import settings
 from support import html_page
 from support.warm_start import WarmStart, warm_start

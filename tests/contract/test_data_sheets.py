@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 import yaml
 from support.arriving_pieces import ArrivingPieces
-from support.for_each import for_each
 from support.scripted_link import Script
 
 from tiltcal import errors
@@ -26,12 +25,10 @@ SHEETS = yaml.load(Path(__file__).with_name("data_sheets.yaml").read_text(encodi
 LETTERS = {"spi": "s", "i2c": "i", "modbus": "m", "serial": "r"}
 
 
-def cases(key: str) -> list[Any]:
-    return [(sheet, row) for sheet in SHEETS for row in sheet.get(key, ())]
-
-
-def named(case: tuple[dict[str, Any], Any]) -> str:
-    return f"{case[0]['model']} {case[1]}"
+def each(key: str) -> Any:
+    """Make a test of each row that the sheets have under a key, by the name of its model."""
+    cases = [pytest.param(sheet, row, id=sheet["model"]) for sheet in SHEETS for row in sheet.get(key, ())]
+    return pytest.mark.parametrize(("sheet", "row"), cases)
 
 
 def at(sheet: dict[str, Any], options: str = "") -> Model:
@@ -49,7 +46,7 @@ def filled(lines: list[str], row: dict[str, Any], given: dict[str, str]) -> list
     return [line.format(**values) for line in lines]
 
 
-@for_each("sheet, row", cases("rows"), named)
+@each("rows")
 def test_the_bytes_of_a_data_sheet_are_its_readings(sheet: dict[str, Any], row: Any) -> None:
     model, clock, given = at(sheet), VirtualClock(), sheet.get("given", {})
     readings = row if isinstance(row, list) else [row]
@@ -87,10 +84,10 @@ def test_the_bytes_of_a_data_sheet_are_its_readings(sheet: dict[str, Any], row: 
         assert link.heard == [bytes.fromhex(sheet["sent"])]
 
 
-@for_each("sheet, facts", cases("facts"), named)
-def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any], facts: dict[str, Any]) -> None:
-    model = at(sheet, facts.get("at", ""))
-    for name, expected in facts.items():
+@each("facts")
+def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any], row: dict[str, Any]) -> None:
+    model = at(sheet, row.get("at", ""))
+    for name, expected in row.items():
         if name in ("gain", "drift"):
             unit = 0.01 if name == "gain" else model.sensitivity * radians(1.0)
             assert getattr(model.population, name) == pytest.approx([unit * float(k) for k in expected]), name
@@ -105,14 +102,14 @@ def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any],
                 assert value == pytest.approx(figure, rel=2e-3 if name.endswith("spread") else 2e-5), name
 
 
-@for_each("sheet, options", cases("refused"), named)
-def test_an_address_that_cannot_be_is_refused_with_the_reason(sheet: dict[str, Any], options: str) -> None:
+@each("refused")
+def test_an_address_that_cannot_be_is_refused_with_the_reason(sheet: dict[str, Any], row: str) -> None:
     with pytest.raises(errors.UsageError) as refusal:
-        open_link(parse_address(f"{sheet['address'].partition('?')[0]}?{options}"), at(sheet, options))
-    assert sheet["refused"][options] in str(refusal.value)
+        open_link(parse_address(f"{sheet['address'].partition('?')[0]}?{row}"), at(sheet, row))
+    assert sheet["refused"][row] in str(refusal.value)
 
 
-@for_each("rate", RATES)
+@pytest.mark.parametrize("rate", RATES)
 def test_it_waits_for_a_converter_that_is_10_percent_slow(rate: int) -> None:
     converter, clock = Ads1115(parse_address(f"sim:rate={rate}")), VirtualClock()
     word = f"{converter.config(0):04X}"

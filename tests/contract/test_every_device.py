@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 from support.example_device.tiltcal_dfrobot import DFROBOT_SCA100T
-from support.for_each import for_each
 from support.virtual_device import VirtualDevice
 
 from tiltcal.drivers import models
@@ -69,12 +68,12 @@ class Bench(VirtualDevice):
         super().__init__(DEVICES[name], options, **truth)
 
 
-EVERY = [f"{name} {options}" for name in DEVICES for options in ("", *OPTIONS.get(name, ()))]
+EVERY = [f"{name} {options}".strip() for name in DEVICES for options in ("", *OPTIONS.get(name, ()))]
 
 
 def every(applies: Callable[[Bench], bool] = lambda bench: True) -> Any:
-    """Run a test over each device that something applies to."""
-    return for_each("device", [device for device in EVERY if applies(Bench(device))])
+    """Make a test of each device that something applies to."""
+    return pytest.mark.parametrize("device", [device for device in EVERY if applies(Bench(device))])
 
 
 def named(names: tuple[str, ...]) -> Callable[[Bench], bool]:
