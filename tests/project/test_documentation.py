@@ -31,9 +31,9 @@ from support.warm_start import WarmStart
 import tiltcal
 from tiltcal.drivers import models
 
-PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "benchmarks/README.md")] + sorted(
-    ROOT.glob("docs/**/*.md")
-)
+PAGES = [
+    ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "benchmarks/README.md")
+] + sorted(ROOT.glob("docs/**/*.md"))
 WITH_COMMANDS = [page for page in PAGES if "```console" in page.read_text(encoding="utf-8")]
 LIBRARY = ROOT / "docs" / "library.md"
 SENSORS = ROOT / "docs" / "which-sensor.md"

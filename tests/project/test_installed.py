@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -40,7 +41,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("tiltcal", "drivers", "procedures"):
         ignored = shutil.ignore_patterns("__pycache__")
         shutil.copytree(ROOT / name, folder / "source" / name, symlinks=True, ignore=ignored)
-    for name in ("pyproject.toml", "README.md", "LICENSE", "MANIFEST.in"):
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE", "MANIFEST.in"):
         shutil.copy(ROOT / name, folder / "source")
     build = "pip wheel -v --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir"
     done = subprocess.run(
@@ -76,6 +77,15 @@ def test_the_wheel_holds_tiltcal_alone(wheel: Path) -> None:
 def inside_tiltcal(path: Path) -> Path:
     """Where a file of the repository is in the import package."""
     return path if path.parts[0] == "tiltcal" else "tiltcal" / path
+
+
+def test_the_page_of_an_index_has_links_that_lead_somewhere(wheel: Path) -> None:
+    metadata = ZipFile(wheel).read(f"tiltcal-{tiltcal.__version__}.dist-info/METADATA").decode()
+    links = re.findall(r"\]\(([^)]*)\)", metadata)
+    source = PROJECT["project"]["urls"]["Source"]
+    assert f"{source}/raw/main/docs/tilt-error.svg" in links
+    assert f"{source}/blob/main/docs/how-to/arduino.md" in links
+    assert all(link.startswith(("https://", "#")) for link in links)
 
 
 def test_a_session_needs_no_extra(tmp_path: Path) -> None:

@@ -42,9 +42,10 @@ def tracked_files() -> list[Path]:
 
 
 def test_the_version_is_written_once() -> None:
-    assert PROJECT["project"]["dynamic"] == ["version"]
+    assert PROJECT["project"]["dynamic"] == ["readme", "version"]
     assert PROJECT["tool"]["setuptools"]["dynamic"]["version"] == {"attr": "tiltcal.__version__"}
     assert CliRunner().invoke(group, ["--version"]).output == f"tiltcal, version {tiltcal.__version__}\n"
+    assert f"\nversion: {tiltcal.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
 def test_constraints_are_exact_versions_of_all_that_is_required() -> None:
