@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 import scipy
+import yaml
 from support import ROOT
 from support.command import tiltcal
 
@@ -106,13 +108,24 @@ class Rig:
 # A channel that is dead, stuck, frozen or far off
 
 
-def test_a_sensor_that_is_stuck_from_the_first_sample_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    disturb(monkeypatch, lambda out, answer, n: word(1024) if out[0] in (0x10, 0x11) else answer)
-    why = (
-        r"x-tilt1 was asked for 10 times in a row in vain, the last time .*x reads 1024 where about 1433\.5 is expected"
-    )
+@pytest.mark.parametrize(
+    ("order", "reads", "why"),
+    [
+        ([0, 1, 2, 3], 1024, r"x-tilt1 was asked for 10 times .*x reads 1024 where about 1433\.5 is expected"),
+        ([0, 1, 2, 3], 2047, r"x-tilt1 .* x reads 2047, at its rail: is the angle within"),
+        ([2, 3, 0, 1], 1024, r"x-tilt1 .* x of S-1 is stuck: all 60 samples of 3 positions read 1024 count; see that"),
+    ],
+)
+def test_a_channel_that_never_converts_is_refused(
+    order: list[int], reads: int, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Level reads as a sound x does, so that it shows where x is tilted; 11 bits end at 2047."""
+    plane = yaml.safe_load((ROOT / "procedures" / "plane.yaml").read_text())
+    plane["positions"] = [plane["positions"][number] for number in order]
+    Path("own.yaml").write_text(json.dumps({**plane, "name": "own"}))
+    disturb(monkeypatch, lambda out, answer, n: word(reads) if out[0] == 0x10 else answer)
     with pytest.raises(Stopped, match=why):
-        session()
+        session("own.yaml", samples=20)
     assert not Path("S-1.yaml").exists()
 
 
@@ -180,14 +193,19 @@ def test_one_sample_of_a_hundred_that_is_far_off_is_taken_again_and_counted(monk
     assert tiltcal("replay", "S-1.journal.jsonl", "--golden", "S-1.yaml").returncode == 0
 
 
-def test_many_samples_far_off_are_a_fault_that_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("samples", "each"), [(100, 12), (20, 10)])
+def test_many_samples_far_off_are_a_fault_that_is_named(
+    samples: int, each: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More than 5 %, of few samples more than one."""
+
     def change(out: bytes, answer: bytes, number: int) -> bytes:
-        far = out[0] == 0x10 and number % 12 == 0
+        far = out[0] == 0x10 and number % each == 0
         return word((answer[1] << 3 | answer[2] >> 5) - 60) if far else answer
 
     disturb(monkeypatch, change)
-    with pytest.raises(Stopped, match="samples of a position of 100 are far off: x reads"):
-        session(settle=0.05)
+    with pytest.raises(Stopped, match=rf"samples of a position of {samples} are far off: x reads"):
+        session(settle=0.05, samples=samples)
 
 
 @pytest.mark.parametrize(("kind", "why"), [("parity", "102"), ("unplugged", "unplugged")])

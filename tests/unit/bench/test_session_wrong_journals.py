@@ -108,3 +108,15 @@ def test_a_verification_that_completes_a_calibration_is_refused(tmp_path: Path) 
     header = {key: value for key, value in header.items() if key not in ("base", "bases")} | {"sensors": sensors}
     with pytest.raises(JournalError, match=r"header cannot be used: level completes the calibration .* none of SIM-42"):
         Setup.of(read_journal(written(tmp_path / "j.jsonl", [header, *events])))
+
+
+def test_a_mean_that_the_recorded_bytes_do_not_give_is_refused(tmp_path: Path) -> None:
+    """As where a driver of another version decodes them otherwise; 1e-9 of a mean is the last digit that JSON keeps."""
+    lines = lines_of("plane")
+    number = next(number for number, line in enumerate(lines) if number and line[1] == "p")
+    (serial, values), *_ = lines[number][2]["sensors"].items()
+    other = {**values, "mean": {**values["mean"], "x": values["mean"]["x"] * (1 + 1e-7)}}
+    wrong = [0, "p", {**lines[number][2], "sensors": {serial: other}}]
+    path = written(tmp_path / "plane.journal.jsonl", [*lines[:number], wrong, *lines[number + 1 :]])
+    with pytest.raises(JournalError, match=rf"jsonl:{number + 1}: accepts .* as x of {serial}, and its samples give"):
+        replay(path)
