@@ -55,7 +55,7 @@ def test_the_angle_actually_set_the_temperature_and_a_redo(warm: WarmStart, tmp_
     terminal.expect("tilt of x actually set")
     terminal.sendline("lots")
     terminal.expect("is not accepted")
-    terminal.sendline("44.9")
+    terminal.sendline("44,9°")
     terminal.expect("live")
     terminal.send("t")
     terminal.expect("temperature")

@@ -56,10 +56,13 @@ def test_the_whole_way_with_results_report_and_verification(tmp_path: Path) -> N
 def test_what_is_typed_reaches_the_file_and_what_is_no_angle_is_refused(tmp_path: Path) -> None:
     with session("zero-45", **sensor(tmp_path)) as (page, _):
         accept(page, "level")
-        for wrong in ({"tilt": {"x": 100}}, {"temperature": "warm"}, {"tilt": [1]}, {"more": 1}):
+        question = page.asked("position", "x-45")
+        for unread in ({"tilt": {"x": "1.000,5"}}, {"tilt": {"x": ""}}, {"temperature": "70 °F"}):
+            assert page.answer(question, "ready", **unread) == 422
+        for wrong in ({"tilt": {"x": 100}}, {"tilt": {"x": None}}, {"tilt": [1]}, {"more": 1}):
             assert page.answer(page.asked("position", "x-45"), "ready", **wrong) == 204
             page.until(lambda one: one["refused"])
-        page.answer(page.asked("position", "x-45"), "ready", tilt={"x": 44.9}, temperature=21.5)
+        page.answer(page.asked("position", "x-45"), "ready", tilt={"x": "44,9°"}, temperature="21.5 °C")
         assert page.answer(page.asked("review", "x-45"), "accept") == 204
         accept(page, "y-45")
         page.answer(page.asked("write"), "yes")

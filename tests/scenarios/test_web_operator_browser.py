@@ -57,6 +57,13 @@ def test_keys_touch_a_reload_and_a_killed_browser(tmp_path: Path) -> None:
             assert tab.value("document.documentElement.scrollWidth") == 400
             tab.tap("[data-answer=accept]")
             ready(tab, "y-tilt1")
+            tab.tap("[data-answer=typed]")
+            typed = "document.querySelector('#fields [name=y]')"
+            tab.value(f"{typed}.value = '30,5 rad'")
+            tab.tap("#type .main")
+            tab.until("document.querySelector('#unread').textContent.includes(\"'rad' behind the number\")")
+            assert tab.value(f"{typed}.ariaInvalid") == "true"
+            tab.tap("#type button:not(.main)")
             other.until(button("ready"))
             other.key("q")  # once is not enough
             assert "again" in other.value("document.querySelector('#said').textContent")

@@ -39,6 +39,7 @@ from typing import Any, Protocol, TextIO
 
 import msgspec
 
+from tiltcal.bench.typed import with_numbers
 from tiltcal.core.attitude import gravity_from_tilt, normalised
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.rounding import plus_minus
@@ -113,7 +114,7 @@ def understood(said: object, words: Sequence[str] = WORDS["position"]) -> Operat
     InputError: it is not an answer; the message says what is wrong with it.
     """
     if isinstance(said, Mapping):
-        said = {key: of_python(value) for key, value in said.items()}
+        said = with_numbers({key: of_python(value) for key, value in said.items()})
     answer = document_of(said, "the answer").read(OperatorAnswer)
     if answer.answer not in words:
         raise InputError(f"answer {answer.answer!r} is not one of {', '.join(words)}")

@@ -26,7 +26,8 @@ from urllib.parse import unquote, urlsplit
 
 import msgspec
 
-from tiltcal.errors import UsageError
+from tiltcal.bench.typed import with_numbers
+from tiltcal.errors import InputError, UsageError
 
 PORT = 8016
 """The usual port, so that a page that is open goes on after ``--resume``; another one where it is taken."""
@@ -235,10 +236,17 @@ class PageRequest(BaseHTTPRequestHandler):
             self._send(401, "the token is missing")
         elif path != "/answer":
             self._send(404, "there is no such page")
-        elif self.server.state.take(said):
-            self._send(204)
         else:
-            self._send(409, "this question is not asked any more")
+            self._take(said)
+
+    def _take(self, said: dict[str, Any]) -> None:
+        """Take an answer; what was typed in it and cannot be read is refused here, where it can be typed again."""
+        try:
+            taken = self.server.state.take(with_numbers(said))
+        except InputError as error:
+            self._send(422, str(error))
+        else:
+            self._send(204 if taken else 409, "" if taken else "this question is not asked any more")
 
     def log_message(self, *args: object) -> None:
         """Print nothing: the terminal shows the session."""

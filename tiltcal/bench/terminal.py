@@ -7,7 +7,7 @@ import os
 import select
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from itertools import zip_longest
 from types import BuiltinFunctionType
 from typing import Any, TextIO
@@ -18,7 +18,8 @@ from rich.text import Text
 from tiltcal.bench import guidance
 from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, AxisGuidance, rows_of
 from tiltcal.bench.operators import LOOK, LineReader, Message, Operator, in_words
-from tiltcal.errors import Stopped
+from tiltcal.bench.typed import number_in
+from tiltcal.errors import InputError, Stopped
 from tiltcal.printable import in_minutes, printable
 
 ENTER, ESCAPE = "\n", "\x1b"
@@ -234,14 +235,14 @@ class Terminal(Operator):
                 word = {ENTER: "ready", "b": "back", "r": "redo"}[key]
                 return {"answer": word, **(self._answer if key == ENTER else {})}
             if key == "t":
-                typed = self._typed("temperature in °C")
+                typed = self._typed("temperature in °C", "temperature")
                 self._answer |= {"temperature": typed[0]} if typed else {}
             elif key == "a" and question["tilt"] is not None:
                 for axis, angle in question["tilt"].items():
-                    for tilt in self._typed(f"tilt of {axis} actually set, in degrees (asked {angle:g})"):
+                    for tilt in self._typed(f"tilt of {axis} actually set, in degrees (asked {angle:g})", "tilt"):
                         self._answer["tilt"] = {**self._answer.get("tilt", {}), axis: tilt}
             elif key == "a":
-                typed = self._typed("direction that points up, as gx gy gz", "0 0.5 0.866")
+                typed = self._typed("direction that points up, as gx gy gz", "gravity", 3)
                 self._answer |= {"gravity": typed} if typed else {}
             else:
                 self._explain(key)
@@ -367,15 +368,17 @@ class Terminal(Operator):
             row = f"{row}  {part}" if len(row) + len(part) + 5 <= self._console.width else row
         return row.rstrip()
 
-    def _typed(self, what: str, example: str = "29.5") -> list[float]:
-        """Ask until as many numbers are typed as the example has; none where the line is empty."""
-        count = len(example.split())
+    def _typed(self, what: str, kind: str, count: int = 1) -> list[float]:
+        """Ask until as many numbers of a kind are typed; none where the line is empty."""
         while True:
             self._say(f"  {what}, or Enter to keep it: ", end="")
             typed = self._keys.line().strip()
-            parts = typed.replace(",", "." if count == 1 else " ").split()
-            with suppress(ValueError):
-                if len(parts) in (0, count):
-                    return [float(part) for part in parts]
-            numbers = "a number" if count == 1 else f"{count} numbers"
-            self._say(f"  {typed!r} is not accepted: type {numbers} such as {example}")
+            parts = [typed] if count == 1 else [part.rstrip(",;") for part in typed.split()]
+            try:
+                if not typed:
+                    return []
+                if len(parts) != count:
+                    raise InputError(f"{typed!r} is not accepted: type {count} numbers such as 0 0.5 0.866")
+                return [number_in(part, kind) for part in parts]
+            except InputError as error:
+                self._say(f"  {error}")

@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from tiltcal.bench.operators import understood
 from tiltcal.bench.terminal import ENTER, LineKeys, Terminal, TerminalKeys
-from tiltcal.errors import Stopped
+from tiltcal.errors import InputError, Stopped
 
 LEVEL = {
     "ask": "position", "position": "level", "tilt": {"x": 0.0, "y": 0.0}, "gravity": [0, 0, 1], "heading": 0,
@@ -101,10 +102,39 @@ def test_angles_temperatures_and_directions_are_typed_or_left() -> None:
         (LEVEL, "at\n", ("lots", "0.5", "-0.25", "24.5"), {"tilt": {"x": 0.5, "y": -0.25}, "temperature": 24.5}),
         (free, "a\n", ("",), {}),
         (free, "a\n", ("up", "0 1", "0, 3 4"), {"gravity": [0.0, 3.0, 4.0]}),
+        (free, "a\n", ("0° 0 1", "0 0,5 0.866"), {"gravity": [0.0, 0.5, 0.866]}),
     ):
         assert terminal(shown, keys, *lines).ask(question) == {"answer": "ready", **answer}
-    assert "'lots' is not accepted: type a number such as 29.5" in shown.getvalue()
+    assert "'lots' is not accepted, it is no number: type an angle such as 29.5" in shown.getvalue()
     assert "type 3 numbers such as 0 0.5 0.866" in shown.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("key", "texts", "number"),
+    [
+        ("tilt", ("27.5", "27,5", "+27.5", " 27.50 ", "27,5°", "27.5 °", "27.5 deg", "27,5deg"), 27.5),
+        ("tilt", ("-0.25", "−0,25", "-.25°", "−,25 deg"), -0.25),
+        ("tilt", ("1.000,5", "1,000.5", "27..5", "2,7,5", "27.5,"), "two decimal marks"),
+        ("tilt", ("27.5 rad", "27°30'", "27.5 degrees", "1e1", "0x1B", "27 5", "27.5 %"), "behind the number"),
+        ("tilt", ("", "lots", "°", "nan", "inf", "--3", "x 27.5", "٢٧", "½"), "is not accepted"),
+        ("temperature", ("21.5", "21,5 °C", "21.5C", "21.5 C", "21,5 ° C", "+21.5°C"), 21.5),
+        ("temperature", ("21.5 °", "70 °F", "294.6 K", "21.5 deg", "21.5 c", "21.5 ºC"), "behind the number"),
+        ("gravity", ("0,5", "0.5 ", ".5"), 0.5),
+        ("gravity", ("0.5 g", "0.5°"), "behind the number"),
+    ],
+)
+def test_what_is_typed_is_read_or_refused_at_terminal_page_and_by_a_program(
+    key: str, texts: tuple[str, ...], number: float | str
+) -> None:
+    """SPEC: one decimal mark, ° and deg behind an angle, °C and C behind a temperature, nothing else."""
+    for text in texts:
+        said = {"answer": "ready", key: {"tilt": {"x": text}, "gravity": [text, "0", "1"]}.get(key, text)}
+        if isinstance(number, str):
+            with pytest.raises(InputError, match=number):
+                understood(said)
+            continue
+        answer = understood(said)
+        assert {"tilt": answer.tilt.get("x"), "temperature": answer.temperature}.get(key, 0.5) == number
 
 
 def test_a_live_reading_is_shown_until_a_key_is_pressed() -> None:

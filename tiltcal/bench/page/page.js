@@ -64,11 +64,12 @@ setInterval(() => { if (stream && Date.now() - heard > SILENT) { lost(); if (!st
 
 async function send(path, content) {
   const how = {method: "POST", headers: {"Content-Type": "application/json"}, body: JSON.stringify(content)};
-  return (await fetch(path, how).catch(() => null))?.status ?? 0;
+  const got = await fetch(path, how).catch(() => null);
+  return {status: got?.status ?? 0, words: got ? await got.text().catch(() => "") : ""};
 }
 
 async function openWith(token) {
-  if (await send("token", {token}) === 204) return connect();
+  if ((await send("token", {token})).status === 204) return connect();
   $("#token").hidden = false;
   $("#wrong").textContent = "This is not the token.";
 }
@@ -77,6 +78,7 @@ $("#token").onsubmit = (event) => { event.preventDefault(); openWith(new FormDat
 
 // ---- answers
 
+// Sends an answer; returns why tiltcal cannot read what was typed with it.
 async function answer(word, more = {}) {
   const question = state?.question;
   if (!question || sending || document.body.className !== "live" || performance.now() - since < UNTOUCHED) return;
@@ -88,8 +90,12 @@ async function answer(word, more = {}) {
   }
   sending = true;
   for (const button of document.querySelectorAll("#answers button")) button.disabled = true;
-  const status = await send("answer", {id: question.id, answer: word, ...more});
+  const {status, words} = await send("answer", {id: question.id, answer: word, ...more});
   sending = false;
+  if (status === 422) {
+    for (const button of document.querySelectorAll("#answers button")) button.disabled = false;
+    return words;
+  }
   if (status !== 204) {
     $("#said").textContent = status === 409 ? "This was answered already." : "tiltcal did not say that it arrived: look what it asks now.";
     asked = "";
@@ -97,25 +103,29 @@ async function answer(word, more = {}) {
   }
 }
 
-// Asks what was actually set; what is left empty is as it was asked for.
+// Asks what was actually set; what is left empty is as it was asked for. What tiltcal cannot read is said at its field.
 function type(question) {
   const fields = $("#fields"), dialog = $("#type");
-  const axes = question.tilt ? Object.entries(question.tilt).map(([axis, angle]) => [axis, `Tilt of ${axis}, asked ${angle}`, "°"])
-    : ["x", "y", "z"].map((axis) => [axis, `Direction that points up, ${axis}`, ""]);
+  const axes = question.tilt ? Object.entries(question.tilt).map(([axis, angle]) => [axis, `Tilt of ${axis}, asked ${angle}`, "°", `tilt of ${axis}`])
+    : ["x", "y", "z"].map((axis, i) => [axis, `Direction that points up, ${axis}`, "", `gravity ${i + 1}`]);
   fields.replaceChildren();
-  for (const [name, label, unit] of [...axes, ["temperature", "Temperature", "°C"]]) {
+  for (const [name, label, unit, key] of [...axes, ["temperature", "Temperature", "°C", "temperature"]]) {
     const row = make(fields, "label", `${label} `);
-    Object.assign(make(row, "input"), {name, autocomplete: "off", pattern: " *[-+−]?[0-9]*[.,]?[0-9]+ *"});
+    Object.assign(make(row, "input"), {name, autocomplete: "off"}).dataset.key = key;
     row.append(` ${unit}`);
   }
-  dialog.returnValue = "";
-  dialog.onclose = () => {
-    if (dialog.returnValue !== "keep" || state.question?.id !== question.id) return;
-    const typed = [...fields.querySelectorAll("input")].filter(({value}) => value.trim())
-      .map(({name, value}) => [name, Number(value.trim().replace(",", ".").replace("−", "-"))]);
-    const {temperature, ...set} = Object.fromEntries(typed);
-    const attitude = !Object.keys(set).length ? {} : question.tilt ? {tilt: set} : {gravity: axes.map(([axis]) => set[axis] ?? 0)};
-    answer("ready", temperature === undefined ? attitude : {...attitude, temperature});
+  $("#unread").textContent = "";
+  $("#type form").onsubmit = async (event) => {
+    if (event.submitter?.value !== "keep") return;
+    event.preventDefault();
+    const inputs = [...fields.querySelectorAll("input")];
+    const {temperature, ...set} = Object.fromEntries(inputs.map(({name, value}) => [name, value.trim()]));
+    const typed = Object.entries(set).filter(([, text]) => text);
+    const attitude = !typed.length ? {} : question.tilt ? {tilt: Object.fromEntries(typed)} : {gravity: Object.values(set)};
+    const unread = await answer("ready", temperature ? {...attitude, temperature} : attitude) ?? "";
+    $("#unread").textContent = unread || (document.body.className === "live" ? "" : "No connection to tiltcal: this was not taken.");
+    for (const input of inputs) input.ariaInvalid = String(unread.startsWith(`${input.dataset.key}:`));
+    fields.querySelector("[aria-invalid=true]")?.focus();
   };
   dialog.showModal();
 }
