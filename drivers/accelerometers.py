@@ -77,7 +77,7 @@ ADXL345 = RegisterPart(
         settling=4,
         watched=0x2D,
     ),
-    virtual=VirtualFacts(limits=Tolerances(offset=0.15, sensitivity=0.1)),
+    virtual=VirtualFacts(asleep=(0x2D, 0x08, 0x00), limits=Tolerances(offset=0.15, sensitivity=0.1)),
 )
 
 MPU6050 = RegisterPart(
@@ -107,6 +107,7 @@ MPU6050 = RegisterPart(
     ),
     virtual=VirtualFacts(
         held={0x6B: 0x40},
+        asleep=(0x6B, 0x40, 0x40),
         limits=Tolerances(offset=0.08, sensitivity=0.03, cross=0.02, drift=0.9e-3, gain=2e-4, thermometer=3.0),
         noise_density=400e-6,
         corner=0.44,
@@ -176,6 +177,8 @@ ICM20948 = replace(
     virtual=replace(
         MPU6500.virtual,
         held={0x06: 0x41},
+        asleep=(0x06, 0x40, 0x40),
+        bank=0x7F,
         limits=Tolerances(offset=0.05, sensitivity=0.005, cross=0.02, drift=0.8e-3, gain=2.6e-4, thermometer=3.0),
         noise_density=230e-6,
     ),
@@ -206,7 +209,7 @@ LIS3DH = RegisterPart(
         settling=8,
         watched=0x20,
     ),
-    virtual=VirtualFacts(held={0x20: 0x07}),
+    virtual=VirtualFacts(held={0x20: 0x07}, asleep=(0x20, 0xF0, 0x00)),
 )
 
 
@@ -236,6 +239,7 @@ def _lsm6ds(name: str, title: str, identity: int, counts_per_degree: float) -> R
             settling=6,
             watched=0x10,
         ),
+        virtual=VirtualFacts(asleep=(0x10, 0xF0, 0x00)),
     )
 
 
@@ -253,16 +257,16 @@ MMA8451 = RegisterPart(
     addresses=(f"{I2C}0x1d",),
     start_up=StartUp(
         identity=(0x0D, (b"\x1a",)),
-        # In standby: no FIFO; range, without high-pass filter; high resolution; then rate and active.
+        # In standby: no FIFO, no user offsets; range, without high-pass filter; high resolution; then rate and active.
         set_up=(
-            (Write(0x2A, 0x00, kept=False), Write(0x09, 0x00, kept=False)),
+            tuple(Write(register, 0x00, kept=False) for register in (0x2A, 0x09, 0x2F, 0x30, 0x31)),
             (Write(0x0E, 0x00, range=1), Write(0x2B, 0x02, kept=False)),
             (Write(0x2A, 0x01, rate=0x08),),
         ),
         settling=4,
         watched=0x2A,
     ),
-    virtual=VirtualFacts(noise_density=99e-6),
+    virtual=VirtualFacts(asleep=(0x2A, 0x01, 0x00), reset=Write(0x2B, 0x40), noise_density=99e-6),
 )
 
 BMI160 = RegisterPart(
@@ -312,7 +316,7 @@ MSA311 = RegisterPart(
         settling=4,
         watched=0x11,
     ),
-    virtual=VirtualFacts(held={0x11: 0xC0}),
+    virtual=VirtualFacts(held={0x11: 0xC0}, asleep=(0x11, 0x80, 0x80)),
 )
 
 MODELS = {

@@ -110,6 +110,7 @@ ADXL355 = RegisterPart(
     take=with_whole_temperature,
     virtual=VirtualFacts(
         held={0x2C: 0x81, 0x2D: 0x01, **dict(enumerate(bytes.fromhex("2A7C05913E"), SHADOW))},
+        asleep=(0x2D, 0x01, 0x01),
         limits=Tolerances(offset=0.075, sensitivity=0.08, drift=0.15e-3, gain=1e-4, thermometer=5.0),
         noise_density=25e-6,
         corner=0.25,
@@ -163,6 +164,7 @@ IIS2ICLX = RegisterPart(
     },
     virtual=VirtualFacts(
         held={0x12: 0x04, 0x18: 0xE0},
+        asleep=(0x10, 0xF0, 0x00),
         # No source states the cross-axis sensitivity; the limit is ours.
         limits=Tolerances(offset=0.008, sensitivity=0.02, drift=0.075e-3, gain=1.2e-4, thermometer=15.0),
         noise_density=15e-6,

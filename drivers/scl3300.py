@@ -42,6 +42,8 @@ BANK_0, BANK_1 = bytes.fromhex("FC000073"), bytes.fromhex("FC00016E")
 RESET = bytes.fromhex("B4002098")
 MODES = tuple(bytes.fromhex(frame) for frame in ("B400001F", "B4000102", "B4000225", "B4000338"))
 """Set Murata's mode 1, 2, 3, 4."""
+MODE = bytes.fromhex("340000DF")
+"""Read the mode."""
 WAKE_UP = MODES[0]
 """The only frame that a part in power-down takes."""
 
@@ -362,15 +364,19 @@ class VirtualScl3300(VirtualPart):
         operation = request[0] >> 2 if request else 0
         if len(request) != 4 or crc8(request[:3]) != request[3]:
             self._answer = partial(_frame, operation, ERROR, 0)
-        elif request == RESET and self._bank == 0:
+            return
+        # The part decodes a read by its operation alone; hosts leave old bytes in the rest, with a CRC that fits.
+        written, data = bool(operation & 0x20), int.from_bytes(request[1:3], "big")
+        request = _frame(operation, 0, data if written else 0)
+        if request == RESET and self._bank == 0:
             self._reset()
-        elif request[0] & 0x80:
+        elif written:
             if request in MODES and self._bank == 0:
                 self._range = self._part.ranges[MODES.index(request)]
                 self._raise(MODE_CHANGE)
-            elif request[0] == BANK_1[0]:
-                self._bank = request[2] & 1
-            self._answer = partial(_frame, operation, self._status(), int.from_bytes(request[1:3], "big"))
+            elif request in (BANK_0, BANK_1):
+                self._bank = data
+            self._answer = partial(_frame, operation, self._status(), data)
         elif request == STATUS:
             self._answer = partial(_frame, operation, self._status(), self._held)
             self._held, self._standing = self._standing, 0
@@ -383,6 +389,8 @@ class VirtualScl3300(VirtualPart):
 
     def _content(self, request: bytes, bank: int) -> int:
         """Return the register that a request asks a bank for."""
+        if request == MODE:
+            return self._range.mode - 1
         if request == TEMPERATURE:
             return round((self._celsius() + 273.0) * 18.9)
         if request in SAMPLE:

@@ -145,3 +145,14 @@ def test_another_part_after_the_bus_was_opened_again_is_refused(monkeypatch: pyt
     assert live == [reading, out, reading, out, said, reading]
     assert said.startswith("another part answers: its serial number is ")
     assert [part.line.closed for part in parts] == [True] * 4
+
+
+def test_a_read_is_its_operation_alone() -> None:
+    """Linux's sca3300.c leaves the bytes that it wrote last in a read, with a CRC that fits."""
+    part = VirtualDevice(SCL).part()
+    said = {}
+    for head in ("B40001", *3 * ("180001",), "400001", "340001"):
+        request = bytes.fromhex(head)
+        part.exchange(request + bytes([frames.crc8(request)]))
+        said[head] = part.exchange(bytes(4)).hex().upper()
+    assert (said["180001"], said["400001"], said["340001"][:6]) == ("1900006A", "4100C136", "350001")
