@@ -91,3 +91,23 @@ def test_fit(folder: Path) -> None:
         content = (folder / f"{end}.yaml").read_text(encoding="utf-8").replace(f"held.{end}", "held")
         files.append(re.sub(r'sha256: "?\w+"?', "", content))
     assert files[0] == files[1] == files[2]
+
+
+def test_units_of_the_header_are_used_and_said_once(folder: Path) -> None:
+    frame = pl.read_csv(folder / "rest.csv")
+    names = {"time": "Time (ms)", "temperature": "Temp (°F)", "x": "ax", "y": "ay"}
+    other = frame.with_columns(pl.col("time") * 1e3, pl.col("temperature") * 1.8 + 32).rename(names)
+    other.write_csv(folder / "other.csv")
+    assert json.loads(printed(folder, "noise", "other.csv", "--unit", "count", "--json"))["interval"] == 0.01
+    other.rename({"ax": "ax (m/s^2)", "ay": "ay (m/s^2)"}).write_csv(folder / "si.csv")
+    found = json.loads(printed(folder, "noise", "si.csv", "--json"))
+    assert (found["unit"], [*found["channels"]], found["interval"]) == ("m/s2", ["x", "y"], 0.01)
+    results = []
+    for log, columns in (("rest.csv", ""), ("other.csv", "temperature=Temp")):
+        done = tiltcal("apply", FIXTURES / "mavs.yaml", log, "--every", "10s", "--columns", columns, cwd=folder)
+        assert (done.returncode, done.stderr.count("is in °F, by its name: °C are used")) == (0, log == "other.csv")
+        results.append(pl.read_csv(done.stdout.encode()))
+    assert len(results[1]) == 6
+    assert results[0]["flag"].to_list() == results[1]["flag"].to_list()
+    assert results[1]["Temp (°F)"].to_list() == pytest.approx([59.0] * 6)  # as the log has it
+    np.testing.assert_allclose(results[0]["tilt_x"], results[1]["tilt_x"], atol=1e-9)

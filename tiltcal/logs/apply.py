@@ -6,6 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from tiltcal.files.atomic import require_apart
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.document import read_document
 from tiltcal.files.pair import PairRecord
-from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, locate_columns, named_columns, require_units
+from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, column_names, locate_columns, named_columns, require_units
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare, with_lag
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
@@ -117,7 +118,8 @@ class CompensatedLog:
         for sensor in prepared.sensors:
             named = {sensor.lead + axis: name for axis, name in sensor.named.items() if name in log.names} | named
         takes_time = TIME not in prepared.roles and (self._lagged or prepared.averaging is not None)
-        roles = (*prepared.roles, *((TIME,) if takes_time and (TIME in named or TIME in log.names) else ()))
+        timed = takes_time and (TIME in named or TIME in column_names(log.names, (TIME,), {}))
+        roles = (*prepared.roles, *((TIME,) if timed else ()))
         where = locate_columns(log, [*prepared.channels, *thermometers], named, roles)
         self._vectors = {
             role: tuple(locate_columns(log, names, {}, option=f"--{role} ")[name] for name in names)
@@ -164,10 +166,12 @@ class CompensatedLog:
         means = None
         if (size := self.prepared.averaging) is not None:
             heading = self._roles.get(HEADING)
-            means = Means(size, self.log, self._sensors, lambda block: self._table(block, judged=True), time, heading)
+            judged = partial(self._table, judged=True)
+            means = Means(size, self.log, self._sensors, judged, time, heading, self._roles.get(TEMPERATURE))
         rows = self.log.rows(
             sorted(wanted if time is None else wanted | {time}),
             time,
+            temperatures={*thermometers, *(index for role, index in self._roles.items() if role == TEMPERATURE)},
             frames=frames or means is not None,
             needs_time=needs_time,
         )
@@ -179,6 +183,8 @@ class CompensatedLog:
                 table = block.marked(table)
             self.summary.add(table, len(block.faults) + block.bad_rows)
             yield block, table
+        for remark in self.log.remarks:
+            self._say(f"note: {remark}")
         for sensor in self.prepared.sensors:
             for remark in sensor.remarks:
                 self._say(f"note: {sensor.lead.rstrip('_')}{': ' * bool(sensor.lead)}{remark}")

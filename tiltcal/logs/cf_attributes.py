@@ -14,6 +14,7 @@ import numpy as np
 from tiltcal.core.flags import FLAGS, REASONS
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
+from tiltcal.units import DEGREE, seconds_in
 
 _JUDGEMENTS: Mapping[str, Mapping[str, Any]] = {
     "flag": {
@@ -47,37 +48,9 @@ _LONG_NAMES = {
     "matched": "matched sum of the pair {}",
 }
 COUNT = "count"
-_SECONDS = {
-    name: seconds
-    for seconds, names in {
-        1e-9: "ns nanosecond nanoseconds",
-        1e-6: "us µs μs microsecond microseconds",
-        1e-3: "ms millisecond milliseconds",
-        1.0: "s sec second seconds",
-        60.0: "min minute minutes",
-        3600.0: "h hr hour hours",
-        86400.0: "d day days",
-    }.items()
-    for name in names.split()
-}
-"""Of the units of a time, as CF and UDUNITS spell them."""
-
 _SINCE = re.compile(r"\s+since\s+", re.IGNORECASE)
 _SINGLE_DIGIT = re.compile(r"(?<![\d.])(\d)(?!\d)")
 _ZONE = re.compile(r"\.?\s*(?:Z|UTC|GMT)?$|\.?\s+(?=[+-]\d)")
-
-_UNITS = {
-    "count": ("count", "counts", "lsb", "digit", "digits"),
-    "V": ("v", "volt", "volts"),
-    "°C": ("c", "degc", "deg_c", "deg c", "celsius", "degree_c", "degrees_c", "degree_celsius", "degrees_celsius", "℃"),
-    "degree": ("degree", "degrees", "deg", "°", "arc_degree", "arc_degrees", "degree_true", "degrees_true"),
-    "g": ("g_n", "g0", "standard_gravity"),
-    "m/s2": ("m s-2", "m s^-2", "m s**-2", "m/s^2", "m/s²", "m/s**2", "m.s-2", "meter second-2"),
-}
-_NAME_AND_UNIT = re.compile(r"(.*\S)\s*[(\[]([^()\[\]]+)[)\]]")
-DEGREE = "degree"
-_DIMENSIONLESS = ("", "1")
-"""Units that fit every count and ratio, and say nothing."""
 
 
 def seconds_since_1970(time: Array, unit: str | None, file: str | None = None) -> Array:
@@ -86,11 +59,10 @@ def seconds_since_1970(time: Array, unit: str | None, file: str | None = None) -
     Without one it is in seconds since the moment that it counts from, and without a unit in seconds.
     """
     name, *since = _SINCE.split((unit or "").strip(), maxsplit=1)
-    lower = name if len(name) <= 2 else name.casefold()  # symbols such as ms and Ms differ in their letters alone
-    if lower not in _SECONDS and lower not in _DIMENSIONLESS:
+    length = seconds_in(name) if name not in ("", "1") else 1.0
+    if length is None:
         why = f"the time is in {unit!r}, and {name!r} is no unit of time: convert it, such as to"
         raise InputError(f"{why} 'seconds since 1970-01-01'", file=file)
-    length = _SECONDS.get(lower, 1.0)
     seconds = time * length if length >= 1.0 else time / round(1.0 / length)
     return np.asarray(seconds + _epoch(since[0].strip(), unit, file) if since else seconds)
 
@@ -107,23 +79,6 @@ def _epoch(text: str, unit: str | None, file: str | None) -> float:
         raise InputError(
             f"the time is in {unit!r}, and {text!r} is no moment: write it as 2026-05-01 12:00:00", file=file
         ) from None
-
-
-def same_unit(one: str, other: str) -> bool:
-    """Return whether two spellings of units mean the same, or one of them means nothing."""
-    return one in _DIMENSIONLESS or other in _DIMENSIONLESS or spelt(one) == spelt(other)
-
-
-def spelt(unit: str) -> str:
-    """Return a unit as this program spells it."""
-    text = unit.strip()
-    return next((name for name, others in _UNITS.items() if text == name or text.casefold() in others), text)
-
-
-def split_unit(name: str) -> tuple[str, str | None]:
-    """Return the name of a column without the unit behind it, as in ``x (m/s^2)`` or ``x [V]``, and this unit."""
-    found = _NAME_AND_UNIT.fullmatch(name.strip())
-    return (found[1], found[2]) if found and spelt(found[2]) in _UNITS else (name, None)
 
 
 def is_judgement(name: str) -> bool:

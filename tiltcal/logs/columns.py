@@ -5,17 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from tempfile import TemporaryFile, gettempdir
 from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
-from tiltcal.core.model import Array
+from tiltcal.core.model import AXES, Array
 from tiltcal.errors import InputError, UsageError
-from tiltcal.logs.cf_attributes import DEGREE, same_unit, split_unit
 from tiltcal.printable import did_you_mean
 from tiltcal.stated_arguments import named_values
+from tiltcal.units import DEGREE, READINGS, TEMPERATURES, same_unit, spelt, split_unit
 
 if TYPE_CHECKING:
     from tiltcal.logs.log import LogReader
@@ -24,9 +24,25 @@ TEMPERATURE = "temperature"
 TIME = "time"
 HEADING = "heading"
 
-_AXIS = re.compile(r"(?:acc(?:el(?:eration|erometer)?)?|a|g-?force|gf)?[ _.-]*([xyz])(?:[ _-]?axis)?", re.IGNORECASE)
-"""A component of the acceleration; linear accelerations, without gravity, are none."""
-_CLOCKS = ("time", "t", "seconds_elapsed", "timestamp")
+_WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
+_GLUED = re.compile(r"(?:field\.)?(?:(a|aa|acc|accel|gf|gforce)[ _.-]?([xyz])|([xyz])[ _.-]?acc)", re.IGNORECASE)
+_ACCELERATION = {"a", "acc", "accel", "accelerometer", "acceleration", "accelerations", "gforce", "gf", "lacc", "aacc"}
+_OTHER_QUANTITY = re.compile(
+    "g|gyro?s?|gyroscope|w|omega|angular|rot|rotation|rate|m|magn?|magnetometer|magnetic|b|field|compass|vel|velocity|pos"
+    "|position|euler|q|quat|quaternion|angles?|orientation|attitude|std|var|covariance|min|max|rms|sigma|bias|offset|jerk"
+)
+"""Words of names that are no acceleration, or none of a sample."""
+
+_CLOCKS = (
+    "time", "t", "seconds_elapsed", "timestamp", "datetime", "date time", "date/time", "utc time", "epoch", "epoc",
+    "elapsed", "time since start", "elapsed time", "timestamps", "utc", "seconds", "sec", "millis", "ms", "clock",
+    "header.stamp", "field.header.stamp", "unix time", "unix_time", "system time", "local time",
+    "yyyy-mo-dd hh-mi-ss_sss",
+)  # fmt: skip
+"""Names of a time, the best first."""
+_THERMOMETER = re.compile(
+    r"(?:(?:imu|sensor|chip|die|internal|accel(?:erometer)?)[ _.]*)?temp(?:erature)?", re.IGNORECASE
+)
 _MEMORY = 256 << 20
 """Keep the columns in memory up to so many bytes, and in temporary files beyond."""
 
@@ -46,23 +62,64 @@ def named_columns(
 def column_names(names: Sequence[str], roles: Sequence[str], named: Mapping[str, str]) -> dict[str, str]:
     """Return the column of each role that a log has: the one that was named, of its name, or that means it.
 
-    A column means an axis as phones and loggers write it (``Acceleration x (m/s^2)``, ``ax``, ``gFx``), and the time as
-    ``Time (s)`` or ``seconds_elapsed``, where no other column does.
+    A column means an axis as phones and loggers write it (``Acceleration x (m/s^2)``, ``ax``, ``gFx``), where no other
+    column does; the best of several means the time, such as ``Time (s)`` or ``seconds_elapsed``. A number is the place
+    of a column, from 1, where no column has it for its name.
     """
     bare = {split_unit(name)[0]: name for name in names} | {name: name for name in names}
-    meant: dict[str, list[str]] = {}
-    for short, name in bare.items():
-        if axis := _AXIS.fullmatch(short):
-            meant.setdefault(axis[1].lower(), []).append(name)
-        elif short.lower() in _CLOCKS:
-            meant.setdefault(TIME, []).append(name)
+    bare = {str(place): name for place, name in enumerate(names, 1)} | bare
+    meant: dict[str, set[str]] = {}
+    for name in names:
+        short = split_unit(name)[0]
+        if role := meaning(short):
+            meant.setdefault(role, set()).add(name)
     found = {}
     for role in roles:
+        alone = meant.get(role, set()) if role not in named else set()
+        if role in AXES and len(alone) > 1:  # beside the acceleration that one has, linear ones are without gravity
+            alone = {name for name in alone if "linear" not in name.lower() and "user" not in name.lower()}
+        if role == TIME and alone:
+            alone = {min(alone, key=lambda name: (_CLOCKS.index(split_unit(name)[0].strip().lower()), name))}
         column = bare.get(named.get(role, role))
-        alone = set(meant.get(role, ())) if role not in named else set()
         if column is not None or len(alone) == 1:
-            found[role] = column or alone.pop()
+            found[role] = column or next(iter(alone))
     return found
+
+
+def meaning(name: str) -> str:
+    """Return the role that the name of a column means, without its unit; empty where it means none."""
+    name = name.strip()
+    if name.lower() in _CLOCKS:
+        return TIME
+    if _THERMOMETER.fullmatch(name):
+        return TEMPERATURE
+    if glued := _GLUED.fullmatch(name):
+        return str(glued[2] or glued[3]).lower()
+    words = [word.lower() for word in _WORDS.findall(re.sub(r"^field\.|-?axis", "", name, flags=re.IGNORECASE))]
+    axes = [word for word in words if word in AXES]
+    rest = {word for word in words if word not in AXES and not word.isdigit()}
+    if len(axes) != 1 or any(map(_OTHER_QUANTITY.fullmatch, rest)) or (rest and not rest & _ACCELERATION):
+        return ""
+    return str(axes[0])
+
+
+@dataclass(frozen=True)
+class ReadingsHeader:
+    """The column of each axis that a log has, and the unit that all of them state."""
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    unit: str | None = None
+
+
+def readings_header(log: LogReader, named: Mapping[str, str] | str) -> ReadingsHeader:
+    """Return what the names of a log say of its readings."""
+    columns = column_names(log.names, AXES, named_columns(named, AXES))
+    units = {
+        spelt(log.unit(log.names.index(name)) or "") or ("g" if name.lower().startswith(("gf", "g-f")) else None)
+        for name in columns.values()
+    }
+    unit = units.pop() if len(units) == 1 else None
+    return ReadingsHeader(columns, unit if unit in READINGS else None)
 
 
 def locate_columns(
@@ -126,6 +183,8 @@ def require_units(
         if unit is None and (kind := role.rpartition("_")[2]) in _ROLE_UNITS:
             unit, of = _ROLE_UNITS[kind], f"{kind}s"
         for found in (log.unit(column), stated if role in units else None):
+            if unit == "°C" and spelt(found or unit) in TEMPERATURES:
+                continue
             if unit is not None and found is not None and not same_unit(found, unit):
                 why = f"column {log.names[column]!r} is in {found}, and {of} in {unit}: convert the readings"
                 raise InputError(why, file=log.name)
@@ -181,7 +240,9 @@ def read_columns(log: LogReader, where: Mapping[str, int], *, needs_time: bool =
     rows = faulty = 0
     with ExitStack() as opened:
         files: list[IO[bytes]] = []
-        for block in log.rows(sorted(set(where.values())), where.get(TIME), needs_time=needs_time):
+        warm = [where[TEMPERATURE]] if TEMPERATURE in where else []
+        needed = sorted(set(where.values()))
+        for block in log.rows(needed, where.get(TIME), temperatures=warm, needs_time=needs_time):
             rows, faulty = rows + len(block), faulty + len(block.faults)
             for column, kept in zip(where.values(), blocks, strict=True):
                 kept.append(block.values[column])

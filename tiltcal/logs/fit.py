@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -42,14 +42,14 @@ from tiltcal.files.tables import (
     read_segments,
     tabled_channels,
 )
-from tiltcal.logs.cf_attributes import spelt
 from tiltcal.logs.columns import (
     TEMPERATURE,
     TIME,
+    ReadingsHeader,
     RecordedColumns,
-    column_names,
     named_columns,
     read_readings,
+    readings_header,
     require_units,
 )
 from tiltcal.logs.formats import open_log
@@ -85,7 +85,7 @@ def fit_recorded(
     known = bases_of(steps, options["base"], [serial]).get(serial)
     own = None if known is None else known.calibration
     with nullcontext() if table else open_log(data, progress=progress) as log:
-        header = LogHeader() if log is None else _header_of(log, options["columns"])
+        header = ReadingsHeader() if log is None else readings_header(log, options["columns"])
         unknown = own is None and model is None
         identity = _identity(own, model, steps, options["unit"] or (header.unit if unknown else None), serial)
         if unknown:
@@ -99,6 +99,8 @@ def fit_recorded(
             positions = _of_ramp(data, log, identity, steps, options)
         else:
             positions = _of_log(data, log, identity, steps, options, rails_of(identity.channels, nominal, own))
+        for remark in [] if log is None else log.remarks:
+            options["say"](f"note: {remark}")
     measured = MeasuredSensor(
         identity,
         positions.measurements,
@@ -121,26 +123,6 @@ class FitPositions:
     ramp: RampRecord | None = None
 
 
-@dataclass(frozen=True)
-class LogHeader:
-    """The column of each axis that a log has, and the unit that all of them state."""
-
-    columns: Mapping[str, str] = field(default_factory=dict)
-    unit: str | None = None
-
-
-def _header_of(log: LogReader, named: Mapping[str, str] | str) -> LogHeader:
-    columns = column_names(log.names, AXES, named_columns(named, AXES))
-    if not columns and any("linear" in name.lower() for name in log.names):
-        without = "it has linear acceleration, without gravity: record the acceleration with gravity"
-        raise InputError(without, file=log.name, line=1)
-    units = {
-        spelt(log.unit(log.names.index(name)) or "") or ("g" if name.lower().startswith(("gf", "g-f")) else None)
-        for name in columns.values()
-    }
-    return LogHeader(columns, units.pop() if len(units) == 1 else None)
-
-
 def _require_table_alone(procedure: Procedure, options: FitOptions) -> None:
     """Raise UsageError for what contradicts a table of positions."""
     if options["segments"] is not None:
@@ -151,7 +133,7 @@ def _require_table_alone(procedure: Procedure, options: FitOptions) -> None:
         raise UsageError(f"{procedure.name} takes a continuous record, not a --table of positions")
 
 
-def _channels(data: Any, header: LogHeader | None, procedure: Procedure, options: FitOptions) -> tuple[str, ...]:
+def _channels(data: Any, header: ReadingsHeader | None, procedure: Procedure, options: FitOptions) -> tuple[str, ...]:
     """Return the axes of a procedure that a log or a table has a reading of: a sensor of two axes has no column z."""
     axes = procedure.determines.axes
     if procedure.determines.free or not axes:

@@ -84,7 +84,6 @@ class FrameReader(LogReader):
             values[index] = np.full(len(column), np.nan) if absent else self._values(column, index, time)
             if index == time:
                 times = column
-                values[index] = seconds_since_1970(values[index], self.unit(index), self.name)
         rows = {len(column) for column in values.values()}
         if len(rows) > 1:
             raise InputError("the columns differ in length", file=self.name)

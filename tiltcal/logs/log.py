@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, BinaryIO, ClassVar
 
 import numpy as np
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
 from tiltcal.errors import InputError
-from tiltcal.logs.cf_attributes import split_unit
-from tiltcal.logs.numbers_and_times import column_numbers, column_seconds, unread_time
+from tiltcal.logs.cf_attributes import seconds_since_1970
+from tiltcal.logs.numbers_and_times import are_moments, column_numbers, column_seconds, unit_since_epoch, unread_time
 from tiltcal.logs.streams import keep_freed_memory, read_ahead, sha256_of
+from tiltcal.units import TEMPERATURES, spelt, split_unit
 
 if TYPE_CHECKING:
     import polars as pl
@@ -75,7 +76,10 @@ class LogSource:
 
 
 class LogReader(ABC):
-    """A recorded log, read once from its beginning to its end; ``notes`` is what it states about itself."""
+    """A recorded log, read once from its beginning to its end.
+
+    ``notes`` is what it states about itself; ``remarks`` are sentences on how its rows were read, once they are.
+    """
 
     names: tuple[str, ...]
     header_line: int | None = None
@@ -85,6 +89,9 @@ class LogReader(ABC):
         self.source = source
         self.notes: Mapping[str, str] = {}
         self.bytes_read = 0
+        self.remarks: list[str] = []
+        self._moments: bool | None = None
+        self._time_unit: str | None = None
 
     @property
     def name(self) -> str:
@@ -102,12 +109,18 @@ class LogReader(ABC):
         return bool(getattr(self.source.stream, "interrupted", False))
 
     def rows(
-        self, columns: Sequence[int], time: int | None = None, *, frames: bool = False, needs_time: bool = False
+        self,
+        columns: Sequence[int],
+        time: int | None = None,
+        *,
+        temperatures: Collection[int] = (),
+        frames: bool = False,
+        needs_time: bool = False,
     ) -> Iterator[LogBlock]:
         """Yield the rows, block after block, with the numbers of some columns; with ``frames`` all with their types.
 
-        ``time`` is the one of the columns that may hold moments, which become seconds; where ``needs_time``, one that
-        begins with what is no time is refused.
+        ``time`` is the one of the columns that may hold moments, which become seconds, as times in another unit do;
+        where ``needs_time``, one that begins with what is no time is refused. ``temperatures`` become °C.
 
         InputError: a row cannot be parsed, a needed column holds no numbers, or the file is damaged; once the iterator
             comes to it.
@@ -120,9 +133,37 @@ class LogReader(ABC):
             if not timed and block.times is not None:
                 self._refuse_times(block.times, self.names[time or 0], rows)
             rows += len(block)
-            yield block
+            yield self._converted(block, time, temperatures)
             if self.source.progress is not None:
                 self.source.progress(self.bytes_read, self.source.size)
+
+    def converts(self, column: int) -> bool:
+        """Return whether a column of temperatures states another unit than °C, which its values then get."""
+        return spelt(self.unit(column) or "°C") in {*TEMPERATURES} - {"°C"}
+
+    def _converted(self, block: LogBlock, time: int | None, temperatures: Collection[int]) -> LogBlock:
+        """Return a block with its times in seconds and its temperatures in °C."""
+        values = dict(block.values)
+        for index in filter(self.converts, temperatures):
+            per_degree, zero = TEMPERATURES[spelt(str(self.unit(index)))]
+            values[index] = (values[index] - zero) * per_degree
+            self._say_unit(index, str(self.unit(index)), "°C")
+        if time is not None and self._moments is None and np.isfinite(block.values[time]).any():
+            self._moments = are_moments(block.times)
+        if time is not None and not self._moments:
+            stated, by = self.unit(time), "its name"
+            if stated is None:
+                self._time_unit = self._time_unit or unit_since_epoch(values[time])
+                stated, by = self._time_unit, "the size of its numbers"
+            if stated is not None:
+                values[time] = seconds_since_1970(values[time], stated, self.name)
+            if stated not in (None, "s"):
+                self._say_unit(time, str(stated), "seconds", by)
+        return replace(block, values=values)
+
+    def _say_unit(self, column: int, unit: str, used: str, by: str = "its name") -> None:
+        said = f"column {self.names[column]!r} is in {unit}, by {by}: {used} are used inside"
+        self.remarks += [said] * (said not in self.remarks)
 
     @property
     def _reads_ahead(self) -> bool:

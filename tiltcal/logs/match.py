@@ -24,11 +24,11 @@ from tiltcal.core.pair.stage import StageRecord, estimated_angle, stage_record
 from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance
-from tiltcal.logs.cf_attributes import DEGREE
 from tiltcal.logs.columns import TIME, locate_columns, read_columns, require_units
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.stated_arguments import require_boolean, require_text_or_none
+from tiltcal.units import DEGREE
 
 Course = Sequence[tuple[float, float, float, float]]
 """The estimates of a pair turn by turn, as a figure shows them."""

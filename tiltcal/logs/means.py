@@ -71,6 +71,7 @@ class Means:
     judged: Callable[[LogBlock], Table]
     time: int | None = None
     heading: int | None = None
+    temperature: int | None = None
 
     def blocks(self, blocks: Iterable[LogBlock]) -> Iterator[BlockOfMeans]:
         """Yield the means of the rows of blocks with types; the last mean may be of fewer rows."""
@@ -156,7 +157,12 @@ class Means:
         ]
         taken = frame.with_columns(pl.Series(_GROUP, groups)).filter(pl.Series(used))
         means = taken.group_by(_GROUP, maintain_order=True).agg(expressions).drop(_GROUP)
-        exact = {self.log.names[index]: pl.Series(column).fill_nan(None) for index, column in values.items()}
+        warm = {sensor.thermometer for sensor in self.sensors} | {self.temperature}
+        exact = {
+            self.log.names[index]: pl.Series(column).fill_nan(None)
+            for index, column in values.items()
+            if not (index in warm and self.log.converts(index))
+        }
         if self.time is not None:  # it has a unit and a moment of its own
             name, times = self.log.names[self.time], values[self.time]
             del exact[name]

@@ -29,7 +29,7 @@ from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import OF_G
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.logs.columns import TIME, locate_readings, named_columns, read_columns
+from tiltcal.logs.columns import TIME, column_names, locate_readings, named_columns, read_columns, readings_header
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.printable import counted, in_html
@@ -101,9 +101,12 @@ def stated_scale(
         return NoiseScale(stated, along, f"calibration of {calibration.sensor.serial}"), channels
     if model is not None and model.scaled:
         return NoiseScale(stated, {"*": model.sensitivity}, f"nominal sensitivity of {model.name}"), channels
-    if stated in OF_G:
-        return NoiseScale(stated, {"*": OF_G[stated]}, f"unit {stated}"), channels
-    return NoiseScale(stated, {}), channels
+    return scale_of(stated), channels
+
+
+def scale_of(unit: str | None) -> NoiseScale:
+    """Return the scale that a unit implies; none where it is no unit of acceleration."""
+    return NoiseScale(unit, {"*": OF_G[unit]}, f"unit {unit}") if unit in OF_G else NoiseScale(unit, {})
 
 
 def require_target(target: float | None, scale: NoiseScale) -> None:
@@ -132,14 +135,17 @@ def characterise_readings(
 
     ``name`` is what messages call the log, in place of its own name.
     """
-    require_target(target, scale)
     require_above_zero("--rate", rate)
     named = named_columns(columns, AXES)
     with open_log(readings, name=name, skip_bad_rows=skip_bad_rows, progress=progress) as log:
+        header = readings_header(log, columns)
         asked = tuple(axis for axis in AXES if axis in named)
-        there = tuple(axis for axis in AXES if axis in log.names)
+        there = tuple(axis for axis in AXES if axis in header.columns)
         # With neither, x is looked for, and the message that it is not there says how to name it.
         channels = asked or channels or there or AXES[:1]
+        if scale.unit is None and header.unit is not None:
+            scale = scale_of(header.unit)
+        require_target(target, scale)
         located = locate_readings(log, channels, named, scale.unit or "1")  # which fits every unit
         where = {channel: located[channel] for channel in channels}
         if rate is None:
@@ -154,13 +160,15 @@ def characterise_readings(
     missing = {channel: pace.rows - noise.count for channel, noise in noises.items() if noise.count < pace.rows}
     moved = moved_rows(samples, [noise.step for noise in noises.values()])
     stuck = max(stuck_spans(samples), key=lambda span: span[1] - span[0], default=None)
-    return SensorNoise(pace, noises, missing, numbers.faulty, moved, stuck, scale.of(channels), target)
+    return SensorNoise(
+        pace, noises, missing, numbers.faulty, moved, stuck, scale.of(channels), target, tuple(log.remarks)
+    )
 
 
 def _time_column(log: LogReader, named: Mapping[str, str]) -> int:
-    time = named.get(TIME, TIME)
-    if time not in log.names:
-        why = "there is no column 'time'; name it with --columns time=NAME, or state --rate HZ"
+    time = column_names(log.names, (TIME,), named).get(TIME)
+    if time is None:
+        why = f"there is no column {named.get(TIME, TIME)!r}; name it with --columns time=NAME, or state --rate HZ"
         raise InputError(f"its sample rate is unknown: {why}", file=log.name, line=log.header_line)
     return log.names.index(time)
 
@@ -236,6 +244,8 @@ class SensorNoise:
     scale, target : NoiseScale, float or None
         How much of the readings' unit a g is, where that is stated, and the standard uncertainty that the mean of a
         position should have, degrees of an axis near level.
+    of_log : sequence of str
+        How the log was read: sentences.
     """
 
     pace: Pace
@@ -246,11 +256,12 @@ class SensorNoise:
     stuck: Span | None
     scale: NoiseScale
     target: float | None
+    of_log: Sequence[str] = ()
 
     @property
     def remarks(self) -> list[str]:
         """What limits the numbers, in words."""
-        remarks = []
+        remarks = [*self.of_log]
         if self.moved:
             begin, end = self._seconds(self.moved[0])
             more = f", and {len(self.moved) - 1} times more" if len(self.moved) > 1 else ""

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 MISSING = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "null", "none"})
 
+EPOCH = (1e9, 2e10)  # seconds since 1970 between which a number is a time since then
+PACE = (1e-6, 86400.0)  # seconds between rows that show that such a number is none of a counter
+
 _CUT_NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)[eE][+-]?|\d*\.)?")
 _OPEN_POINT = r"\.([^0-9]|$)"
 _DAY = r"^\s*\d{4}-\d"
@@ -79,6 +82,30 @@ def seconds(cells: pl.Series) -> Array:
     moments = texts.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f%#z", time_unit="us", time_zone="UTC", strict=False)
     values[wrong] = (moments.dt.epoch("us") / 1e6).fill_null(np.nan).to_numpy()
     return values
+
+
+def are_moments(cells: pl.Series | None) -> bool:
+    """Return whether the cells of a time are moments, not numbers, as far as the first that is there shows."""
+    import polars as pl
+
+    if cells is None or cells.dtype.is_numeric():
+        return False
+    if cells.dtype != pl.String:
+        return cells.dtype.is_temporal()
+    texts = cells.head(1000).drop_nulls().str.strip_chars()
+    return numbers(texts.filter(~texts.str.to_lowercase().is_in([*MISSING])).head(1))[1] is not None
+
+
+def unit_since_epoch(times: Array) -> str | None:
+    """Return the unit of times since 1970 of which nothing states one, by their size and their step; else None."""
+    known = times[np.isfinite(times)]
+    steps = np.diff(known)
+    steps = steps[steps > 0.0]
+    for unit, factor in (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        if len(known) and EPOCH[0] * factor <= known[0] <= EPOCH[1] * factor:
+            usual = float(np.median(steps)) / factor if len(steps) else 1.0
+            return unit if PACE[0] <= usual <= PACE[1] else None
+    return None
 
 
 def column_numbers(column: pl.Series) -> Array | None:

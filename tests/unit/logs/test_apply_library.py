@@ -172,7 +172,7 @@ def test_means_of_several_sensors_are_of_the_rows_of_each(tmp_path: Path) -> Non
 def test_each_column_of_several_sensors_has_its_unit(tmp_path: Path) -> None:
     library = tiltcal.open_calibrations(kept(tmp_path, calibrated(0, (1000, 1000), serial="A")))
     columns = {"A_x": 1000.0, "A_y": 1000.0, "A_temperature": 293.0, "time": seconds(0.0)}
-    for name, unit, why in (("A_x", "V", "the calibration in count"), ("A_temperature", "K", "temperatures in °C")):
+    for name, unit, why in (("A_x", "V", "the calibration in count"), ("A_temperature", "V", "temperatures in °C")):
         log = xarray.Dataset({column: ("row", np.full(2, value)) for column, value in columns.items()})
         log[name].attrs["units"] = unit
         with pytest.raises(InputError, match=f"column '{name}' is in {unit}, and {why}"):

@@ -11,6 +11,7 @@ import pytest
 from tiltcal.errors import UsageError
 from tiltcal.logs import columns as columns_of_logs
 from tiltcal.logs.formats import open_log
+from tiltcal.units import split_unit
 
 
 def test_columns_beyond_the_memory_are_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,3 +36,42 @@ def test_a_folder_without_room_is_named(tmp_path: Path, monkeypatch: pytest.Monk
         pytest.raises(UsageError, match="No space left on device; make room"),
     ):
         columns_of_logs.read_columns(log, {"x": 0})
+
+
+@pytest.mark.parametrize(
+    ("role", "names"),
+    [
+        (
+            "x",
+            "x|X|ax|acc_x|accel_x|AccX|ACC_X|Acceleration_X|Accelerometer X|ACCELEROMETER X (m/s²)|a_x|gFx|x-axis (g)",
+        ),
+        ("x", "a_RS_S_x [m s^-2]|linear_acceleration.x|field.linear_acceleration.x|xacc|Shimmer_A5_Accel_LN_X_CAL"),
+        ("x", "X Accel, g (LGR S/N: 1000, SEN S/N: 1001)|accelerometerAccelerationX(G)|Accel X (g)"),
+        ("", "gx|g_x|Gyr_X|w_RS_S_x [rad s^-1]|angular_velocity.x|mag_x|Magnetometer X (μT)|AngleX(deg)|wx|mx|pos_x"),
+        ("time", "time|Time (ms)|timestamp [ns]|Time since start in ms |epoc (ms)|time_us|seconds_elapsed|Date/Time"),
+        ("temperature", "temperature|Temp (°F)|temp_C|Temperature [K]|imu_temp"),
+    ],
+)
+def test_the_name_of_a_column_means_a_role(role: str, names: str) -> None:
+    assert {name: columns_of_logs.meaning(split_unit(name)[0]) for name in names.split("|")} == dict.fromkeys(
+        names.split("|"), role
+    )
+
+
+@pytest.mark.parametrize(("unit", "step"), [("ms", 10), ("us", 1e4), ("ns", 1e7), ("min", 1 / 6000), ("h", 1 / 3.6e5)])
+def test_a_time_is_in_the_unit_of_its_name(unit: str, step: float, tmp_path: Path) -> None:
+    pl.DataFrame({f"Time ({unit})": np.arange(50) * step, "x": np.zeros(50)}).write_csv(tmp_path / "log.csv")
+    with open_log(tmp_path / "log.csv") as log:
+        found = columns_of_logs.read_columns(log, {"x": 1, "time": 0})
+        assert log.remarks == [f"column 'Time ({unit})' is in {unit}, by its name: seconds are used inside"]
+    np.testing.assert_allclose(found.by_role["time"], np.arange(50) * 0.01, atol=1e-9)
+
+
+@pytest.mark.parametrize(("factor", "step"), [(1, 0.01), (1e3, 0.01), (1e6, 0.01), (1e9, 0.01), (1, 3e5)])
+def test_the_size_of_a_time_since_1970_shows_its_unit(factor: float, step: float, tmp_path: Path) -> None:
+    """Where its step is one of a log too: a counter that has reached 1.77e9 is none."""
+    times = (1_772_357_400 + np.arange(50) * step) * factor
+    pl.DataFrame({"time": times, "x": np.zeros(50)}).write_csv(tmp_path / "log.csv")
+    with open_log(tmp_path / "log.csv") as log:
+        found = columns_of_logs.read_columns(log, {"x": 1, "time": 0})
+    np.testing.assert_allclose(found.by_role["time"], times / factor, rtol=1e-15, atol=1e-6)

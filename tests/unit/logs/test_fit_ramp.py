@@ -130,7 +130,7 @@ def test_a_base_with_a_nonlinearity_has_it_in_the_offset_and_its_uncertainty(rec
         # The SCA100T's thermometer reads 197 - 1.083 T counts: 148 to 192 of them would be too hot for any sensor.
         ({"temperature": 197.0 - 1.083 * CHAMBER}, {}, "convert counts or kelvin to °C"),
         ({"x": np.full(len(SECONDS), 1024.0)}, {}, "x reads 1024 in all 2400 rows"),
-        ({}, {"columns": ""}, "there is no column 'time'"),
+        ({}, {"columns": "time=t0"}, "there is no column 't0'"),
         ({}, {"table": True, "columns": ""}, "takes a continuous record, not a --table"),
         (
             {},

@@ -288,9 +288,9 @@ REFUSED: list[tuple[Any, dict[str, Any], str]] = [
         "rows of different kinds: 'x' along 'a' and 'y' along 'b'",
     ),
     (
-        data({"temperature": "K"}, temperature=[293.1, 293.2]),
+        data({"temperature": "V"}, temperature=[293.1, 293.2]),
         {},
-        "column 'temperature' is in K, and temperatures in °C",
+        "column 'temperature' is in V, and temperatures in °C",
     ),
     (READINGS, {"columns": "y=x"}, "x and y are one column, 'x'"),
     (pd.DataFrame([[1.0, 2.0]], columns=["x", "x"]), {}, "the frame: two columns have one name"),
