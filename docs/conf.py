@@ -24,10 +24,18 @@ version = release = __version__
 
 extensions = ["myst_parser", "sphinx_copybutton"]
 root_doc = "README"
-include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "benchmarks/README.md", "docs/**.md"]
+include_patterns = [
+    "README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "SECURITY.md",
+    "benchmarks/README.md",
+    "examples/README.md",
+    "docs/**.md",
+]
 myst_heading_anchors = 4
 myst_enable_extensions = ["attrs_inline"]
-suppress_warnings = ["misc.highlighting_failure"]  # `text` blocks hold lines of any kind
+suppress_warnings = ["misc.highlighting_failure"]
 
 html_theme = "pydata_sphinx_theme"
 html_title = f"tiltcal {version}"
@@ -49,7 +57,7 @@ html_theme_options = {
 
 CHAPTERS = {
     "First steps": ["docs/tutorial", "docs/which-sensor", "docs/wiring"],
-    "How to": ["docs/how-to/README", "docs/season", "docs/library", "docs/add-a-device"],
+    "How to": ["docs/how-to/README", "docs/season", "docs/library", "examples/README", "docs/add-a-device"],
     "Understand": ["docs/explanation", "docs/glossary"],
     "Reference": ["docs/reference/cli", "docs/reference/files", "docs/reference/library"],
     "Develop": [

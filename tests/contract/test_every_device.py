@@ -13,8 +13,8 @@ from statistics import stdev
 from typing import Any
 
 import pytest
-from support.example_device.tiltcal_dfrobot import DFROBOT_SCA100T
 from support.virtual_device import VirtualDevice
+from tiltcal_dfrobot import DFROBOT_SCA100T
 
 from tiltcal.drivers import models
 from tiltcal.drivers.accelerometers import MODELS as ACCELEROMETERS

@@ -15,7 +15,7 @@ from support.command import TILTCAL
 
 from tiltcal.files.calibration import read_calibration
 
-EXAMPLE = ROOT / "tests" / "support" / "example_device"
+EXAMPLE = ROOT / "examples" / "driver"
 PAGE = ROOT / "docs" / "add-a-device.md"
 BLOCK = re.compile(r"^```\w+ (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
