@@ -7,13 +7,12 @@ from pathlib import Path
 
 import pytest
 from support.command import tiltcal
-from support.recordings import RECORDINGS, needs
+from support.recordings import recording
 
 from tiltcal.files.calibration import read_calibration
 
-SESSION, SEGMENTS = RECORDINGS / "ferraris_session.csv", RECORDINGS / "ferraris_segments.csv"
+SESSION, SEGMENTS = recording("ferraris_session.csv"), recording("ferraris_segments.csv")
 
-pytestmark = needs(SESSION.name, SEGMENTS.name)
 
 COLUMNS = "x=acc_x,y=acc_y,z=acc_z"
 

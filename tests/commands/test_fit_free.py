@@ -13,14 +13,12 @@ from typing import Any
 
 import pytest
 from support.command import tiltcal
-from support.recordings import RECORDINGS, needs
+from support.recordings import recording
 
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.results import PositionRecord
 
-XSENS, MPU = RECORDINGS / "xsens_acc.txt", RECORDINGS / "mpu9150_imu0.txt"
-
-needs_data = needs(XSENS.name, MPU.name)
+XSENS, MPU = recording("xsens_acc.txt"), recording("mpu9150_imu0.txt")
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,6 @@ def xsens(tmp_path_factory: pytest.TempPathFactory) -> Fit:
     return fitted(tmp_path_factory.mktemp("xsens"), XSENS, *XSENS_OPTIONS)
 
 
-@needs_data
 class TestXsens:
     """The Xsens MTi: blanks between columns, no header, counts; g there is 9.81744 m/s²."""
 
@@ -90,7 +87,6 @@ def _spans(rows: Any) -> Sequence[tuple[int, int]]:
     return rows if isinstance(rows[0], tuple) else [rows]
 
 
-@needs_data
 class TestMpu9150:
     """The MPU-9150: readings in m/s², g = 9.81; the record in which a strict threshold leaves nine attitudes."""
 

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 from support import coloured_noise as coloured
 from support.applied import refused
-from support.recordings import RECORDINGS, needs
+from support.recordings import recording
 from support.warm_start import WarmStart, wait_until_grown
 
 from tiltcal.cli.noise import command
@@ -87,10 +87,9 @@ class TestOfALog:
         assert "10⁻²" in drawn
         assert "$" not in drawn
 
-    @needs("xsens_acc.txt")
     def test_a_real_sensor(self, tmp_path: Path) -> None:
         """The still minute of an Xsens MTi, and the whole record, in which it is turned by hand."""
-        lines = (RECORDINGS / "xsens_acc.txt").read_text().splitlines(keepends=True)
+        lines = recording("xsens_acc.txt").read_text().splitlines(keepends=True)
         (tmp_path / "still.txt").write_text("".join(lines[:4500]))
         columns = ("--columns", "time=1,x=2,y=3,z=4")
         still = as_json(tmp_path / "still.txt", *columns)
@@ -99,7 +98,7 @@ class TestOfALog:
         x = [float(line.split()[1]) for line in lines[:4500]]
         assert still["channels"]["x"]["averages"][0]["std"] == pytest.approx(np.std(x, ddof=1))
         assert still["channels"]["x"]["step"] == 1.0
-        assert as_json(RECORDINGS / "xsens_acc.txt", *columns)["moved"]
+        assert as_json(recording("xsens_acc.txt"), *columns)["moved"]
 
 
 class TestWhatIsWrongWithALog:

@@ -1,15 +1,31 @@
-"""Recordings of real sensors that are not the project's own; a test that needs one is skipped where it is missing."""
+"""Recordings of real sensors by others, as files; `tests/data/recordings` says where they come from."""
 
 from __future__ import annotations
 
-import pytest
+import atexit
+import lzma
+import shutil
+import tempfile
+from functools import cache
+from pathlib import Path
 
 from support import ROOT
 
-RECORDINGS = ROOT.parent / "shared" / "data"
+PACKED = ROOT / "tests" / "data" / "recordings"
 
 
-def needs(*names: str) -> pytest.MarkDecorator:
-    """Return the mark of a test that reads these files."""
-    missing = [name for name in names if not (RECORDINGS / name).exists()]
-    return pytest.mark.skipif(bool(missing), reason=f"no recording {', '.join(missing)} in the folder of recordings")
+@cache
+def _folder() -> Path:
+    folder = tempfile.mkdtemp(prefix="recordings-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
+
+
+@cache
+def recording(name: str) -> Path:
+    """Return the path of a recording, unpacked for this run of the tests."""
+    if (PACKED / name).exists():
+        return PACKED / name
+    path = _folder() / name
+    path.write_bytes(lzma.decompress((PACKED / f"{name}.xz").read_bytes()))
+    return path

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from support.recordings import RECORDINGS, needs
+from support.recordings import recording
 
 from tiltcal.errors import EstimateError, InputError, UsageError
 from tiltcal.library.calibration import read
@@ -144,7 +144,6 @@ def test_what_is_no_ramp_is_refused(record, changed, settings, message):
         fit("ramp", record | changed, serial="S-1", sensor="sca100t-d02", **{"columns": "time=seconds"} | settings)
 
 
-@needs("thermal_ramp.csv")
 def test_the_recorded_ramp_gets_no_lag_and_is_on_no_leg_worse_than_a_polynomial(base):
     """Its README: a lag helps two axes on one leg and harms on the other; part of the loop is hysteresis."""
     base.write_text(
@@ -152,7 +151,7 @@ def test_the_recorded_ramp_gets_no_lag_and_is_on_no_leg_worse_than_a_polynomial(
         "calibration:\n  offset: {x: 0.0, y: 0.0, z: 0.0}\n  sensitivity:\n    x: {x: 9.81, y: 0.0, z: 0.0}\n"
         "    y: {x: 0.0, y: 9.81, z: 0.0}\n    z: {x: 0.0, y: 0.0, z: 9.81}\n"
     )
-    log, rows = RECORDINGS / "thermal_ramp.csv", {"columns": "time=row", "base": base, "serial": "S-1"}
+    log, rows = recording("thermal_ramp.csv"), {"columns": "time=row", "base": base, "serial": "S-1"}
     with pytest.raises(EstimateError, match=r"z reads 2 g away.*--segments"):
         fit("ramp", log, **rows)
     down = [{"position": "down", "start": 0, "end": 8400, "gx": 0.0, "gy": 0.0, "gz": -1.0}]

@@ -12,13 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from support.recordings import RECORDINGS, needs
+from support.recordings import recording
 
 from tiltcal.core.estimation.estimate import estimate
 from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.errors import EstimateError
-
-needs_recorded_data = needs("ferraris_session.csv", "ferraris_segments.csv")
 
 
 def observe(name: str, gravity: tuple[float, float, float], *mean: float, u: float = 0.1, t: float | None = None):
@@ -27,9 +25,9 @@ def observe(name: str, gravity: tuple[float, float, float], *mean: float, u: flo
 
 @pytest.fixture
 def observations() -> list[Observation]:
-    with open(RECORDINGS / "ferraris_session.csv") as log:
+    with open(recording("ferraris_session.csv")) as log:
         rows = np.array([[float(row[f"acc_{axis}"]) for axis in "xyz"] for row in csv.DictReader(log)])
-    with open(RECORDINGS / "ferraris_segments.csv") as segments:
+    with open(recording("ferraris_segments.csv")) as segments:
         return [
             Observation(
                 row["position"],
@@ -41,7 +39,6 @@ def observations() -> list[Observation]:
         ]
 
 
-@needs_recorded_data
 class TestRecordedSession:
     """imucal's six-face session: least squares over all six known faces (data/README.md)."""
 
