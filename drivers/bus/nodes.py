@@ -44,7 +44,10 @@ class Node(NamedTuple):
 
     def no_permission(self, place: str) -> str:
         """Return the message for a node that this user may not open; nobody is told to join the group root."""
-        import grp
+        try:
+            import grp
+        except ImportError:  # Windows, which says the same of a port that another program has opened
+            return f"{place} cannot be opened: another program has it, or this user may not use it; stop that program"
 
         try:
             group = grp.getgrgid(os.stat(place).st_gid).gr_name

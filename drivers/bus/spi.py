@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from tiltcal.drivers.bus import Device
@@ -51,7 +52,11 @@ class SpiLink:
             "spidev", "SPI needs the Python package spidev, for Linux only", "'tiltcal[spi]'"
         ).SpiDev()
         try:
-            self._bus.open_path(device)
+            # spidev 3.6, which Debian 12 has, has no open_path.
+            if numbered := re.fullmatch(r"/dev/spidev(\d+)\.(\d+)", device):
+                self._bus.open(*map(int, numbered.groups()))
+            else:
+                self._bus.open_path(device)
             self._bus.mode = mode
             self._bus.max_speed_hz = speed
             self._bus.bits_per_word = 8

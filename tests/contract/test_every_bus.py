@@ -66,13 +66,13 @@ class Stub:
         self.open_error = self.transfer_error = None
         self.path, self.closed, self.sent, self.edges = "", 0, [], []
 
-    def open_path(self, path: str, **options: object) -> Stub:
+    def open(self, path: str | int, *chip_select: int, **options: object) -> Stub:
         if self.open_error:
             raise self.open_error
-        self.path, self.options = path, options
+        self.path, self.options = f"bus {path}.{chip_select[0]}" if chip_select else path, options
         return self
 
-    open = request_lines = open_path
+    request_lines = open
 
     def i2c_rdwr(self, *messages: StubMessage) -> None:
         if self.transfer_error:
@@ -105,6 +105,15 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Stub:
     monkeypatch.setitem(sys.modules, "smbus2", SimpleNamespace(SMBus=lambda: stub, i2c_msg=StubMessage))
     monkeypatch.setattr(gpiod, "request_lines", stub.request_lines)
     return stub
+
+
+def test_an_spi_device_with_its_usual_name_needs_no_newer_spidev(bus: Stub) -> None:
+    """The package of Debian 12, 3.6, opens a bus and a chip select, and has no open_path for other names."""
+    opened("spi:///dev/spidev1.12")
+    assert bus.path == "bus 1.12"
+    bus.open_path = bus.open
+    opened("spi:///dev/tilt")
+    assert bus.path == "/dev/tilt"
 
 
 def test_an_exchange_on_i2c_is_one_transaction(bus: Stub) -> None:
@@ -302,6 +311,9 @@ def test_no_permission_names_the_group_that_has_it(
                 opened(address)
         assert advice in str(error.value)
         assert "usermod -aG root" not in str(error.value)
+    monkeypatch.setitem(sys.modules, "grp", None)  # as on Windows
+    with pytest.raises(BusError, match="another program has it, or this user may not use it"):
+        opened(address)
 
 
 ERRORS = (
