@@ -33,8 +33,11 @@ import os
 import select
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from math import dist
+from queue import SimpleQueue
+from threading import Thread
 from typing import Any, Protocol, TextIO
 
 import msgspec
@@ -128,7 +131,8 @@ class LineReader:
     """The lines of a text stream, waited for or taken where they have arrived.
 
     It reads the stream's descriptor itself, because Python's buffer cannot be asked without waiting; nothing else may
-    read the stream. A stream without a descriptor is read as it is, and has nothing ready.
+    read the stream. A stream without a descriptor is read as it is, and has nothing ready. Where select takes sockets
+    alone, as on Windows, a thread reads the descriptor.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -136,10 +140,14 @@ class LineReader:
         self._ready: deque[str] = deque()
         self._rest = b""
         self._ended = False
+        self._pieces: SimpleQueue[bytes] | None = None
         try:
             self._descriptor: int | None = stream.fileno()
         except (OSError, ValueError):
             self._descriptor = None
+        if self._descriptor is not None and not hasattr(select, "poll"):
+            self._pieces = SimpleQueue()
+            Thread(target=self._fetch, args=(self._descriptor, self._pieces), daemon=True).start()
 
     def next(self) -> str:
         """Wait for the next line and return it with its end; empty at the end of the stream."""
@@ -151,12 +159,21 @@ class LineReader:
 
     def waiting(self) -> list[str]:
         """Return the lines that have arrived; they stay."""
-        if self._descriptor is not None and not self._ended and select.select([self._descriptor], [], [], 0.0)[0]:
+        if self._descriptor is None or self._ended:
+            return list(self._ready)
+        if not self._pieces.empty() if self._pieces else select.select([self._descriptor], [], [], 0.0)[0]:
             self._read(self._descriptor)
         return list(self._ready)
 
+    @staticmethod
+    def _fetch(descriptor: int, pieces: SimpleQueue[bytes]) -> None:
+        with suppress(OSError):  # closed
+            while arrived := os.read(descriptor, CHUNK):
+                pieces.put(arrived)
+        pieces.put(b"")
+
     def _read(self, descriptor: int) -> None:
-        arrived = os.read(descriptor, CHUNK)
+        arrived = self._pieces.get() if self._pieces else os.read(descriptor, CHUNK)
         self._ended = not arrived
         *lines, rest = (self._rest + arrived).split(b"\n")
         self._rest = b"" if self._ended else rest[:LONGEST]

@@ -210,7 +210,8 @@ class JournalWriter:
             raise JournalError(f"cannot be continued: {error.strerror}", file=journal.path) from None
         try:
             _lock(descriptor, journal.path)
-            if b"\n" in os.pread(descriptor, LINE_LIMIT, journal.written.size):
+            os.lseek(descriptor, journal.written.size, os.SEEK_SET)
+            if b"\n" in os.read(descriptor, LINE_LIMIT):
                 why = "another process has written to it since it was read: resume it again"
                 raise JournalError(why, file=journal.path)
             os.ftruncate(descriptor, journal.written.size)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import select
 import signal
 import stat
 import sys
@@ -15,7 +16,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext, suppress
 from hashlib import file_digest
 from pathlib import Path
-from select import select
 from types import FrameType
 from typing import BinaryIO, TypeVar, cast
 
@@ -165,8 +165,9 @@ class PipeReader:
         """Return so many bytes, or all that come until the end."""
         parts, missing = [], size
         while missing and not self.interrupted:
-            # A signal that comes just before the wait, or to another thread, does not end it.
-            if os.name == "posix" and not select([self._descriptor], [], [], _LOOK)[0]:
+            # A signal that comes just before the wait, or to another thread, does not end it. On Windows select takes
+            # sockets alone, and has no poll beside it.
+            if hasattr(select, "poll") and not select.select([self._descriptor], [], [], _LOOK)[0]:
                 continue
             if not (part := os.read(self._descriptor, missing)):
                 break
