@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
+import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +16,10 @@ import polars as pl
 import pytest
 from support import FIXTURES
 from support.command import TILTCAL, tiltcal
+
+from tiltcal import __version__
+from tiltcal.cli.main import run
+from tiltcal.cli.talk import end_unforeseen
 
 LOG = "time,x,y,temperature\n2000-01-02T00:00:00Z,1024,1030,20\n"
 
@@ -76,18 +82,28 @@ def started(*arguments: str | Path, cwd: Path, **variables: str) -> subprocess.C
     )
 
 
-def test_an_error_that_nothing_foresees_names_its_input(tmp_path: Path) -> None:
-    """Chrono ends in the year 262142, and polars writes no date behind it."""
-    far = pl.Series("time", [9_200_000_000_000_000_000], dtype=pl.Int64).cast(pl.Datetime("us"))
-    pl.DataFrame({"x": [1024.0], "y": [1030.0], "time": far}).write_parquet(tmp_path / "log.parquet")
-    arguments = ("apply", FIXTURES / "mavs.yaml", "log.parquet", "-o", "out.csv")
-    done = started(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    said = done.stderr.splitlines()[-1]
-    assert said.startswith(f"tiltcal: {FIXTURES / 'mavs.yaml'}, log.parquet cannot be processed: PanicException: ")
-    assert "Traceback" not in done.stderr
-    assert not (tmp_path / "out.csv").exists()
-    assert "Traceback" in started(*arguments, cwd=tmp_path, TILTCAL_TRACEBACK="1").stderr
+def test_an_error_that_nothing_foresees_says_that_it_is_ours_and_what_to_send(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("tiltcal.cli.check._is_journal", None)
+    shutil.copy(FIXTURES / "mavs.yaml", tmp_path / "S.yaml")
+    arguments = ["check", str(tmp_path / "S.yaml"), "-o", "out.csv"]
+    with pytest.raises(TypeError) as failure:
+        run(arguments[:2])
+    with pytest.raises(TypeError):
+        end_unforeseen(failure.value, arguments)
+    monkeypatch.delenv("TILTCAL_TRACEBACK")
+    assert end_unforeseen(failure.value, arguments) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(
+        "tiltcal: this is an error of tiltcal: TypeError: 'NoneType' object is not callable at tiltcal.cli.check, line "
+    )
+    assert f", with {tmp_path}/S.yaml. Report it with this message, what the same command prints with" in said
+    shown = tiltcal("--version", "--verbose").stdout.splitlines()
+    assert said.rstrip().endswith(", ".join(shown))
+    assert {f"tiltcal {__version__}", f"polars {pl.__version__}", f"numpy {np.__version__}"} <= set(shown)
+    assert any(line.startswith(f"Python {platform.python_version()}") for line in shown)
+    assert tiltcal("--version").stdout == f"tiltcal, version {__version__}\n"
 
 
 def test_variables_of_the_environment_that_libraries_read(tmp_path: Path) -> None:

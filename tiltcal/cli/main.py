@@ -10,7 +10,7 @@ from importlib import import_module
 import click
 
 from tiltcal import __version__
-from tiltcal.cli.talk import talk
+from tiltcal.cli.talk import talk, versions
 from tiltcal.errors import INTERRUPTED, TiltcalError, UsageError
 from tiltcal.printable import printable
 
@@ -70,13 +70,24 @@ class Commands(click.Group):
 
 @click.group(
     cls=Commands,
+    invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="Example: tiltcal measure plane --sensor sca100t-d02 --address spi:///dev/spidev0.0 --serial S-0042 "
     "-o S-0042.yaml",
 )
-@click.version_option(__version__, prog_name="tiltcal")
-def group() -> None:
+@click.option("--version", is_flag=True, help="Print the version; with --verbose also those of what tiltcal uses.")
+@click.option("--verbose", is_flag=True, help="With --version.")
+@click.pass_context
+def group(ctx: click.Context, version: bool, verbose: bool) -> None:
     """Calibrate tilt sensors at the bench, and remove their errors from recorded logs."""
+    if verbose and not version:
+        raise click.UsageError("--verbose goes with --version", ctx)
+    if version:
+        click.echo("\n".join(versions()) if verbose else f"tiltcal, version {__version__}")
+        ctx.exit()
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+        ctx.exit(UsageError.exit_code)
 
 
 def run(args: list[str] | None = None) -> int:

@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from tiltcal import __version__
 from tiltcal.errors import InputError
 from tiltcal.printable import printable
 
@@ -63,19 +64,40 @@ def progress_bar(what: str) -> Iterator[Progress | None]:
 
 
 def unforeseen(failure: BaseException, *inputs: str) -> InputError:
-    """Return the error that names the inputs of which something raised an exception that is none of tiltcal's.
+    """Return the error that says where an exception that is none of tiltcal's arose, of which inputs and versions.
 
     An exception that ends programs, such as that of Ctrl-C, is raised again, and every one where :data:`TRACEBACK` is
     set.
     """
     if isinstance(failure, KeyboardInterrupt | SystemExit | GeneratorExit) or os.environ.get(TRACEBACK):
         raise failure
+    from traceback import walk_tb
+
     why = " ".join(f"{type(failure).__name__}: {failure}".split())[:_LONGEST]
-    where = ", ".join(inputs) or "the options, or a variable of the environment"
+    place = [
+        f" at {module}, line {line}"
+        for frame, line in walk_tb(failure.__traceback__)
+        if (module := str(frame.f_globals.get("__name__"))).partition(".")[0] == "tiltcal"
+    ]
+    with_inputs = f", with {', '.join(inputs)}" if inputs else ""
     return InputError(
-        f"{where} cannot be processed: {why}; correct a number or date that is out of range, or a damaged file. "
-        f"If none is, report it with what {TRACEBACK}=1 prints"
+        f"this is an error of tiltcal: {why}{''.join(place[-1:])}{with_inputs}. Report it with this message, what the "
+        f"same command prints with {TRACEBACK}=1 before it, and the input, damaged or not: {', '.join(versions())}"
     )
+
+
+def versions() -> Iterator[str]:
+    """Return the version of tiltcal, of Python and its system, and of each package that tiltcal uses and finds."""
+    import platform
+    import re
+    from importlib.metadata import PackageNotFoundError, requires, version
+
+    yield f"tiltcal {__version__}"
+    yield f"Python {platform.python_version()} on {platform.platform()}"
+    names = {re.split(r"[^\w-]", line)[0] for line in requires("tiltcal") or () if "dev" not in line}
+    for name in sorted(names - {"tiltcal"}, key=str.lower):
+        with suppress(PackageNotFoundError):
+            yield f"{name} {version(name)}"
 
 
 def end_unforeseen(failure: BaseException, args: list[str]) -> int:
