@@ -58,7 +58,7 @@ def find_model(name: str) -> Model:
     UsageError: no model has this name (near names are offered), a plug-in claims the name of another model, or a
         plug-in cannot be loaded.
     """
-    require_text("--sensor", name)
+    require_text("sensor", name)
     plug_ins = _plug_ins(tuple(sys.path))
     claims = plug_ins.get(name, [])
     _refuse_rivals(name, claims)

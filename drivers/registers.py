@@ -20,7 +20,7 @@ from tiltcal.drivers.bus.address import Address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.model import Model, Reading, Sensor, deviation_within, in_words, typical_nonlinearity
 from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart
-from tiltcal.errors import BusError, DeviceFault
+from tiltcal.errors import Argument, BusError, DeviceFault
 
 Registers = Mapping[int, int]
 """Contents by register."""
@@ -429,10 +429,11 @@ class RegisterSensor(Sensor):
             if stuck and all(self.register(register) == identity[0] for register in range(0x80)):
                 check_data_line(identity)
             expected, other = " or ".join(one.hex(" ").upper() for one in known), start_up.family.get(identity)
-            advice = f"name it with --sensor {other}" if other else "is another device on this chip select or address?"
             raise DeviceFault(
-                f"the part says that it is {identity.hex(' ').upper()}, where an {self.part.short} says {expected}: "
-                f"{advice}"
+                f"the part says that it is {identity.hex(' ').upper()}, where an {self.part.short} says {expected}",
+                advice=("name it with ", Argument("sensor", other))
+                if other
+                else "is another device on this chip select or address?",
             )
 
     def _start(self) -> None:

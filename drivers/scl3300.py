@@ -33,7 +33,7 @@ from tiltcal.drivers.model import (
     typical_nonlinearity,
 )
 from tiltcal.drivers.virtual import HeldPose, Tolerances, Truth, VirtualPart, uniform
-from tiltcal.errors import BusError, DeviceFault
+from tiltcal.errors import Argument, BusError, DeviceFault
 
 ACC_X, ACC_Y, ACC_Z = (bytes.fromhex(frame) for frame in ("040000F7", "080000FD", "0C0000FB"))
 TEMPERATURE, STATUS, WHOAMI = (bytes.fromhex(frame) for frame in ("140000EF", "180000E5", "40000091"))
@@ -286,7 +286,7 @@ class Scl3300(Sensor):
             return 0
         right = whoami.data == self._part.identity
         if not first and whoami.status == NORMAL and not right:
-            raise DeviceFault(self._other_part(whoami.data))
+            raise self._other_part(whoami.data)
         # Reading STATUS clears what the start has set: the second answer has to be free of errors.
         if right and second.status == third.status == whoami.status == NORMAL:
             return None
@@ -305,11 +305,12 @@ class Scl3300(Sensor):
                 raise BusError("each frame comes back as it was sent: MISO is connected to MOSI")
         return decode(first), [decode(frame) for frame in raw]
 
-    def _other_part(self, identity: int) -> str:
+    def _other_part(self, identity: int) -> DeviceFault:
         other = next((part.name for part in (_SCL3300, _SCA3300) if part.identity == identity), None)
-        advice = f"an {other}: name it with --sensor" if other else "no part that is known: is the wiring right?"
+        named = (f"an {other}: name it with ", Argument("sensor"))
+        unknown = "no part that is known: is the wiring right?"
         said = f"WHOAMI reads 0x{identity:02X}, and an {self._part.name} answers 0x{self._part.identity:02X}"
-        return f"{said}: the part is {advice}"
+        return DeviceFault(said, advice=("the part is ", *(named if other else (unknown,))))
 
     def _exchange(self, frame: bytes) -> bytes:
         self._clock.sleep(GAP)

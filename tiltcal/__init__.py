@@ -55,9 +55,6 @@ def __getattr__(name: str) -> object:
     home = next((module for module, names in _HOME.items() if name in names.split()), "errors")
     value: object = getattr(import_module(f"tiltcal.{home}"), name)
     if callable(value) and not isinstance(value, type):
-        from tiltcal.options import names_arguments
-
-        value = names_arguments(value)
         value.__module__ = __name__  # where pickle looks for it
     globals()[name] = value
     return value

@@ -18,6 +18,7 @@ A message says what was found, where, and what to do.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from os import PathLike
 
 NEGATIVE_VERDICT = 1
@@ -27,10 +28,70 @@ INTERRUPTED = 130
 """Exit code of a command that Ctrl-C or its operator stopped."""
 
 
+class Argument:
+    """An argument in a message: a program reads its name, the command line writes its option.
+
+    Parameters
+    ----------
+    name : str
+        Of the argument of a function, such as ``table_lean``.
+    value : str
+        What is written behind it, if anything.
+    """
+
+    def __init__(self, name: str, value: str = "") -> None:
+        self.name = name
+        self.value = value
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.value}".rstrip()
+
+
+Parts = tuple[str | Argument, ...]
+Words = str | Argument | Parts
+"""A text, or its parts where it names arguments."""
+
+
+def parts_of(words: Words) -> Parts:
+    """Return the parts of a text."""
+    return words if isinstance(words, tuple) else (words,)
+
+
+def listed(names: Iterable[str]) -> Parts:
+    """Return the parts of a list of arguments: the first, the second and the third."""
+    arguments = [Argument(name) for name in names]
+    joints = [", "] * (len(arguments) - 2) + [" and "] * (len(arguments) > 1)
+    return tuple(part for pair in zip(arguments, [*joints, ""], strict=True) for part in pair)
+
+
 class TiltcalError(Exception):
-    """Base of every error that tiltcal raises on purpose."""
+    """Base of every error that tiltcal raises on purpose.
+
+    Parameters
+    ----------
+    why : str, Argument or tuple of them
+        What was found; of an ``option`` what follows its name.
+    option : str, optional
+        Name of the argument that is refused.
+    advice : str, Argument or tuple of them, optional
+        What to do.
+    """
 
     exit_code = 2
+
+    def __init__(self, why: Words = "", *, option: str | None = None, advice: Words = "") -> None:
+        self.option, self.why, self.advice = option, why, advice
+        super().__init__(self.written())
+
+    @property
+    def words(self) -> Parts:
+        """The parts of the message, for an error that quotes it."""
+        subject: Parts = () if self.option is None else (Argument(self.option), " ")
+        return (*subject, *parts_of(self.why), *((": ", *parts_of(self.advice)) if self.advice else ()))
+
+    def written(self, argument: Callable[[Argument], str] = str) -> str:
+        """Return the message with its arguments as ``argument`` writes them."""
+        return "".join(part if isinstance(part, str) else argument(part) for part in self.words)
 
 
 class UsageError(TiltcalError):
@@ -42,7 +103,7 @@ class InputError(TiltcalError):
 
     Parameters
     ----------
-    message : str
+    message : str, Argument or tuple of them
         What was found and what to do.
     file : str or Path, optional
         The file as the user named it.
@@ -53,14 +114,19 @@ class InputError(TiltcalError):
     """
 
     def __init__(
-        self, message: str, *, file: str | PathLike[str] | None = None, line: int | None = None, key: str | None = None
+        self,
+        message: Words,
+        *,
+        file: str | PathLike[str] | None = None,
+        line: int | None = None,
+        key: str | None = None,
     ) -> None:
         self.message = message
         self.file = None if file is None else str(file)
         self.line = line
         self.key = key
         where = ":".join(str(part) for part in (self.file, line) if part is not None)
-        super().__init__(": ".join(part for part in (where, key, message) if part))
+        super().__init__((*(f"{part}: " for part in (where, key) if part), *parts_of(message)))
 
 
 class JournalError(InputError):
@@ -94,7 +160,7 @@ class SensorError(HardwareError):
         Which one.
     """
 
-    def __init__(self, serial: str, message: str) -> None:
+    def __init__(self, serial: str, message: Words) -> None:
         self.serial = serial
         super().__init__(message)
 

@@ -10,18 +10,15 @@ import inspect
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import wraps
 from textwrap import fill
 from typing import Any, TypeVar, get_type_hints
 
-from tiltcal.errors import TiltcalError
+from tiltcal.printable import did_you_mean
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
 INDENT = "    "
-_OPTION = re.compile(r"(?<![\w-])--([a-z]+(?:-[a-z]+)*)")
-_SEE_HELP = re.compile(r"; see `?tiltcal \w+ --help`?$")
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class Option:
     default : object
         What it is where it is left out.
     check : callable or None
-        Raises UsageError for a value that cannot be one; called with the name of the option and the value.
+        Raises UsageError for a value that cannot be one; called with the name of the argument and the value.
     name, short : str
         Of the option where it differs from that of the argument, and its letter, such as ``-o``.
     """
@@ -68,10 +65,11 @@ def complete(declaration: type[T], given: Mapping[str, Any]) -> T:
     """Return options with the defaults of those that are left out; a value that cannot be one is a UsageError."""
     options = options_of(declaration)
     for name in given.keys() - options.keys():
-        raise TypeError(f"there is no option {name!r}; the options are {', '.join(options)}")
+        near = did_you_mean(name, options)
+        raise TypeError(f"there is no option {name!r}{near}; the options are {', '.join(options)}")
     for name, value in given.items():
         if (check := options[name][0].check) is not None:
-            check(flag_of(name, options[name][0]), value)
+            check(name, value)
     return declaration(**{name: given.get(name, option.default) for name, (option, _) in options.items()})
 
 
@@ -99,27 +97,6 @@ def takes(declaration: type) -> Callable[[F], F]:
         return function
 
     return documented
-
-
-def with_arguments(message: str) -> str:
-    """Return the message of an error with arguments in place of options; a command that it advises stays one."""
-    said, advised, command = _SEE_HELP.sub("", message).partition("tiltcal ")
-    said = _OPTION.sub(lambda option: option[1].replace("-", "_"), said)
-    return re.sub(r"(?<![\w-])-o\b", "output", said) + advised + command
-
-
-def names_arguments(function: F) -> F:
-    """Let the errors of a function of the library name its arguments, where the command line names options."""
-
-    @wraps(function)
-    def named(*args: Any, **how: Any) -> Any:
-        try:
-            return function(*args, **how)
-        except TiltcalError as error:
-            error.args = (with_arguments(str(error)),)
-            raise
-
-    return named  # type: ignore[return-value]
 
 
 def _written(kind: Any) -> str:

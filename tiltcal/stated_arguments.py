@@ -8,7 +8,7 @@ from numbers import Integral, Real
 from os import PathLike
 from typing import Any, cast
 
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import Argument, InputError, UsageError
 from tiltcal.printable import did_you_mean
 
 LEAST, MOST = 1e-9, 1e9
@@ -32,13 +32,13 @@ def is_number(value: object, least: float = -MOST) -> bool:
 def require_above_zero(option: str, value: object) -> None:
     """Refuse a value that is no number above 0, with a UsageError; None is not stated."""
     if value is not None and not (is_number(value, 0.0) and value):
-        raise UsageError(f"{option} takes a number from {LEAST:g} to {MOST:g}, not {shown(value)}")
+        raise UsageError(option=option, why=f"takes a number from {LEAST:g} to {MOST:g}, not {shown(value)}")
 
 
 def require_from_zero(option: str, value: object) -> None:
     """Refuse a value that is no number from 0, with a UsageError; None is not stated."""
     if value is not None and not is_number(value, 0.0):
-        raise UsageError(f"{option} takes 0 or a number from {LEAST:g} to {MOST:g}, not {shown(value)}")
+        raise UsageError(option=option, why=f"takes 0 or a number from {LEAST:g} to {MOST:g}, not {shown(value)}")
 
 
 def require_whole(option: str, value: object, least: int, what: str) -> None:
@@ -47,7 +47,7 @@ def require_whole(option: str, value: object, least: int, what: str) -> None:
     ``what`` names what it counts, for the message.
     """
     if value is not None and not (isinstance(value, Integral) and least <= int(value) <= MOST):
-        raise UsageError(f"{option} takes a number of {what} from {least} to {MOST:g}, not {shown(value)}")
+        raise UsageError(option=option, why=f"takes a number of {what} from {least} to {MOST:g}, not {shown(value)}")
 
 
 def shown(value: object) -> str:
@@ -61,13 +61,13 @@ def shown(value: object) -> str:
 def require_boolean(option: str, value: object) -> None:
     """Refuse a value that is no boolean of Python or numpy, with a UsageError: the text "no" would count as true."""
     if not isinstance(of_python(value), bool):
-        raise UsageError(f"{option} takes True or False, not {value!r}")
+        raise UsageError(option=option, why=f"takes True or False, not {value!r}")
 
 
 def require_text(option: str, value: object) -> None:
     """Refuse a value that is no text, with a UsageError."""
     if not isinstance(value, str):
-        raise UsageError(f"{option} takes a text, not {value!r}")
+        raise UsageError(option=option, why=f"takes a text, not {value!r}")
 
 
 def require_text_or_none(option: str, value: object) -> None:
@@ -82,27 +82,27 @@ def named_values(option: str, given: object, names: Sequence[str], what: str, ex
     ``what`` is what a name stands for, and ``example`` a pair, for the messages.
     """
     if not isinstance(given, str | Mapping):
-        raise UsageError(f"{option} takes {what}s by name, such as {example}, not {given!r}")
+        raise UsageError(option=option, why=f"takes {what}s by name, such as {example}, not {given!r}")
     pairs = [part.strip() for part in given.split(",")] if isinstance(given, str) else []
     named: dict[str, Any] = {} if isinstance(given, str) else dict(given)
     for pair in filter(None, pairs):
         name, _, value = (part.strip() for part in pair.partition("="))
         if not value:
-            raise UsageError(f"{option}: {pair!r} is no pair; write {example}")
+            raise UsageError(option=option, why=f"takes pairs, not {pair!r}", advice=f"write {example}")
         if name in named:
-            raise UsageError(f"{option}: {name} is named twice")
+            raise UsageError(option=option, why=f"names {name} twice")
         named[name] = value
     for name in named:
         if name not in names:
             near = did_you_mean(str(name), names)
-            raise UsageError(f"{option}: there is no {what} {name!r}{near}; the {what}s are {', '.join(names)}")
+            raise UsageError(option=option, why=f"has no {what} {name!r}{near}; the {what}s are {', '.join(names)}")
     return named
 
 
-def require_path(what: str, value: object) -> None:
+def require_path(what: str | Argument, value: object) -> None:
     """Refuse a value that is no name of a file, with a UsageError; ``what`` says which file, for the message."""
     if not isinstance(value, str | PathLike):
-        raise UsageError(f"{what} is named by a text or a Path, not {value!r}")
+        raise UsageError((what, f" is named by a text or a Path, not {value!r}"))
 
 
 def require_printable(

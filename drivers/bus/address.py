@@ -128,7 +128,7 @@ def parse_address(text: str) -> Address:
 
     UsageError: the address is malformed.
     """
-    require_text("--address", text)
+    require_text("address", text)
     if _PORT.match(text):
         return replace(parse_address(f"serial:{text}"), written=text)
     scheme, colon, rest = text.partition(":")

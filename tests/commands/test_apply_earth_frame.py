@@ -10,6 +10,7 @@ from click.testing import CliRunner, Result
 from support.applied import PLAIN
 
 from tiltcal.cli.apply import command
+from tiltcal.cli.talk import in_options
 from tiltcal.errors import InputError, TiltcalError, UsageError
 
 CAL = (
@@ -50,7 +51,7 @@ def columns(result: Result) -> dict[str, list[float]]:
 def refused(*arguments: str, kind: type[TiltcalError] = UsageError) -> str:
     found = apply(*arguments).exception
     assert isinstance(found, kind), found
-    return str(found)
+    return in_options(found, command)
 
 
 def test_a_magnetometer_gives_the_numbers_worked_out_by_hand() -> None:

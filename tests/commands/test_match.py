@@ -221,7 +221,7 @@ class TestRefusals:
         path = small(tmp_path)
         said = refused(match(path, "--pair", "a1,a2", "--orthogonal", "a5", "--phase", "theta"), InputError)
         assert "there is no column 'a5'; the log has time, theta, a1, a2, a3, a4" in said
-        assert said.endswith("Name it with --pair or --orthogonal NAME")
+        assert said.endswith("Name it with --pairs NAME")
         said = refused(match(path, *PAIR, "--phase", "angle"), InputError)
         assert said.endswith("Name it with --phase NAME")
 

@@ -88,7 +88,9 @@ def test_an_option_that_there_is_not_is_named(tmp_path: Path) -> None:
     shutil.copy(FIXTURES / "mavs.yaml", tmp_path)
     pair = tiltcal.read(FIXTURES / "rotation.yaml")
     for calibration in (pair, tiltcal.open_calibrations(tmp_path)):
-        with pytest.raises(TypeError, match="there is no option 'uncertanty'; the options are columns,"):
+        with pytest.raises(
+            TypeError, match=r"there is no option 'uncertanty' \(did you mean 'uncertainty'\?\); the options"
+        ):
             calibration.apply({}, uncertanty=True)
 
 

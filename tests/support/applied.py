@@ -8,6 +8,7 @@ from math import nan
 from click.testing import CliRunner, Result
 
 from tiltcal.cli.apply import command
+from tiltcal.cli.talk import in_options
 from tiltcal.errors import TiltcalError
 
 PLAIN = """\
@@ -34,7 +35,7 @@ def refused(result: Result, kind: type[TiltcalError]) -> str:
     assert isinstance(result.exception, kind), (result.exception, result.output)
     assert result.exception.exit_code == 2
     assert result.stdout == ""
-    return str(result.exception)
+    return in_options(result.exception, command)
 
 
 def rows(text: str) -> list[dict[str, float]]:

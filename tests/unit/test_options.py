@@ -41,8 +41,10 @@ def test_hints_of_overloads_can_be_resolved() -> None:
 
 
 def test_an_unknown_option_and_a_wrong_value_are_refused() -> None:
-    with pytest.raises(TypeError, match=r"no option 'uncertain'; the options are columns, uncertainty"):
+    with pytest.raises(
+        TypeError, match=r"no option 'uncertain' \(did you mean 'uncertainty'\?\); the options are columns,"
+    ):
         complete(ApplyOptions, {"uncertain": True})
-    with pytest.raises(UsageError, match="--reading-noise takes 0 or a number from 1e-09"):
+    with pytest.raises(UsageError, match="reading_noise takes 0 or a number from 1e-09"):
         complete(ApplyOptions, {"reading_noise": -1.0})
     assert complete(FitOptions, {"jig": 0.1})["columns"] == ""

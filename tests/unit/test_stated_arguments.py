@@ -60,7 +60,7 @@ OTHERS: list[tuple[str, str, Any, str]] = [
     ("match", "pairs", [("a1", 2, "a4")], "a pair is three columns"),
     ("measure", "base", 5.5, "base is named by a text or a Path, not 5.5"),
     ("measure", "output", 5, "output is named by a text or a Path, not 5"),
-    ("measure", "heading", "a", "heading_uncertainty takes 0 or a number from"),
+    ("measure", "heading", "a", "heading takes 0 or a number from"),
 ]
 
 

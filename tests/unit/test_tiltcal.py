@@ -114,7 +114,7 @@ def test_library_refuses_in_the_words_of_the_command_with_its_own_names() -> Non
 def test_what_is_missing_is_named_as_an_argument() -> None:
     with pytest.raises(tiltcal.UsageError) as refusal:
         tiltcal.measure("plane", sensor="sca100t-d02")
-    assert str(refusal.value) == "measure needs address, serial, output (or resume JOURNAL)"
+    assert str(refusal.value) == "measure needs address, serial and output (or resume JOURNAL)"
 
 
 def test_measure_asks_in_a_notebook_by_input(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -142,7 +142,7 @@ def open_same(
             raise BusError(why)
     except HardwareError as error:
         link.close()
-        raise BusError(str(error)) from error
+        raise BusError(error.words) from error
     return link
 
 
@@ -245,8 +245,11 @@ class SensorSet:
         elif self._just_lost:
             raise SensorError(
                 error.serial,
-                f"{error}; before it {', '.join(self._just_lost)} failed: is a supply, a line or an adapter of all of "
-                "them down? After --resume they are measured again",
+                (
+                    *error.words,
+                    f"; before it {', '.join(self._just_lost)} failed: is a supply, a line or an adapter of all of "
+                    "them down? After --resume they are measured again",
+                ),
             )
         else:
             raise error
@@ -261,7 +264,8 @@ def at_one_temperature(readings: dict[str, Reading]) -> Sample:
 
 def named_error(name: str, error: HardwareError, *, alone: bool) -> SensorError:
     """Return an error with the name of its device, unless that is the only sensor."""
-    return SensorError(name, str(error) if alone and name != THERMOMETER else f"{name.strip('()')}: {error}")
+    where = () if alone and name != THERMOMETER else (f"{name.strip('()')}: ",)
+    return SensorError(name, (*where, *error.words))
 
 
 class Recorder:

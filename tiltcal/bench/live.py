@@ -81,7 +81,7 @@ class TiltOfReadings:
         try:
             self._compensation = compensation_of(calibration)
         except EstimateError as failure:
-            raise InputError(str(failure)) from failure
+            raise InputError(failure.words) from failure
         self._uncertain: CompensationWithUncertainty | None = None
         try:
             stated, _ = stated_uncertainty(calibration.uncertainty, coefficients)

@@ -13,7 +13,16 @@ from tiltcal.bench.journal import SessionResult, calibrations_of
 from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
-from tiltcal.errors import HardwareError, InputError, JournalError, SensorError, Stopped, TiltcalError, UsageError
+from tiltcal.errors import (
+    Argument,
+    HardwareError,
+    InputError,
+    JournalError,
+    SensorError,
+    Stopped,
+    TiltcalError,
+    UsageError,
+)
 from tiltcal.files.journal import read_journal
 
 
@@ -48,11 +57,11 @@ def led_by(
         if isinstance(error, KeyboardInterrupt):
             raise Stopped(f"interrupted; {go_on}") from None
         if isinstance(error, Stopped):
-            raise Stopped(f"{error}; {go_on}") from None
+            raise Stopped((*error.words, f"; {go_on}")) from None
         if not isinstance(error, HardwareError):
             remark(go_on)
         elif not session.finished:
-            raise HardwareError(f"{error}; {go_on}") from None
+            raise HardwareError((*error.words, f"; {go_on}")) from None
         raise
 
 
@@ -65,12 +74,15 @@ def _operator(
     """
     plain, listen, hands_free = bool(options["plain"]), options["listen"], bool(options["hands_free"])
     if chosen != "web" and (listen is not None or hands_free):
-        option = "--hands-free" if hands_free else "--listen"
-        raise UsageError(f"{option} is for the page in a browser: give --operator web")
+        raise UsageError(
+            option="hands_free" if hands_free else "listen",
+            why="is for the page in a browser",
+            advice=("give ", Argument("operator", "web")),
+        )
     needed = {"terminal": {"input": sys.stdin, "error": sys.stderr}, "json": {"input": sys.stdin, "output": sys.stdout}}
     for name, stream in needed.get(str(chosen), {}).items():
         if stream is None:
-            raise UsageError(f"standard {name} is closed, and --operator {chosen} needs it")
+            raise UsageError((f"standard {name} is closed, and ", Argument("operator", str(chosen)), " needs it"))
     match chosen:
         case "terminal":
             from tiltcal.bench.terminal import open_terminal
@@ -81,7 +93,9 @@ def _operator(
 
             return open_web(stack, say, listen=listen, hands_free=hands_free)
         case "sim" if not session.setup.simulated:
-            raise UsageError("--operator sim moves virtual sensors only; give --address sim:")
+            raise UsageError(
+                option="operator", why="sim moves virtual sensors only", advice=("give ", Argument("address", "sim:"))
+            )
         case "sim":
             return VirtualJig(say)
         case "json":

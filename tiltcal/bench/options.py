@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypedDict
 
+from tiltcal.errors import Argument
 from tiltcal.options import Option
 from tiltcal.stated_arguments import (
     of_python,
@@ -26,7 +27,7 @@ def unheard(line: str) -> None:
 
 def _require_path_or_none(option: str, value: object) -> None:
     if value is not None:
-        require_path(option, value)
+        require_path(Argument(option), value)
 
 
 def _require_samples(option: str, value: object) -> None:

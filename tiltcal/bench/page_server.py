@@ -27,7 +27,7 @@ from urllib.parse import unquote, urlsplit
 import msgspec
 
 from tiltcal.bench.typed import with_numbers
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import Argument, InputError, UsageError
 
 PORT = 8016
 """The usual port, so that a page that is open goes on after ``--resume``; another one where it is taken."""
@@ -157,7 +157,7 @@ class PageServer(ThreadingTCPServer):
             super().__init__((self.named, port), PageRequest)
         except OSError as error:
             if listen is not None:
-                raise UsageError(f"--listen {listen}: {error.strerror or error}") from None
+                raise UsageError((Argument("listen", listen), f": {error.strerror or error}")) from None
             super().__init__((self.named, 0), PageRequest)
         self._thread = Thread(target=self.serve_forever, args=(0.1,), name="page")
         self._thread.start()
@@ -315,7 +315,7 @@ def host_and_port(listen: str) -> tuple[str, int]:
             return parts.hostname, parts.port
     except ValueError:
         pass
-    raise UsageError(f"--listen {listen}: it is HOST:PORT, such as 0.0.0.0:{PORT}")
+    raise UsageError((Argument("listen", listen), f": it is HOST:PORT, such as 0.0.0.0:{PORT}"))
 
 
 def _same(said: str, secret: str) -> bool:

@@ -27,7 +27,7 @@ from tiltcal.bench.devices import (
 from tiltcal.bench.setup import column_name
 from tiltcal.drivers.bus.clock import VIRTUAL_START, Clock, session_clock
 from tiltcal.drivers.model import Model, link_in_words
-from tiltcal.errors import UsageError
+from tiltcal.errors import Argument, UsageError
 from tiltcal.files.atomic import BINARY, append_whole, sync_data
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.moments import moment_after, stamp
@@ -181,7 +181,7 @@ def record_bench(
     if seconds is not None and interval:
         rows = min(rows or sys.maxsize, max(1, round(seconds / interval)))
     if virtual and endless:
-        raise UsageError("a recording on the virtual bench needs --rows or --for")
+        raise UsageError(("a recording on the virtual bench needs ", Argument("rows"), " or ", Argument("seconds")))
     started = VIRTUAL_START if virtual else datetime.now(UTC)
     clock = session_clock(started, virtual=virtual)
     probe_devices(devices, clock)

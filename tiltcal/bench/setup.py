@@ -21,7 +21,7 @@ import tiltcal
 from tiltcal.bench.devices import BenchDevice, thermometer_of
 from tiltcal.drivers.bus.clock import VIRTUAL_START
 from tiltcal.drivers.model import Model, Reading
-from tiltcal.errors import InputError, JournalError, UsageError
+from tiltcal.errors import Argument, InputError, JournalError, UsageError
 from tiltcal.files.atomic import check_writable
 from tiltcal.files.bench import BenchFile, BenchSensor, bench_of
 from tiltcal.files.calibration import BaseFile, tilt_record
@@ -36,6 +36,9 @@ from tiltcal.stated_arguments import require_printable
 
 if TYPE_CHECKING:
     from tiltcal.core.pair.model import Pair
+
+
+TYPICAL = Argument("typical_temperature")
 
 
 class Settings(Record, kw_only=True):
@@ -251,11 +254,9 @@ class Setup(Record, kw_only=True, dict=True):
         if not self.typical_temperature:
             return
         if steps.rotation is not None:
-            raise UsageError(f"{steps.name} needs no --typical-temperature: a pair has no temperature terms")
+            raise UsageError((f"{steps.name} needs no ", TYPICAL, ": a pair has no temperature terms"))
         if determines.drift or determines.gain or determines.completes:
-            raise UsageError(
-                f"{steps.name} needs no --typical-temperature: it has no temperature terms, or measures them"
-            )
+            raise UsageError((f"{steps.name} needs no ", TYPICAL, ": it has no temperature terms, or measures them"))
         for device in self.sensors:
             if device.wired.population is None:
                 raise UsageError(
@@ -381,7 +382,8 @@ class SessionFiles:
         """
         if captured is not None and self._named is None and self._outside:
             raise UsageError(
-                f"the journal names {self._outside[0]}, outside its own folder: say with -o where the calibration goes"
+                f"the journal names {self._outside[0]}, outside its own folder",
+                advice=("say with ", Argument("output"), " where the calibration goes"),
             )
         for path in self.outputs.values():
             check_writable(path, self.journal)
@@ -399,8 +401,8 @@ class SessionFiles:
         if not (there == self._identities or (len(there) == 1 and there[0] in self._identities)):
             serials = ", ".join(serial for _, serial in self._identities)
             raise UsageError(
-                f"cannot write {path}: the file there is no calibration of {serials}; move it away, or name another "
-                "file with -o"
+                f"cannot write {path}: the file there is no calibration of {serials}",
+                advice=("move it away, or name another file with ", Argument("output")),
             )
 
 

@@ -26,7 +26,7 @@ from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, refer
 from tiltcal.core.rounding import plus_minus
 from tiltcal.core.samples import BLOCKS, pooled
 from tiltcal.core.uncertain import ALIGNMENT, NORMAL_FACTOR, READING, TURN, selection
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import Argument, EstimateError, Parts, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, dump_calibration, tilt_record
 from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.document import parse_document
@@ -130,7 +130,7 @@ class CombinedSession:
         try:
             own = stated.stated_uncertainty(self.record.uncertainty, self.coefficients)[0]
         except EstimateError as failure:
-            raise EstimateError(f"{self.label}: {failure}") from failure
+            raise EstimateError((f"{self.label}: ", *failure.words)) from failure
         at, thermal, axes = temperature_of(self.record), self.coefficients.thermal, self.coefficients.axes
         for what in ("drift", "gain") if thermal is not None else ():
             if (order := getattr(thermal, what).shape[1]) not in (0, getattr(design, what)):
@@ -172,7 +172,7 @@ def combine_records(
     sessions = _sessions(calibrations)
     turned = stated_mounting(mounting) if mounting else None
     if not sessions or (len(sessions) < 2 and turned is None):
-        raise UsageError("name two calibrations or more, or a --mounting")
+        raise UsageError(("name two calibrations or more, or a ", Argument("mounting")))
     _require_consistent(sessions)
     if turned is not None:
         sessions = [replace(session, record=with_mounting(session.record, turned)) for session in sessions]
@@ -181,9 +181,9 @@ def combine_records(
     mounted = {s.label: s.coefficients.mounting for s in sessions if s.coefficients.mounting is not None}
     warm = {s.label: s.coefficients.thermal for s in sessions if s.coefficients.thermal is not None}
     mountings = {label: mounting_in_words(mounting) for label, mounting in mounted.items()}
-    _require_one("mountings", mountings, "state one with --mounting")
+    _require_one("mountings", mountings, ("state one with ", Argument("mounting")))
     lags = {label: f"{thermal.lag:g} s" for label, thermal in warm.items() if thermal.lag}
-    _require_one("lags", lags, "combine one of them")
+    _require_one("lags", lags, ("combine one of them",))
     if warm:
         sessions = [replace(s, by_values=any(one.temperature is None for one in s.positions)) for s in sessions]
     design = _design(sessions)
@@ -236,12 +236,13 @@ def _require_consistent(sessions: Sequence[CombinedSession]) -> None:
             )
 
 
-def _require_one(what: str, stated: Mapping[str, object], advice: str) -> None:
+def _require_one(what: str, stated: Mapping[str, object], advice: Parts) -> None:
     """Refuse sessions that state more than one mounting or thermal lag, with a UsageError."""
     for label, value in stated.items():
         first = next(iter(stated))
         if value != stated[first]:
-            raise UsageError(f"the {what} contradict: {first} has {stated[first]} and {label} has {value}; {advice}")
+            why = f"the {what} contradict: {first} has {stated[first]} and {label} has {value}; "
+            raise UsageError((why, *advice))
 
 
 def _design(sessions: Sequence[CombinedSession]) -> Design:
@@ -333,7 +334,7 @@ def _require_agreement(
     try:
         together = estimate(every, replace(design, jig=jig))
     except EstimateError as failure:
-        raise EstimateError(f"the calibrations, fitted together: {failure}") from failure
+        raise EstimateError(("the calibrations, fitted together: ", *failure.words)) from failure
     bench = {name: getattr(design, name) for name in ("table", "heading", "reference", "thermometer")}
     alone = [estimate(group, replace(own, jig=jig, **bench)) for group, own in zip(seen, designs, strict=True)]
     dof, chi_square = sum(one.dof for one in alone), sum(one.chi_square or 0.0 for one in alone)
@@ -344,15 +345,14 @@ def _require_agreement(
         if more <= 0 or rise <= 0.0 or (fdtrc(more, free, ratio) if shared else chdtrc(more, rise)) >= REFUSED:
             return
     unstated = [session.label for session in sessions if session.record.fit.uncertainty_from == NOISE_ALONE]
-    why = (
-        f"the uncertainty of {' and '.join(unstated)} leaves out how well positions were set: state the --jig there"
-        if unstated
-        else "one of the sessions is wrong, or the sensor has changed between them"
-    )
+    why: Parts = ("one of the sessions is wrong, or the sensor has changed between them",)
+    if unstated:
+        which = f"the uncertainty of {' and '.join(unstated)} leaves out how well positions were set"
+        why = (f"{which}: state the ", Argument("jig"), " there")
     lines = [f"  {line}" for line in _differences(sessions)]
     risen = f"  chi-square rises by {rise:.3g} over the separate fits, with {more} degrees of freedom"
     what = "the calibrations contradict by more than their uncertainty:"
-    raise UsageError("\n".join([what, *(lines or [risen]), why]))
+    raise UsageError(("\n".join([what, *(lines or [risen]), ""]), *why))
 
 
 def _differences(sessions: Sequence[CombinedSession]) -> Iterator[str]:

@@ -20,7 +20,7 @@ from tiltcal.core.plausibility import UNKNOWN_OFFSET
 from tiltcal.core.rounding import round_to, significant
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers.model import OF_G, Model
-from tiltcal.errors import EstimateError, UsageError
+from tiltcal.errors import Argument, EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.results import PositionRecord, PositionSet
 
@@ -127,7 +127,7 @@ ROUNDING = 1e-9  # the share of a reading below which a sensitivity is a roundin
 CLEARLY = 2.0
 """So many times the sensitivity to its own axis, or to what its unit says, is another axis or unit; ours."""
 
-COPIES = "two copies of one channel? Look at the wiring, and at --columns"
+COPIES = ("two copies of one channel? Look at the wiring, and at ", Argument("columns"))
 
 
 def require_tilt(procedure: Procedure, model: Model) -> None:
@@ -148,7 +148,10 @@ def require_tilt(procedure: Procedure, model: Model) -> None:
 def require_no_jig(procedure: Procedure, jig: float | None) -> None:
     """Refuse a stated jig where no position is set by one, with a UsageError."""
     if procedure.determines.free and jig is not None:
-        raise UsageError("free positions use no jig: leave --jig out, or name a procedure whose positions are set")
+        raise UsageError(
+            "free positions use no jig",
+            advice=("leave ", Argument("jig"), " out, or name a procedure whose positions are set"),
+        )
 
 
 def unchecked(model: Model) -> str:
@@ -168,10 +171,10 @@ def require_suitable(procedure: Procedure, model: Model, orientation: Orientatio
         for channel in model.channels:
             expected = model.offset + model.sensitivity * gravity[AXES.index(channel)]
             if not model.rails[0] < expected < model.rails[1]:
-                hint = "; a smaller --tilt brings it in range" if procedure.angle is not None else ""
                 raise UsageError(
                     f"position {position.name} is outside the range of {model.name}: {channel} would read about "
-                    f"{expected:.5g} {model.unit}, and reads from {model.rails[0]:g} to {model.rails[1]:g}{hint}"
+                    f"{expected:.5g} {model.unit}, and reads from {model.rails[0]:g} to {model.rails[1]:g}",
+                    advice="" if procedure.angle is None else ("a smaller ", Argument("tilt"), " brings it in range"),
                 )
 
 
@@ -187,7 +190,7 @@ def require_own_readings(sensor: MeasuredSensor) -> None:
     for first, second in combinations(sensor.sensor.channels, 2):
         pairs = [(measurement.summaries[first], measurement.summaries[second]) for measurement in sensor.measurements]
         if any(a.std for a, _ in pairs) and all(a.mean == b.mean and a.std == b.std for a, b in pairs):
-            raise EstimateError(f"{first} and {second} read the same in every position: {COPIES}")
+            raise EstimateError(f"{first} and {second} read the same in every position", advice=COPIES)
 
 
 def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
@@ -208,7 +211,7 @@ def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
     for (first, a), (second, b) in combinations(rows.items(), 2):
         angle = degrees(acos(min(abs(float(a @ b)) / float(np.linalg.norm(a) * np.linalg.norm(b)), 1.0)))
         if angle < LEAST_ANGLE:
-            raise EstimateError(f"{first} and {second} answer to gravity alike, {angle:.1f}° apart: {COPIES}")
+            raise EstimateError(f"{first} and {second} answer to gravity alike, {angle:.1f}° apart", advice=COPIES)
     return tuple(remarks_on_wiring(coefficients, sensor.sensor.unit))
 
 

@@ -12,14 +12,14 @@ from tiltcal.calibration.measurement import BenchUncertainty
 from tiltcal.core.estimation.positions import Design, Prior
 from tiltcal.core.model import AXES, values
 from tiltcal.drivers.model import Model, deviation_within
-from tiltcal.errors import EstimateError
+from tiltcal.errors import Argument, EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Procedure
 
-NO_SENSITIVITY = (
-    "determines no sensitivity, and none is known: name a --sensor model whose nominal one may stand in, state it in "
-    "the address (sensitivity=..., unit per g), or name the sensor's own calibration with --base"
-)
+SENSITIVITY_FROM = (
+    "name a ", Argument("sensor"), " model whose nominal one may stand in, state it in the address (sensitivity=..., "
+    "unit per g), or name the sensor's own calibration with ", Argument("base"),
+)  # fmt: skip
 
 
 def design_of(
@@ -53,7 +53,7 @@ def design_of(
     if base is not None:
         return _with_base(design, base, whole=determines.level)
     if nominal is None or not nominal.scaled:
-        raise EstimateError(f"{procedure.name} {NO_SENSITIVITY}")
+        raise EstimateError(f"{procedure.name} determines no sensitivity, and none is known", advice=SENSITIVITY_FROM)
     own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)
     priors = {f"sensitivity.{c}.{axis}": own if axis == c else cross for c in channels for axis in design.axes}
     return replace(design, priors=priors)

@@ -15,7 +15,7 @@ from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.compensation import Compensation
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting
 from tiltcal.core.uncertain import TURN, Uncertain
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, BaseFile, CalibrationRecord, read_calibration, tilt_record
 from tiltcal.files.coefficients import ANGLES, LARGEST_ANGLES, in_degrees
 from tiltcal.files.document import Document
@@ -36,7 +36,7 @@ def record_in(document: Document) -> CalibrationRecord | PairRecord:
     try:
         Compensation(record.coefficients)
     except EstimateError as failure:
-        raise InputError(str(failure), file=document.file) from failure
+        raise InputError(failure.words, file=document.file) from failure
     return record
 
 
@@ -60,7 +60,7 @@ def limits_of(calibration: CalibrationRecord) -> Limits:
 
 def compensation_of(calibration: CalibrationRecord, *, first_order: bool = False) -> Compensation:
     """Return the compensation of readings, with the coefficients and limits of a calibration."""
-    require_boolean("--first-order", first_order)
+    require_boolean("first_order", first_order)
     limits = limits_of(calibration)
     if limits.length is None:
         tolerance = length_tolerance(calibration.uncertainty, calibration.coefficients, limits)
@@ -71,14 +71,15 @@ def compensation_of(calibration: CalibrationRecord, *, first_order: bool = False
 def stated_mounting(angles: Mapping[str, float] | str) -> Mounting:
     """Return the mounting of angles in degrees, or of the text of ``--mounting``; what is not named is 0."""
     stated: dict[str, float] = {}
-    for name, given in named_values("--mounting", angles, ANGLES, "angle", "roll=180").items():
+    for name, given in named_values("mounting", angles, ANGLES, "angle", "roll=180").items():
         try:
             angle = stated[name] = float(given)
         except (TypeError, ValueError):
-            raise UsageError(f"--mounting: {name} is an angle in degrees, not {given!r}") from None
+            raise UsageError(option="mounting", why=f"takes degrees for {name}, not {given!r}") from None
         largest = LARGEST_ANGLES[name]
         if not is_number(angle) or abs(angle) > largest:
-            raise UsageError(f"--mounting: {name} is between -{largest:g} and {largest:g} degrees, not {shown(angle)}")
+            why = f"takes degrees between -{largest:g} and {largest:g} for {name}, not {shown(angle)}"
+            raise UsageError(option="mounting", why=why)
     return Mounting(**{name: radians(angle) for name, angle in stated.items()})
 
 
@@ -171,14 +172,14 @@ def tilt_lines(by_axis: Mapping[str, tuple[Array, Array]]) -> Iterator[str]:
 def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[str]) -> dict[str, BaseFile]:
     """Read the calibrations that a session builds on (``--base``), by serial number: a file, or a folder of them."""
     if path is not None:
-        require_path("--base", path)
+        require_path(Argument("base"), path)
     determines = procedure.determines
     if path is None:
         if determines.completes:
-            raise UsageError(f"{procedure.name} needs --base, the calibration file of the sensor")
+            raise UsageError((f"{procedure.name} needs ", Argument("base"), ", the calibration file of the sensor"))
         return {}
     if procedure.rotation is not None or determines.axes:
-        raise UsageError(f"{procedure.name} needs no --base: it makes a calibration of its own")
+        raise UsageError((f"{procedure.name} needs no ", Argument("base"), ": it makes a calibration of its own"))
     path = Path(path)
     if path.is_dir():
         files = {serial: path / f"{serial}.yaml" for serial in serials}

@@ -178,7 +178,7 @@ class CalibrationFolder:
         InputError
             A file is wrong, or two contradict each other.
         """
-        require_text("--serial", serial)
+        require_text("serial", serial)
         if serial not in self._histories:
             if serial not in self.index.paths:
                 raise UsageError(self._unknown(serial))

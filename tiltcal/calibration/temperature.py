@@ -36,7 +36,7 @@ from tiltcal.core.rounding import plus_minus, round_to, significant
 from tiltcal.core.samples import SampleSummary
 from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
 from tiltcal.core.uncertain import Uncertain, central_differences
-from tiltcal.errors import EstimateError
+from tiltcal.errors import Argument, EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import CrossValidation, Hysteresis, RampFitRecord, RampLeg
@@ -162,7 +162,10 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
         raise EstimateError(f"no source states how a {calibration.sensor.model} behaves over temperature: measure it")
     coefficients = calibration.coefficients
     if coefficients.thermal is not None:
-        raise EstimateError("the unit's own temperature run is in this calibration: leave --typical-temperature out")
+        raise EstimateError(
+            "the unit's own temperature run is in this calibration",
+            advice=("leave ", Argument("typical_temperature"), " out"),
+        )
     met = [m.temperature for m in sensor.measurements if m.temperature is not None]
     reference = round(float(np.mean(met)), 3) if met else ROOM
     # The curves are polynomials in T; the file's count from the reference, and a gain from the sensitivity there.
@@ -238,7 +241,8 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
         if (off := abs(float(change)) / float(np.max(np.abs(row)))) > FAR:
             raise EstimateError(
                 f"{channel} reads {off:.2g} g away from what the base calibration expects in the attitude of the "
-                "procedure: state the true one with --segments (position,start,end,gx,gy,gz)"
+                "procedure",
+                advice=("state the true one with ", Argument("segments"), " (position,start,end,gx,gy,gz)"),
             )
     coefficients, standard = made.coefficients, made.uncertainty.standard
     if fit.uses_lag and coefficients.thermal is not None:

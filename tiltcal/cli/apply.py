@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tiltcal.cli import options
-from tiltcal.cli.talk import progress_bar, remark, talk, unforeseen
+from tiltcal.cli.talk import in_options, progress_bar, remark, talk, unforeseen
 from tiltcal.errors import InputError, TiltcalError, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.logs.options import ApplyOptions
@@ -123,7 +123,7 @@ def _reported(
             if text not in said:
                 remark(f"{log}: {text}")
         if isinstance(outcome, TiltcalError):
-            remark(f"{log} failed and is left out: {outcome}")
+            remark(f"{log} failed and is left out: {in_options(outcome)}")
             continue
         done[log] = {"output": outputs[log], **outcome.as_data()}
         if not as_json:

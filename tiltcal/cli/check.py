@@ -15,7 +15,7 @@ from tiltcal.calibration.measurement import remarks_on_wiring
 from tiltcal.calibration.record import record_in
 from tiltcal.calibration.wording import objections, remarks_on_chance
 from tiltcal.cli import options
-from tiltcal.cli.talk import remark
+from tiltcal.cli.talk import in_options, remark
 from tiltcal.errors import NEGATIVE_VERDICT, InputError, TiltcalError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.document import Document, read_document
@@ -51,7 +51,7 @@ def command(paths: tuple[Path, ...], schema: str | None, as_json: bool) -> int:
         except TiltcalError as problem:
             if len(paths) == 1:
                 raise
-            remark(str(problem))
+            remark(in_options(problem))
             wrong += 1
             continue
         results.append({"file": str(path), "kind": kind, "findings": findings, "remarks": remarks})

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tiltcal.cli import options
-from tiltcal.cli.talk import talk
+from tiltcal.cli.talk import in_options, talk
 from tiltcal.errors import INTERRUPTED, HardwareError
 from tiltcal.files.moments import stamp
 
@@ -54,7 +54,7 @@ def command(calibration: Path, address: str, rate: float, seconds: float | None,
                     failures += 1
                     if failures == ATTEMPTS:
                         raise
-                    talk(f"{CLEAR if renews else ''}no reading: {error}")
+                    talk(f"{CLEAR if renews else ''}no reading: {in_options(error)}")
                 due = max(due + 1.0 / rate, time.monotonic())
                 time.sleep(max(0.0, due - time.monotonic()))
         except KeyboardInterrupt:

@@ -10,7 +10,7 @@ from importlib import import_module
 import click
 
 from tiltcal import __version__
-from tiltcal.cli.talk import talk, versions
+from tiltcal.cli.talk import in_options, talk, versions
 from tiltcal.errors import INTERRUPTED, TiltcalError, UsageError
 from tiltcal.printable import printable
 
@@ -95,6 +95,7 @@ def run(args: list[str] | None = None) -> int:
 
     0 done; 1 done with a negative verdict; 2 wrong usage or bad input; 3 hardware or bus error; 130 interrupted.
     """
+    args = sys.argv[1:] if args is None else args
     try:
         result = group.main(args=args, prog_name="tiltcal", standalone_mode=False)
         return flushed(result if isinstance(result, int) else 0)
@@ -104,7 +105,7 @@ def run(args: list[str] | None = None) -> int:
         return error.exit_code
     except TiltcalError as error:
         # The message may quote a file.
-        talk(f"tiltcal: {printable(str(error))}")
+        talk(f"tiltcal: {printable(in_options(error, group.get_command(click.Context(group), args[0])))}")
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         talk("tiltcal: interrupted")

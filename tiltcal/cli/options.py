@@ -77,7 +77,7 @@ class Number(click.ParamType[Any]):
                 value = kind(str(value))
                 break
         if self._check is not None:
-            self._check("" if param is None else param.opts[0], value)
+            self._check("" if param is None else str(param.name), value)
         elif not isinstance(value, int | float):
             self.fail(f"{value!r} is no number", param, ctx)
         return value

@@ -119,7 +119,7 @@ def _spectra(log: str, calibration: PairRecord, skip_bad_rows: bool) -> tuple[st
             read = read_pair_log(rows, matching.pair.channels, calibration.spin.phase)
             return Path(rows.name).name, spectra_of(matching, read)
         except EstimateError as refusal:
-            raise EstimateError(f"{rows.name}: {refusal}") from refusal
+            raise EstimateError((f"{rows.name}: ", *refusal.words)) from refusal
 
 
 def _source(name: str) -> FileRecord:

@@ -9,8 +9,10 @@ from contextlib import contextmanager, suppress
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import click
+
 from tiltcal import __version__
-from tiltcal.errors import InputError
+from tiltcal.errors import Argument, InputError, TiltcalError
 from tiltcal.printable import printable
 
 if TYPE_CHECKING:
@@ -47,6 +49,20 @@ def wrapped(text: str) -> str:
         else line
         for line in text.split("\n")
     )
+
+
+def in_options(error: TiltcalError, command: click.Command | None = None) -> str:
+    """Return the message of an error with the options of a command, else the present one, in place of arguments."""
+    command = click.get_current_context().command if command is None else command
+    names = {
+        one.name: one.opts[0] if isinstance(one, click.Option) else one.human_readable_name for one in command.params
+    }
+
+    def option(argument: Argument) -> str:
+        name = names.get(argument.name, f"--{argument.name.replace('_', '-')}")
+        return f"{name} {argument.value}".rstrip()
+
+    return error.written(option)
 
 
 @contextmanager

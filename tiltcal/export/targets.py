@@ -186,8 +186,8 @@ def _of_autopilot(target: str, remark: str, lines: str, source: Source) -> Expor
     unit, affine = source.record.sensor.unit, source.affine
     if unit not in ("m/s2", "g"):
         raise UsageError(
-            f"{target} corrects readings in m/s2, and this calibration is of readings in {unit}: record what the "
-            "autopilot's own driver gives, and fit that with --unit m/s2"
+            f"{target} corrects readings in m/s2, and this calibration is of readings in {unit}",
+            advice="record what the autopilot's own driver gives, and fit that with --unit m/s2",
         )
     to_metres, per_g = (1.0, source.gravity) if unit == "m/s2" else (source.gravity, 1.0)
     axes = zip("XYZ", affine.offset * to_metres, np.diag(affine.matrix) * per_g, strict=True)

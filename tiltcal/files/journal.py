@@ -32,7 +32,7 @@ from zlib import crc32
 import msgspec
 from msgspec import Meta, Struct
 
-from tiltcal.errors import JournalError, UsageError
+from tiltcal.errors import Argument, JournalError, UsageError
 from tiltcal.files.atomic import BINARY, append_whole, sync_data, write_all
 from tiltcal.files.record import Count, Number, Record, one_of
 
@@ -186,7 +186,8 @@ class JournalWriter:
         try:
             descriptor = os.open(path, _APPEND | os.O_CREAT | os.O_EXCL, 0o644)
         except FileExistsError:
-            raise UsageError(f"{path} exists: resume it with --resume {path}, or name another --journal") from None
+            advice = ("resume it with ", Argument("resume", str(path)), ", or name another ", Argument("journal"))
+            raise UsageError(f"{path} exists", advice=advice) from None
         except OSError as error:
             raise UsageError(f"{path}: the journal cannot be made: {error.strerror}") from None
         try:

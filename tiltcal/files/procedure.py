@@ -21,7 +21,7 @@ from msgspec import Meta
 
 from tiltcal.core.attitude import LEVEL, Vector, gravity_from_tilt, normalised
 from tiltcal.core.pair.model import FEWEST_TURNS, Pair
-from tiltcal.errors import UsageError
+from tiltcal.errors import Argument, UsageError
 from tiltcal.files.coefficients import ORDER_LIMIT
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.record import AboveZero, Axis, FromZero, Identifier, Number, Record, Text, about, file_data, one_of
@@ -214,8 +214,9 @@ class Procedure(ProcedureFile, kw_only=True):
         if turns is None:
             return self
         if self.rotation is None:
-            raise UsageError(f"the procedure {self.name!r} has positions and no turns; leave --turns out")
-        require_whole("--turns", turns, FEWEST_WHOLE_TURNS, "turns")
+            advice = ("leave ", Argument("turns"), " out")
+            raise UsageError(f"the procedure {self.name!r} has positions and no turns", advice=advice)
+        require_whole("turns", turns, FEWEST_WHOLE_TURNS, "turns")
         return self.replaced(rotation=self.rotation.replaced(turns=int(turns)))
 
     def with_alignment(self, alignment: float | None) -> Procedure:
@@ -223,9 +224,10 @@ class Procedure(ProcedureFile, kw_only=True):
         if alignment is None:
             return self
         if not self.determines.level:
-            raise UsageError(f"{self.name} renews no offset: leave --alignment out")
+            raise UsageError(f"{self.name} renews no offset", advice=("leave ", Argument("alignment"), " out"))
         if not (is_number(alignment, 0.0) and alignment <= MOST_ASKEW):
-            raise UsageError(f"--alignment {shown(alignment)}: it is between 0 and {MOST_ASKEW:g} degrees")
+            why = f"is between 0 and {MOST_ASKEW:g} degrees, not {shown(alignment)}"
+            raise UsageError(option="alignment", why=why)
         return self.replaced(alignment=alignment, record={**self.record, "alignment": alignment})
 
     @property
@@ -240,7 +242,8 @@ class Procedure(ProcedureFile, kw_only=True):
             return self
         self.require_positions()
         if self.determines.free:
-            raise UsageError(f"{self.name} sets no position that could be visited again: leave --closing out")
+            advice = ("leave ", Argument("closing"), " out")
+            raise UsageError(f"{self.name} sets no position that could be visited again", advice=advice)
         if self.closes:
             return self
         first = self.positions[0]
@@ -341,7 +344,7 @@ def find_procedure(name_or_path: str | Path, angle: float | None = None) -> Proc
 
     ``angle`` takes the place of the angle that the procedure leaves free, degrees; a UsageError where it takes none.
     """
-    require_path("PROCEDURE", name_or_path)
+    require_path(Argument("procedure"), name_or_path)
     shipped = shipped_procedures()
     if name_or_path in shipped or os.path.exists(name_or_path):
         return read_procedure(shipped.get(str(name_or_path), Path(name_or_path)), angle)

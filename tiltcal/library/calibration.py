@@ -31,7 +31,7 @@ from tiltcal.files.results import (
     Provenance,
 )
 from tiltcal.logs.options import ApplyOptions
-from tiltcal.options import complete, names_arguments, takes
+from tiltcal.options import complete, takes
 from tiltcal.printable import in_html
 
 Frame = TypeVar("Frame")
@@ -100,7 +100,6 @@ class Applicable:
     @overload
     def apply(self, frame: Frame, **options: Unpack[ApplyOptions]) -> Frame: ...
 
-    @names_arguments
     @takes(ApplyOptions)
     def apply(self, frame: Any, **options: Any) -> Any:
         """Turn the raw readings of a frame into tilt with quality flags, as ``tiltcal apply`` does with a log.
@@ -206,7 +205,6 @@ class Calibration(SavedCalibration, Applicable):
         """Where the calibration holds, angles in radians; the rails are the model's where the file names none."""
         return limits_of(self.record)
 
-    @names_arguments
     def compensation(self, *, first_order: bool = False) -> Compensation:
         """Return the compensation of readings in arrays, with these coefficients and limits.
 
@@ -240,7 +238,6 @@ class Calibration(SavedCalibration, Applicable):
             raise UsageError(f"the calibration of {self.sensor.serial} states no uncertainty: there is nothing to plot")
         return figure
 
-    @names_arguments
     def with_mounting(self, angles: Mapping[str, float] | str) -> Calibration:
         """Return this calibration for a sensor that sits in a known way; a mounting that it has is replaced.
 
@@ -293,7 +290,6 @@ class PairCalibration(SavedCalibration):
     @overload
     def apply(self, frame: Frame, *, columns: Mapping[str, str] | str = "") -> Frame: ...
 
-    @names_arguments
     def apply(self, frame: Any, *, columns: Mapping[str, str] | str = "", **options: Any) -> Any:
         """Add the matched sum of each pair to a frame and, with both pairs, the gradient signal.
 

@@ -24,7 +24,7 @@ from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import link_in_words
-from tiltcal.errors import HardwareError, JournalError, UsageError
+from tiltcal.errors import Argument, HardwareError, JournalError, UsageError, listed
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
@@ -73,7 +73,7 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
     own = None if base is None else read_calibration(base)
     name = stated["sensor"] or (None if own is None else own.sensor.model)
     if name is None:
-        raise UsageError("name the --sensor model, or its calibration with --base")
+        raise UsageError(("name the ", Argument("sensor"), " model, or its calibration with ", Argument("base")))
     model = find_model(name)
     if (address := stated["address"]) is not None:
         model = model.at(parse_address(address))
@@ -197,21 +197,24 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
     if base is not None and named is None and os.path.isfile(base):
         identity = read_calibration(base).sensor
         sensor, serial = sensor or identity.model, serial or identity.serial
-    one = {"--sensor": sensor, "--address": address, "--serial": serial}
-    wanted = {"PROCEDURE": procedure, **({} if named is not None else {**one, "-o": output})}
+    one = {"sensor": sensor, "address": address, "serial": serial}
+    wanted = {"procedure": procedure, **({} if named is not None else {**one, "output": output})}
     absent = [name for name, value in wanted.items() if value is None]
     if resume is not None and absent:
         raise JournalError("no such journal", file=str(resume))
     if absent:
-        raise UsageError(f"measure needs {', '.join(absent)} (or --resume JOURNAL); see tiltcal measure --help")
+        raise UsageError(("measure needs ", *listed(absent), " (or ", Argument("resume", "JOURNAL"), ")"))
     if named is not None and any(one.values()):
-        raise UsageError("the --bench file names the sensors: leave --sensor, --address and --serial out")
+        raise UsageError(
+            ("the ", Argument("bench"), " file names the sensors"), advice=("leave ", *listed(one), " out")
+        )
     steps = find_procedure(str(procedure), given["tilt"])
     steps = steps.with_turns(given["turns"]).with_alignment(given["alignment"]).with_closing(given["closing"])
     require_no_jig(steps, given["jig"])
     for option in ("samples", "settle", "jig"):
         if steps.rotation is not None and given[option] is not None:
-            raise UsageError(f"a rotation has no positions: leave --{option} out; --turns limits its length")
+            advice = ("leave ", Argument(option), " out; ", Argument("turns"), " limits its length")
+            raise UsageError("a rotation has no positions", advice=advice)
     if named is None:
         require_name(str(serial), "the serial number")
         bench = single(str(sensor), str(serial), str(address))
@@ -241,7 +244,15 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
         beside.parent.mkdir(exist_ok=True)
     except OSError as error:
         why = f"{beside.parent} cannot be made: {error.strerror}"
-        raise UsageError(f"with --bench, -o names the folder for the calibration files; {why}") from None
+        raise UsageError(
+            (
+                "with ",
+                Argument("bench"),
+                ", ",
+                Argument("output"),
+                f" names the folder for the calibration files; {why}",
+            )
+        ) from None
     return Session(setup, path)
 
 
@@ -285,7 +296,8 @@ def _outputs(
     """
     if procedure.rotation is not None:
         if output is None or os.path.isdir(output):
-            raise UsageError("the pairs of a stage have one file together: name it with -o PAIR.yaml")
+            advice = ("name it with ", Argument("output", "PAIR.yaml"))
+            raise UsageError("the pairs of a stage have one file together", advice=advice)
         return [output, *(None for _ in sensors.sensors[1:])], output
     if bench is None and output is not None:
         check_writable(output)

@@ -16,7 +16,7 @@ from tiltcal.logs.log import Progress
 from tiltcal.logs.match import match_log, pairs_of
 from tiltcal.logs.noise import SensorNoise, characterise_readings, stated_scale
 from tiltcal.logs.options import ApplyOptions, FitOptions
-from tiltcal.options import complete, names_arguments, takes
+from tiltcal.options import complete, takes
 from tiltcal.stated_arguments import require_from_zero, require_text_or_none
 
 
@@ -46,7 +46,6 @@ class CalibrationLibrary(CalibrationFolder, Applicable):
     def _applied(self) -> CalibrationFolder:
         return self
 
-    @names_arguments
     def at(self, serial: str, time: str | date, *, stability: float | None = None) -> Calibration:
         """Return the calibration of a sensor at a time: between two of them, or the nearest one.
 
@@ -65,7 +64,7 @@ class CalibrationLibrary(CalibrationFolder, Applicable):
         InputError
             The time is not one, a file is wrong, or two contradict each other.
         """
-        require_from_zero("--stability", stability)
+        require_from_zero("stability", stability)
         return Calibration(self.history(serial).at(moment(time).timestamp(), stability))
 
 
@@ -253,7 +252,7 @@ def noise(
     --------
     >>> print(tiltcal.noise(readings, rate=102.4, unit="m/s2"))
     """
-    require_text_or_none("--unit", unit)
+    require_text_or_none("unit", unit)
     own = calibration.record if isinstance(calibration, Calibration) else calibration
     scale, channels = stated_scale(sensor, None, own, unit)
     return characterise_readings(

@@ -18,7 +18,7 @@ from tiltcal.calibration.season import CalibrationFolder
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.earth_frame import VELOCITY, FieldLength
 from tiltcal.core.flags import FLAGS, REASONS, count_flags
-from tiltcal.errors import UsageError
+from tiltcal.errors import Argument, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.document import read_document
@@ -72,7 +72,7 @@ def apply_frame(
     from tiltcal.logs.frames import FrameReader
 
     if options["skip_bad_rows"]:
-        raise UsageError("--skip-bad-rows is for logs: a frame has no row that cannot be parsed")
+        raise UsageError(option="skip_bad_rows", why="is for logs: a frame has no row that cannot be parsed")
     reader = FrameReader(frame)
     prepared = prepare_any(calibration, options)(reader)
     _require_new_columns(reader, prepared)
@@ -98,7 +98,7 @@ def prepare_any(calibration: Applied, options: ApplyOptions) -> Callable[[LogRea
         return lambda log: prepare_library(folder, log, options)
     for name in ("serial", "stability", "start"):
         if options[name] is not None:
-            raise UsageError(f"--{name} is for a folder of calibrations (--calibrations)")
+            raise UsageError(option=name, why=("is for a folder of calibrations (", Argument("calibrations"), ")"))
     if isinstance(calibration, str | Path):
         path, record = Path(calibration), record_in(read_document(calibration))
         prepared = prepare(record, options, file=path, origin={"calibration": path.name, "sha256": sha256_of(path)})
@@ -122,7 +122,7 @@ class CompensatedLog:
         roles = (*prepared.roles, *((TIME,) if timed else ()))
         where = locate_columns(log, [*prepared.channels, *thermometers], named, roles)
         self._vectors = {
-            role: tuple(locate_columns(log, names, {}, option=f"--{role} ")[name] for name in names)
+            role: tuple(locate_columns(log, names, {}, option=role)[name] for name in names)
             for role, names in prepared.vectors.items()
         }
         self._sensors = [

@@ -23,7 +23,7 @@ from tiltcal.core.earth_frame import HEADING, full_circle
 from tiltcal.core.flags import OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.model import Array
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import Argument, InputError, Parts, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
 from tiltcal.logs.columns import TIME, named_columns
 from tiltcal.logs.kernel import (
@@ -56,7 +56,7 @@ _GROWTH, _DOUBLINGS = 8, 20  # steps of the time outside for each doubling of it
 def prepare_library(library: CalibrationFolder, log: LogReader, options: ApplyOptions) -> PreparedCalibration:
     """Find the calibrations of a log's sensors and make them ready."""
     say = options["say"]
-    require_from_zero("--stability", options["stability"])
+    require_from_zero("stability", options["stability"])
     start = None if options["start"] is None else moment(options["start"]).timestamp()
     for problem in library.index.problems:
         say(f"note: left out: {problem}")
@@ -89,7 +89,8 @@ def _serials(library: CalibrationFolder, log: LogReader, options: ApplyOptions) 
     noted = next((str(log.notes[key]) for key in SERIAL_NOTES if key in log.notes), None)
     serial, say = options["serial"], options["say"]
     if serial and noted and serial != noted:
-        raise UsageError(f"{log.name} states the serial number {noted!r}, and --serial says {serial!r}: leave one out")
+        why = (f"{log.name} states the serial number {noted!r}, and ", Argument("serial"), f" says {serial!r}")
+        raise UsageError(why, advice="leave one out")
     if serial or noted:
         found = str(serial or noted)
         return [(found, f"{found}_" if f"{found}_x" in log.names or f"{found}_y" in log.names else "")]
@@ -105,8 +106,8 @@ def _serials(library: CalibrationFolder, log: LogReader, options: ApplyOptions) 
         say(f"note: {log.name} names no sensor; {library.folder} has calibrations of {library.serials[0]} alone")
         return [(library.serials[0], "")]
     raise UsageError(
-        f"{log.name} names no sensor of {library.folder}: name it with --serial; the folder has calibrations of "
-        f"{library.listed}"
+        f"{log.name} names no sensor of {library.folder}",
+        advice=("name it with ", Argument("serial"), f"; the folder has calibrations of {library.listed}"),
     )
 
 
@@ -197,11 +198,15 @@ class LibraryKernel:
         if known.any():
             first = float(time[known.argmax()])
             if not LEAST_SECONDS < first < MOST_SECONDS or first - (self._start or first) > LEAST_SECONDS:
-                how = "state when the log began with --start, such as --start 2026-05-01T12:00:00Z"
+                how: Parts = ("state when the log began, such as ", Argument("start", "2026-05-01T12:00:00Z"))
                 if self._start is not None:
-                    how = "it counts from the --start that is stated: leave that out where times are dates"
-                why = f"the time {first - (self._start or 0.0):g} is no date and no count of seconds since 1970: {how}"
-                raise InputError(why, file=self._log)
+                    how = (
+                        "it counts from the ",
+                        Argument("start"),
+                        " that is stated: leave that out where times are dates",
+                    )
+                why = f"the time {first - (self._start or 0.0):g} is no date and no count of seconds since 1970: "
+                raise InputError((why, *how), file=self._log)
         elif isnan(self._last) and np.isfinite(values.readings).any():
             raise InputError(no_time_yet(len(time), "which calibration they take"), file=self._log)
         else:

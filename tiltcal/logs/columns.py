@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 
 from tiltcal.core.model import AXES, Array
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import Argument, InputError, UsageError, Words
 from tiltcal.printable import did_you_mean
 from tiltcal.stated_arguments import named_values
 from tiltcal.units import DEGREE, READINGS, TEMPERATURES, same_unit, spelt, split_unit
@@ -55,7 +55,7 @@ def named_columns(
     A log may have ``channels`` and ``others`` besides temperature and time.
     """
     roles = tuple(dict.fromkeys((*channels, TEMPERATURE, TIME, *others)))
-    named = named_values("--columns", columns or "", roles, "role", f"{roles[0]}=VoutX")
+    named = named_values("columns", columns or "", roles, "role", f"{roles[0]}=VoutX")
     return {role: str(column) for role, column in named.items()}
 
 
@@ -128,12 +128,12 @@ def locate_columns(
     named: Mapping[str, str],
     others: Sequence[str] = (),
     *,
-    option: str = "--columns {role}=",
+    option: str = "columns",
 ) -> dict[str, int]:
     """Return where the columns of channels and other roles stand in a log, and that of the temperature if it is there.
 
     A role that was not named has the column of its own name. A unit behind a column's name in the header, such as
-    ``x (m/s^2)``, may be left out. ``option`` names a column on the command line, for the InputError that lists the
+    ``x (m/s^2)``, may be left out. ``option`` is the argument that names a column, for the InputError that lists the
     columns where one is not there.
     """
     roles = tuple(dict.fromkeys((*channels, *others, TEMPERATURE, TIME)))
@@ -143,7 +143,7 @@ def locate_columns(
         if role in columns:
             located[role] = log.names.index(columns[role])
         elif role in named or role in channels or role in others:
-            why = _absent(role, named.get(role, role), log.names, option.format(role=role))
+            why = _absent(named.get(role, role), log.names, option, f"{role}=" if option == "columns" else "")
             raise InputError(why, file=log.name, line=log.header_line)
     shared = [role for role in located if role in channels and list(located.values()).count(located[role]) > 1]
     if shared:
@@ -190,16 +190,15 @@ def require_units(
                 raise InputError(why, file=log.name)
 
 
-def _absent(role: str, column: str, names: Sequence[str], option: str) -> str:
+def _absent(column: str, names: Sequence[str], option: str, role: str) -> Words:
     if not names:
         return "there are no columns"
     if all(is_number(name) for name in names if name):
         why = f"there is no column {column!r}; the log has no header, and its columns are called 1 to {len(names)}: "
-        return f"{why}name one, such as {option}{min(2, len(names))}"
+        return f"{why}name one, such as ", Argument(option, f"{role}{min(2, len(names))}")
     listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
-    return (
-        f"there is no column {column!r}{did_you_mean(column, names)}; the log has {listed}. Name it with {option}NAME"
-    )
+    why = f"there is no column {column!r}{did_you_mean(column, names)}; the log has {listed}. Name it with "
+    return why, Argument(option, f"{role}NAME")
 
 
 def is_number(text: str) -> bool:

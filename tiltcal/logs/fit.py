@@ -19,7 +19,7 @@ from tiltcal.calibration.measurement import (
     require_no_jig,
     require_tilt,
 )
-from tiltcal.calibration.priors import NO_SENSITIVITY
+from tiltcal.calibration.priors import SENSITIVITY_FROM
 from tiltcal.calibration.record import bases_of
 from tiltcal.core.estimation.free import fit_free
 from tiltcal.core.model import AXES
@@ -28,7 +28,7 @@ from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Procedure, find_procedure
@@ -126,11 +126,14 @@ class FitPositions:
 def _require_table_alone(procedure: Procedure, options: FitOptions) -> None:
     """Raise UsageError for what contradicts a table of positions."""
     if options["segments"] is not None:
-        raise UsageError("a --table has its positions already: leave --segments out")
+        why = ("a ", Argument("table"), " has its positions already")
+        raise UsageError(why, advice=("leave ", Argument("segments"), " out"))
     if options["columns"]:
-        raise UsageError("a --table names its columns itself (position, x, y, z, ...): leave --columns out")
+        why = ("a ", Argument("table"), " names its columns itself (position, x, y, z, ...)")
+        raise UsageError(why, advice=("leave ", Argument("columns"), " out"))
     if procedure.ramp is not None:
-        raise UsageError(f"{procedure.name} takes a continuous record, not a --table of positions")
+        why = (f"{procedure.name} takes a continuous record, not a ", Argument("table"), " of positions")
+        raise UsageError(why)
 
 
 def _channels(data: Any, header: ReadingsHeader | None, procedure: Procedure, options: FitOptions) -> tuple[str, ...]:
@@ -274,8 +277,14 @@ def _judge(procedure: Procedure, channels: Sequence[str]) -> Judge:
     judge = judge_of(gravity, channels) if procedure.determines.axes else None
     if judge is None:
         raise UsageError(
-            "say with --segments which rows were taken in which position (or that LOG is a --table of positions): the "
-            f"readings alone do not tell the positions of {procedure.name} apart"
+            (
+                "say with ",
+                Argument("segments"),
+                " which rows were taken in which position (or that LOG is a ",
+                Argument("table"),
+                " of positions): the readings alone do not tell the positions of ",
+                f"{procedure.name} apart",
+            )
         )
     return judge
 
@@ -286,7 +295,7 @@ def _serial(serial: str | None, base: str | Path | None) -> str:
         require_name(serial, "the serial number")
         return serial
     if base is None or os.path.isdir(base):
-        raise UsageError("state the sensor's --serial number")
+        raise UsageError(("state the sensor's ", Argument("serial"), " number"))
     return read_calibration(base).sensor.serial
 
 
@@ -314,21 +323,25 @@ def _identity(
     """Return the identity of the sensor, and the unit of its readings."""
     if base is not None:
         for what, said, known in (
-            ("--unit", unit, base.sensor.unit),
-            ("--sensor", model and model.name, base.sensor.model),
+            ("unit", unit, base.sensor.unit),
+            ("sensor", model and model.name, base.sensor.model),
         ):
             if said not in (None, known):
-                raise UsageError(f"{what} {said} contradicts the --base, which has {known}: leave it out")
+                why = (f"{said} contradicts the ", Argument("base"), f", which has {known}")
+                raise UsageError(option=what, why=why, advice="leave it out")
         return base.sensor
     if unit is None and model is None:
-        raise UsageError("state the --unit of the readings (such as m/s2), or the --sensor model")
+        raise UsageError(
+            ("state the ", Argument("unit"), " of the readings (such as m/s2), or the ", Argument("sensor"), " model")
+        )
     if model is not None and unit not in (None, model.unit) and not steps.determines.axes:
         raise UsageError(
             f"{steps.name} takes the nominal sensitivity of {model.name}, which is per g in {model.unit} and not in "
-            f"{unit}: name the model that reads {unit}, or leave --unit out"
+            f"{unit}",
+            advice=(f"name the model that reads {unit}, or leave ", Argument("unit"), " out"),
         )
     if model is None and not (steps.determines.axes or steps.determines.free):
-        raise EstimateError(f"{steps.name} {NO_SENSITIVITY}")
+        raise EstimateError(f"{steps.name} determines no sensitivity, and none is known", advice=SENSITIVITY_FROM)
     channels = tuple(model.channels) if model else steps.determines.axes or ("x", "y", "z")
     unit = str(model and model.unit) if unit is None else unit
     for what, text in (("the serial number", serial), ("the unit", unit)):

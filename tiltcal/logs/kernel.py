@@ -21,7 +21,7 @@ from tiltcal.core.flags import NO_DIRECTION, NO_TEMPERATURE, SUSPECT, mark_colum
 from tiltcal.core.model import Array
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.thermal_lag import ThermalLag
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord
 from tiltcal.logs.cf_attributes import COUNT
@@ -105,8 +105,8 @@ def with_lag(kernel: Kernel, lag: float, file: str) -> Kernel:
             if np.any(steps <= 0.0):
                 wrong = int(np.argmax(steps <= 0.0))
                 how = f"time stands still or goes back at row {rows + int(known[wrong])}"
-                advice = "sort the log, or name a column of times that go on (--columns time=NAME)"
-                raise InputError(f"{how}, and the calibration follows a thermal lag: {advice}", file=file)
+                advice = ("sort the log, or name a column of times that go on (", Argument("columns", "time=NAME"), ")")
+                raise InputError((f"{how}, and the calibration follows a thermal lag: ", *advice), file=file)
             last, rows = float(time[known[-1]]) if len(known) else last, rows + len(time)
         if temperature is None:
             return kernel(values)
@@ -246,7 +246,7 @@ def prepare(
         plain = complete(ApplyOptions, {"first_order": options["first_order"]})
         judge = None if size is None else tilt_kernel(calibration, plain, remarks)
     except EstimateError as failure:
-        raise InputError(str(failure), file=file) from failure
+        raise InputError(failure.words, file=file) from failure
     prepared = PreparedSensor(
         kernel,
         kernel.columns,

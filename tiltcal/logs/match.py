@@ -21,7 +21,7 @@ from tiltcal.core.pair.matching import Matching, PairCoefficients, drifts, match
 from tiltcal.core.pair.model import Pair, matched_sum
 from tiltcal.core.pair.online import Online
 from tiltcal.core.pair.stage import StageRecord, estimated_angle, stage_record
-from tiltcal.errors import EstimateError, InputError, Stopped, UsageError
+from tiltcal.errors import Argument, EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance
 from tiltcal.logs.columns import TIME, locate_columns, read_columns, require_units
@@ -89,7 +89,7 @@ def pairs_of(pairs: Sequence[tuple[str, str, str]]) -> list[Pair]:
             raise UsageError(f"a pair is three columns, the first, the second and the orthogonal one; not {pair!r}")
         if len(set(pair)) < 3:
             raise UsageError(
-                f"--pair {pair[0]},{pair[1]} --orthogonal {pair[2]}: these must be three different columns"
+                f"{pair[0]} and {pair[1]} with the orthogonal {pair[2]}: a pair is of three different columns"
             )
         wanted.append(Pair(*pair))
     if len({pair.name for pair in wanted}) != len(wanted) or len(wanted) not in (1, 2):
@@ -112,13 +112,14 @@ def match_log(
 
     Returned are the matching, the log, and the course of the first pair's estimates.
     """
-    require_text_or_none("--phase", phase)
-    require_boolean("--online", online)
-    require_boolean("--loops", loops)
+    require_text_or_none("phase", phase)
+    require_boolean("online", online)
+    require_boolean("loops", loops)
     if loops and not online:
-        raise UsageError("--loops needs --online")
+        raise UsageError(option="loops", why=("needs ", Argument("online")))
     if online and phase is None:
-        raise UsageError("--online needs --phase: without an encoder, p and q are matched from the whole record")
+        why = ("needs ", Argument("phase"), ": without an encoder, p and q are matched from the whole record")
+        raise UsageError(option="online", why=why)
     channels = tuple(dict.fromkeys(channel for pair in pairs for channel in pair.channels))
     with (
         open_log(data, skip_bad_rows=skip_bad_rows, live=online, progress=progress) as log,
@@ -195,10 +196,10 @@ def read_pair_log(
     ``phase`` is the column of the stage angle in degrees; without an encoder the spin is estimated, from the column
     ``time`` or, without one, from the number of the row.
     """
-    located = locate_columns(log, channels, {}, option="--pair or --orthogonal ")
+    located = locate_columns(log, channels, {}, option="pairs")
     where = {channel: located[channel] for channel in channels}
     if phase is not None:
-        where[phase] = locate_columns(log, (phase,), {}, option="--phase ")[phase]
+        where[phase] = locate_columns(log, (phase,), {}, option="phase")[phase]
         require_units(log, {phase: where[phase]}, {phase: DEGREE}, "stage angles")
     timed = TIME in log.names
     numbers = read_columns(log, where | ({TIME: log.names.index(TIME)} if timed else {}))
@@ -225,9 +226,11 @@ def _explained(log: LogReader, phase: str | None) -> Iterator[None]:
     try:
         yield
     except (EstimateError, InputError) as refusal:
-        why = str(refusal) if isinstance(refusal, InputError) else f"{log.name}: {refusal}"
+        why = refusal.words if isinstance(refusal, InputError) else (f"{log.name}: ", *refusal.words)
         if log.interrupted:
-            raise Stopped(f"interrupted, and nothing is written: {why}; let the stream run for longer") from None
+            after = "; let the stream run for longer"
+            raise Stopped(("interrupted, and nothing is written: ", *why, after)) from None
         if isinstance(refusal, EstimateError):
-            raise EstimateError(why + ("" if phase else "; without --phase the stage must turn at one speed")) from None
+            speed = () if phase else ("; without ", Argument("phase"), " the stage must turn at one speed")
+            raise EstimateError((*why, *speed)) from None
         raise

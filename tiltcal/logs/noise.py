@@ -27,7 +27,7 @@ from tiltcal.core.noise import (
 from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import OF_G
-from tiltcal.errors import EstimateError, InputError, UsageError
+from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.logs.columns import TIME, column_names, locate_readings, named_columns, read_columns, readings_header
 from tiltcal.logs.formats import open_log
@@ -83,16 +83,16 @@ def stated_scale(
     if isinstance(calibration, str | Path):
         calibration = read_calibration(calibration)
     if calibration is not None and not isinstance(calibration, CalibrationRecord):
-        raise UsageError(f"--calibration takes a tilt calibration or its file, not {calibration!r}")
+        raise UsageError(option="calibration", why=f"takes a tilt calibration or its file, not {calibration!r}")
     units = {
-        "--sensor": model.unit if model else None,
-        "--calibration": calibration.sensor.unit if calibration else None,
-        "--unit": unit,
+        "sensor": model.unit if model else None,
+        "calibration": calibration.sensor.unit if calibration else None,
+        "unit": unit,
     }
     units = {option: stated for option, stated in units.items() if stated is not None}
     if len(set(units.values())) > 1:
-        contradiction = ", but ".join(f"{option} says {stated}" for option, stated in units.items())
-        raise UsageError(f"the readings have one unit: {contradiction}")
+        said = [part for name, one in units.items() for part in (", but ", Argument(name), f" says {one}")]
+        raise UsageError(("the readings have one unit: ", *said[1:]))
     stated = next(iter(units.values()), None)
     channels = tuple(model.channels) if model else calibration.sensor.channels if calibration else ()
     if calibration is not None:
@@ -109,13 +109,24 @@ def scale_of(unit: str | None) -> NoiseScale:
     return NoiseScale(unit, {"*": OF_G[unit]}, f"unit {unit}") if unit in OF_G else NoiseScale(unit, {})
 
 
+RATE = Argument("rate", "HZ")
+
+
 def require_target(target: float | None, scale: NoiseScale) -> None:
     """Raise UsageError for a target in degrees where nothing states how much a degree is."""
-    require_above_zero("--target", target)
+    require_above_zero("target", target)
     if target is not None and not scale.per_g:
         raise UsageError(
-            "--target is in degrees, and nothing says how much a degree is: give the --sensor model, a --calibration, "
-            "or --unit g or m/s2"
+            option="target",
+            why="is in degrees, and nothing says how much a degree is",
+            advice=(
+                "give the ",
+                Argument("sensor"),
+                " model, a ",
+                Argument("calibration"),
+                ", or ",
+                Argument("unit", "g or m/s2"),
+            ),
         )
 
 
@@ -135,7 +146,7 @@ def characterise_readings(
 
     ``name`` is what messages call the log, in place of its own name.
     """
-    require_above_zero("--rate", rate)
+    require_above_zero("rate", rate)
     named = named_columns(columns, AXES)
     with open_log(readings, name=name, skip_bad_rows=skip_bad_rows, progress=progress) as log:
         header = readings_header(log, columns)
@@ -168,8 +179,9 @@ def characterise_readings(
 def _time_column(log: LogReader, named: Mapping[str, str]) -> int:
     time = column_names(log.names, (TIME,), named).get(TIME)
     if time is None:
-        why = f"there is no column {named.get(TIME, TIME)!r}; name it with --columns time=NAME, or state --rate HZ"
-        raise InputError(f"its sample rate is unknown: {why}", file=log.name, line=log.header_line)
+        why = f"its sample rate is unknown: there is no column {named.get(TIME, TIME)!r}; name it with "
+        where = Argument("columns", "time=NAME")
+        raise InputError((why, where, ", or state ", RATE), file=log.name, line=log.header_line)
     return log.names.index(time)
 
 
@@ -183,7 +195,7 @@ def evenly_spaced(columns: list[Array], times: Array, file: str) -> tuple[list[A
     steps = np.diff(times[rows])
     if len(steps) and steps.min() < 0.0:
         row = int(rows[1 + np.argmin(steps)])
-        raise InputError(f"time goes back at row {row}: sort the log, or state --rate HZ", file=file)
+        raise InputError((f"time goes back at row {row}: sort the log, or state ", RATE), file=file)
     steps[np.diff(rows) != 1] = np.nan  # what lies between rows without a time is no step of one interval
     singles = steps[np.isfinite(steps)]
     # Times that are written to the millisecond may stand still between rows that are taken faster.
@@ -191,7 +203,7 @@ def evenly_spaced(columns: list[Array], times: Array, file: str) -> tuple[list[A
     if usual <= 0.0:
         why = "its times do not change" if len(singles) else "it has no two rows with a time"
         why = why if len(rows) else "its times are neither seconds nor ISO 8601"
-        raise InputError(f"its sample rate is unknown: {why}; state it with --rate HZ", file=file)
+        raise InputError((f"its sample rate is unknown: {why}; state it with ", RATE), file=file)
     milliseconds = times[rows[:1000]] / _MILLISECOND
     slack = _MILLISECOND if np.all(np.abs(milliseconds - np.round(milliseconds)) < 1e-3) else 0.0
     late = np.flatnonzero(steps > _LATE * usual + slack)
@@ -200,7 +212,7 @@ def evenly_spaced(columns: list[Array], times: Array, file: str) -> tuple[list[A
     far = np.flatnonzero(lost > np.maximum(_LONGEST_GAP, _GAP_SHARE * rows[1 + late]))
     if len(far):
         leap = f"the time leaps by {steps[late[far[0]]]:.6g} s at row {rows[1 + late[far[0]]]}"
-        raise InputError(f"{leap}: cut the log there, or state --rate HZ", file=file)
+        raise InputError((f"{leap}: cut the log there, or state ", RATE), file=file)
     pace = Pace(interval, len(times), len(late), int(lost.sum()))
     if not len(late):
         return columns, pace

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypedDict
 
-from tiltcal.errors import UsageError
+from tiltcal.errors import Argument, UsageError, listed
 from tiltcal.options import Option
 from tiltcal.stated_arguments import (
     is_number,
@@ -93,12 +93,12 @@ def require_consistent(options: ApplyOptions) -> None:
         ("magnetometer_noise", ("magnetometer", "uncertainty")),
     ):
         if options[name] is not None and not all(options[other] for other in needed):  # type: ignore[literal-required]
-            raise UsageError(f"--{name.replace('_', '-')} needs {' and '.join(f'--{other}' for other in needed)}")
+            raise UsageError(option=name, why=("needs ", *listed(needed)))
     declination = options["declination"]
     if declination is not None and not (options["magnetometer"] or options["velocity"]):
-        raise UsageError("--declination needs --magnetometer or --velocity")
+        raise UsageError(option="declination", why=("needs ", Argument("magnetometer"), " or ", Argument("velocity")))
     if declination is not None and not (is_number(declination) and abs(declination) <= 180.0):
-        raise UsageError(f"--declination is between -180 and 180 degrees, not {shown(declination)}")
+        raise UsageError(option="declination", why=f"is between -180 and 180 degrees, not {shown(declination)}")
 
 
 @dataclass(frozen=True)
@@ -112,14 +112,15 @@ class GroupSize:
     def of(cls, rows: int | None, every: str | float | timedelta | None) -> GroupSize | None:
         """Return what ``--average`` and ``--every`` state; None where neither is given."""
         if rows is not None and every is not None:
-            raise UsageError("--average and --every each say what belongs into a mean: give one of them")
+            why = (*listed(("average", "every")), " each say what belongs into a mean")
+            raise UsageError(why, advice="give one of them")
         if every is None:
             return None if rows is None else cls(rows=rows)
         text = str(every.total_seconds() if isinstance(every, timedelta) else every).strip()
         match = _DURATION.fullmatch(text)
         seconds = float(match[1]) * _SECONDS[match[2] or "s"] if match else 0.0
         if not (seconds > 0.0 and is_number(seconds)):
-            raise UsageError(f"--every takes a time such as 10s, 500ms, 5min or 1h, not {every}")
+            raise UsageError(option="every", why=f"takes a time such as 10s, 500ms, 5min or 1h, not {every}")
         return cls(seconds=seconds)
 
 
@@ -133,15 +134,17 @@ def vectors(options: ApplyOptions) -> dict[str, tuple[str, ...]]:
         listed = names.split(",") if isinstance(names, str) else names
         columns = tuple(str(name).strip() for name in listed) if isinstance(listed, Iterable) else ()
         if names and (len(set(columns)) != 3 or not all(columns)):
-            raise UsageError(f"--{role} names three columns, along x, y and z, such as {example}; not {names!r}")
+            why = f"names three columns, along x, y and z, such as {example}; not {names!r}"
+            raise UsageError(option=role, why=why)
         named[role] = columns
     return {role: columns for role, columns in named.items() if columns and any(columns)}
 
 
-def _require_local_gravity(name: str, gravity: Any) -> None:
+def _require_local_gravity(option: str, gravity: Any) -> None:
     low, high = LOCAL_GRAVITY
     if gravity is not None and not (is_number(gravity, low) and gravity <= high):
-        raise UsageError(f"{name} {shown(gravity)}: local gravity is between {low:g} and {high:g} m/s²")
+        why = f"is between {low:g} and {high:g} m/s² on the ground, not {shown(gravity)}"
+        raise UsageError(option=option, why=why)
 
 
 def _uncertainty(of: str, metavar: str = "DEGREES", name: str = "") -> Option:

@@ -176,7 +176,7 @@ def test_what_is_not_stated_is_asked_for() -> None:
         combine([SCALE, Calibration(silent)])
     with pytest.raises(UsageError, match="no calibration has positions that were set"):
         combine([Calibration(by_values(SCALE.record)), Calibration(drift)])
-    with pytest.raises(UsageError, match="name two calibrations or more, or a --mounting"):
+    with pytest.raises(UsageError, match="name two calibrations or more, or a mounting"):
         combine([SCALE])
 
 
@@ -251,7 +251,7 @@ def test_a_session_without_a_mounting_takes_that_of_the_other_and_no_two_contrad
     mounting = {"roll": 180.0}
     pair = [SCALE.with_mounting(mounting), OF_BASE] if mounted_first else [SCALE, OF_BASE.with_mounting(mounting)]
     assert combine(pair).coefficients.mounting == Mounting(roll=np.pi)
-    with pytest.raises(UsageError, match=r"the mountings contradict: .*; state one with --mounting"):
+    with pytest.raises(UsageError, match=r"the mountings contradict: .*; state one with mounting"):
         combine([pair[0].with_mounting("roll=180"), pair[1].with_mounting("roll=90")])
 
 

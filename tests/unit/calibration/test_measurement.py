@@ -83,7 +83,7 @@ def test_a_position_at_the_rail_is_refused() -> None:
 def test_an_angle_beyond_the_lower_rail_is_refused() -> None:
     """1024 - 1638 sin 34° is 108, and 1024 - 1638 sin 35° is 84.5."""
     require_suitable(find_procedure("plane", 34.0), INCLINOMETER)
-    with pytest.raises(UsageError, match=r"would read about 84\.482 count, .* a smaller --tilt brings it in range"):
+    with pytest.raises(UsageError, match=r"would read about 84\.482 count, .* a smaller tilt brings it in range"):
         require_suitable(find_procedure("plane", 35.0), INCLINOMETER)
 
 

@@ -27,11 +27,11 @@ def test_a_mounting_of_the_file_is_replaced_and_no_longer_uncertain() -> None:
 
 def test_angles_that_are_none_are_refused() -> None:
     for angles, why in (
-        ({"heading": 3.0}, "there is no angle 'heading'"),
-        ("pitch=91", "pitch is between -90 and 90"),
-        ("roll", "'roll' is no pair"),
-        ("roll=1,roll=2", "roll is named twice"),
-        ({"yaw": float("nan")}, "yaw is between -180 and 180"),
+        ({"heading": 3.0}, "has no angle 'heading'"),
+        ("pitch=91", "between -90 and 90 for pitch"),
+        ("roll", "takes pairs, not 'roll'"),
+        ("roll=1,roll=2", "names roll twice"),
+        ({"yaw": float("nan")}, "between -180 and 180 for yaw"),
     ):
         with pytest.raises(tiltcal.UsageError, match=why):
             tiltcal.read(MOUNTED).with_mounting(angles)

@@ -57,7 +57,7 @@ def test_a_part_that_another_program_left_in_bank_1_is_read_and_named(model, opt
 def test_another_part_and_wires_alone_are_named() -> None:
     device = VirtualDevice(SCL)
     device.line.link = VirtualDevice(SCA).part()
-    with pytest.raises(DeviceFault, match=r"WHOAMI reads 0x51.* the part is an SCA3300-D01: name it with --sensor"):
+    with pytest.raises(DeviceFault, match=r"WHOAMI reads 0x51.* the part is an SCA3300-D01: name it with sensor"):
         device.sensor.read()
     device = VirtualDevice(SCL)
     device.line.change = lambda out, answer: out

@@ -108,7 +108,7 @@ def test_resumed_it_is_the_journal_of_a_session_that_was_never_stopped(path: Pat
 
 def test_an_existing_journal_is_never_overwritten(path: Path) -> None:
     whole = captured(path)
-    with pytest.raises(UsageError, match="--resume"):
+    with pytest.raises(UsageError, match="resume it with resume"):
         JournalWriter.create(path, {})
     assert path.read_bytes() == whole
 

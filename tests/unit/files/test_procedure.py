@@ -140,9 +140,9 @@ def test_the_turns_of_the_command_line_take_the_place_of_the_files(turning: Path
     longer = procedure.with_turns(40).rotation
     assert longer is not None
     assert longer.turns == 40
-    with pytest.raises(UsageError, match="--turns takes a number of turns from 2"):
+    with pytest.raises(UsageError, match="turns takes a number of turns from 2"):
         procedure.with_turns(1)
-    with pytest.raises(UsageError, match="leave --turns out"):
+    with pytest.raises(UsageError, match="leave turns out"):
         find_procedure("plane").with_turns(4)
     with pytest.raises(UsageError, match="tiltcal match"):
         procedure.require_positions()

@@ -187,7 +187,7 @@ def test_what_names_no_sensor_or_no_time_is_refused(tmp_path: Path) -> None:
         library.apply(frame)
     with pytest.raises(UsageError, match="has no calibration of 'C'"):
         library.apply(frame, serial="C")
-    with pytest.raises(InputError, match="no count of seconds since 1970: state when the log began with start"):
+    with pytest.raises(InputError, match="no count of seconds since 1970: state when the log began, such as start"):
         library.apply(frame, serial="A")
     placed = library.apply(frame, serial="A", start=stamp(1.0))
     assert placed["reason"].tolist() == [64, 64]

@@ -72,5 +72,5 @@ def test_times_that_do_not_go_on_are_refused_with_their_row(tmp_path):
         times = SECONDS.copy()
         times[place] = time
         log = write(tmp_path / "log.csv", {"time": times, **READINGS, "temperature": THERMOMETER})
-        with pytest.raises(InputError, match=rf"log\.csv: time .* at row {place}, .*--columns time=NAME"):
+        with pytest.raises(InputError, match=rf"log\.csv: time .* at row {place}, .*columns time=NAME"):
             applied(LAG, log)

@@ -131,7 +131,7 @@ def test_a_base_with_a_nonlinearity_has_it_in_the_offset_and_its_uncertainty(rec
         ({"temperature": 197.0 - 1.083 * CHAMBER}, {}, "convert counts or kelvin to °C"),
         ({"x": np.full(len(SECONDS), 1024.0)}, {}, "x reads 1024 in all 2400 rows"),
         ({}, {"columns": "time=t0"}, "there is no column 't0'"),
-        ({}, {"table": True, "columns": ""}, "takes a continuous record, not a --table"),
+        ({}, {"table": True, "columns": ""}, "takes a continuous record, not a table"),
         (
             {},
             {"segments": [{"position": f"part-{row}", "start": row, "end": row + 999} for row in (0, 1000)]},

@@ -309,7 +309,7 @@ REFUSED: list[tuple[Any, dict[str, Any], str]] = [
         "column 'heading' is in rad, and headings in degree",
     ),
     (READINGS, {"columns": {"x": "VoutX"}}, "the frame: there is no column 'VoutX'; the log has x, y"),
-    (READINGS, {"columns": {"X": "x"}}, r"there is no role 'X' .*; the roles are x, y, temperature, time"),
+    (READINGS, {"columns": {"X": "x"}}, r"columns has no role 'X' .*; the roles are x, y, temperature, time"),
     ({**READINGS, "x": ["a", "b"]}, {}, r"column 'x' holds .*, not numbers"),
     (pl.DataFrame({**READINGS, "x": ["a", "b"]}), {}, r"column 'x' holds .*, not numbers"),
     ({**READINGS, "x": [1.0]}, {}, "differ in length"),

@@ -138,5 +138,5 @@ def test_spectra_are_those_of_the_turning_and_the_noise() -> None:
 
 
 def test_online_takes_the_stage_angle() -> None:
-    with pytest.raises(UsageError, match="--online needs --phase"):
+    with pytest.raises(UsageError, match="online needs phase"):
         match(disk(1.0), PAIRS, online=True)

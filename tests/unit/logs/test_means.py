@@ -111,7 +111,7 @@ class TestGroups:
 
     def test_a_wrong_time_is_refused(self) -> None:
         for every in ("10q", "0s", "-1", "", "1.2.3s"):
-            with pytest.raises(UsageError, match="--every takes a time such as 10s"):
+            with pytest.raises(UsageError, match="every takes a time such as 10s"):
                 GroupSize.of(None, every)
 
 

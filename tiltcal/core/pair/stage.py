@@ -18,7 +18,7 @@ from tiltcal.core.detection import run_bounds
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import Array
 from tiltcal.core.pair.model import FEWEST_TURNS
-from tiltcal.errors import EstimateError
+from tiltcal.errors import Argument, EstimateError
 
 STANDSTILL = 0.05  # turns below which the stage does not turn
 PARTS = 8  # of a turn, each of which must have rows
@@ -206,7 +206,8 @@ def _strongest(centred: Array, readings: Array) -> float:
     if not apart * _MOST_EMPTY * len(centred) > 1.0:
         raise EstimateError(
             f"the gaps of the record are more than {_MOST_EMPTY - 1} times as long as what it holds, and how often the "
-            "stage turned in them cannot be counted: match a part of it, or name the column of the --phase"
+            "stage turned in them cannot be counted",
+            advice=("match a part of it, or name the column of the ", Argument("phase")),
         )
     places = round(1.0 / apart) + 1
     place = np.rint((centred + 0.5) * (places - 1)).astype(np.intp)

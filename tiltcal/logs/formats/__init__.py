@@ -13,7 +13,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from tiltcal.errors import UsageError
+from tiltcal.errors import Argument, UsageError
 from tiltcal.logs.log import LogReader, LogSource, LogWriter, Progress
 from tiltcal.logs.streams import STANDARD, log_source
 from tiltcal.stated_arguments import require_boolean
@@ -55,7 +55,8 @@ def require_way(log: str | Path, output: str | Path) -> None:
     if NETCDF in (before, after) and before != after:
         end = ".nc" if before == NETCDF else ".csv or .parquet"
         raise UsageError(
-            f"a NetCDF log stays NetCDF, and no other becomes it: name an output that ends in {end}, with -o"
+            "a NetCDF log stays NetCDF, and no other becomes it",
+            advice=(f"name an output that ends in {end}, with ", Argument("output")),
         )
 
 
@@ -75,7 +76,7 @@ def open_log(
     InputError: the file is not what its name says, is empty or damaged.
     UsageError: the file cannot be opened, or the library that its format takes is not there.
     """
-    require_boolean("--skip-bad-rows", skip_bad_rows)
+    require_boolean("skip_bad_rows", skip_bad_rows)
     if not isinstance(log, str | Path):
         from tiltcal.logs.frames import FrameReader
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.errors import InputError, UsageError
+from tiltcal.errors import Argument, InputError, UsageError
 from tiltcal.logs.log import LogBlock, LogReader, LogSource
 from tiltcal.logs.streams import refusing, sha256_of
 
@@ -62,8 +62,8 @@ class RosbagReader(LogReader):
             what = f"topic {wanted!r} of" if wanted else "topic of"
             raise InputError(f"there is no {what} sensor_msgs/Imu; the topics are {there}", file=self.name)
         if not wanted and len(topics) > 1:
-            why = f"several topics are sensor_msgs/Imu: name one, --topic {' or '.join(topics)}"
-            raise InputError(why, file=self.name)
+            why = "several topics are sensor_msgs/Imu: name one, "
+            raise InputError((why, Argument("topic", " or ".join(topics))), file=self.name)
         return wanted or topics[0]
 
     @property
