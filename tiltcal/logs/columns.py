@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 
 from tiltcal.core.model import AXES, Array
-from tiltcal.errors import Argument, InputError, UsageError, Words
+from tiltcal.errors import Argument, InputError, UsageError, Words, parts_of
 from tiltcal.printable import did_you_mean
 from tiltcal.stated_arguments import named_values
 from tiltcal.units import DEGREE, READINGS, TEMPERATURES, same_unit, spelt, split_unit
@@ -159,7 +159,7 @@ def locate_readings(
 ) -> dict[str, int]:
     """Find the columns of readings in a unit that was named, else an InputError, as :func:`locate_columns` does."""
     where = locate_columns(log, channels, named, others)
-    require_units(log, where, dict.fromkeys(channels, unit), "the --unit")
+    require_units(log, where, dict.fromkeys(channels, unit), ("the ", Argument("unit")))
     return where
 
 
@@ -170,7 +170,7 @@ def require_units(
     log: LogReader,
     where: Mapping[str, int],
     units: Mapping[str, str],
-    whose: str = "the calibration",
+    whose: Words = "the calibration",
     stated: str | None = None,
 ) -> None:
     """Raise InputError for a log in which the column of a role states another unit than that of ``whose``.
@@ -179,14 +179,14 @@ def require_units(
     readings.
     """
     for role, column in where.items():
-        unit, of = units.get(role), whose
+        unit, of = units.get(role), parts_of(whose)
         if unit is None and (kind := role.rpartition("_")[2]) in _ROLE_UNITS:
-            unit, of = _ROLE_UNITS[kind], f"{kind}s"
+            unit, of = _ROLE_UNITS[kind], (f"{kind}s",)
         for found in (log.unit(column), stated if role in units else None):
             if unit == "°C" and spelt(found or unit) in TEMPERATURES:
                 continue
             if unit is not None and found is not None and not same_unit(found, unit):
-                why = f"column {log.names[column]!r} is in {found}, and {of} in {unit}: convert the readings"
+                why = (f"column {log.names[column]!r} is in {found}, and ", *of, f" in {unit}: convert the readings")
                 raise InputError(why, file=log.name)
 
 

@@ -157,7 +157,7 @@ def _of_table(data: Any, sensor: SensorIdentity, procedure: Procedure) -> FitPos
         table = FrameReader(data, name="the table")
         where = {name: index for index, name in enumerate(table.names)}
         means = {name: sensor.unit for axis in AXES for name in (axis, f"u{axis}")}
-        require_units(table, where, means, "the --unit")
+        require_units(table, where, means, ("the ", Argument("unit")))
     file = str(data) if isinstance(data, str | Path) else "the table"
     positions = read_positions(_path_or_rows(data, "the table", TabledRow), sensor.channels)
     provenance = _provenance("table of positions", table=_origin(data, FileRecord))

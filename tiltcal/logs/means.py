@@ -97,7 +97,7 @@ class Means:
         time = block.values[self.time or 0]
         timed = np.isfinite(time)
         if not timed.any() and any(np.isfinite(block.readings(sensor.columns)).any() for sensor in self.sensors):
-            raise InputError(no_time_yet(len(time), "to which mean of --every they belong"), file=self.log.name)
+            raise InputError(no_time_yet(len(time), "to which mean they belong"), file=self.log.name)
         place = np.maximum.accumulate(np.where(timed, np.arange(len(time)), 0))
         # Whole microseconds are exact where seconds are not; a border within half of one is where the row is.
         micros = np.rint(np.where(timed, time, time[place]) * 1e6) + 0.5

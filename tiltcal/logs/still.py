@@ -34,7 +34,7 @@ from tiltcal.core.flags import Mask
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.samples import BLOCKS
 from tiltcal.core.uncertain import coverage_factor
-from tiltcal.errors import EstimateError
+from tiltcal.errors import Argument, EstimateError, Parts
 from tiltcal.files.tables import Segment
 
 WINDOWS = (200, 100, 50, 25)
@@ -227,7 +227,7 @@ def mean_of(columns: Sequence[Array], spans: Sequence[Span]) -> tuple[Array, Arr
     return rows.mean(axis=1), np.asarray(blocks.std(axis=1, ddof=1) / sqrt(blocks.shape[1]))
 
 
-def _too_few(tried: Sequence[StaticDetection], lost: int) -> str:
+def _too_few(tried: Sequence[StaticDetection], lost: int) -> Parts:
     """Return why no choice will do; ``lost`` rows are missing, or stuck at one value."""
     absent = min((choice.fit.absent for choice in tried if isinstance(choice.fit, PositionFit)), key=len, default=None)
     if absent is not None:
@@ -238,5 +238,6 @@ def _too_few(tried: Sequence[StaticDetection], lost: int) -> str:
     lost_too = f"; {lost} rows are missing, or stuck at one value" if lost else ""
     return (
         f"no threshold finds {found} in windows of {WINDOWS[-1]} rows or more{lost_too}. Hold the sensor still for "
-        "longer in each; or give the intervals with --segments"
+        "longer in each; or give the intervals with ",
+        Argument("segments"),
     )
