@@ -16,11 +16,12 @@ ifneq ($(shell cat $(STAMP) 2>/dev/null),$(shell $(IDENTIFY) 2>/dev/null))
 .PHONY: $(STAMP)
 endif
 
-.PHONY: help demo test test-kernel check bench fixtures reference site firmware clean
+.PHONY: help demo test test-judges test-kernel check bench fixtures reference site firmware clean
 
 help:
 	@echo "make demo         calibrate a virtual sensor, show what that does to a recorded log, and write its report"
 	@echo "make test         run the tests"
+	@echo "make test-judges  let drivers by other hands, and Linux's in QEMU, read our virtual parts"
 	@echo "make test-kernel  run the GPIO driver, and Linux's drivers of our parts, on Debian's kernel in QEMU"
 	@echo "make check        lint, types, layers, and what the wheel holds"
 	@echo "make bench        measure how fast it is, beside polars and others; benchmarks/README.md has the long ones"
@@ -38,6 +39,9 @@ demo: $(STAMP)
 test: $(STAMP)
 	@PYTHONDONTWRITEBYTECODE= $(RUN) -m pytest --dist worksteal \
 		-n $$($(RUN) -c 'import os; print(min((os.cpu_count() or 1) + 1, 5))')
+
+test-judges: $(STAMP)
+	@tests/judges/run
 
 test-kernel: $(STAMP)
 	@tests/kernel/run
@@ -72,7 +76,7 @@ firmware:
 	@$(MAKE) --no-print-directory -C firmware
 
 clean:
-	rm -rf firmware/build tests/kernel/build
+	rm -rf firmware/build tests/judges/build tests/kernel/build
 	rm -rf $(VENV) build dist demo site tiltcal.egg-info .benchmarks .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find tiltcal/ drivers procedures tests fixtures benchmarks docs -name __pycache__ -prune -exec rm -rf {} +
 

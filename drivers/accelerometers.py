@@ -266,7 +266,7 @@ MMA8451 = RegisterPart(
         settling=4,
         watched=0x2A,
     ),
-    virtual=VirtualFacts(asleep=(0x2A, 0x01, 0x00), reset=Write(0x2B, 0x40), noise_density=99e-6),
+    virtual=VirtualFacts(held={0x00: 0x0F}, asleep=(0x2A, 0x01, 0x00), reset=Write(0x2B, 0x40), noise_density=99e-6),
 )
 
 BMI160 = RegisterPart(
@@ -293,7 +293,8 @@ BMI160 = RegisterPart(
         settling=8,
         watched=0x40,
     ),
-    virtual=VirtualFacts(held={0x40: 0x28, 0x41: 0x03}, noise_counts=30.0),
+    # Hosts wait until PMU_STATUS says that accelerometer and gyroscope are on.
+    virtual=VirtualFacts(held={0x03: 0x14, 0x40: 0x28, 0x41: 0x03}, noise_counts=30.0),
 )
 
 MSA311 = RegisterPart(

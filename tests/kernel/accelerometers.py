@@ -1,118 +1,183 @@
-"""Linux's own drivers of accelerometers read what our virtual parts have in their registers.
+"""Linux's own drivers of accelerometers read our virtual parts, over its own I2C, SPI and regmap.
 
-Needs root and a kernel with i2c-stub at the addresses of :data:`PARTS`; ``make test-kernel`` boots one.
+Needs root and a kernel with the module of ``answered_bus.c``; ``make test-kernel`` boots one. Its bus does not judge
+the frequency and edges of the clock, setup times, waits, and the SPI mode.
 """
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from threading import Event, Thread
+from threading import Thread
 from time import sleep
-from typing import Any
-
-from smbus2 import SMBus
+from typing import Any, NamedTuple
 
 from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.virtual import Fixture
 
-PARTS = {
-    "adxl345": 0x53,
-    "lis3dh": 0x18,
-    "lsm6ds3": 0x6A,
-    "lsm6ds3tr-c": 0x6A,
-    "lsm6dsox": 0x6B,
-    "mma8451": 0x1D,
-    "bmi160": 0x69,
-    "mpu6050": 0x68,
-    "mpu6500": 0x68,
-}
-"""Not the MPU-9250, whose compass would have to answer, and what Linux 6.1 has no driver for (ICM-20948, MSA311)."""
-
 G = 9.80665
-UP = (0.48, -0.6, 0.64)
+UP = (0.36, -0.288, (1.0 - 0.36**2 - 0.288**2) ** 0.5)
+"""Within ±0.49 g of x and y, where the narrowest range of an IIS2ICLX ends."""
 
 
-class StubBus:
-    """The bus of i2c-stub: chips of 256 registers that hold what is written to them, and do nothing."""
+class Judged(NamedTuple):
+    """A driver of Linux that reads one of our parts.
+
+    name: of the part in Linux.
+    bus: its address on I2C; 0 is SPI.
+    ranges: of ours, which Linux sets by its scale; an empty one is the only one that it has.
+    unit: 1 g in its unit of acceleration; 0 where its scale is that of another part.
+    """
+
+    model: str
+    name: str
+    bus: int
+    ranges: tuple[str, ...] = ("2g", "4g", "8g", "16g")
+    unit: float = G
+
+
+LSM6DS = [Judged(name, name, bus) for name in ("lsm6ds3", "lsm6ds3tr-c", "lsm6dsox") for bus in (0x6A, 0)]
+MPU = [Judged(name, name, 0x68) for name in ("mpu6050", "mpu6500", "mpu9250")]
+SCA3000 = [Judged(f"sca3000-{name}", f"sca3000_{name}", 0, ("",)) for name in ("d01", "e02", "e04", "e05")]
+
+JUDGED = (
+    Judged("adxl345", "adxl345", 0x53, ("16g",)),
+    Judged("adxl345", "adxl345", 0, ("16g",)),
+    Judged("adxl355", "adxl355", 0x1D, ("2g",)),
+    Judged("adxl355", "adxl355", 0, ("2g",)),
+    Judged("bmi160", "bmi160", 0x69),
+    # Linux has no driver of it, but one of its sibling with the same registers, identity and codes.
+    Judged("iis2iclx", "ism330dhcx", 0x6A, ("0.5g", "1g", "2g", "3g"), 0.0),
+    Judged("iis2iclx", "ism330dhcx", 0, ("0.5g", "1g", "2g", "3g"), 0.0),
+    Judged("lis3dh", "lis3dh", 0x18),
+    Judged("lis3dh", "lis3dh", 0),
+    *LSM6DS,
+    Judged("mma8451", "mma8451", 0x1D, ("2g", "4g", "8g")),
+    *MPU,
+    Judged("msa311", "msa311", 0x62),
+    *SCA3000,
+    Judged("sca3300-d01", "sca3300", 0, ("3g", "6g", "1.5g"), 1.0),
+    # It sets mode 4 where our range has mode 3, with the same sensitivity.
+    Judged("scl3300", "sca3300", 0, ("1.2g", "2.4g", "inclination"), 1.0),
+)
+
+
+class WithCompass:
+    """An MPU-9250 whose compass says who it is, in place of all else; Linux does not take the part without one."""
+
+    def __init__(self, part: Any) -> None:
+        self._part = part
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        said: bytes = self._part.exchange(out, count)
+        return b"\x48" * count if out == b"\x49" else said
+
+
+class AnsweredBus:
+    """The bus of ``answered_bus.c`` with one part, which answers in a thread."""
 
     def __init__(self) -> None:
-        self.adapter = next(
-            path for path in Path("/sys/bus/i2c/devices").glob("i2c-*") if "stub" in (path / "name").read_text()
-        )
-        self.bus = SMBus(int(self.adapter.name.removeprefix("i2c-")))
+        self.part: Any = None
+        self._device = os.open("/dev/answered", os.O_RDWR)
+        self._clock = VirtualClock()
+        Thread(target=self._serve, daemon=True).start()
 
-    def fill(self, address: int, contents: dict[int, int]) -> None:
-        for register in range(256):
-            self.bus.write_byte_data(address, register, contents.get(register, 0), force=True)
+    def _serve(self) -> None:
+        while True:
+            asked = os.read(self._device, 1024)
+            try:
+                answer = b"\1" + self.part.exchange(asked[4:], int.from_bytes(asked[2:4], "little"))
+            except Exception as failure:
+                print(f"test-kernel: the part fails: {failure!r}", flush=True)
+                answer = b"\0"
+            # The kernel waits in its own time.
+            self._clock.sleep(0.01)
+            os.write(self._device, answer)
 
     @contextmanager
-    def driven(self, name: str, address: int) -> Iterator[Path | None]:
-        """Let the kernel's driver of a part take a chip; yields the folder of its IIO device, if it does."""
-        done = Event()
-
-        def out_of_reset() -> None:
-            # The MMA8451 ends its reset by itself.
-            while not done.is_set():
-                self.bus.write_byte_data(address, 0x2B, 0x00, force=True)
-                sleep(1e-5)
-
-        clearing = Thread(target=out_of_reset)
-        if name == "mma8451":
-            clearing.start()
-        (self.adapter / "new_device").write_text(f"{name} {address:#x}\n")
-        done.set()
+    def driven(self, judged: Judged, part: Any, clock: VirtualClock) -> Iterator[Path]:
+        """Let the kernel's driver take a part; yields the folder of its IIO device."""
+        self.part, self._clock = part, clock
+        control = Path("/sys/module/answered_bus/parameters", "i2c_device" if judged.bus else "spi_device")
+        control.write_text(f"{judged.name} {judged.bus:#x}\n")
         try:
-            number = self.adapter.name.removeprefix("i2c-")
-            yield next(Path(f"/sys/bus/i2c/devices/{number}-{address:04x}").glob("iio:device*"), None)
+            found = [one for one in Path("/sys/bus/iio/devices").glob("iio:device*") if any(one.glob("in_accel*"))]
+            if not found:
+                raise AssertionError(f"Linux's driver of {judged.name} does not take the part")
+            yield found[0]
         finally:
-            (self.adapter / "delete_device").write_text(f"{address:#x}\n")
+            control.write_text("\n")
 
 
-def registers_of(name: str) -> tuple[dict[int, int], Any, Any]:
-    """Return the registers of our virtual part in one attitude, our reading of them, and the model."""
-    model, clock = find_model(name), VirtualClock()
-    fixture = Fixture(clock, ambient=24.0)
+def number(folder: Path, *names: str) -> float:
+    """The first of the files that is there."""
+    return float(next(path for name in names for path in folder.glob(name)).read_text())
+
+
+def check(bus: AnsweredBus, judged: Judged, span: str) -> str:
+    """The kernel's raw values are the truth, digit by digit; its scale and its temperature are near ours."""
+    model = find_model(judged.model)
+    model = model.at(parse_address(f"sim:{f'range={span}' * bool(span)}"))
+    clock = VirtualClock()
+    fixture, truth = Fixture(clock, ambient=24.0), replace(model.default_truth(3), noise={})
     fixture.move(UP)
-    part = model.twin(replace(model.default_truth(3), noise={}), fixture, clock)
-    part.letter = "i"
-    reading = model.driver(part, clock).read()
-    contents = {register: part.exchange(bytes([register]), 1)[0] for register in range(0x80)}
-    return contents, reading, model
-
-
-def check_raw(stub: StubBus, name: str) -> str:
-    """The kernel's raw values are our readings, digit by digit; its scale, and its temperature, are near ours."""
-    contents, reading, model = registers_of(name)
-    address = PARTS[name]
-    if name == "lis3dh":  # it counts on at the address with bit 7
-        contents.update({register | 0x80: contents[register] for register in range(0x28, 0x2E)})
-    if name == "mma8451":  # the kernel waits for a new sample, whose bits our part leaves out
-        contents[0x00] = 0x0F
-    stub.fill(address, contents)
-    with stub.driven(name, address) as folder:
-        if folder is None and name == "adxl345":
-            return "not read: the driver of Linux 6.1 takes this part from a device tree alone"
-        raw = tuple(float((folder / f"in_accel_{axis}_raw").read_text()) for axis in "xyz")
-        assert raw == reading.values, (raw, reading.values)
+    part = model.twin(truth, fixture, clock)
+    part.letter = "i" if judged.bus else "s"
+    asked = WithCompass(part) if model.name == "mpu9250" else part
+    with bus.driven(judged, asked, clock) as folder:
         scale = next(path for path in (folder / "in_accel_scale", folder / "in_accel_x_scale") if path.exists())
-        factor = float(scale.read_text()) * model.sensitivity / G
-        assert abs(factor - 1.0) < 2.5e-3, factor
-        said = f"{', '.join(f'{value:.0f}' for value in raw)}, scale {100 * (factor - 1):+.2f} %"
-        if (folder / "in_temp_raw").exists() and model.thermometer:
-            counts, offset, degree = (
-                float((folder / f"in_temp_{one}").read_text()) for one in ("raw", "offset", "scale")
-            )
-            celsius = (counts + offset) * degree / 1000.0
-            assert abs(celsius - reading.temperature) < 0.05, (celsius, reading.temperature)
+        known = [*folder.glob("in_accel_scale_available"), *folder.glob("in_accel_x_scale_available")]
+        scales = known[0].read_text().split() if known else []
+        if scales and judged.unit:
+            wanted = judged.unit / model.sensitivity
+            scale.write_text(min(scales, key=lambda one: abs(float(one) / wanted - 1.0)))
+        elif scales:
+            scale.write_text(scales[judged.ranges.index(span)])
+        raw = [number(folder, f"in_accel_{channel}_raw") for channel in model.channels]
+        expected = [truth.reading(channel, UP, 24.0) for channel in model.channels]
+        assert all(abs(one - other) < 0.51 for one, other in zip(raw, expected, strict=True)), (raw, expected)
+        said = ", ".join(f"{value:.0f}" for value in raw)
+        if judged.unit:
+            factor = number(scale.parent, scale.name) * model.sensitivity / judged.unit
+            # Linux rounds its scales to a digit of 1e-6.
+            assert abs(factor - 1.0) < 2.5e-3 + 0.5e-6 * model.sensitivity / judged.unit, factor
+            said += f", scale {100 * (factor - 1):+.2f} %"
+        if model.thermometer and any(folder.glob("in_temp*_scale")):
+            counts, offset, degree = (number(folder, f"in_temp_{one}", f"in_temp0_{one}") for one in THERMOMETER)
+            # The scale of the SCA3000 is in °C, and those of the others in m°C.
+            celsius = (counts + offset) * degree / (1.0 if judged in SCA3000 else 1000.0)
+            assert abs(celsius - 24.0 - truth.thermometer_error) < 0.06 + 0.51 * model.thermometer_step, celsius
             said += f", {celsius:.2f} °C"
+        ours = model.driver(part, clock).read()
+        assert list(ours.values) == raw, (ours, raw)
     return said
 
 
+THERMOMETER = ("raw", "offset", "scale")
+
+
+def main() -> int:
+    """Judge each part on its buses and ranges, or those whose names are given; return the number of failures."""
+    bus, failures = AnsweredBus(), 0
+    for judged in JUDGED:
+        if sys.argv[1:] and judged.model not in sys.argv[1:]:
+            continue
+        for span in judged.ranges:
+            try:
+                said = check(bus, judged, span)
+            except (AssertionError, OSError, StopIteration) as failure:
+                said, failures = f"FAILED: {type(failure).__name__} {failure}", failures + 1
+            sleep(0.01)
+            line = f"{judged.model} {'I2C' if judged.bus else 'SPI'} {span}".strip()
+            print(f"test-kernel: {line}: {said}", flush=True)
+    return min(failures, 100)
+
+
 if __name__ == "__main__":
-    stub = StubBus()
-    for name in PARTS:
-        print(f"test-kernel: {name}: {check_raw(stub, name)}", flush=True)
+    raise SystemExit(main())

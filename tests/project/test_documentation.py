@@ -185,10 +185,10 @@ def test_every_model_is_on_the_page_that_leads_to_it() -> None:
 
 
 def sensors_with_procedures() -> Iterator[tuple[str, str]]:
-    """The models and procedures of each row of the table of markings, which has five columns."""
+    """The models and procedures of each row of the table of markings, which has six columns."""
     for line in SENSORS.read_text(encoding="utf-8").splitlines():
         cells = line.split("|")[1:-1]
-        if len(cells) == 5:
+        if len(cells) == 6:
             yield from product(re.findall("`([^`]+)`", cells[2]), re.findall("`([^`]+)`", cells[4]))
 
 
