@@ -6,7 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
-from support import FIXTURES, ROOT
+from support import FIXTURES
 from support.command import tiltcal
 
 PLANE = (FIXTURES / "plane.yaml").read_text(encoding="utf-8")
@@ -84,16 +84,15 @@ def test_a_bench_that_is_measured_is_checked_with_its_lines(tmp_path: Path) -> N
         assert (result.returncode, result.stderr.split(" no ")[0]) == (2, "tiltcal: bench.yaml:6: sensors[0]:")
 
 
-def test_a_calibration_of_an_earlier_version_beside_its_journal(tmp_path: Path) -> None:
-    """Made before priors were counted: other keys and digits of the same coefficients, u = 0.34 count/g of x to y."""
-    data, other = ROOT / "tests" / "data", "plane.journal.jsonl does not give this file"
-    text = (data / "plane-earlier.yaml").read_text(encoding="utf-8")
-    shutil.copy(data / "plane-earlier.journal.jsonl", tmp_path / "plane.journal.jsonl")
+def test_a_calibration_of_other_digits_beside_its_journal(tmp_path: Path) -> None:
+    other = "plane.journal.jsonl does not give this file"
+    text = PLANE.replace("y: 11.2,", "y: 11.3,")
+    shutil.copy(FIXTURES / "plane.journal.jsonl", tmp_path)
     agrees = "calibration, plane.journal.jsonl gives other digits with this version, which agree within their"
     for old, new, code, says in (
         ("", "", 0, agrees),
-        ("x: 817.2001, y: 11.4501", "x: 817.2001, y: 31.4501", 1, other),
-        ("sha256: ec9f17", "sha256: ec9f18", 1, other),
+        ("y: 11.3,", "y: 131.3,", 1, other),
+        ('jsonl, sha256: "480f', 'jsonl, sha256: "481f', 1, other),
         ("serial: SIM-42, unit", "serial: SIM-43, unit", 1, other),
     ):
         assert old in text

@@ -14,9 +14,11 @@ from support.command import tiltcal
 
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
+from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import shipped_procedures
 from tiltcal.files.twin import read_twin
 from tiltcal.library.calibration import read
+from tiltcal.library.measure import measure
 
 # A number that lies between two roundings is rounded to either, by the linear algebra of the processor.
 NUMBER = re.compile(r"(?<![\w.:-])-?\d+\.\d+(?:e[+-]\d+)?(?![\w.:-])")
@@ -107,3 +109,22 @@ def test_the_golden_drift_of_the_sensitivity_is_the_twins() -> None:
         name = f"temperature.sensitivity.{channel}.1"
         expanded = found.uncertainty[name] * found.uncertainty.coverage_factor[name]
         assert found.coefficients.thermal.gain[row, 0] == pytest.approx(truth.gain[channel][0], abs=expanded)
+
+
+@pytest.mark.parametrize("procedure", ["plane", "two-temperature"])
+def test_the_virtual_bench_writes_the_events_of_a_fixture(
+    procedure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(FIXTURES)
+    sensor = {"sensor": "sca100t-d02", "serial": "SIM-42", "address": "sim:?twin=twins/sca100t-d02.yaml"}
+    journal = tmp_path / "again.jsonl"
+    output = tmp_path / "again.yaml"
+    measure(procedure, operator="sim", journal=journal, output=output, samples=10, settle=0.006, **sensor)  # type: ignore[arg-type]
+    again, fixture = (read_journal(path) for path in (journal, FIXTURES / f"{procedure}.journal.jsonl"))
+    assert len(again.events) == len(fixture.events)
+    for ours, theirs in zip(again.events, fixture.events, strict=True):
+        assert (ours.dt_ns, ours.kind) == (theirs.dt_ns, theirs.kind)
+        if ours.kind != "p":
+            assert ours.payload == theirs.payload
+        else:
+            assert ours.payload[0]["sensors"] == theirs.payload[0]["sensors"]

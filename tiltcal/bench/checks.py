@@ -231,7 +231,7 @@ class Expectations:
         self._sensors = {sensor.serial: sensor for sensor in sensors}
         self._accepted = accepted
         self._determines = setup.steps.determines
-        bases = setup.known.values()
+        bases = setup.bases.values()
         self._mounted = any(base.calibration.coefficients.mounting is not None for base in bases)
         """Whether the positions are those of an application in which a sensor sits in a way of its own."""
         self._known = not (self._determines.free or self._determines.mounting or self._mounted)
@@ -260,7 +260,7 @@ class Expectations:
 
             objection = objection_to_level if determines.level else missing_temperature
             for serial, measurement in result.measurements.items():
-                if refusal := objection(self._setup.known[serial].calibration, measurement):
+                if refusal := objection(self._setup.bases[serial].calibration, measurement):
                     raise Unsettled(refusal)
         for serial, sensor in self._sensors.items():
             self._require_not_stuck(serial, sensor.wired.unit, result.measurements[serial])

@@ -1,22 +1,21 @@
 """A calibration as a function of a journal: its accepted positions, fitted.
 
 ``measure`` ends here, and so do ``replay`` and ``--resume``, so they agree by construction. Nothing of the settling is
-judged a second time: an accepted position names the lines of its samples. In a journal of format 1 they are the last
-ones before the review.
+judged a second time: an accepted position names the lines of its samples.
 """
 
 from __future__ import annotations
 
 from array import array
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, far_off, result_of
+from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, result_of
 from tiltcal.bench.devices import BenchDevice
 from tiltcal.bench.operators import Message, as_set
 from tiltcal.bench.playback import Playback, RecordedSample
@@ -83,7 +82,7 @@ class RecordedSession:
                 self._hear(item.content(OperatorAnswer))
             elif item.kind == POSITION:
                 self._accept(item.content(AcceptedPosition), item)
-            elif item.kind == RESUMED and journal.version > 1 and self._channels is None:
+            elif item.kind == RESUMED and self._channels is None:
                 self._sampling = False  # until the position is asked for again; a stage turns on
 
     @property
@@ -133,27 +132,26 @@ class RecordedSession:
         if answer.to in ("position", "rotation") and answer.answer == "ready":
             self._answer, self._sampling = answer, True
             self._samples.clear()
-        elif answer.to == "tip":  # earlier versions asked to see that a reading follows, once it was sampled
-            self._sampling = False
 
     def _accept(self, noted: AcceptedPosition, event: Event) -> None:
         """Take an accepted position; a JournalError where its samples do not give what was accepted."""
         if self._channels is not None:
             self.turned = noted
             return
-        values = noted.by_serial(list(self.sensors))
+        values = noted.sensors
         positions = self.setup.steps.positions
         asked = positions[len(self.accepted)] if len(self.accepted) < len(positions) else None
-        if asked is None or asked.name != noted.position or self._answer is None:
+        if asked is None or asked.name != noted.position or self._answer is None or noted.lines is None:
             raise self._error(f"accepts {noted.position!r}, which the procedure does not ask for here", event)
         position, typed = as_set(asked, self._answer), self._answer.temperature
         if self.setup.steps.ramp is not None:
             position, typed = replace(position, temperature=asked.temperature), None
-            samples = [one for one in self.leg if noted.lines is None or one.line >= noted.lines[0]]
+            samples = [one for one in self.leg if one.line >= noted.lines[0]]
             self.leg = []
             self._ramp += samples
         else:
-            samples = self._of_position(noted, list(values), typed)
+            samples = list(self._samples)[-noted.n - noted.left_out :]
+            samples = [sample for number, sample in enumerate(samples) if number not in noted.without]
         if not samples or any(serial not in sample.readings for sample in samples for serial in values):
             raise self._error(f"accepts {noted.position!r}, and does not hold its samples", event)
         result = result_of(
@@ -169,22 +167,6 @@ class RecordedSession:
         self._require_same_means(result, values, event)
         self.accepted.append(result)
         self._sampling = False  # what is read until the next answer is for the operator's eyes
-
-    def _of_position(
-        self, noted: AcceptedPosition, serials: Sequence[str], typed: float | None
-    ) -> list[RecordedSample]:
-        """Return the samples of a position; in format 1 those far off are left out as they were."""
-        samples = list(self._samples)[-noted.n - noted.left_out :]
-        if noted.lines is not None:
-            return [sample for number, sample in enumerate(samples) if number not in noted.without]
-        models = {serial: self.sensors[serial].wired for serial in serials}
-        counted: list[RecordedSample] = []
-        for sample in samples:
-            counted.append(sample)
-            if noted.left_out and len(counted) == noted.n:
-                wrong = far_off([one.readings for one in counted], models, thermometers=typed is None)
-                counted = [one for number, one in enumerate(counted) if number not in wrong]
-        return counted
 
     def _require_same_means(self, result: PositionResult, values: Mapping[str, Message], event: Event) -> None:
         for serial, measurement in result.measurements.items():
@@ -317,7 +299,7 @@ def _tilt_calibrations(
                 sensor.wired,
                 sensor.orientation.matrix,
                 sensor.wired.thermometer_rounding if own_thermometers else None,
-                base.calibration if (base := setup.known.get(sensor.serial)) else None,
+                base.calibration if (base := setup.bases.get(sensor.serial)) else None,
                 ramps.get(sensor.serial),
             )
             for sensor in session.at_work
@@ -336,7 +318,7 @@ def _tilt_calibrations(
             axes=() if sensor.orientation.straight else tuple(sensor.orientation.names),
             thermometer=None if setup.thermometer is None else setup.thermometer.address,
         )
-        base = setup.known.get(sensor.serial)
+        base = setup.bases.get(sensor.serial)
         calibrations[sensor.serial] = replace(
             record,
             fit=record.fit.replaced(notes=(*record.fit.notes, *notes)),

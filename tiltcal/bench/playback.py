@@ -5,7 +5,7 @@ a sample, which is a reading of each device in their order. A driver may have go
 they follow without a transaction.
 
 Between the answer ``ready`` and the acceptance stand the transactions of settling and of sampling, without a mark; the
-accepted position names the line at which its samples begin (in format 1 they are the last ones).
+accepted position names the line at which its samples begin.
 :mod:`tiltcal.files.journal` shows the lines.
 """
 
@@ -23,7 +23,6 @@ from tiltcal.errors import BusError, HardwareError, JournalError
 from tiltcal.files.journal import (
     ANSWER,
     HARDWARE_ERROR,
-    LIVE_READING,
     POSITION,
     RESUMED,
     AcceptedPosition,
@@ -33,7 +32,7 @@ from tiltcal.files.journal import (
 )
 
 STREAMS = ("r", "e", "m")  # the buses on which a transaction without bytes drops what has arrived
-MARKS = (ANSWER, POSITION, LIVE_READING, RESUMED)  # the events that are no transaction
+MARKS = (ANSWER, POSITION, RESUMED)  # the events that are no transaction
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ class Playback:
         self._coming = deque(event.content(AcceptedPosition) for event in journal.accepted)
         self._interrupted = False
         self._since = 0
-        """Samples of the next position; in format 1 those since the sensors last dropped what they had sent."""
+        """Samples of the next position."""
         self._given_up: set[str] = set()
         self._lacking: set[str] = set()
         """The sensors that the last accepted position lacks."""
@@ -115,15 +114,14 @@ class Playback:
                 lines = self._coming[0].lines if self._coming else None
                 if lines is not None and lines is not begun and event.line >= lines[0]:
                     begun, self._since = lines, 0
-                drops = self._drops(event)
-                if (sample := self._sample(fresh=drops)) is not None:
-                    self._since = 0 if drops and lines is None else self._since + 1
+                if (sample := self._sample(fresh=self._drops(event))) is not None:
+                    self._since += 1
                     yield sample
                 continue
             yield from self._kept_by_drivers(event)
             self._take(event)
             if event.kind == POSITION:
-                self._lacking = {*self._names} - {*self._coming.popleft().by_serial(self._names)}
+                self._lacking = {*self._names} - {*self._coming.popleft().sensors}
             elif event.kind == RESUMED:
                 self._resume()
             yield event
@@ -133,7 +131,7 @@ class Playback:
         question, most = event.content(OperatorAnswer).to if event.kind == ANSWER else "", 0
         if self.setup.steps.rotation is not None and (event.kind in (POSITION, RESUMED) or question == "write"):
             most = len(self._journal.events)
-        elif question in ("review", "tip"):
+        elif question == "review":
             coming = self._coming[0] if self._coming else None
             most = (self.setup.settings.samples if coming is None else coming.n + coming.left_out) - self._since
         while most > 0 and (sample := self._sample()) is not None:
@@ -143,9 +141,8 @@ class Playback:
     def _resume(self) -> None:
         """Begin anew with the drivers, as the session does; sensors given up since the last position count again."""
         self.breaks += 1
-        if self._journal.version > 1:
-            self._statistics = self.link_statistics()
-            self._connect()
+        self._statistics = self.link_statistics()
+        self._connect()
         self._given_up &= self._lacking
 
     def answer(self, letter: str, number: int, out: bytes) -> bytes:
@@ -157,9 +154,6 @@ class Playback:
         event = self._event
         if event is None or event.kind in MARKS:
             self._interrupted = True
-            if event is not None and event.kind == RESUMED and self._journal.version == 1:
-                self._take(event)  # the driver went on with what it knew
-                self.breaks += 1
             raise BusError("the session was interrupted here")
         sent, device = out.hex(), (number,) if number else ()
         if event.payload[0] != sent or event.payload[2:] != device or event.kind not in (letter, HARDWARE_ERROR):
@@ -209,7 +203,7 @@ class Playback:
         """
         name, event = self._names[number], self._event
         if name not in self._given_up and name in self.failures and name != THERMOMETER and len(self._names) > 1:
-            lacking = not self._coming or name not in self._coming[0].by_serial(self._names)
+            lacking = not self._coming or name not in self._coming[0].sensors
             streams = self.setup.devices[number].letter in STREAMS
             another = event is not None and event.payload[2:] != ((number,) if number else ())
             self._given_up |= {name} if another and (lacking or not streams) else set()

@@ -73,9 +73,6 @@ class Setup(Record, kw_only=True, dict=True):
     references: Annotated[Mapping[Standard, Reference], about("as in the bench file")] = {}
     settings: Annotated[Settings, about("how the session measures")]
     procedure: Annotated[Mapping[str, Any], about("the procedure file in full")]
-    base: Annotated[
-        Text | None, about("in older journals, the text of the calibration file that a mounting completes")
-    ] = None
     bases: Annotated[
         Mapping[str, BaseFile],
         about("by serial number the calibration file that the sensor brings (`--base`): `name`, `text`"),
@@ -164,7 +161,7 @@ class Setup(Record, kw_only=True, dict=True):
                 f"the header cannot be used: {error.message}", file=journal.path, line=1, key=error.key
             ) from None
         try:
-            missing = [sensor.serial for sensor in setup.sensors if sensor.serial not in setup.known]
+            missing = [sensor.serial for sensor in setup.sensors if sensor.serial not in setup.bases]
             if setup.steps.determines.completes and missing:
                 raise UsageError(
                     f"{setup.steps.name} completes the calibration that a sensor has, and none of "
@@ -203,11 +200,6 @@ class Setup(Record, kw_only=True, dict=True):
         warm = any(position.temperature is not None for position in self.steps.positions)
         machines = {"table": self.table, "chamber": self.chamber if warm else None}
         return {name: machine for name, machine in machines.items() if machine is not None}
-
-    @property
-    def known(self) -> dict[str, BaseFile]:
-        """The calibrations that sensors bring with them, by serial number."""
-        return dict(self.bases) if self.base is None else {self.sensors[0].serial: BaseFile(self.base)}
 
     @property
     def verifies(self) -> bool:

@@ -182,17 +182,17 @@ class BaseFile(Record):
     """A calibration file that a session builds on, whole: the session's journal keeps it."""
 
     text: Annotated[Text, about("the whole text of the file")]
-    name: Annotated[Text | None, about("its name")] = None
+    name: Annotated[Text, about("its name")]
 
     @property
     def calibration(self) -> CalibrationRecord:
         """The calibration in it; an InputError names file, line and key of what is wrong."""
-        return _record_of(self.text, self.name or "the base calibration")
+        return _record_of(self.text, self.name)
 
     @property
-    def origin(self) -> FileRecord | None:
+    def origin(self) -> FileRecord:
         """Its name and SHA-256."""
-        return None if self.name is None else FileRecord.of_text(self.name, self.text)
+        return FileRecord.of_text(self.name, self.text)
 
 
 @lru_cache(maxsize=64)

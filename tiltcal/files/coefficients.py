@@ -292,7 +292,7 @@ class UncertaintySection(Record, kw_only=True):
     mounting: Annotated[Mapping[Annotated[str, one_of(*ANGLES)], Size], about("`roll`, `pitch`, `yaw`, degrees")] = {}
     single_reading: Annotated[
         Mapping[Annotated[str, one_of(*AXES, TEMPERATURE)], Size],
-        about("of a reading of a log, per channel, unit, and of its `temperature`, °C", formerly="reading"),
+        about("of a reading of a log, per channel, unit, and of its `temperature`, °C"),
     ] = {}
     alignment: Annotated[Size, about("after `level`: of how the sensor sits since, degrees about each axis")] = 0.0
     coverage_factor: Annotated[Mapping[str, AboveZero], about("for 95 %; 1.96 where none is named")] = {}

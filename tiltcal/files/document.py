@@ -210,11 +210,6 @@ def _mapping(part: Document, base: Any) -> dict[str, Any]:
         fields = msgspec.structs.fields(base)
         kinds = {one.encode_name: one.type for one in fields}
         needed = {one.encode_name for one in fields if one.required}
-        formerly = {_extra(getattr(kind, "__metadata__", ()), "formerly"): name for name, kind in kinds.items()}
-        for name in part.data:
-            if (present := formerly.get(name)) in part.data:
-                raise part.error(f"this is the key {present!r} by its present and its former name: leave one out", name)
-        part = replace(part, data={formerly.get(name, name): member for name, member in part.data.items()})
     part.require_keys(part.data, kinds)
     part.require_keys(part.data, [name for name in kinds if name in needed or name in part.data], complete=True)
     return {

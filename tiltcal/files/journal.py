@@ -8,7 +8,6 @@
     [0, "!", "100000", "why", "…"]                        a bus transaction that failed
     [0, "a", {"to": "position", "answer": "ready"}, "…"]  what the operator answered
     [0, "p", {"position": "x-tilt1", "lines": [8, 19], …}, "…"]    an accepted position, and the lines of its samples
-    [0, "live", "…"]                                      in format 1: a reading follows that only the operator saw
     [9, "resumed", "…"]                                   the session was interrupted, and goes on from here
     [0, "end", {"events": 812, "sha256": "…"}, "…"]       the session came to its end
 
@@ -21,7 +20,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -38,12 +37,10 @@ from tiltcal.files.record import Count, Number, Record, one_of
 
 T = TypeVar("T")
 
-VERSION, VERSIONS = 2, (1, 2)
-"""The format that is written, and those that are read: in format 1 a position does not name its samples."""
+VERSION = 2
 HARDWARE_ERROR = "!"
 ANSWER = "a"
 POSITION = "p"
-LIVE_READING = "live"
 RESUMED = "resumed"
 END = "end"
 
@@ -109,7 +106,6 @@ class Journal:
     """A journal that was read and found sound, without a torn last line."""
 
     path: Path
-    version: int
     header: dict[str, Any]
     events: Events
     accepted: tuple[Event, ...]  # the accepted positions among the events
@@ -164,8 +160,8 @@ def _read(stream: BinaryIO, path: Path) -> Journal:
         written.add(line, crc)
         if event.kind == POSITION:
             accepted.append(event)
-    version = header.pop("tiltcal-journal")
-    return Journal(path, version, header, Events(path, written.events), tuple(accepted), end, torn, written)
+    del header["tiltcal-journal"]
+    return Journal(path, header, Events(path, written.events), tuple(accepted), end, torn, written)
 
 
 class JournalWriter:
@@ -290,7 +286,7 @@ def _header(line: bytes, path: Path) -> tuple[dict[str, Any], Written]:
         raise _damage(_CHANGED, path, 1)
     header: dict[str, Any] = _loads(body, path, 1)
     version = header["tiltcal-journal"]
-    if version not in VERSIONS:
+    if version != VERSION:
         raise _damage(f"is of journal version {version}; this tiltcal reads version {VERSION}", path, 1)
     return header, Written(crc, hashlib.sha256(line), len(line))
 
@@ -332,13 +328,13 @@ class OperatorAnswer(Record, kw_only=True):
 
 
 class AcceptedPosition(Struct):
-    """An accepted position: the lines of its samples, none in format 1, and which of them were left out, from 0.
+    """An accepted position: the lines of its samples, none of a rotation, and which of them were left out, from 0.
 
-    ``sensors`` are mean, std, n and temperature of each, by serial number; the first journals had them in order.
+    ``sensors`` are mean, std, n and temperature of each, by serial number.
     """
 
     position: str
-    sensors: Mapping[str, Mapping[str, Any]] | tuple[Mapping[str, Any], ...] = ()
+    sensors: Mapping[str, Mapping[str, Any]] = {}
     lines: tuple[Count, Count] | None = None
     without: tuple[Count, ...] = ()
     ended: str = ""
@@ -354,12 +350,7 @@ class AcceptedPosition(Struct):
         return self._count("left_out")
 
     def _count(self, key: str) -> int:
-        values = self.sensors.values() if isinstance(self.sensors, Mapping) else self.sensors
-        return next((int(one.get(key, 0)) for one in values), 0)
-
-    def by_serial(self, serials: Sequence[str]) -> Mapping[str, Mapping[str, Any]]:
-        """Return mean, std, n and temperature by serial number."""
-        return self.sensors if isinstance(self.sensors, Mapping) else dict(zip(serials, self.sensors, strict=False))
+        return next((int(one.get(key, 0)) for one in self.sensors.values()), 0)
 
 
 Bytes = Annotated[str, Meta(pattern="^([0-9a-f]{2})*$")]  # in hexadecimal
@@ -386,7 +377,6 @@ _LINES: dict[str, Any] = {
     ANSWER: tuple[Count, str, OperatorAnswer],
     POSITION: tuple[Count, str, AcceptedPosition],
     END: tuple[Count, str, dict[str, Any]],
-    LIVE_READING: tuple[Count, str],
     RESUMED: tuple[Count, str],
 }
 """The elements of a line by its kind; all other kinds are buses."""

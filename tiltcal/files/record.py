@@ -50,9 +50,9 @@ Identifier = Annotated[
 ]
 
 
-def about(text: str, *, formerly: str = "", usual: str = "") -> Meta:
-    """Return what a key means, its name in files of earlier versions, and its default as the reference shows it."""
-    return Meta(description=text, extra={"formerly": formerly, "usual": usual})
+def about(text: str, *, usual: str = "") -> Meta:
+    """Return what a key means, and its default as the reference shows it."""
+    return Meta(description=text, extra={"usual": usual})
 
 
 def one_of(*words: str) -> Meta:

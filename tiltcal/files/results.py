@@ -170,16 +170,12 @@ class FitRecord(Record, kw_only=True):
     degrees_of_freedom: Annotated[Count | None, about("readings left over, of all sensors of the bench")] = None
     chi_square: Annotated[Size | None, about("squares of all errors over what is stated; with a stated jig")] = None
     p_value: Annotated[Size | None, about("the probability of so large a chi-square or a larger one")] = None
-    suspect_positions: Annotated[
-        Mapping[str, SuspectPosition], about("further off than the stated jig allows", formerly="worse_than_stated")
-    ] = {}
+    suspect_positions: Annotated[Mapping[str, SuspectPosition], about("further off than the stated jig allows")] = {}
     uncertainty_from: Annotated[Text | None, about("`stated …`, `residuals`, or `noise alone` and why")] = None
     jig_degrees: Annotated[Size | None, about("stated standard uncertainty of a set angle, degrees")] = None
     table_degrees: Annotated[Size | None, about("that of the lean of the table, degrees")] = None
     heading_degrees: Annotated[Size | None, about("that of a heading, degrees")] = None
-    jig_estimated_degrees: Annotated[
-        Size | None, about("of a set angle by the residuals, degrees", formerly="jig_that_shows_degrees")
-    ] = None
+    jig_estimated_degrees: Annotated[Size | None, about("of a set angle by the residuals, degrees")] = None
     thermometer_estimated_celsius: Annotated[Size | None, about("of a temperature by the residuals, °C")] = None
     noise_estimated: Annotated[Size | None, about("of a table's means by the residuals, unit")] = None
     thermometer_celsius: Annotated[Size | None, about("the standard uncertainty of a temperature, °C")] = None
@@ -234,7 +230,7 @@ class IntrinsicRecord(IntrinsicCoverage, kw_only=True):
 
     uncertainty: Annotated[IntrinsicUncertainty | None, about("standard uncertainties (k = 1) of the above")] = None
     gimbal_lock: Annotated[bool, about("`true` where roll and yaw cannot be separated")] = False
-    left_handed: Annotated[Text | None, about("why there is no rotation", formerly="not_separated")] = None
+    left_handed: Annotated[Text | None, about("why there is no rotation")] = None
 
 
 class DerivedRecord(Record, kw_only=True):
@@ -328,7 +324,7 @@ class Provenance(Record, kw_only=True):
     ended: Annotated[Text | None, about("when the session ended, UTC")] = None
     journal: Annotated[FileRecord | None, about("the journal")] = None
     link_statistics: Annotated[
-        Mapping[str, Count] | None, about("[of the link](../explanation.md#lost-and-damaged)", formerly="reception")
+        Mapping[str, Count] | None, about("[of the link](../explanation.md#lost-and-damaged)")
     ] = None
 
 
@@ -342,7 +338,7 @@ class SamplesRecord(Record, kw_only=True):
 class PairProvenance(Provenance, kw_only=True):
     """The provenance of a pair calibration."""
 
-    link_statistics: Annotated[BySerial | None, about("by serial number, likewise", formerly="reception")] = None  # type: ignore[assignment]
+    link_statistics: Annotated[BySerial | None, about("by serial number, likewise")] = None  # type: ignore[assignment]
     stage_angle: Annotated[Text | None, about("how the stage angle was found, where it was estimated")] = None
     procedure: Annotated[Text | None, about("the name of the rotation procedure")] = None
     samples: Annotated[SamplesRecord | None, about("`used` and `left_out`")] = None

@@ -270,7 +270,7 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
         if why := unchecked(device.wired):
             remark(f"{device.serial}: {why}")
     for device in {(sensor.model, sensor.orientation): sensor for sensor in setup.sensors}.values():
-        base = setup.known.get(device.serial)
+        base = setup.bases.get(device.serial)
         expected = predict(
             setup.steps,
             device.wired,

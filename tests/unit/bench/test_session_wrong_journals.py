@@ -95,17 +95,16 @@ def test_a_number_that_no_session_has(tmp_path: Path, number: str) -> None:
 def test_a_line_without_an_end_is_not_read_into_memory(tmp_path: Path) -> None:
     path = tmp_path / "plane.journal.jsonl"
     with path.open("wb") as stream:
-        stream.write(b'{"tiltcal-journal":1,')
+        stream.write(b'{"tiltcal-journal":2,')
         stream.truncate(10**9)  # a sparse file: a gigabyte that takes no room
     with pytest.raises(TiltcalError, match="longer than any of a journal"):
         read_journal(path)
 
 
 def test_a_verification_that_completes_a_calibration_is_refused(tmp_path: Path) -> None:
-    """An older version let `verify` begin with `level`, whose journals have no calibration to complete."""
     header, *events = lines_of("level")
     sensors = [{**sensor, "output": ""} for sensor in header["sensors"]]
-    header = {key: value for key, value in header.items() if key not in ("base", "bases")} | {"sensors": sensors}
+    header = {key: value for key, value in header.items() if key != "bases"} | {"sensors": sensors}
     with pytest.raises(JournalError, match=r"header cannot be used: level completes the calibration .* none of SIM-42"):
         Setup.of(read_journal(written(tmp_path / "j.jsonl", [header, *events])))
 

@@ -13,7 +13,7 @@ from tiltcal.core.model import Mounting
 from tiltcal.errors import InputError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration, read_calibration, tilt_record
 from tiltcal.files.document import parse_document
-from tiltcal.files.results import FitRecord, Provenance, WorstResidual
+from tiltcal.files.results import Provenance, WorstResidual
 
 EXAMPLE = """\
 tiltcal: 1
@@ -68,16 +68,6 @@ def test_angles_are_radians_inside_and_what_is_left_out_is_there() -> None:
     assert calibration.sensor == SensorIdentity("sca100t-d02", "0042", "count", ("x", "y"))
     assert calibration.fit.worst == WorstResidual(position="level", channel="x", residual=2.0)
     assert calibration.provenance == Provenance()
-
-
-def test_former_names_of_keys_are_read() -> None:
-    head = EXAMPLE[: EXAMPLE.index("limits")] + "limits: {}\n"
-    present, former = "fit: {jig_estimated_degrees: 0.1}\n", "fit: {jig_that_shows_degrees: 0.1}\n"
-    assert read(head + former).fit == read(head + present).fit == FitRecord(jig_estimated_degrees=0.1)
-    with pytest.raises(InputError, match="by its present and its former name"):
-        read(head + "fit: {jig_estimated_degrees: 0.1, jig_that_shows_degrees: 0.1}\n")
-    text = EXAMPLE.replace("  covariance", "  reading: {x: 0.2}\n  covariance")
-    assert read(text).uncertainty.single_reading == {"x": 0.2}
 
 
 def test_error_names_line_and_key() -> None:
