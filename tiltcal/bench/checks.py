@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from tiltcal.bench.devices import Sample
-from tiltcal.bench.guidance import AxisGuidance, guidance
+from tiltcal.bench.guidance import COARSE, JIGS, SensorGuidance, calibrated_guidance, guidance
 from tiltcal.bench.settle import Unsettled
 from tiltcal.bench.setup import Setup
 from tiltcal.calibration.measurement import Measurement, missing_temperature
+from tiltcal.calibration.record import compensation_of
 from tiltcal.core.attitude import Vector
+from tiltcal.core.compensation import Compensation
 from tiltcal.core.detection import (
     LEFT_OUT,
     TEMPERATURE_JUMP,
@@ -29,6 +31,7 @@ from tiltcal.core.plausibility import ExpectedReadings
 from tiltcal.core.samples import ReadingStep, resolution, summarise
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.files.bench import BenchSensor
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Position
 
 POWER_ON = 85.0  # the temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)
@@ -226,16 +229,28 @@ class ReadingSpans:
 class Expectations:
     """What the ``accepted`` positions so far, and the models, predict of the readings of each sensor."""
 
-    def __init__(self, setup: Setup, sensors: Sequence[BenchSensor], accepted: Sequence[PositionResult]) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        sensors: Sequence[BenchSensor],
+        accepted: Sequence[PositionResult],
+        judged: Mapping[str, CalibrationRecord] | None = None,
+    ) -> None:
         self._setup = setup
         self._sensors = {sensor.serial: sensor for sensor in sensors}
         self._accepted = accepted
         self._determines = setup.steps.determines
-        bases = setup.bases.values()
-        self._mounted = any(base.calibration.coefficients.mounting is not None for base in bases)
+        bases = {serial: base.calibration for serial, base in setup.bases.items()}
+        self._mounted = any(base.coefficients.mounting is not None for base in bases.values())
         """Whether the positions are those of an application in which a sensor sits in a way of its own."""
         self._known = not (self._determines.free or self._determines.mounting or self._mounted)
         self._readings = {sensor.serial: self._learnt(sensor.serial, sensor.wired) for sensor in sensors}
+        self._calibrated: dict[str, tuple[Compensation, tuple[str, ...]]] = {}
+        """By serial number the compensation of a sensor that has a calibration, and the channels that this takes."""
+        for serial, base in (bases | dict(judged or {})).items():
+            if judged or self._determines.mounting:  # in the sensor's own frame
+                base = replace(base, coefficients=replace(base.coefficients, mounting=None))
+            self._calibrated[serial] = compensation_of(base), base.coefficients.channels
 
     def _learnt(self, serial: str, model: Model) -> ExpectedReadings:
         readings = ExpectedReadings(
@@ -246,10 +261,18 @@ class Expectations:
             readings.learn(before.gravity, result.mean(serial), before.temperature)
         return readings
 
-    def guidance(self, serial: str, values: Sequence[float], gravity: Vector) -> dict[str, AxisGuidance]:
-        """Return the guidance of each channel of a sensor where the fixture is to be held in an attitude."""
-        sensor, expected = self._sensors[serial], self._readings[serial] if self._known else None
-        return guidance(sensor.wired, sensor.orientation, values, gravity, expected)
+    def guidance(
+        self, serial: str, values: Sequence[float], gravity: Vector, temperature: float | None
+    ) -> SensorGuidance:
+        """Return what guides a sensor where the fixture is to be held in an attitude; temperature in °C."""
+        sensor = self._sensors[serial]
+        if serial not in self._calibrated:
+            expected = self._readings[serial] if self._known else None
+            return guidance(sensor.wired, sensor.orientation, values, gravity, expected)
+        compensation, channels = self._calibrated[serial]
+        readings = [values[sensor.wired.channels.index(channel)] for channel in channels]
+        tolerance = None if self._determines.mounting else max(COARSE, JIGS * (self._setup.settings.jig or 0.0))
+        return calibrated_guidance(compensation, sensor.orientation, readings, temperature, gravity, tolerance)
 
     def require(self, result: PositionResult) -> None:
         """Raise Unsettled where the temperature is absurd, a sensor is stuck, or it is another position."""

@@ -1,19 +1,27 @@
-"""What guides whoever sets a position: the angle to set, the present one, their difference, and whether that will do.
+"""What guides whoever sets a position: the attitude to set, the present one, their difference, and whether it will do.
 
 The session puts it beside the values of each reading that it shows and of each review; the terminal and the page say it
-in the same words. A present angle is uncalibrated: it is by the coefficients of the data sheet, corrected by what the
-positions before have shown.
+in the same words. Without a calibration a present angle is by the coefficients of the data sheet, corrected by what
+the positions before have shown. With one it is calibrated, and nobody is told that it is near enough: a table that is
+set by the sensor that is judged or renewed would show no error.
+
+One or two axes have a tilt each, an arcsine. Three have a direction: its angle from the one that is asked for does not
+grow with the error of the axis that points up.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import asin, degrees, hypot, radians, sin, sqrt
-from typing import Any, TypedDict
+from dataclasses import dataclass, field, replace
+from math import asin, atan2, degrees, hypot, inf, radians, sin, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from tiltcal.core.attitude import Orientation, Vector
+from tiltcal.core.compensation import CLIP_LIMIT, Compensation
 from tiltcal.core.model import AXES
-from tiltcal.core.plausibility import ExpectedReadings
+from tiltcal.core.plausibility import UNKNOWN_OFFSET, ExpectedReadings
 from tiltcal.drivers.model import Model
 
 TOLERANCE = 2.0
@@ -22,59 +30,202 @@ TOLERANCE = 2.0
 VAGUE = 0.2
 """Nothing is called ok where the tolerance is above this, g: of a part whose offset is unknown before two positions."""
 
+COARSE, JIGS = 3.0, 5.0
+"""A calibrated sensor within this, degrees, or within so many jigs if that is more, is in the position meant."""
+
+LENGTH = 0.2
+"""Three axes whose reading differs from 1 g by more than this have no direction yet, g."""
+
+SHARE = 0.25
+"""A side that is off by less than this share of the tolerance is not said to be too high or too low."""
+
 COLUMNS = ("", "set", "now", "difference", "reading", "noise", "n")  # of a review; a reading has no last two
 UNCALIBRATED = "angles are not calibrated yet"  # what an operator is told beside present angles
+CALIBRATED = "calibrated angles: set the table by its own scale, not by this number"
+OWN_FRAME = "calibrated angles, in the sensor's own frame"
+UNKNOWN = "not known yet"
 
 
-class AxisGuidance(TypedDict):
-    """The tilt of one axis of a sensor, degrees.
-
-    ``target`` and ``tolerance`` are None where nothing predicts the reading, ``present`` where it is beyond 1 g, and
-    ``difference``, present minus target, where one of both is. ``ok`` is None where nothing can be said.
-    """
+class AxisTilt(NamedTuple):
+    """The tilt of one axis, degrees: to set, None where nothing predicts the reading, and present, None beyond 1 g."""
 
     target: float | None
     present: float | None
-    difference: float | None
-    tolerance: float | None
-    ok: bool | None
+
+
+class Difference(NamedTuple):
+    """How far a sensor is from what is asked for, degrees: of an axis, present minus target, or of a direction.
+
+    ``angle`` is None beyond 1 g; ``fits`` is whether it is within the tolerance, None where nothing can be said.
+    """
+
+    angle: float | None
+    tolerance: float
+    fits: bool | None
+
+    @property
+    def share(self) -> float | None:
+        """The share of the tolerance that it is."""
+        return None if self.angle is None or not self.tolerance else abs(self.angle) / self.tolerance
+
+
+@dataclass(frozen=True)
+class SensorGuidance:
+    """What guides whoever sets one sensor: nothing where the scale of a part is not known.
+
+    ``tilts`` are by channel, and so are ``differences``; of three axes there is one, of the direction, by an empty
+    name. ``up`` is the present direction that points up in the frame of the fixture, None where it is not known;
+    ``sides`` are how far two sides of the fixture are too high, degrees, by names such as ``+Y``.
+    """
+
+    tilts: Mapping[str, AxisTilt] = field(default_factory=dict)
+    differences: Mapping[str, Difference] = field(default_factory=dict)
+    up: Vector | None = None
+    sides: Mapping[str, float] = field(default_factory=dict)
+    calibrated: bool = False
+    unknown: bool = False
+
+    @property
+    def fits(self) -> bool | None:
+        """Whether the sensor is set as asked; None where nothing can be said."""
+        fits = [one.fits for one in self.differences.values()]
+        return False if False in fits else None if None in fits or not fits else True
+
+    @property
+    def ok(self) -> bool | None:
+        """Whether the operator is told that it is: never by a calibrated angle."""
+        return None if self.calibrated else self.fits
+
+    def in_words(self) -> list[str]:
+        """Return what an operator reads of it, an axis or the direction each, such as ``x  +29.71° (-0.29) ok``."""
+        if self.unknown:
+            return [f"direction {UNKNOWN}"]
+        if (off := self.differences.get("")) is None:
+            return [_axis_in_words(channel, tilt, self._of(channel)) for channel, tilt in self.tilts.items()]
+        little = inf if self.calibrated else SHARE * off.tolerance
+        done = ("" if abs(high) < little else " lower" if high > 0.0 else " raise" for high in self.sides.values())
+        sides = ", ".join(f"{side} {high:+.2f}°{do}" for (side, high), do in zip(self.sides.items(), done, strict=True))
+        return [f"{off.angle:.2f}° off: {sides}{' ok' if self.ok else ''}"]
+
+    def _of(self, channel: str) -> Difference | None:
+        one = self.differences.get(channel)
+        return one if one is None or not self.calibrated else one._replace(fits=None)
+
+
+def note_on(guides: Sequence[SensorGuidance]) -> str:
+    """Return what the operator has to be told of the angles that are shown."""
+    if not any(guide.calibrated for guide in guides):
+        return UNCALIBRATED
+    offs = [off for guide in guides for off in guide.differences.values()]
+    if not offs:
+        return OWN_FRAME
+    away = [f"more than {off.tolerance:g}° away, is this the position? " for off in offs if off.fits is False]
+    return "".join(away[:1]) + CALIBRATED
 
 
 def guidance(
     model: Model, orientation: Orientation, values: Sequence[float], gravity: Vector, expected: ExpectedReadings | None
-) -> dict[str, AxisGuidance]:
-    """Return the guidance of each channel of a sensor: readings in its unit, gravity in the frame of the fixture.
+) -> SensorGuidance:
+    """Return the guidance of a sensor without a calibration: readings in its unit, gravity in the fixture's frame.
 
     Without ``expected`` readings there are no targets, and nothing at all of a part whose scale is not known.
     """
     if not model.scaled:
-        return {}
-    seen = orientation.seen(gravity)
+        return SensorGuidance()
     sines = [(value - model.offset) / model.sensitivity for value in values]
     if expected is None:
-        return {channel: _axis(sine) for channel, sine in zip(model.channels, sines, strict=True)}
+        return _guidance(model.channels, sines, orientation, gravity)
+    seen = orientation.seen(gravity)
+    means, deviations = expected.in_g(seen)
     wanted = [seen[AXES.index(channel)] for channel in model.channels]
-    facts = zip(model.channels, wanted, sines, *expected.in_g(seen), strict=True)
-    return {
-        channel: _axis(target + sine - mean, target, TOLERANCE * deviation)
-        for channel, target, sine, mean, deviation in facts
-    }
+    present = [target + sine - mean for target, sine, mean in zip(wanted, sines, means, strict=True)]
+    reach = [TOLERANCE * deviation for deviation in deviations]
+    return _guidance(model.channels, present, orientation, gravity, wanted, reach)
 
 
-def _axis(sine: float, wanted: float | None = None, within: float = 0.0) -> AxisGuidance:
-    """Return the guidance of one axis from components of gravity, g."""
+def calibrated_guidance(
+    compensation: Compensation,
+    orientation: Orientation,
+    readings: Sequence[float],
+    temperature: float | None,
+    gravity: Vector,
+    tolerance: float | None,
+) -> SensorGuidance:
+    """Return the guidance of a calibrated sensor, whose ``readings`` are those of its calibration's channels.
+
+    Without a ``tolerance``, degrees, there are no targets: the angles are those of the sensor in its own frame.
+    """
+    element = None if temperature is None else np.array([temperature])
+    sines = compensation(np.array([readings]), element).gravity[0].tolist()
+    seen = orientation.seen(gravity)
+    wanted = None if tolerance is None else [seen[AXES.index(axis)] for axis in compensation.axes]
+    guide = _guidance(compensation.axes, sines, orientation, gravity, wanted, tolerance=tolerance, clip=CLIP_LIMIT)
+    return replace(guide, calibrated=True)
+
+
+def _guidance(
+    names: Sequence[str],
+    sines: Sequence[float],
+    orientation: Orientation,
+    gravity: Vector,
+    wanted: Sequence[float] | None = None,
+    reach: Sequence[float] = (),
+    tolerance: float | None = None,
+    clip: float = 1.0,
+) -> SensorGuidance:
+    """Return the guidance of components of gravity, g; ``reach`` are their tolerances, g, or one is in degrees."""
+    tilts, up = {}, None
+    differences: dict[str, Difference] = {}
+    if len(names) == len(AXES):
+        length = hypot(*sines)
+        unknown = not abs(length - 1.0) <= LENGTH or max(reach, default=0.0) > TOLERANCE * UNKNOWN_OFFSET
+        read = {} if unknown else {name: sine / length for name, sine in zip(names, sines, strict=True)}
+        aims = {} if wanted is None else dict(zip(names, wanted, strict=True))
+        tilts = {name: AxisTilt(*(_angle(one[name]) if one else None for one in (aims, read))) for name in names}
+        if unknown:
+            return SensorGuidance(tilts, unknown=True)
+        up = _of_fixture(orientation, read)
+        if wanted is not None:
+            differences[""] = _of_direction(orientation, gravity, up, reach, tolerance)
+    else:
+        for number, (name, sine) in enumerate(zip(names, sines, strict=True)):
+            aim = None if wanted is None else wanted[number]
+            tilts[name], off = _of_axis(sine, aim, reach[number] if reach else 0.0, tolerance, clip)
+            differences |= {} if off is None else {name: off}
+        up = _present_gravity(orientation, tilts, gravity)
+    sides = {} if up is None or wanted is None else too_high(gravity, up)
+    return SensorGuidance(tilts, differences, up, sides)
+
+
+def _of_axis(
+    sine: float, wanted: float | None, reach: float, tolerance: float | None, clip: float
+) -> tuple[AxisTilt, Difference | None]:
+    """Return the tilt of one axis, and how far it is from the one that is wanted."""
+    near = wanted is not None and abs(sine - wanted) <= reach
+    present = _angle(sine) if near or abs(sine) <= clip else None
     if wanted is None:
-        present = _angle(sine) if abs(sine) <= 1.0 else None
-        return AxisGuidance(target=None, present=present, difference=None, tolerance=None, ok=None)
-    is_near, target = abs(sine - wanted) <= within, _angle(wanted)
-    present = _angle(sine) if is_near or abs(sine) <= 1.0 else None
-    return AxisGuidance(
-        target=target,
-        present=present,
-        difference=None if present is None else present - target,
-        tolerance=max(abs(_angle(wanted + by) - target) for by in (within, -within)),
-        ok=is_near if within <= VAGUE else None,
-    )
+        return AxisTilt(None, present), None
+    target = _angle(wanted)
+    off = None if present is None else present - target
+    if tolerance is not None:
+        return AxisTilt(target, present), Difference(off, tolerance, off is not None and abs(off) <= tolerance)
+    # On the side of the difference: near ±90° an arcsine has much more room on the one side than on the other.
+    side = 1.0 if (off or -wanted) > 0.0 else -1.0
+    room = abs(_angle(wanted + side * reach) - target)
+    return AxisTilt(target, present), Difference(off, room, near if reach <= VAGUE else None)
+
+
+def _of_direction(
+    orientation: Orientation, gravity: Vector, up: Vector, reach: Sequence[float], tolerance: float | None
+) -> Difference:
+    """Return how far a direction is from gravity, by tolerances of the sensor's three components, g, or in degrees."""
+    angle, spread = hypot(*too_high(gravity, up).values()), 0.0
+    if tolerance is None:
+        for _, side in level_sides(gravity):
+            parts = zip(orientation.seen(side), reach, strict=True)
+            spread = max(spread, hypot(*(part * one for part, one in parts)))
+        tolerance = _angle(spread)
+    return Difference(angle, tolerance, angle <= tolerance if spread <= VAGUE else None)
 
 
 def _angle(sine: float) -> float:
@@ -82,43 +233,76 @@ def _angle(sine: float) -> float:
     return degrees(asin(max(-1.0, min(1.0, sine))))
 
 
-def in_words(channel: str, axis: AxisGuidance) -> str:
-    """Return present angle and difference of an axis, and whether that is ok, such as ``x  +29.71° (-0.29) ok``."""
-    words = "beyond 90°" if axis["present"] is None else f"{axis['present']:+7.2f}°"
-    words += "" if axis["difference"] is None else f" ({axis['difference']:+.2f})"
-    return f"{channel} {words}{' ok' if axis['ok'] else ''}".strip()
+def _axis_in_words(channel: str, tilt: AxisTilt, off: Difference | None) -> str:
+    words = "beyond 90°" if tilt.present is None else f"{tilt.present:+7.2f}°"
+    words += "" if off is None or off.angle is None else f" ({off.angle:+.2f})"
+    return f"{channel} {words}{' ok' if off is not None and off.fits else ''}".strip()
 
 
 def rows_of(readings: Mapping[str, Any], sensors: Mapping[str, Any]) -> Iterator[tuple[list[str], bool | None]]:
-    """Yield the cells of each channel and thermometer below :data:`COLUMNS`, and whether it is as asked.
+    """Yield the cells of each direction, channel and thermometer below :data:`COLUMNS`, and whether it is as asked.
 
     ``readings`` are those that a session shows, or the means of its review; ``sensors`` are as it begins with them.
     """
     for serial, reading in readings.items():
+        guide: SensorGuidance = reading["guidance"]
+        if guide.unknown:
+            yield [f"{serial} direction", "", UNKNOWN], None
+        elif (off := guide.differences.get("")) is not None:
+            yield [f"{serial} direction", "", "", f"{off.angle:.2f}°"], guide.ok
         for channel, value in reading["values"].items():
-            axis: AxisGuidance | None = reading["guidance"].get(channel)
-            tilts = [None] * 3 if axis is None else [axis["target"], axis["present"], axis["difference"]]
-            cells = ["" if tilt is None else f"{tilt:+.2f}°" for tilt in tilts]
+            tilt, of = guide.tilts.get(channel, AxisTilt(None, None)), guide.differences.get(channel)
+            angles = (tilt.target, tilt.present, None if of is None else of.angle)
+            cells = ["" if angle is None else f"{angle:+.2f}°" for angle in angles]
             cells += [f"{value:.6g} {sensors[serial]['unit']}"]
             cells += [f"{reading['std'][channel]:.2g}", str(reading["n"])] if "std" in reading else []
-            yield [f"{serial} {channel}", *cells], axis and axis["ok"]
+            yield [f"{serial} {channel}", *cells], None if of is None or guide.calibrated else of.fits
         if reading["temperature"] is not None:
             yield [f"{serial} T", "", "", "", f"{reading['temperature']:.2f} °C"], None
 
 
-def present_gravity(orientation: Orientation, axes: Mapping[str, AxisGuidance], gravity: Vector) -> Vector | None:
-    """Return the direction that points up by the present angles of a sensor, a unit vector in the fixture's frame.
+def _present_gravity(orientation: Orientation, tilts: Mapping[str, AxisTilt], gravity: Vector) -> Vector | None:
+    """Return the direction that points up by the present angles of one or two axes, in the fixture's frame.
 
     An axis that the sensor does not measure is as the position asks for; None where an angle is not known or all are 0.
     """
-    angles = {channel: axis["present"] for channel, axis in axes.items()}
-    up = {channel: sin(radians(angle)) for channel, angle in angles.items() if angle is not None}
-    if not up or len(up) < len(angles):
+    up = {name: sin(radians(tilt.present)) for name, tilt in tilts.items() if tilt.present is not None}
+    if not up or len(up) < len(tilts):
         return None
     others = {axis: one for axis, one in zip(AXES, orientation.seen(gravity), strict=True) if axis not in up}
     rest, asked = sqrt(max(0.0, 1.0 - sum(sine * sine for sine in up.values()))), hypot(*others.values())
     up |= {axis: rest * one / asked if asked else rest / sqrt(len(others)) for axis, one in others.items()}
-    columns = zip(*orientation.matrix, strict=True)
-    x, y, z = (sum(up[axis] * one for axis, one in zip(AXES, column, strict=True)) for column in columns)
+    x, y, z = _of_fixture(orientation, up)
     length = hypot(x, y, z)
     return (x / length, y / length, z / length) if length else None
+
+
+def _of_fixture(orientation: Orientation, seen: Mapping[str, float]) -> Vector:
+    """Return a vector of a sensor's frame, by axis, in that of the fixture."""
+    columns = zip(*orientation.matrix, strict=True)
+    x, y, z = (sum(seen[axis] * one for axis, one in zip(AXES, column, strict=True)) for column in columns)
+    return x, y, z
+
+
+def level_sides(gravity: Vector) -> list[tuple[str, Vector]]:
+    """Return the two sides of the fixture that are nearest to level in an attitude, each direction made level."""
+    first, second = sorted(sorted(range(3), key=lambda axis: abs(gravity[axis]))[:2])
+    x, y, z = gravity
+    level = [(axis == first) - gravity[first] * up for axis, up in enumerate(gravity)]
+    a, b, c = (part / hypot(*level) for part in level)
+    across = (y * c - z * b, z * a - x * c, x * b - y * a)  # the other direction that is level: up times the first
+    sign = 1.0 if across[second] > 0.0 else -1.0
+    sides = ((a, b, c), (sign * across[0], sign * across[1], sign * across[2]))
+    return [(f"+{AXES[axis].upper()}", side) for axis, side in zip((first, second), sides, strict=True)]
+
+
+def too_high(gravity: Vector, up: Vector) -> dict[str, float]:
+    """Return how far two sides of the fixture are too high, degrees: the components of the angle between directions."""
+    cosine = sum(one * other for one, other in zip(gravity, up, strict=True))
+    parts = {name: sum(one * other for one, other in zip(side, up, strict=True)) for name, side in level_sides(gravity)}
+    across = hypot(*parts.values())
+    angle = degrees(atan2(across, cosine))
+    return {
+        name: angle * part / across if across else angle if number == 0 else 0.0
+        for number, (name, part) in enumerate(parts.items())
+    }

@@ -15,6 +15,7 @@ from typing import Any
 
 from tiltcal.bench.checks import Expectations, PositionResult, at_rail, far_off, require_few, result_of
 from tiltcal.bench.devices import RECOVERY, Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices
+from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.journal import RecordedSession, positions_of
 from tiltcal.bench.operators import LOOK, WORDS, Operator, as_set, understood
 from tiltcal.bench.playback import RecordedSample
@@ -23,6 +24,7 @@ from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.core.attitude import Vector
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.errors import HardwareError, InputError, SensorError, Stopped, UsageError
+from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
 from tiltcal.files.moments import moment_after, stamp
 from tiltcal.files.procedure import Position, Ramp
@@ -60,6 +62,8 @@ class Session:
         self.setup = setup
         self.files = SessionFiles(setup, path, output)
         self.journal = journal
+        self.judged: Mapping[str, CalibrationRecord] = {}
+        """By serial number the calibrations that a verification judges, by which its operator sees the angles."""
         self.clock = session_clock(setup.began, virtual=setup.simulated)
         self.captured = journal is not None
         self.finished = journal is not None and journal.end is not None
@@ -158,7 +162,9 @@ class Session:
                     serial: {
                         **one,
                         "values": one["mean"],
-                        "guidance": self._expectations.guidance(serial, [*one["mean"].values()], actual.gravity),
+                        "guidance": self._expectations.guidance(
+                            serial, [*one["mean"].values()], actual.gravity, one["temperature"]
+                        ),
                     }
                     for serial, one in result.values().items()
                 },
@@ -170,7 +176,7 @@ class Session:
 
     def ask_for(self, position: Position) -> OperatorAnswer:
         """Ask for a position."""
-        self._expectations = Expectations(self.setup, self.sensors.sensors, self.accepted)
+        self._expectations = Expectations(self.setup, self.sensors.sensors, self.accepted, self.judged)
         if position.temperature != self._soaked:
             self._soaked = None
         self._hold(position)
@@ -284,7 +290,9 @@ class Session:
             serial: {
                 "values": dict(zip(self.sensors.models[serial].channels, reading.values, strict=True)),
                 "temperature": reading.temperature,
-                "guidance": {} if gravity is None else self._expectations.guidance(serial, reading.values, gravity),
+                "guidance": SensorGuidance()
+                if gravity is None
+                else self._expectations.guidance(serial, reading.values, gravity, reading.temperature),
             }
             for serial, reading in sample.items()
         }

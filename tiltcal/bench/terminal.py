@@ -15,8 +15,7 @@ from typing import Any, TextIO
 from rich.console import Console
 from rich.text import Text
 
-from tiltcal.bench import guidance
-from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, AxisGuidance, rows_of
+from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, note_on, rows_of
 from tiltcal.bench.operators import LOOK, LineReader, Message, Operator, in_words
 from tiltcal.bench.typed import number_in
 from tiltcal.errors import InputError, Stopped
@@ -49,6 +48,7 @@ HELP = {
 
 READING_HELP = (
     "each axis: present angle, in brackets its difference from the target, and ok where it is near enough; "
+    "of three axes the angle from the direction asked for, and how far two sides are too high; "
     f"{UNCALIBRATED}: they are by the data sheet and the positions before"
 )
 
@@ -269,6 +269,11 @@ class Terminal(Operator):
         self.clear()
         self._ring()
         rows = [(list(COLUMNS), None), *rows_of(question["readings"], self._sensors)]
+        for serial, reading in question["readings"].items():
+            if "" in reading["guidance"].differences:
+                self._say(f"{serial}  {reading['guidance'].in_words()[0]}")
+        if (note := note_on([reading["guidance"] for reading in question["readings"].values()])) != UNCALIBRATED:
+            self._say(f"  {note}")
         widths = [max(map(len, column)) for column in zip_longest(*(cells for cells, _ in rows), fillvalue="")]
         for cells, ok in rows:
             line = "  ".join(cell.rjust(width) for cell, width in zip(cells, widths, strict=False))
@@ -346,20 +351,17 @@ class Terminal(Operator):
         width = max([6, *map(len, readings)])
         for serial, reading in readings.items():
             unit = self._sensors[serial]["unit"]
-            axes: Mapping[str, AxisGuidance] = reading["guidance"]
-            cells = [guidance.in_words(channel, axis).ljust(22) for channel, axis in axes.items()]
+            guide: SensorGuidance = reading["guidance"]
+            cells = "".join(words.ljust(22) for words in guide.in_words())
             raw = " ".join(f"{value:.6g}" for value in reading["values"].values())
             warmth = "" if reading["temperature"] is None else f"{reading['temperature']:.1f} °C"
-            asked = "".join(
-                f"{channel} {axis['target']:+7.2f}°".ljust(22)
-                for channel, axis in axes.items()
-                if axis["target"] is not None
-            )
+            aims = [(channel, tilt.target) for channel, tilt in guide.tilts.items() if tilt.target is not None]
+            asked = "".join(f"{channel} {target:+7.2f}°".ljust(22) for channel, target in aims)
             if asked and asked != targets:
                 rows.append(self._fitting(f"{'target':<{width}}  {asked}"))
             targets = asked
-            rows.append(self._fitting(f"{serial:<{width}}  {''.join(cells)}".rstrip(), warmth, f"{raw} {unit}"))
-        rows.append(look["why"] or f"live, {UNCALIBRATED}")
+            rows.append(self._fitting(f"{serial:<{width}}  {cells}".rstrip(), warmth, f"{raw} {unit}"))
+        rows.append(look["why"] or f"live, {note_on([reading['guidance'] for reading in readings.values()])}")
         self._overwrite(rows)
 
     def _fitting(self, row: str, *more: str) -> str:

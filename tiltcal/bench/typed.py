@@ -42,6 +42,8 @@ def with_numbers(said: Mapping[str, Any]) -> dict[str, Any]:
     """
 
     def read(value: object, key: str, name: str) -> object:
+        if value is None and name != key:  # what JSON makes of a number that is none
+            raise InputError("null is no number: leave out what is as it was asked for", key=name)
         try:
             return number_in(value, key) if isinstance(value, str) else value
         except InputError as error:

@@ -13,10 +13,10 @@ from contextlib import ExitStack
 from math import atan2, degrees, hypot, sqrt
 from typing import Any
 
-from tiltcal.bench.guidance import COLUMNS, AxisGuidance, present_gravity, rows_of
+from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, level_sides, note_on, rows_of
 from tiltcal.bench.operators import LOOK, Message, Operator, in_words
 from tiltcal.bench.page_server import PageServer, PageState
-from tiltcal.core.attitude import Vector, orientation
+from tiltcal.core.attitude import Vector
 from tiltcal.errors import Stopped
 
 LIVE_PAUSE = 0.25
@@ -212,21 +212,26 @@ class WebOperator(Operator):
         """
         if self._target.get("gravity") is None:
             return None
-        target, sensors, shares = self._target["gravity"], [], []
-        for serial, reading in readings.items():
-            axes: Mapping[str, AxisGuidance] = reading["guidance"]
-            present = present_gravity(orientation(self._begin["sensors"][serial]["axes"]), axes, target)
-            off = list(_shares(axes))
-            shares += off
-            share = max((one["share"] for one in off), default=None)
-            sensors.append({"present": present, "ok": _fits(axes), "share": share})
-        fits = [one["ok"] for one in sensors]
-        aimed = all(axis["target"] is not None for one in readings.values() for axis in one["guidance"].values())
+        guides: dict[str, SensorGuidance] = {serial: reading["guidance"] for serial, reading in readings.items()}
+        offs = {(serial, name): off for serial, one in guides.items() for name, off in one.differences.items()}
+        shares = {which: off.share for which, off in offs.items() if off.share is not None}
+        worst = max(shares, key=lambda which: shares[which], default=None)
+        sensors = []
+        for serial, one in guides.items():
+            share = max((part for (whose, _), part in shares.items() if whose == serial), default=None)
+            sensors.append({"present": one.up, "sides": list(one.sides.values()), "share": share, "ok": one.ok})
+        oks = [one.ok for one in guides.values()]
+        note = note_on(list(guides.values()))
+        aimed = any(tilt.target is not None for one in guides.values() for tilt in one.tilts.values())
+        fits = all(one.fits for one in guides.values())
         return {
-            "target": target if aimed else None,
+            "target": self._target["gravity"] if aimed else None,
+            "sides": [name for name, _ in level_sides(self._target["gravity"])],
             "sensors": sensors,
-            "worst": max(shares, key=lambda one: one["share"], default=None),
-            "ok": None if not fits or None in fits else all(fits),
+            "worst": None if worst is None else {"axis": worst[1], **offs[worst]._asdict()},
+            "fits": fits,
+            "ok": None if not oks or None in oks else all(oks),
+            "note": "" if note == UNCALIBRATED else note,
             "still": self._stillness(),
         }
 
@@ -255,7 +260,7 @@ class WebOperator(Operator):
         if not self._hands_free:
             return ""
         if question["ask"] == "review" and question["position"] == self._taken:
-            return "accept" if all(_fits(one["guidance"]) for one in question["readings"].values()) else ""
+            return "accept" if all(one["guidance"].fits for one in question["readings"].values()) else ""
         return "ready" if question["ask"] == "position" and self._readings and self._is_shown(question) else ""
 
     def _is_shown(self, question: Message) -> bool:
@@ -265,34 +270,20 @@ class WebOperator(Operator):
         if not stated or not self._before:
             return False
         moved = all(_apart(now[serial], self._before[serial]) > MOVED for serial in now)
-        return moved and guide is not None and guide["ok"] is True and guide["still"] >= 1.0
+        return moved and guide is not None and guide["fits"] and guide["still"] >= 1.0
 
     def _table(self, readings: Mapping[str, Any]) -> dict[str, Any]:
         """Return the table of readings, or of the means of a review."""
         rows = list(rows_of(readings, self._begin["sensors"]))
         width = max((len(cells) for cells, _ in rows), default=1)
-        head = ["not calibrated yet", *COLUMNS[1:width]]
+        calibrated = any(one["guidance"].calibrated for one in readings.values())
+        head = ["calibrated" if calibrated else "not calibrated yet", *COLUMNS[1:width]]
         return {"head": head, "rows": [{"cells": cells, "ok": ok} for cells, ok in rows]}
 
     def _sound(self, name: str) -> dict[str, dict[str, int]]:
         """Return the field of the state that has the page sound once."""
         self._sounds = {**self._sounds, name: self._sounds[name] + 1}
         return {"sounds": self._sounds}
-
-
-def _fits(axes: Mapping[str, AxisGuidance]) -> bool | None:
-    """Return whether a sensor is set as asked; None where nothing can be said."""
-    fits = [axis["ok"] for axis in axes.values()]
-    return False if False in fits else None if None in fits or not fits else True
-
-
-def _shares(axes: Mapping[str, AxisGuidance]) -> Iterator[dict[str, Any]]:
-    """Yield how far each axis of a sensor is off, with the share of its tolerance that this is."""
-    for channel, axis in axes.items():
-        difference, tolerance = axis["difference"], axis["tolerance"]
-        if difference is not None and tolerance:
-            share = abs(difference) / tolerance
-            yield {"axis": channel, "difference": difference, "tolerance": tolerance, "share": share}
 
 
 def _conditions(question: Message) -> Iterator[str]:

@@ -26,6 +26,7 @@ def verified(
     session: Session, operator: Operator, calibrations: Mapping[str, CalibrationRecord], limit: float = LIMIT
 ) -> dict[str, Verification]:
     """Measure the positions of a session, and judge how calibrations by serial number read them."""
+    session.judged = calibrations
     run_session(session, operator)
     results, jig = positions_of(read_journal(session.files.journal)).results(), session.setup.settings.jig
     return {

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from tiltcal.bench.guidance import AxisTilt, Difference, SensorGuidance
 from tiltcal.bench.operators import understood
 from tiltcal.bench.terminal import ENTER, LineKeys, Terminal, TerminalKeys
 from tiltcal.errors import InputError, Stopped
@@ -88,9 +89,16 @@ def terminal(
     return operator
 
 
-def axis(target: float | None, present: float | None, ok: bool | None = None) -> dict[str, Any]:
-    difference = None if target is None or present is None else present - target
-    return {"target": target, "present": present, "difference": difference, "tolerance": 3.0, "ok": ok}
+def guide(**axes: tuple[float | None, float | None, bool | None]) -> SensorGuidance:
+    """Guidance of two axes by target, present and ok."""
+    tilts = {channel: AxisTilt(target, present) for channel, (target, present, _) in axes.items()}
+    return SensorGuidance(
+        tilts,
+        {
+            channel: Difference(None if present is None or target is None else present - target, 3.0, ok)
+            for channel, (target, present, ok) in axes.items()
+        },
+    )
 
 
 def test_angles_temperatures_and_directions_are_typed_or_left() -> None:
@@ -150,18 +158,20 @@ def test_six_sensors_are_shown_in_80_columns_below_their_targets() -> None:
     serials = [f"SCL-100{n}" for n in range(6)]
     sensors = {serial: {"unit": "count"} for serial in serials}
     operator = terminal(shown := io.StringIO(), ENTER, width=80, live=True, sensors=sensors)
-    straight = {"x": axis(30.0, 29.71, True), "y": axis(0.0, None, False), "z": axis(60.0, 59.5, True)}
-    turned = {"x": axis(0.0, 0.2, True), "y": axis(30.0, 29.9, True), "z": axis(60.0, 60.0, True)}
-    reading = {"values": {"x": 2973.0, "y": 7000.0, "z": 5170.0}, "temperature": 24.0}
-    readings = {serial: {**reading, "guidance": turned if serial.endswith("5") else straight} for serial in serials}
+    straight = guide(x=(30.0, 29.71, True), y=(0.0, None, False))
+    tilts = {"x": AxisTilt(90.0, 88.07), "y": AxisTilt(0.0, -1.5), "z": AxisTilt(0.0, 1.21)}
+    three = SensorGuidance(tilts, {"": Difference(1.93, 6.0, True)}, sides={"+Y": -1.5, "+Z": 1.21})
+    reading = {"values": {"x": 2973.0, "y": 7000.0}, "temperature": 24.0}
+    readings = {serial: {**reading, "guidance": three if serial.endswith("5") else straight} for serial in serials}
     shown.truncate(0)
     for why in ("", "sample 3 of 20"):
         operator.tell({"event": "look", "position": "level", "why": why, "readings": readings})
     first, _, second = shown.getvalue().partition("\r\x1b[2K")
     rows = first.splitlines()[-9:]
-    assert rows[0].split()[-6:] == ["x", "+30.00°", "y", "+0.00°", "z", "+60.00°"]
-    assert " ".join(rows[1].split()) == "SCL-1000 x +29.71° (-0.29) ok y beyond 90° z +59.50° (-0.50) ok"
+    assert rows[0].split()[-4:] == ["x", "+30.00°", "y", "+0.00°"]
+    assert " ".join(rows[1].split()) == "SCL-1000 x +29.71° (-0.29) ok y beyond 90° 24.0 °C 2973 7000 count"
     assert [row.split()[0] for row in rows[5:8]] == ["SCL-1004", "target", "SCL-1005"]
+    assert rows[7].split(maxsplit=1)[1].startswith("1.93° off: +Y -1.50° raise, +Z +1.21° ok")
     assert rows[8].strip() == "live, angles are not calibrated yet"
     assert all(len(row) <= 80 for row in rows[1:])
     assert second.count("\x1b[1A\r\x1b[2K") == 8
@@ -195,7 +205,7 @@ def test_no_escape_sequence_and_no_markup_of_a_file_reaches_the_terminal() -> No
 def test_no_number_of_a_review_is_cut_off(width: int) -> None:
     measured = {"mean": {"x": 1045.25, "y": 1018.95}, "std": {"x": 0.65, "y": 0.69}, "n": 20, "temperature": 24.93}
     operator = terminal(shown := io.StringIO(), ENTER, width=width)
-    axes = {"x": axis(0.0, 1.49, True), "y": axis(0.0, -0.35, True)}
+    axes = guide(x=(0.0, 1.49, True), y=(0.0, -0.35, True))
     readings = {"S-1": {**measured, "values": measured["mean"], "guidance": axes}}
     review = {"ask": "review", "position": "level", "readings": readings}
     assert operator.ask(review) == {"answer": "accept"}

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from tiltcal.bench.guidance import AxisTilt, Difference, SensorGuidance
 from tiltcal.bench.operators import LOOK
 from tiltcal.bench.page_server import PageState
 from tiltcal.bench.web import WebOperator
@@ -19,6 +20,11 @@ ATTITUDES = {"level": (0.0, 0.0, 1.0), "up": (0.5, 0.0, cos(radians(30))), "over
 def question(position: str, **more: object) -> dict[str, Any]:
     asked = {"tilt": {"x": 30.0}, "gravity": list(ATTITUDES[position]), "heading": 0, "temperature": None}
     return {"ask": "position", "position": position, "prompt": "", **asked, **more}
+
+
+def guide(ok: bool | None, channels: str) -> SensorGuidance:
+    tilts = dict.fromkeys(channels, AxisTilt(30.0, 30.0))
+    return SensorGuidance(tilts, {"": Difference(0.0, 3.0, ok)}, ATTITUDES["up"], {"+X": 0.0, "+Y": 0.0})
 
 
 class Bench:
@@ -46,11 +52,10 @@ class Bench:
             self.time += 0.25
             angle = tilt + turns * self.time
             values = {"x": sin(radians(angle)), "y": 0.0, "z": cos(radians(angle))}
-            axis = {"target": 30.0, "present": 30.0, "difference": 0.0, "tolerance": 3.0, "ok": ok}
             reading = {
                 "values": {channel: values[channel] for channel in self.channels},
                 "temperature": None,
-                "guidance": dict.fromkeys(self.channels, axis),
+                "guidance": guide(ok, self.channels),
             }
             self.operator.tell({"event": "look", "position": "", "why": "", "readings": {"S-1": reading}})
         return LOOK
@@ -85,6 +90,6 @@ def test_all_else_asks_a_person() -> None:
 def test_a_dead_sensor_is_shown_without_an_attitude() -> None:
     bench = Bench()
     bench.operator.ask(question("up"))
-    axis = {"target": 0.0, "present": 0.0, "difference": 0.0, "tolerance": 3.0, "ok": None}
-    reading = {"values": dict.fromkeys("xyz", 0.0), "temperature": None, "guidance": dict.fromkeys("xyz", axis)}
+    unknown = SensorGuidance(dict.fromkeys("xyz", AxisTilt(0.0, None)), unknown=True)
+    reading = {"values": dict.fromkeys("xyz", 0.0), "temperature": None, "guidance": unknown}
     bench.operator.tell({"event": "look", "position": "up", "why": "", "readings": {"S-1": reading}})

@@ -74,24 +74,6 @@ function printAxes(group) {
   element(group, "text", {class: "print", x: 78, y: -17}, "Z");
 }
 
-// The two axes of the box that are nearest to level in an attitude, each made level: [name, direction].
-function levelAxes(target) {
-  const named = [["X", [1, 0, 0]], ["Y", [0, 1, 0]], ["Z", [0, 0, 1]]];
-  const [first, second] = named.sort((a, b) => Math.abs(dot(a[1], target)) - Math.abs(dot(b[1], target)))
-    .slice(0, 2).sort((a, b) => a[0].localeCompare(b[0]));
-  const x = unit(plus(first[1], target, -dot(first[1], target)));
-  const flat = plus(second[1], target, -dot(second[1], target));
-  return [[first[0], x], [second[0], unit(plus(flat, x, -dot(flat, x)))]];
-}
-
-// How far each of the two level axes is too high, degrees, and their names.
-function tooHigh(target, present) {
-  const angle = Math.atan2(Math.hypot(...cross(target, present)), dot(target, present));
-  const across = plus(present, target, -dot(present, target));
-  const length = Math.hypot(...across) || 1;
-  return levelAxes(target).map(([name, axis]) => [name, angle / length * dot(across, axis) * 180 / Math.PI]);
-}
-
 const BUBBLE = 26, RING = 30, EDGE = 108, FARTHEST = 30;
 
 // Within the tolerance in proportion, beyond it by the logarithm: a little too far and thirty times too far are both seen.
@@ -100,21 +82,19 @@ function radius(share) {
   return RING + (EDGE - RING) * Math.min(1, Math.log(share) / Math.log(FARTHEST));
 }
 
-// `sensors` have the direction that is present, the share of the tolerance by which it is off, and whether that is ok.
-function drawBubble(svg, target, sensors) {
+// `sensors` have how far the two sides are too high, the share of the tolerance by which they are off, and whether that is ok.
+function drawBubble(svg, [first, second], sensors) {
   svg.replaceChildren();
   element(svg, "circle", {class: "vial", r: EDGE + BUBBLE});
-  const [[first], [second]] = levelAxes(target);
   element(svg, "path", {class: "cross", d: `M${-EDGE - 20} 0 H${EDGE + 20} M0 ${-EDGE - 20} V${EDGE + 20}`});
-  element(svg, "text", {class: "side", x: EDGE + 8, y: -8}, `+${first}`);
-  element(svg, "text", {class: "side", x: 20, y: -EDGE - 4}, `+${second}`);
-  const drawn = sensors.filter(({present, share}) => present && share !== null);
+  element(svg, "text", {class: "side", x: EDGE + 8, y: -8}, first);
+  element(svg, "text", {class: "side", x: 20, y: -EDGE - 4}, second);
+  const drawn = sensors.filter(({sides, share}) => sides.length && share !== null);
   const within = drawn.length > 0 && sensors.every(({ok}) => ok);
   // A bubble that is within its tolerance lies wholly inside the ring.
   const r = drawn.length > 1 ? BUBBLE * 0.62 : BUBBLE;
   element(svg, "circle", {class: within ? "ring within" : "ring", r: RING + r});
-  for (const {present, share, ok} of drawn) {
-    const [[, right], [, up]] = tooHigh(target, present);
+  for (const {sides: [right, up], share, ok} of drawn) {
     const by = radius(share) / (Math.hypot(right, up) || 1);
     element(svg, "circle", {class: ok ? "bubble within" : "bubble", cx: right * by, cy: -up * by, r});
   }

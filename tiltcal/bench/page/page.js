@@ -247,9 +247,11 @@ function showGuide(guide) {
   if (!guide.target) return;
   drawBox($("#set svg"), guide.target);
   if (!guide.worst) return;
-  drawBubble($("#level svg"), guide.target, guide.sensors);
-  const away = mean ? tooHigh(guide.target, mean).filter(([, by]) => Math.abs(by) > guide.worst.tolerance / 4) : [];
-  $("#advice").textContent = mean && !guide.ok ? away.map(([axis, by]) => `${by > 0 ? "lower" : "raise"} +${axis} by ${Math.abs(by).toFixed(by > 10 || by < -10 ? 0 : 1)}°`).join(", ") : "";
+  drawBubble($("#level svg"), guide.sides, guide.sensors);
+  const shown = guide.sensors.filter(({sides}) => sides.length);
+  const away = guide.sides.map((side, i) => [side, shown.reduce((sum, {sides}) => sum + sides[i], 0) / shown.length]);
+  $("#advice").textContent = guide.note || guide.fits ? guide.note : away.filter(([, by]) => Math.abs(by) > guide.worst.tolerance / 4)
+    .map(([side, by]) => `${by > 0 ? "lower" : "raise"} ${side} by ${Math.abs(by).toFixed(Math.abs(by) > 10 ? 0 : 1)}°`).join(", ");
 }
 
 function showOff(guide, next) {
@@ -258,9 +260,9 @@ function showOff(guide, next) {
   off.replaceChildren();
   if (next.refused) off.textContent = `refused: ${next.refused}`;
   else if (guide?.worst) {
-    const {axis, difference, tolerance} = guide.worst, said = `${difference < 0 ? "−" : "+"}${Math.abs(difference).toFixed(1)}°`;
+    const {axis, angle, tolerance} = guide.worst, sign = !axis ? "" : angle < 0 ? "−" : "+", said = `${sign}${Math.abs(angle).toFixed(1)}°${axis ? "" : " off"}`;
     off.textContent = guide.ok ? "ok" : said;
-    make(off, "small", `${axis}${guide.ok ? ` ${said}` : ""} (±${tolerance.toFixed(1)}°)`);
+    make(off, "small", [axis, guide.ok ? said : "", `(±${tolerance.toFixed(1)}°)`].filter(Boolean).join(" "));
   }
 }
 
