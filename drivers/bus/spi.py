@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from typing import Any
 
@@ -52,14 +53,16 @@ class SpiLink:
             "spidev", "SPI needs the Python package spidev, for Linux only", "'tiltcal[spi]'"
         ).SpiDev()
         try:
-            # spidev 3.6, which Debian 12 has, has no open_path.
-            if numbered := re.fullmatch(r"/dev/spidev(\d+)\.(\d+)", device):
-                self._bus.open(*map(int, numbered.groups()))
+            if numbers := re.fullmatch(r"/dev/spidev(\d+)\.(\d+)", os.path.realpath(device)):
+                self._bus.open(*map(int, numbers.groups()))
             else:
-                self._bus.open_path(device)
+                os.stat(device)
+                self._bus.open_path(device)  # which spidev 3.6, that of Debian 12, does not have
             self._bus.mode = mode
             self._bus.max_speed_hz = speed
             self._bus.bits_per_word = 8
+        except AttributeError:
+            raise BusError(f"{device} is no link to {NODE.example}: name that device, or install spidev 3.8") from None
         except OSError as cause:
             self._bus.close()
             raise BusError(NODE.why(device, cause)) from cause

@@ -107,13 +107,20 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Stub:
     return stub
 
 
-def test_an_spi_device_with_its_usual_name_needs_no_newer_spidev(bus: Stub) -> None:
+def test_an_spi_device_with_its_usual_name_needs_no_newer_spidev(bus: Stub, tmp_path: Path) -> None:
     """The package of Debian 12, 3.6, opens a bus and a chip select, and has no open_path for other names."""
-    opened("spi:///dev/spidev1.12")
+    link, other = tmp_path / "tilt", tmp_path / "other"
+    link.symlink_to("/dev/spidev1.12")
+    opened(f"spi:{link}")
     assert bus.path == "bus 1.12"
+    with pytest.raises(BusError, match="other does not exist"):
+        opened(f"spi:{other}")
+    other.touch()
+    with pytest.raises(BusError, match=r"is no link to an SPI device, as /dev/spidev0\.0 is: .* install spidev 3\.8"):
+        opened(f"spi:{other}")
     bus.open_path = bus.open
-    opened("spi:///dev/tilt")
-    assert bus.path == "/dev/tilt"
+    opened(f"spi:{other}")
+    assert bus.path == str(other)
 
 
 def test_an_exchange_on_i2c_is_one_transaction(bus: Stub) -> None:
