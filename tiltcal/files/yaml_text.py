@@ -5,8 +5,8 @@ its parser gives only the events. Anchors, aliases and tags are refused: no file
 of them.
 
 What is written has small mappings in one line, large ones opened. It reads back equal, also under YAML 1.1: a text that
-either version would take for a number, a date, a truth value or nothing is quoted, and ``1e-08`` is ``1.0e-08``. The
-letters ``y`` and ``n`` alone are left bare: they are keys in every file, and no parser takes them for truth values.
+either version would take for a number, a date, a truth value or nothing is quoted, and ``1e-08`` is ``1.0e-08``. So are
+the letters ``y`` and ``n``, which the parsers of R and Go take for truth values.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _NULL = re.compile(r"null|Null|NULL|~|")
 WIDTH = 120
 _COMMENT_COLUMN = 46
 _KEY_LIMIT = 100  # YAML itself ends at 1024 bytes, escapes included
-_READ_AS_OTHER = {"yes", "no", "on", "off", "true", "false", "null"}
+_READ_AS_OTHER = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 _BARE = re.compile(r"[^\W\d_]([\w./+()°%=-]| (?=[\w./+()°%=-]))*")
 _UNPRINTABLE = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
 _FOLD = re.compile(r"(?<=[^\s\\]) (?=[^\s])")

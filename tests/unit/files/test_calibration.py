@@ -121,26 +121,26 @@ def test_columns_go_with_channels() -> None:
 WRITTEN = """\
 tiltcal: 1
 kind: tilt
-sensor: {model: sca100t-d02, serial: "0042", unit: count, channels: [x, y]}
+sensor: {model: sca100t-d02, serial: "0042", unit: count, channels: [x, "y"]}
 calibration:
-  offset: {x: 1024.6, y: 1021.9}                # count, at the reference temperature
+  offset: {x: 1024.6, "y": 1021.9}              # count, at the reference temperature
   sensitivity:                                  # count/g, row = channel, column = axis
-    x: {x: 818.2, y: 9.1}
-    y: {x: -6.4, y: 820.7}
+    x: {x: 818.2, "y": 9.1}
+    "y": {x: -6.4, "y": 820.7}
   temperature:
     reference: 24.0                             # °C
     range: [5.5, 24.0]                          # °C
-    offset: {x: [0.21, 0.0], y: [-0.05, 0.0001]}  # count/°C, count/°C², ...
+    offset: {x: [0.21, 0.0], "y": [-0.05, 0.0001]}  # count/°C, count/°C², ...
   mounting: {roll: 180.0, pitch: -2.5, yaw: 0.0}  # degrees
 uncertainty:                                    # standard uncertainty, k = 1
-  offset: {x: 0.1, y: 0.1}
+  offset: {x: 0.1, "y": 0.1}
   covariance:
     parameters: [offset.x, offset.y]
     matrix:
       - [0.01, 1.0e-08]
       - [1.0e-08, 0.01]
 limits:                                         # the ranges that were covered, degrees and °C
-  tilt: {x: [-60.0, 60.0], y: [-60.0, 60.0]}
+  tilt: {x: [-60.0, 60.0], "y": [-60.0, 60.0]}
   temperature: [0.0, 30.0]
   reading: {x: [101.0, 2047.0]}
 derived: {}

@@ -268,6 +268,11 @@ def test_what_is_written_reads_back_equal_under_yaml_1_1_too(written: dict[str, 
     assert yaml.safe_load(yaml_text(written)) == written
 
 
+def test_letters_that_the_specification_of_yaml_1_1_lists_as_truth_values_are_quoted() -> None:
+    """https://yaml.org/type/bool.html; R's yaml and Go's yaml.v2 follow it, PyYAML leaves the letters out."""
+    assert yaml_text({"y": ["x", "y", "N"], "n": 1}) == '"y": [x, "y", "N"]\n"n": 1\n'
+
+
 def test_plain_data_may_be_as_deep_as_a_file_and_no_deeper() -> None:
     deep: Any = 1
     for _ in range(32):

@@ -83,7 +83,7 @@ def test_what_passes_one_passes_both(tmp_path: Path) -> None:
         (BENCH, "operator:", "colour:"),
         (BENCH, "serial: A-1, ", ""),
         (GOOD[ROOT / "procedures" / "zero-45.yaml"], "axes: [x, y]", "axes: [x, x]"),
-        *((zero_45, "channels: [x, y]", channels) for channels in ("channels: [x, x]", "colour: [x, y]")),
+        *((zero_45, 'channels: [x, "y"]', channels) for channels in ("channels: [x, x]", "colour: [x, y]")),
         (GOOD[ROOT / "fixtures" / "rotation.yaml"], "turns: ", "colours: "),
         (GOOD[ROOT / "procedures" / "rotation.yaml"], "phase: ", "face: "),
         *((text, "truth:", "lie:") for path, text in GOOD.items() if path.parent.name == "twins"),
