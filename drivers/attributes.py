@@ -20,7 +20,7 @@ from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.attributes import ACCELERATION, LETTER, as_text
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.columns import AXES, TEMPERATURE, ColumnLayout, columns_of, model_of_numbers
+from tiltcal.drivers.columns import AXES, TEMPERATURE, ColumnLayout, columns_of, model_of_numbers, scale_at
 from tiltcal.drivers.model import OF_G, Model, Reading, Sensor, in_words
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
@@ -163,7 +163,7 @@ _NUMBERS = ("unit", "offset", "sensitivity", "low", "high")
 def iio_at(address: Address) -> Model:
     """Return the accelerometer of Linux at an address."""
     return model_of_numbers(
-        _stated(address, unit="count", sensitivity=str(SCALE)),
+        scale_at(_stated(address, unit="count", sensitivity=str(SCALE)), AXES),
         AXES,
         thermometer=False,
         name="iio",
@@ -183,7 +183,7 @@ def python_at(address: Address) -> Model:
     """Return the object of Python at an address."""
     columns = columns_of(address, "x,y,z")
     return model_of_numbers(
-        _stated(address, unit="m/s2"),
+        scale_at(_stated(address, unit="m/s2"), columns.channels),
         columns.channels,
         TEMPERATURE in columns.names,
         name="python",

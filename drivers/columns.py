@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.drivers.model import OF_G, Model, Reading, Sensor
+from tiltcal.drivers.model import OF_G, OF_TILT, Model, Reading, Sensor
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Tolerances, Truth
 from tiltcal.errors import BusError
 
@@ -65,6 +65,8 @@ UNKNOWN = 1e6
 
 OFFSET_SPREAD, ANYWHERE = 0.1, 1e4
 """Standard deviation of the offset between devices, g, with and without a known nominal offset."""
+
+SCALE_OPTIONS = ("offset", "sensitivity", "low", "high")
 
 RAIL = 1e12
 """Rails if the address states none: no printed number reaches them."""
@@ -344,33 +346,50 @@ LIMITS = Tolerances(offset=0.05, sensitivity=0.03, cross=0.02, drift=0.001)
 """Of a virtual device; they are ours."""
 
 
-def model_of_numbers(
-    address: Address, channels: tuple[str, ...], thermometer: bool, *, unit_option: str = "unit", **facts: Any
-) -> Model:
-    """Return the model of a device that sends numbers, with the unit, scale and rails of its address."""
+class Scale(NamedTuple):
+    """What a device's numbers are: unit, nominal offset (unit at 0 g) and sensitivity (unit/g), and their rails."""
+
+    unit: str
+    offset: float | None = None
+    sensitivity: float | None = None
+    low: float = -RAIL
+    high: float = RAIL
+
+    def objection(self) -> str:
+        """Return what cannot be; empty where all can."""
+        if self.sensitivity == 0.0:
+            return "sensitivity=0 is impossible: the device would not respond to tilt"
+        return "" if self.low < self.high else f"low={self.low:g} is not below high={self.high:g}"
+
+
+def scale_at(address: Address, channels: tuple[str, ...], unit_option: str = "unit") -> Scale:
+    """Return the scale that the options of an address state; a virtual device has no readings but of tilt."""
     if address.simulated and not set(channels) <= set(AXES):
         address.refuse(
             "the virtual device has x, y, z and temperature alone; a virtual stage with four accelerometers is the "
             "model gradiometer"
         )
-    unit = address.text(unit_option, "g" if address.simulated else UNSTATED)
-    default = OF_G.get(unit)
-    sensitivity = address.number("sensitivity", default or UNKNOWN)
-    if sensitivity == 0.0:
-        address.refuse("option sensitivity=0 is impossible: the device would not respond to tilt")
-    low, high = address.number("low", -RAIL), address.number("high", RAIL)
-    if low >= high:
-        address.refuse(f"option low={low:g} is not below high={high:g}")
-    offset = address.number("offset", 0.0)
+    stated = {name: address.number(name) for name in SCALE_OPTIONS if name in address.options}
+    scale = Scale(address.text(unit_option, "g" if address.simulated else UNSTATED), **stated)
+    if why := scale.objection():
+        address.refuse(f"option {why}")
+    return scale
+
+
+def model_of_numbers(scale: Scale, channels: tuple[str, ...], thermometer: bool, **facts: Any) -> Model:
+    """Return the model of a device that sends numbers."""
+    default = OF_G.get(scale.unit)
+    sensitivity = scale.sensitivity or default or OF_TILT.get(scale.unit, UNKNOWN)
+    offset = scale.offset or 0.0
     return Model(
         channels=channels,
-        unit=unit,
+        unit=scale.unit,
         offset=offset,
         sensitivity=sensitivity,
-        offset_spread=OFFSET_SPREAD if "offset" in address.options or default is not None else ANYWHERE,
+        offset_spread=OFFSET_SPREAD if scale.offset is not None or default is not None else ANYWHERE,
         sensitivity_spread=0.1,
-        scaled=default is not None or "sensitivity" in address.options,
-        rails=(low, high),
+        scaled=default is not None or scale.sensitivity is not None,
+        rails=(scale.low, scale.high),
         thermometer=thermometer,
         default_truth=lambda seed: LIMITS.draw(channels, sensitivity, abs(sensitivity) * 0.001, seed, offset),
         **facts,
@@ -381,7 +400,7 @@ def serial_columns_at(address: Address) -> Model:
     """Return the device that prints the numbers of an address."""
     columns = columns_of(address, "x,y,temperature" if address.simulated else None)
     return model_of_numbers(
-        address,
+        scale_at(address, columns.channels),
         columns.channels,
         TEMPERATURE in columns.names,
         name="serial-columns",
@@ -389,7 +408,7 @@ def serial_columns_at(address: Address) -> Model:
         addresses=("serial:///dev/ttyUSB0?columns=x,y,temperature",),
         driver=partial(ColumnsSensor, columns),
         twin=partial(virtual_columns, columns),
-        options=("columns", "separator", "unit", "offset", "sensitivity", "low", "high"),
+        options=("columns", "separator", "unit", *SCALE_OPTIONS),
         configure=serial_columns_at,
     )
 

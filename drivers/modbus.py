@@ -23,7 +23,7 @@ from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.modbus import FAILED, HOLDING, INPUT, WRITE, WRITE_ONE
-from tiltcal.drivers.columns import TEMPERATURE, TIME, channels_of, model_of_numbers, require_name
+from tiltcal.drivers.columns import TEMPERATURE, TIME, channels_of, model_of_numbers, require_name, scale_at
 from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.drivers.virtual import HeldPose, Truth, VirtualPart
 from tiltcal.errors import BusError, DeviceFault
@@ -274,10 +274,9 @@ def modbus_columns_at(address: Address) -> Model:
     """Return the device with the registers of an address."""
     layout = layout_of(address, SIMULATED if address.simulated else None)
     return model_of_numbers(
-        address,
+        scale_at(address, layout.channels, UNIT),
         layout.channels,
         any(column.name == TEMPERATURE for column in layout.columns),
-        unit_option=UNIT,
         name="modbus-columns",
         title="any device with numbers in Modbus registers, RTU or TCP",
         addresses=(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import sqrt
+from math import degrees, sqrt
 from typing import NamedTuple
 
 from tiltcal.drivers.bus import Device, Link
@@ -18,6 +18,16 @@ ACCELERATION = ("m/s2", "m/s^2", "m/s²")
 
 OF_G = {"g": 1.0, "mg": 1000.0, **dict.fromkeys(ACCELERATION, 9.80665)}
 """What 1 g is in the units that imply a nominal sensitivity."""
+
+OF_TILT = {
+    **dict.fromkeys(("deg", "°"), degrees(1.0)),
+    "rad": 1.0,
+    **dict.fromkeys(("mrad", "mm/m"), 1000.0),
+    "%": 100.0,
+    "arcmin": 60.0 * degrees(1.0),
+    "arcsec": 3600.0 * degrees(1.0),
+}
+"""What a tilt of 1 rad is in the units of angle and slope, near level: a change of 1 g there."""
 
 
 NO_TWIN_MODELS = (

@@ -15,6 +15,7 @@ from tiltcal.bench.setup import Setup
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import LimitsSection, SensorIdentity, TiltFile
 from tiltcal.files.coefficients import CoefficientsSection, UncertaintySection
+from tiltcal.files.device import DeviceFile
 from tiltcal.files.pair import PairFile
 from tiltcal.files.procedure import ProcedureFile, Rotation
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
@@ -37,6 +38,7 @@ TABLES: dict[str, type[Struct]] = {
     "procedure": ProcedureFile,
     "rotation": Rotation,
     "bench": BenchFile,
+    "device": DeviceFile,
     "twin": TwinFile,
     "disk": DiskSection,
     "segments": SegmentRow,
@@ -68,7 +70,7 @@ def _rows(record: type[Struct], lead: str = "") -> Iterator[str]:
     for key in keys_in(record):
         yield _row(f"{lead}{key.name}", key, key.text)
         inner, suffix = _section_in(key.kind)
-        if inner is not None:
+        if inner not in (None, DeviceFile):
             yield from _rows(inner, f"{lead}{key.name}{suffix}.")
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, MutableMapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, MutableMapping
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -34,7 +34,8 @@ class Link(Protocol):
         out: SPI: the frame shifted out while chip select is low. I2C: the bytes written, may be empty. Serial: the
             bytes sent, may be empty.
         count: I2C: bytes to read after a repeated start. Serial and edges: the largest number of bytes to take, waiting
-            for the first; with 0 and nothing to send, what has arrived is discarded. SPI: unused, a frame reads as many
+            for the first; with 0 and nothing to send, what has arrived is discarded, and with bytes to send and a count
+            what arrived before is no part of the answer. SPI: unused, a frame reads as many
             bytes as it writes.
 
         Returns the answer; of serial lines and edges at least one byte or record where ``count`` is not 0.
@@ -98,6 +99,7 @@ class Device:
     addresses: an example for each way to connect it, the preferred one first.
     options: those of an address that belong to the device and not to its bus, such as the input of x.
     spi: None where the part has no SPI.
+    line: options of its serial line that an address need not state.
     bus: what opens its ``package:`` addresses: the bus of a package that adds the model, where tiltcal has none.
     """
 
@@ -105,6 +107,7 @@ class Device:
     addresses: tuple[str, ...]
     options: tuple[str, ...] = ()
     spi: SpiPort | None = None
+    line: Mapping[str, str] = field(default_factory=dict)
     bus: Bus | None = None
 
     @property
@@ -113,7 +116,7 @@ class Device:
         return tuple(dict.fromkeys(address.partition(":")[0] for address in self.addresses))
 
 
-LINE = ("baudrate", "parity", "stopbits")
+LINE = ("baudrate", "parity", "bits", "stopbits")
 """Options of a serial line."""
 
 BUSES = {
@@ -152,6 +155,7 @@ def open_link(address: Address, device: Device, lines: MutableMapping[str, Modbu
     if not isinstance(bus.open, str):
         return bus.open(address)
     address.allow(*dict.fromkeys((*bus.options, *device.options)))
+    address = replace(address, options={**device.line, **address.options})
     module, _, opener = bus.open.partition(":")
     further = (device,) if bus is BUSES["spi"] else (lines,) if bus is BUSES["modbus"] else ()
     link: Link = getattr(import_module(module), opener)(address, *further)

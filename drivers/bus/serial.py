@@ -62,6 +62,7 @@ def line_settings(address: Address, baudrate: int) -> dict[str, Any]:
         address.refuse(f"{handler}:// cannot be used: name a port, or {', '.join(f'{known}://' for known in HANDLERS)}")
     return {
         "baudrate": address.integer("baudrate", baudrate, low=50, high=20_000_000),
+        "bytesize": address.integer("bits", 8, low=7, high=8),
         "parity": address.choice("parity", {letter: letter for letter in "NEOMS"}, "N"),
         "stopbits": address.choice("stopbits", {"1": 1, "1.5": 1.5, "2": 2}, 1),
     }
@@ -87,10 +88,10 @@ class SerialLink:
     def exchange(self, out: bytes, count: int = 0) -> bytes:
         """Send ``out``, then take what has arrived; see :class:`~tiltcal.drivers.bus.Link`."""
         try:
+            if bool(out) == bool(count):
+                self._port.reset_input_buffer()
             if out:
                 self._port.write(out)
-            elif not count:
-                self._port.reset_input_buffer()
             return self._received(count) if count else b""
         except _PORT_ERRORS as cause:
             raise BusError(_why(self._place, cause)) from cause

@@ -22,8 +22,10 @@ from tiltcal.drivers.bus import link_letter, open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.virtual import Fault
 from tiltcal.errors import DeviceFault, HardwareError, UsageError
+from tiltcal.files.device import model_named, shipped_devices
 
-DEVICES = {model.name: model for model in (*models(), DFROBOT_SCA100T)}
+BY_MANUAL = [model_named(name) for name in shipped_devices()]
+DEVICES = {model.name: model for model in (*models(), DFROBOT_SCA100T, *BY_MANUAL)}
 
 OPTIONS = {
     "adxl202": ["wiring=edges"],
@@ -54,9 +56,20 @@ TILTED = (0.2, -0.25, 0.8975**0.5)
 
 NAMES_THE_REQUEST = ("scl3300", "sca3300-d01", "modbus-columns")
 """Their answers say which request they belong to, or of what length it was."""
-HAS_A_CHECKSUM = ("scl3300", "sca3300-d01", "dfrobot-sca100t", "adxl202", "adxl202e", "adxl210", "witmotion")
+HAS_A_CHECKSUM = (
+    *("scl3300", "sca3300-d01", "dfrobot-sca100t", "adxl202", "adxl202e", "adxl210", "witmotion"),
+    *("das-rs485", "seika-ng360", "jewell-tuff-tilt"),
+)
 TELLS_A_RESET = ("scl3300", "sca3300-d01", "adxl355", "iis2iclx", *ACCELEROMETERS)
-HAS_A_SHAPE = (*HAS_A_CHECKSUM, "serial-columns", "gradiometer", "modbus-columns", "iio", "python")
+HAS_A_SHAPE = (
+    *HAS_A_CHECKSUM,
+    *(model.name for model in BY_MANUAL),
+    "serial-columns",
+    "gradiometer",
+    "modbus-columns",
+    "iio",
+    "python",
+)
 
 
 class Bench(VirtualDevice):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import threading
 import tty
 from collections.abc import Callable, Iterator
@@ -39,3 +40,29 @@ def printing(next_bytes: Callable[[], bytes], per_second: float, *, waits: bool)
         printer.join()
         os.close(master)
         os.close(slave)
+
+
+@contextmanager
+def answering(answer: Callable[[bytes], bytes], ends: bytes = b"\r") -> Iterator[str]:
+    """Answer each question, which ends so, with what a function returns; the path of the pseudo-terminal."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    stop, stopped = os.pipe()
+
+    def serve() -> None:
+        asked = b""
+        while stop not in (ready := select.select([master, stop], [], [])[0]):
+            asked += os.read(ready[0], 4096)
+            *questions, asked = asked.split(ends)
+            for question in questions:
+                os.write(master, answer(question + ends))
+
+    server = threading.Thread(target=serve)
+    server.start()
+    try:
+        yield os.ttyname(slave)
+    finally:
+        os.write(stopped, b"stop")
+        server.join()
+        for descriptor in (master, slave, stop, stopped):
+            os.close(descriptor)

@@ -16,7 +16,7 @@ from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import Clock, session_clock
 from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.errors import BusError, HardwareError, SensorError, UsageError
-from tiltcal.files.bench import BenchFile, BenchSensor
+from tiltcal.files.bench import BenchFile, BenchSensor, with_device_file
 from tiltcal.files.journal import HARDWARE_ERROR, JournalWriter
 from tiltcal.files.record import about
 
@@ -45,7 +45,8 @@ def thermometer_of(bench: BenchFile) -> BenchDevice | None:
     """Return the thermometer of a bench; a UsageError where it reports no temperature."""
     if bench.thermometer is None:
         return None
-    thermometer = BenchDevice(model=bench.thermometer.model, serial="thermometer", address=bench.thermometer.address)
+    named = bench.thermometer
+    thermometer = BenchDevice(model=named.model, serial="thermometer", address=named.address, device=named.device)
     if not thermometer.wired.thermometer:
         raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
     return thermometer
@@ -369,7 +370,7 @@ def open_sensor(model: str, address: str) -> Iterator[Sensor]:
     Parameters
     ----------
     model : str
-        Such as ``sca100t-d02``.
+        Such as ``sca100t-d02``, or a device file.
     address : str
         Such as ``spi:///dev/spidev0.0``, or ``sim:`` for its virtual twin.
 
@@ -385,7 +386,7 @@ def open_sensor(model: str, address: str) -> Iterator[Sensor]:
     HardwareError
         It cannot be opened.
     """
-    device = BenchSensor("", model, address)
+    device = with_device_file(BenchSensor("", model, address))
     clock = session_clock(datetime.now(UTC), virtual=device.simulated)
     with closing(open_device(device, VirtualBench(clock, [device]))) as link:
         yield device.wired.driver(link, clock)

@@ -317,6 +317,7 @@ def _tilt_calibrations(
             address=sensor.address,
             axes=() if sensor.orientation.straight else tuple(sensor.orientation.names),
             thermometer=None if setup.thermometer is None else setup.thermometer.address,
+            device=sensor.device,
         )
         base = setup.bases.get(sensor.serial)
         calibrations[sensor.serial] = replace(

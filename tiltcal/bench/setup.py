@@ -23,8 +23,9 @@ from tiltcal.drivers.bus.clock import VIRTUAL_START
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import Argument, InputError, JournalError, UsageError
 from tiltcal.files.atomic import check_writable
-from tiltcal.files.bench import BenchFile, BenchSensor, bench_of
+from tiltcal.files.bench import BenchFile, BenchSensor, bench_of, with_device_file
 from tiltcal.files.calibration import BaseFile, tilt_record
+from tiltcal.files.device import DeviceFile
 from tiltcal.files.document import Document, document_of, read_document
 from tiltcal.files.journal import Journal
 from tiltcal.files.machine import Machine
@@ -111,6 +112,7 @@ class Setup(Record, kw_only=True, dict=True):
                 serial=sensor.serial,
                 address=sensor.address,
                 axes=sensor.orientation.names,
+                device=sensor.device,
                 output="" if output is None else os.path.relpath(output, journal.parent),
             )
             for sensor, output in zip(bench.sensors, outputs, strict=True)
@@ -426,10 +428,12 @@ def known_bench(document: Document) -> BenchFile:
     return bench
 
 
-def single(model: str, serial: str, address: str, jig: float | None = None) -> BenchFile:
-    """Return a bench of one sensor, which needs no file."""
+def single(
+    model: str, serial: str, address: str, jig: float | None = None, device: DeviceFile | None = None
+) -> BenchFile:
+    """Return a bench of one sensor, which needs no file but that of a text device."""
     require_printable(serial, "the serial number")
-    return BenchFile((BenchSensor(serial, model, address),), jig=jig)
+    return BenchFile((with_device_file(BenchSensor(serial, model, address, device=device)),), jig=jig)
 
 
 def free_journal(output: Path, remark: Callable[[str], None]) -> Path:

@@ -45,7 +45,7 @@ def model_of(calibration: CalibrationRecord) -> Model | None:
     from tiltcal.drivers import find_model
 
     try:
-        model = find_model(calibration.sensor.model)
+        model = find_model(calibration.sensor.model) if calibration.device is None else calibration.device.model
     except UsageError:
         return None
     return model if model.unit == calibration.sensor.unit else None

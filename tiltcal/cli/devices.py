@@ -8,8 +8,9 @@ import click
 
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
-from tiltcal.drivers import find_model, models
+from tiltcal.drivers import models
 from tiltcal.drivers.model import Model
+from tiltcal.files.device import model_named, shipped_devices
 
 
 @options.command(epilog="Example: tiltcal devices sca100t-d02")
@@ -17,7 +18,7 @@ from tiltcal.drivers.model import Model
 @options.as_json
 def command(model: str | None, as_json: bool) -> None:
     """List the sensor models, or show the addresses, their options, the readings and the virtual twin of one."""
-    known = list(models()) if model is None else [find_model(model)]
+    known = [*models(), *(model_named(name) for name in shipped_devices())] if model is None else [model_named(model)]
     if as_json:
         click.echo(options.json_text([_facts(one) for one in known], 2))
     elif model is None:

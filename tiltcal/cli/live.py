@@ -40,7 +40,7 @@ def command(calibration: Path, address: str, rate: float, seconds: float | None,
 
     record = read_calibration(calibration)
     serial = record.sensor.serial
-    device = BenchSensor(serial, record.sensor.model, address)
+    device = BenchSensor(serial, record.sensor.model, address, device=record.device)
     renews = sys.stdout is not None and sys.stdout.isatty() and not as_json
     failures = 0
     with live_tilts([device], {serial: record}) as read:

@@ -15,9 +15,11 @@ from tiltcal.drivers.bus.address import Address, parse_address
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.columns import guess, listened, shown, unit_of_gravity
 from tiltcal.errors import NEGATIVE_VERDICT, BusError, UsageError
+from tiltcal.files.device import model_named
 
 
 @options.command(epilog="Example: tiltcal probe --sensor sca100t-d02 --address spi:///dev/spidev0.0 --self-test")
+@click.argument("device", metavar="[FILE]", required=False)
 @click.option(
     "--sensor",
     metavar="MODEL",
@@ -28,17 +30,18 @@ from tiltcal.errors import NEGATIVE_VERDICT, BusError, UsageError
 )
 @click.option("--self-test", "self_test", is_flag=True, help="Start the self-test of the part; lay it level and still.")
 @options.as_json
-def command(sensor: str | None, address: str, self_test: bool, as_json: bool) -> int:
-    """Test the connection of a sensor, and print its answer.
+def command(device: str | None, sensor: str | None, address: str, self_test: bool, as_json: bool) -> int:
+    """Test the connection of a sensor, or of the device that the device FILE describes, and print its answer.
 
     Exit code 3 if it does not answer, 1 if its self-test fails.
     """
     parsed = parse_address(address)
+    sensor = sensor or device
     if parsed.scheme == "serial" and (not sensor or (sensor == "serial-columns" and "columns" not in parsed.options)):
         return _listen(parsed, as_json)
     if not sensor:
         raise UsageError("--sensor is missing: the model that is connected there ('tiltcal devices' lists them)")
-    model = find_model(sensor).at(parsed)
+    model = model_named(sensor).at(parsed)
     with open_sensor(sensor, address) as driver:
         said = dict(driver.probe())
         tests = {channel: driver.self_test(channel) for channel in model.channels} if self_test else {}

@@ -61,7 +61,8 @@ def command(
     else:
         beside = calibration.with_name(f"{calibration.stem}.verify.yaml")
         path = Path(stated["journal"]) if stated["journal"] else free_journal(beside, remark)
-        bench = single(judged.sensor.model, judged.sensor.serial, stated["address"], stated["jig"])
+        sensor, device = judged.sensor, judged.device
+        bench = single(sensor.model, sensor.serial, stated["address"], stated["jig"], device)
         steps, settings = _positions(procedure, stated["tilt"]), {name: stated[name] for name in ("samples", "settle")}
         session = Session(Setup.begin(steps, bench, [None], path, operator=operator or "terminal", **settings), path)
     _require_sensor(session, judged.sensor, calibration)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from msgspec import Meta
 
@@ -13,6 +13,7 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.bus import link_letter
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import Model
+from tiltcal.files.device import DeviceFile, device_named
 from tiltcal.files.document import Document
 from tiltcal.files.machine import CHAMBER_AXES, TABLE_AXES, Machine, check_machine
 from tiltcal.files.record import FromZero, Record, Text, about
@@ -27,13 +28,14 @@ class BenchSensor(Record):
     """One sensor of a bench."""
 
     serial: Annotated[Serial, about("unique; the calibration file is named for it")]
-    model: Annotated[Text, about("as `--sensor`")]
+    model: Annotated[Text, about("as `--sensor`; a device file is named from the folder of this file")]
     address: Annotated[Text, about("as `--address`")]
     axes: Annotated[
         tuple[SignedAxis, ...],
         Meta(min_length=2, max_length=3),
         about("the fixture's axis along each sensor axis, such as `[-y, x]` or three of them", usual="`[x, y, z]`"),
     ] = STRAIGHT.names
+    device: Annotated[DeviceFile | None, about("of a text device what its file says, in place of the file")] = None
 
     @property
     def orientation(self) -> Orientation:
@@ -43,7 +45,7 @@ class BenchSensor(Record):
     @property
     def wired(self) -> Model:
         """The model as it is wired at the address."""
-        return _wired(self.model, self.address)
+        return _wired(self.model, self.address, self.device)
 
     @property
     def simulated(self) -> bool:
@@ -57,8 +59,8 @@ class BenchSensor(Record):
 
 
 @lru_cache(maxsize=64)
-def _wired(model: str, address: str) -> Model:
-    return find_model(model).at(parse_address(address))
+def _wired(model: str, address: str, device: DeviceFile | None) -> Model:
+    return (find_model(model) if device is None else device.model).at(parse_address(address))
 
 
 class BenchThermometer(Record):
@@ -67,6 +69,7 @@ class BenchThermometer(Record):
     model: Annotated[Text, about("any device that reports a temperature, which stands for that of every sensor")]
     address: Annotated[Text, about("its address")]
     uncertainty: Annotated[FromZero | None, about("standard uncertainty of a temperature, °C")] = None
+    device: Annotated[DeviceFile | None, about("as of a sensor")] = None
 
 
 class BenchFile(Record):
@@ -104,10 +107,26 @@ class BenchFile(Record):
         )
 
 
+S = TypeVar("S", BenchSensor, BenchThermometer)
+
+
+def with_device_file(sensor: S, beside: str | None = None) -> S:
+    """Return a sensor or thermometer with the content of the device file that it names, and the name in it.
+
+    ``beside`` is the file from whose folder a path counts.
+    """
+    device = sensor.device or device_named(sensor.model, beside)
+    return sensor if device is None else sensor.replaced(model=device.name, device=device)
+
+
 def bench_of(document: Document) -> BenchFile:
     """Return the content of a bench file, checked; an InputError names file, line and key."""
     body = document.body("bench")
     bench = body.read(BenchFile)
+    bench = bench.replaced(
+        sensors=tuple(with_device_file(sensor, document.file) for sensor in bench.sensors),
+        thermometer=None if bench.thermometer is None else with_device_file(bench.thermometer, document.file),
+    )
     serials = [sensor.serial for sensor in bench.sensors]
     for number, sensor in enumerate(bench.sensors):
         with body.locating("sensors", number, "axes"):

@@ -26,6 +26,7 @@ from tiltcal.files.coefficients import (
     uncertainty_of,
     uncertainty_section,
 )
+from tiltcal.files.device import DeviceFile
 from tiltcal.files.document import Document, parse_document, read_document
 from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data
 from tiltcal.files.results import DerivedRecord, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
@@ -89,6 +90,11 @@ class CalibrationRecord:
     procedure: ProcedureRecord = ProcedureRecord()
     positions: tuple[PositionRecord, ...] = ()
     provenance: Provenance = Provenance()
+
+    @property
+    def device(self) -> DeviceFile | None:
+        """What the file of a text device says."""
+        return None if self.provenance.bench is None else self.provenance.bench.device
 
     @property
     def runs(self) -> tuple[tuple[PositionRecord, ...], ...]:

@@ -8,6 +8,7 @@ from msgspec.json import decode, encode, schema_components
 
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import TiltFile
+from tiltcal.files.device import DeviceFile
 from tiltcal.files.pair import PairFile
 from tiltcal.files.procedure import ProcedureFile, RotationFile
 from tiltcal.files.record import FORMAT_VERSION, Record
@@ -18,6 +19,7 @@ FILES: dict[str, tuple[type[Record], ...]] = {
     "pair": (PairFile,),
     "procedure": (ProcedureFile, RotationFile),
     "bench": (BenchFile,),
+    "device": (DeviceFile,),
     "twin": (TwinFile, StageFile),
 }
 """By the ``kind`` that a file states."""

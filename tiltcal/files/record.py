@@ -30,6 +30,7 @@ KINDS = {
     "pair": "a pair calibration, as 'tiltcal match' writes it",
     "procedure": "a procedure, as 'tiltcal measure' runs it",
     "bench": "a bench, for 'tiltcal measure --bench'",
+    "device": "a device by its manual, for --sensor FILE",
     "twin": "a virtual sensor, for an address such as sim:?twin=FILE",
 }
 """What messages call the files of each ``kind``."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from msgspec import Meta
 
+from tiltcal.files.device import DeviceFile
 from tiltcal.files.record import AboveZero, ByAxis, Count, Finite, FromOne, Range, Record, Size, Text, about, one_of
 
 if TYPE_CHECKING:
@@ -292,6 +293,7 @@ class BenchRecord(Record, kw_only=True):
     address: Annotated[Text | None, about("of the sensor")] = None
     axes: Annotated[Names, about("of the fixture along the sensor's axes, where it does not sit straight")] = ()
     thermometer: Annotated[Text | None, about("address of the thermometer")] = None
+    device: Annotated[DeviceFile | None, about("of a text device what its file says")] = None
     sensors: Annotated[tuple[BenchSensorRecord, ...], about("of a pair: the sensors on the stage")] = ()
 
 

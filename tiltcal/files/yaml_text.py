@@ -29,6 +29,7 @@ Place = tuple[str | int, ...]  # the keys and numbers of items that lead to a va
 SIZE_LIMIT = 4_000_000  # bytes; the largest calibration file seen is a hundredth of it
 NODE_LIMIT = 200_000
 DEPTH_LIMIT = 32
+MAY_CONTROL = [("ask",), ("answer",), ("ends",), ("example",)]  # what goes over a line; a device file escapes it
 
 _NULL = re.compile(r"null|Null|NULL|~|")
 
@@ -110,7 +111,8 @@ class _Composer:
         line = self._checked(event)
         self.lines.setdefault(place, line)
         if isinstance(event, yaml.ScalarEvent):
-            require_printable(event.value, dotted(place), self._file, line)
+            if place not in MAY_CONTROL:
+                require_printable(event.value, dotted(place), self._file, line)
             return None if not event.style and _NULL.fullmatch(event.value) else str(event.value)
         if len(place) >= DEPTH_LIMIT:
             raise self.error(f"nested deeper than {DEPTH_LIMIT}", line)

@@ -95,9 +95,13 @@ class Afterwards:
     def _verify(self) -> None:
         """Measure the positions of ``verify`` with all sensors, and judge each."""
         setup, jig = self._session.setup, self._session.setup.settings.jig
-        sensors = tuple(BenchSensor(one.serial, one.model, one.address, one.axes) for one in self._devices)
+        sensors = tuple(BenchSensor(one.serial, one.model, one.address, one.axes, one.device) for one in self._devices)
         thermometer = setup.thermometer
-        named = None if thermometer is None else BenchThermometer(thermometer.model, thermometer.address)
+        named = (
+            None
+            if thermometer is None
+            else BenchThermometer(thermometer.model, thermometer.address, device=thermometer.device)
+        )
         file = self._session.files.outputs[sensors[0].serial]
         journal = free_journal(file.with_name(f"{file.stem}.verify.yaml"), self._remark)
         bench, outputs = BenchFile(sensors, thermometer=named, jig=jig), [None] * len(sensors)

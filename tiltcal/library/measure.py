@@ -21,13 +21,13 @@ from tiltcal.calibration.prediction import Plan, predict, predict_mounting
 from tiltcal.calibration.record import bases_of
 from tiltcal.calibration.wording import NOT_FOLLOWED, level_summary, summary, verdict
 from tiltcal.core.rounding import plus_minus
-from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import link_in_words
 from tiltcal.errors import Argument, HardwareError, JournalError, UsageError, listed
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.device import model_named
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
 from tiltcal.files.procedure import Procedure, find_procedure
@@ -74,7 +74,7 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
     name = stated["sensor"] or (None if own is None else own.sensor.model)
     if name is None:
         raise UsageError(("name the ", Argument("sensor"), " model, or its calibration with ", Argument("base")))
-    model = find_model(name)
+    model = model_named(name)
     if (address := stated["address"]) is not None:
         model = model.at(parse_address(address))
     steps = find_procedure(procedure, stated["tilt"]).with_closing(stated["closing"])

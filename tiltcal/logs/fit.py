@@ -26,10 +26,10 @@ from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary
-from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
+from tiltcal.files.device import model_named
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.record import Record, keys_of
@@ -78,7 +78,7 @@ def fit_recorded(
         _require_table_alone(steps, options)
     require_no_jig(steps, options["jig"])
     bench = BenchUncertainty(options["jig"], options["thermometer"], options["table_lean"], options["heading"])
-    model = find_model(options["sensor"]) if options["sensor"] else None
+    model = model_named(options["sensor"]) if options["sensor"] else None
     if model is not None:
         require_tilt(steps, model)
     serial = _serial(options["serial"], options["base"])

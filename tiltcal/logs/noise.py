@@ -24,11 +24,11 @@ from tiltcal.core.noise import (
     characterise,
     sample_size,
 )
-from tiltcal.drivers import find_model
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import OF_G
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
+from tiltcal.files.device import model_named
 from tiltcal.logs.columns import TIME, column_names, locate_readings, named_columns, read_columns, readings_header
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
@@ -77,7 +77,7 @@ def stated_scale(
 
     A UsageError where they contradict each other.
     """
-    model = find_model(sensor) if sensor else None
+    model = model_named(sensor) if sensor else None
     if model is not None and address is not None:
         model = model.at(parse_address(address))
     if isinstance(calibration, str | Path):

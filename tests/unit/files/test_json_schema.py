@@ -14,6 +14,7 @@ from support import ROOT
 from tiltcal.errors import InputError
 from tiltcal.files.bench import bench_of
 from tiltcal.files.calibration import read_calibration
+from tiltcal.files.device import device_of
 from tiltcal.files.document import read_document
 from tiltcal.files.json_schema import json_schema
 from tiltcal.files.pair import pair_record
@@ -32,6 +33,7 @@ READERS: dict[str, Any] = {
     "tilt": read_calibration,
     "pair": lambda path: pair_record(read_document(path)),
     "procedure": read_procedure,
+    "device": lambda path: device_of(read_document(path)),
     "bench": lambda path: bench_of(read_document(path)),
     "twin": read_twin,
 }
@@ -39,7 +41,9 @@ READERS: dict[str, Any] = {
 SCHEMAS = {kind: json_schema(kind) for kind in KINDS}
 GOOD = {path: path.read_text(encoding="utf-8") for path in ROOT.glob("fixtures/*.yaml")}
 GOOD |= {
-    path: path.read_text(encoding="utf-8") for path in [*ROOT.glob("procedures/*.yaml"), *ROOT.glob("fixtures/twins/*")]
+    path: path.read_text(encoding="utf-8")
+    for pattern in ("procedures/*.yaml", "fixtures/twins/*", "drivers/text_devices/*")
+    for path in ROOT.glob(pattern)
 }
 
 BENCH = """\

@@ -1,0 +1,416 @@
+"""A device that prints its readings as text, described by its manual: what it is asked, and a pattern of its answer.
+
+The pattern is a regular expression with a named group for each reading (``x``, ``y``, ``z`` and ``temperature``). It is
+searched in whole messages, each of which ends with :attr:`TextDevice.ends`, and may reach over several of them. What
+is left of these messages holds no number, and touches none: then a character that was lost or damaged is no reading.
+The group ``checksum`` holds the check sum of the group ``checked``, in hexadecimal or as one byte.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, partial, reduce
+from importlib import import_module
+from itertools import product
+from math import isfinite
+from operator import xor
+from typing import Any
+
+from tiltcal.drivers.bus import Link
+from tiltcal.drivers.bus.clock import Clock
+from tiltcal.drivers.columns import CHUNK, LONGEST, TEMPERATURE, UNUSABLE, Scale, channels_of, model_of_numbers
+from tiltcal.drivers.model import Model, Reading, Sensor
+from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth, VirtualPart
+from tiltcal.errors import BusError
+
+ENCODING = "latin-1"
+"""Of what is sent and of what comes: a character is a byte."""
+
+LINE_ENDS = {"lf": "\n", "cr": "\r", "crlf": "\r\n"}
+CHECKED, CHECKSUM = "checked", "checksum"
+CHECKSUMS: Mapping[str, Callable[[bytes], int]] = {"xor": partial(reduce, xor), "sum": sum}
+DECIMALS = ("point", "comma")
+DEGREES = ("deg", "°")
+
+_ANY_END = r"[\r\n]+"
+_NUMBER = re.compile(r"([+-]?) *([0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
+_LEFT_OVER = re.compile(r"(?<![\w.])[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?![\w.])")
+_TOUCHES = re.compile(r"[\w.,+-]")
+_EXAMPLES = ("+00.000", "+0.000", "00.000", "000.00", "000,00", "+00,000", "0.000", "0,000", "0.0", "+0.0", "0,0", "0")
+"""Numbers as manuals show them, of which the answer of a virtual part is made where its file shows none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextDevice:
+    """The facts of a device that prints its readings.
+
+    ask: what is sent before each reading; empty where it speaks by itself.
+    answer: the pattern of its answer.
+    ends: what ends a message, as its characters or a word of :data:`LINE_ENDS`; empty is any line end.
+    decimal: a word of :data:`DECIMALS`; checksum: one of :data:`CHECKSUMS`, or empty.
+    timeout: seconds in which an answer comes; line: options of its serial line.
+    interval: shortest time between two new readings, s.
+    example: an answer; where it is empty, the virtual part makes one of the pattern.
+    """
+
+    name: str
+    title: str
+    scale: Scale
+    answer: str
+    ask: str = ""
+    ends: str = ""
+    decimal: str = "point"
+    checksum: str = ""
+    timeout: float = 2.0
+    line: Mapping[str, str]
+    interval: float = 0.0
+    example: str = ""
+
+    @cached_property
+    def pattern(self) -> re.Pattern[str]:
+        """The pattern of an answer."""
+        return re.compile(self.answer)
+
+    @cached_property
+    def end(self) -> re.Pattern[str]:
+        """The pattern of what ends a message."""
+        return re.compile(re.escape(LINE_ENDS.get(self.ends, self.ends)) or _ANY_END)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The readings, and the temperature, in the order of the pattern."""
+        return tuple(name for name in self.pattern.groupindex if name not in (CHECKED, CHECKSUM))
+
+    def numbers(self, match: re.Match[str]) -> tuple[dict[str, float], float]:
+        """Return the readings of a match, and the step with which they are written; a ValueError says what is wrong."""
+        numbers, places = {}, []
+        for name in self.names:
+            text = match[name] or ""
+            written = _NUMBER.fullmatch((text if self.decimal == "point" else _swapped(text)).strip())
+            if not written or not isfinite(float(number := written[0].replace(" ", ""))):
+                raise ValueError(f"{name} is {text!r}, no number with a decimal {self.decimal}")
+            # Degrees from 0 to 360 have a step at level.
+            turned = self.scale.unit in DEGREES and name != TEMPERATURE and float(number) > 180.0
+            numbers[name] = float(number) - 360.0 * turned
+            if name != TEMPERATURE:
+                places.append(int(written[5] or 0) - len(written[3] or written[4] or ""))
+        if self.checksum and (stated := match[CHECKSUM]) != (right := self.summed(match[CHECKED], stated)):
+            raise ValueError(f"the check sum is {stated!r}, and that of {match[CHECKED]!r} is {right!r}")
+        return numbers, float(f"1e{min(places, default=0)}")
+
+    def summed(self, checked: str, stated: str) -> str:
+        """Return the check sum of a text, written as ``stated`` is."""
+        total = CHECKSUMS[self.checksum](checked.encode(ENCODING))
+        if len(stated) == 1:
+            return chr(total % 256)
+        digits = f"{total % 16 ** len(stated):0{len(stated)}X}"
+        return digits if stated.upper() == stated else digits.lower()
+
+    def model(self) -> Model:
+        """Return the sensor model of the device."""
+        return model_of_numbers(
+            self.scale,
+            channels_of(self.names),
+            TEMPERATURE in self.names,
+            name=self.name,
+            title=self.title,
+            addresses=("serial:///dev/ttyUSB0",),
+            line=self.line,
+            interval=self.interval,
+            driver=partial(TextSensor, self),
+            twin=partial(virtual_text_device, self),
+            not_modelled=("settings, errors and noise of the real device, which its file does not state",),
+        )
+
+
+def _swapped(text: str) -> str:
+    return text.translate(str.maketrans(".,", ",."))
+
+
+def shown(text: str) -> str:
+    """Return the last characters of a text for a message, quoted and escaped."""
+    return repr(text[-120:])
+
+
+class TextSensor(Sensor):
+    """The driver of a device by its manual.
+
+    heard: what came since it was asked, or since a reading began; found: the match in it.
+    why: what is wrong with the last answer that was no reading; empty where it is one.
+    """
+
+    def __init__(self, device: TextDevice, link: Link, clock: Clock) -> None:
+        self.device, self._link, self._clock = device, link, clock
+        self.channels = channels_of(device.names)
+        self.heard, self.why = "", ""
+        self.found: re.Match[str] | None = None
+        self._text, self._whole = "", bool(device.ask)
+        self._used = self._damaged = 0
+        self._failed = False
+
+    def read(self) -> Reading:
+        """Return the answer to a question, or the next one; a device that gives none is a BusError."""
+        asked = self._failed and bool(self.device.ask)
+        if asked:
+            # So that a late answer counts for no other question.
+            self._clock.sleep(self.device.timeout)
+        for _ in range(1 + asked):
+            self._failed = True
+            reading = self._answer()
+        self._failed = False
+        return reading
+
+    def probe(self) -> Mapping[str, str]:
+        """Return what was sent, what came, what of it the pattern matches and what not, and the reading."""
+        said = super().probe()
+        match, sent = self.found, {"sent": shown(self.device.ask)} if self.device.ask else {}
+        left = self.heard.partition("" if match is None else match[0])
+        beside = " and ".join(shown(text) for text in left[::2] if text) or "nothing"
+        matched = {"came": shown(self.heard), "match": shown(left[1]), "beside it": beside}
+        return {**sent, **matched, **said, "unit": self.device.scale.unit}
+
+    def discard(self) -> None:
+        """Discard what has arrived."""
+        self._begin()
+        self._link.exchange(b"", 0)
+
+    def link_statistics(self) -> Mapping[str, int]:
+        """Return the counts of used answers, and of those that do not match, or have a wrong check sum."""
+        return {"answers": self._used, "damaged": self._damaged}
+
+    def _begin(self) -> None:
+        self._text, self._whole = "", bool(self.device.ask)
+
+    def _answer(self) -> Reading:
+        device, self.heard, self.found, self.why = self.device, "", None, ""
+        out, began_ns, damaged = device.ask.encode(ENCODING), self._clock.now_ns(), self._damaged
+        if out:
+            self._begin()
+        while True:
+            if (reading := self._found()) is not None:
+                self._used += 1
+                return reading
+            if (
+                len(self._text) > LONGEST
+                or self._damaged - damaged >= UNUSABLE
+                or (device.ask and self._clock.now_ns() - began_ns > 2e9 * device.timeout)
+            ):
+                self._begin()
+                raise BusError(self._unlike())
+            try:
+                arrived = self._link.exchange(out, CHUNK).decode(ENCODING)
+            except BusError as error:
+                # What comes after it does not continue this message.
+                self._begin()
+                raise BusError(f"{error}; {self._unlike()}") if self.heard else error from error
+            out = b""
+            self._text += arrived
+            self.heard = (self.heard + arrived)[-LONGEST:]
+
+    def _unlike(self) -> str:
+        """Count what came as damaged; return what it was, and how far the pattern matches it."""
+        self._damaged += not self.why
+        if self.why:
+            return f"no sound answer came, only {shown(self.heard)}: {self.why}"
+        answer, matched, rest = self.device.answer, "nothing of it", self.device.answer
+        for length in range(len(answer), 0, -1):
+            with suppress(re.error):
+                if (part := re.search(answer[:length], self.heard)) and part[0]:
+                    matched, rest = f"only {shown(part[0])} of it", answer[length:]
+                    break
+        end = shown(self.device.ends) if self.device.ends else "a line end"
+        needed = f"next it needs {rest!r}" if rest else f"{end} that ends it is missing"
+        came = f"no answer came, only {shown(self.heard)}" if self.heard else "nothing came"
+        return f"{came}: the pattern matches {matched}, and {needed}; is the baud rate right?"
+
+    def _found(self) -> Reading | None:
+        """Return the reading of the last whole answer that has arrived, of one that was asked; else of the first."""
+        reading = None
+        while (reading is None or self.device.ask) and (one := self._next()) is not None:
+            reading = one
+        return reading
+
+    def _next(self) -> Reading | None:
+        """Return the reading of the next whole answer that is sound."""
+        device, end = self.device, self.device.end
+        if not self._whole:
+            if (first := end.search(self._text)) is None:
+                return None
+            self._text, self._whole = self._text[first.end() :], True
+        while (match := device.pattern.search(self._text)) is not None:
+            last = [found.end() for found in end.finditer(self._text)]
+            begin = max((place for place in last if place <= match.start()), default=0)
+            stop = next((place for place in last if place >= match.end()), None)
+            if stop is None:
+                return None
+            self.found, left = match, (self._text[begin : match.start()], self._text[match.end() : stop])
+            try:
+                self._require_sound(match, left)
+                numbers, step = device.numbers(match)
+            except ValueError as error:
+                self.why = str(error)
+                self._damaged += 1
+                self._text = self._text[next(place for place in last if place > match.start()) :]
+                continue
+            self.why, self._text = "", self._text[stop:]
+            return Reading(tuple(numbers[name] for name in self.channels), numbers.get(TEMPERATURE), step)
+        lines = end.split(self._text)
+        kept = 1 + device.answer.count(r"\n") + device.answer.count(r"\s")
+        self._damaged += max(0, len(lines) - 1 - kept)
+        if len(lines) - 1 > kept:
+            self._text = self._text[[found.end() for found in end.finditer(self._text)][-1 - kept] :]
+        return None
+
+    def _require_sound(self, match: re.Match[str], left: tuple[str, str]) -> None:
+        """Refuse a match beside which a number stands, or that a number of it goes on beyond."""
+        edges = [match.span(name) for name in self.device.names]
+        touches = (any(first == match.start() for first, _ in edges) and _TOUCHES.match(left[0][-1:])) or (
+            any(last == match.end() for _, last in edges) and _TOUCHES.match(left[1][:1])
+        )
+        if touches or any(_LEFT_OVER.search(text) for text in left):
+            raise ValueError(f"{left[0]!r} before and {left[1]!r} behind {match[0]!r} do not belong to the pattern")
+
+
+# --- The virtual part ---
+
+
+def example_of(device: TextDevice) -> str:
+    """Return an answer that the pattern matches: the one of the file, or one that is made of the pattern.
+
+    ValueError: the pattern does not match it, its check sum is wrong, or the pattern is too intricate to make one.
+    """
+    texts: Iterable[str] = [device.example]
+    if not device.example:
+        tree = import_module("re._parser").parse(device.answer)
+        groups = {number: name for name, number in device.pattern.groupindex.items()}
+        wanted = product(_EXAMPLES, repeat=len(device.names))
+        texts = (_written(tree, groups, dict(zip(device.names, numbers, strict=True))) for numbers in wanted)
+    why = "the answer does not match it" if device.example else "state an example: none can be made of this pattern"
+    for text in texts:
+        if (match := device.pattern.search(text)) is None:
+            continue
+        ends = LINE_ENDS.get(device.ends, device.ends) or "\r\n"
+        whole = text if device.end.search(text, max(match.end() - 1, 0)) else text + ends
+        whole = whole if device.example else _summed_up(device, whole)
+        try:
+            device.numbers(_match(device, whole))
+        except ValueError as error:
+            why = str(error)
+        else:
+            return whole
+    raise ValueError(why)
+
+
+def _match(device: TextDevice, text: str) -> re.Match[str]:
+    match = device.pattern.search(text)
+    if match is None:
+        raise ValueError(f"{device.answer!r} does not match {text!r}")
+    return match
+
+
+def _written(tree: Any, groups: Mapping[int, str], numbers: Mapping[str, str]) -> str:
+    """Return the shortest text of a parsed pattern, with a number in each group that has one."""
+    text = ""
+    for operation, value in tree:
+        match str(operation), value:
+            case "LITERAL", code:
+                text += chr(code)
+            case "IN", [(kind, of), *_]:
+                text += _OF_CATEGORY.get(str(of), "") or chr(of[0] if str(kind) == "RANGE" else of or ord(" "))
+            case "ANY" | "NOT_LITERAL", _:
+                text += " "
+            case "MAX_REPEAT" | "MIN_REPEAT" | "POSSESSIVE_REPEAT", (least, _, item):
+                text += _written(item, groups, numbers) * least
+            case "SUBPATTERN", (number, _, _, item):
+                text += numbers.get(groups.get(number, ""), "") or _written(item, groups, numbers)
+            case "BRANCH", (_, [first, *_]):
+                text += _written(first, groups, numbers)
+    return text
+
+
+_OF_CATEGORY = {"CATEGORY_SPACE": " ", "CATEGORY_DIGIT": "0", "CATEGORY_WORD": "a", "CATEGORY_NOT_SPACE": "a"}
+
+
+def answer_with(device: TextDevice, example: str, numbers: Mapping[str, float]) -> bytes:
+    """Return an example with other numbers, each written as the one before; degrees without a sign count to 360."""
+    match = _match(device, example)
+    for turned, signed in product((False, True), repeat=2):
+        shown = {name: number % 360.0 if turned else number for name, number in numbers.items()}
+        text = _with_numbers(match, shown, signed=signed)
+        found = device.pattern.search(text)
+        if found is not None and all("-" in found[name] for name, number in shown.items() if number < 0.0):
+            break
+    return _summed_up(device, text).encode(ENCODING)
+
+
+def _with_numbers(match: re.Match[str], numbers: Mapping[str, float], *, signed: bool) -> str:
+    """Return the text of a match with other numbers; ``signed`` writes a plus where the one before has a minus."""
+    text = match.string
+    for name in sorted(numbers, key=match.start, reverse=True):
+        shown = match[name].strip()
+        whole, mark, part = re.fullmatch(r"[+-]? *(\d*)([.,]?)(\d*).*", shown).groups()  # type: ignore[union-attr]
+        width = len(shown) if whole.startswith("0") and len(whole) > 1 else 0
+        plus = "+" if shown[0] == "+" or (signed and shown[0] == "-") else ""
+        written = f"{numbers[name]:{plus}0{width}.{len(part)}f}".replace(".", mark or ".")
+        text = text[: match.start(name)] + written + text[match.end(name) :]
+    return text
+
+
+def _summed_up(device: TextDevice, text: str) -> str:
+    """Return an answer with its right check sum."""
+    if not device.checksum or (match := device.pattern.search(text)) is None:
+        return text
+    first, last = match.span(CHECKSUM)
+    return text[:first] + device.summed(match[CHECKED], match[CHECKSUM]) + text[last:]
+
+
+class VirtualAnswers(VirtualPart):
+    """A device that answers a question with the message of the moment, and is silent otherwise."""
+
+    letter = "r"
+
+    def __init__(
+        self, device: TextDevice, message: Callable[[int], bytes], truth: Truth, fixture: HeldPose, clock: Clock
+    ) -> None:
+        super().__init__(truth, fixture, clock)
+        self._device, self._message, self._waiting, self._asked = device, message, b"", 0
+        self.silence = device.timeout
+        self._byte_seconds = 10.0 / float(device.line.get("baudrate", 9600))
+
+    def _answered(self, out: bytes, count: int) -> bytes:
+        if out == self._device.ask.encode(ENCODING):
+            self._asked += 1
+            self._waiting = self._message(self._asked)
+        if not count:
+            self._waiting = self._waiting if out else b""
+            return b""
+        if not self._waiting:
+            self._clock.sleep(self.silence)
+            raise BusError("the virtual sensor is silent: it was asked nothing that it knows")
+        arrived, self._waiting = self._waiting[:count], self._waiting[count:]
+        self._clock.sleep((len(out) + len(arrived)) * self._byte_seconds)
+        return arrived
+
+
+def virtual_text_device(device: TextDevice, truth: Truth, fixture: HeldPose, clock: Clock) -> VirtualPart:
+    """Return a device that answers, or prints ten times a second."""
+    example = example_of(device)
+
+    def message(number: int) -> bytes:
+        celsius = fixture.temperature() + truth.thermometer_error
+        return answer_with(
+            device,
+            example,
+            {
+                name: celsius if name == TEMPERATURE else truth.sample(name, fixture, clock, number)
+                for name in device.names
+            },
+        )
+
+    if device.ask:
+        return VirtualAnswers(device, message, truth, fixture, clock)
+    baudrate = int(device.line.get("baudrate", 9600))
+    return StreamingPart(truth, fixture, clock, message, period=max(device.interval, 0.1), baudrate=baudrate)

@@ -1,0 +1,187 @@
+"""Devices that are known by their manual alone: what is sent, what is a reading, and what is none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import reduce
+from math import asin, degrees
+from operator import xor
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+import yaml
+from support.arriving_pieces import ArrivingPieces
+from support.command import tiltcal
+from support.pty_device import answering, printing
+
+from tiltcal import TiltcalError, measure
+from tiltcal.bench.devices import open_sensor
+from tiltcal.drivers.bus.clock import VirtualClock
+from tiltcal.errors import HardwareError
+from tiltcal.files.device import model_named
+
+pytest.importorskip("serial", reason="the pyserial package is not installed")
+
+FILE = """\
+tiltcal: 1
+kind: device
+name: tilt-box
+title: Tilt box
+unit: deg
+ask: "R\\r"
+answer: 'X=(?P<x>[-+][0-9]{2}\\.[0-9]{3}) Y=(?P<y>[-+][0-9]{2}\\.[0-9]{3})'
+timeout: 0.05
+"""
+
+SUMMED = FILE.replace("answer: 'X=", "answer: '(?P<checked>X=").replace("{3})'", "{3}))\\*(?P<checksum>[0-9A-F]{2})'")
+SUMMED += "checksum: xor\n"
+
+# What the makers' manuals and public drivers show: the question, an answer, and what it says.
+SUM = b"\x02-1.25 0.5\x17"
+MANUALS: Mapping[str, tuple[str, bytes, tuple[float, ...], float | None]] = {
+    "leica-nivel210": (
+        "16 02 4E 30 43 30 20 47 20 41 03 0D 0A",
+        b"\x16\x02C5N7 X:-12.43 Y:587.54 T: 23.3\x03\x02\xd1",
+        (-12.43, 587.54),
+        23.3,
+    ),
+    "bei-rs232": ("", b"-00.001\r\nX=+00.430\r\nY=-00.084\r\n", (0.430, -0.084), None),
+    "meas-dpg": ("", b"0.01\r\nX=+01.234\r\nY=-00.007\r\n", (1.234, -0.007), None),
+    "seika-ng360": ("B1 05", b"\x02359,99\x1706$", (-0.01,), None),
+    "jewell-tuff-tilt": (
+        "2A 39 39 30 30 58 59 0D 0A",
+        b"$YXXDR,A,000.034,D,N,A,-00.625,D,E,C,021.651,C,T-N0000*47\r\n",
+        (-0.625, 0.034),
+        21.651,
+    ),
+    "das-rs485": ("23 44 41 54 41 0D 0A", SUM + b"%02X$" % reduce(xor, SUM), (-1.25, 0.5), None),
+}
+
+
+@pytest.mark.parametrize("name", MANUALS)
+def test_a_shipped_file_reads_the_example_of_the_manual(name: str) -> None:
+    question, answer, values, celsius = MANUALS[name]
+    line = ArrivingPieces(answer[:5], answer[5:])
+    reading = model_named(name).driver(line, VirtualClock()).read()
+    assert b"".join(line.heard) == bytes.fromhex(question)
+    assert (reading.values, reading.temperature) == (pytest.approx(values), celsius)
+
+
+@pytest.mark.parametrize("text", [FILE, SUMMED])
+def test_no_damaged_late_doubled_or_foreign_answer_becomes_a_reading(tmp_path: Path, text: str) -> None:
+    """The tilt differs at each question, so an answer to another one is seen."""
+    (tmp_path / "box.yaml").write_text(text)
+    chance, asked, late = Random(5), [0], [b""]
+
+    def right() -> bytes:
+        body = f"X={asked[0] / 8:+07.3f} Y={-asked[0] / 4:+07.3f}".encode()
+        return body + (b"*%02X" % reduce(xor, body) if text is SUMMED else b"") + b"\r\n"
+
+    def answer(question: bytes) -> bytes:
+        assert question == b"R\r"
+        asked[0] += 1
+        before, late[0], whole = late[0], b"", right()
+        place = chance.randrange(len(whole) - 2)
+        match chance.choice(["right", "right", "late", "doubled", "foreign", "damaged", "lost", "torn"]):
+            case "late" if not before:  # a device that is always one behind cannot be told from one that is not
+                late[0] = whole
+                return before
+            case "doubled":
+                return before + whole + whole
+            case "foreign":
+                return before + whole.replace(b"X", b"U")
+            case "damaged":
+                wrong = bytes([whole[place] ^ 0x40 if text is FILE else whole[place] ^ 1 << chance.randrange(7)])
+                return before + whole[:place] + wrong + whole[place + 1 :]
+            case "lost":
+                return before + whole[:place] + whole[place + 1 :]
+            case "torn":
+                return before + whole[:place]
+        return before + whole
+
+    came = 0
+    with answering(answer) as path, open_sensor(str(tmp_path / "box.yaml"), f"serial://{path}") as sensor:
+        for _ in range(30):
+            try:
+                values = sensor.read().values
+            except HardwareError:
+                continue
+            came += 1
+            assert values == pytest.approx((round(asked[0] / 8, 3), round(-asked[0] / 4, 3)), abs=6e-4)
+        assert sensor.link_statistics()["damaged"] > 0
+    assert came > 8
+
+
+def test_a_device_is_probed_measured_and_replayed_by_its_file_alone(tmp_path: Path) -> None:
+    (tmp_path / "box.yaml").write_text(FILE)
+    pose = {"x": 0.0, "y": 0.0}
+
+    def answer(question: bytes) -> bytes:
+        return f"X={pose['x']:+07.3f} Y={pose['y']:+07.3f}\r\n".encode()
+
+    class Rig:
+        def position(self, ask: Mapping[str, Any]) -> dict[str, str]:
+            pose.update(x=degrees(asin(ask["gravity"][0])) + 0.5, y=degrees(asin(ask["gravity"][1])) - 0.25)
+            return {"answer": "ready"}
+
+    with answering(answer) as path:
+        probed = tiltcal("probe", tmp_path / "box.yaml", "--address", f"serial://{path}")
+        assert probed.returncode == 0, probed.stderr
+        assert "came         'X=+00.000 Y=+00.000\\r\\n'" in probed.stdout
+        wrong = tmp_path / "wrong.yaml"
+        wrong.write_text(FILE.replace("Y=", "V="))
+        refused = tiltcal("probe", wrong, "--address", f"serial://{path}")
+        assert refused.returncode == 3
+        assert "matches only 'X=+00.000 ' of it, and next it needs 'V=" in refused.stderr
+        options = {"sensor": str(tmp_path / "box.yaml"), "address": f"serial://{path}", "serial": "B-1", "jig": 0.1}
+        measure("plane", operator=Rig(), output=tmp_path / "B-1.yaml", samples=5, settle=0.2, **options)
+        (tmp_path / "box.yaml").unlink()
+        live = tiltcal("live", tmp_path / "B-1.yaml", "--address", f"serial://{path}", "--for", "0.1", "--rate", "20")
+        assert live.returncode == 0, live.stderr
+    file = yaml.safe_load((tmp_path / "B-1.yaml").read_text())
+    assert file["sensor"] == {"model": "tilt-box", "serial": "B-1", "unit": "deg", "channels": ["x", "y"]}
+    replayed = tiltcal("replay", "B-1.journal.jsonl", "--golden", "B-1.yaml", cwd=tmp_path)
+    assert replayed.returncode == 0, replayed.stderr
+    bench = tmp_path / "bench.yaml"
+    bench.write_text('tiltcal: 1\nkind: bench\nsensors: [{serial: N, model: box.yaml, address: "sim:"}]\n')
+    (tmp_path / "box.yaml").write_text(FILE)
+    recorded = tiltcal("record", "--bench", bench, "--rows", "3", "-o", tmp_path / "log.csv", cwd="/")
+    assert recorded.returncode == 0, recorded.stderr
+
+
+@pytest.mark.parametrize("kept", [0, 1])
+def test_x_and_y_on_lines_of_their_own_are_one_reading_and_a_lost_line_none(kept: int) -> None:
+    lines = iter(b"X=+%06.3f\r\nY=-%06.3f\r\n" % (n, n) for n in range(1, 99))
+    chance = Random(2)
+
+    def printed() -> bytes:
+        both = next(lines)
+        return chance.choice([both, both, both.splitlines(keepends=True)[kept]])
+
+    with (
+        printing(printed, 200.0, waits=True) as path,
+        open_sensor("bei-rs232", f"serial://{path}?timeout=0.2&parity=N") as sensor,
+    ):
+        readings = [sensor.read().values for _ in range(40)]
+    assert all(x == -y for x, y in readings)
+    assert len(set(readings)) == 40
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("(?P<x>", "(?P<tilt>", "the group 'tilt' is no reading"),
+        ("X=(", "X=((", "this is no regular expression"),
+        ('ask: "R\\r"', "ask: 'R\\q'", r"'\\\\q' is no escape"),
+        ("timeout: 0.05", "checksum: xor", "nothing reads checked"),
+        ("timeout: 0.05", "low: 2\nhigh: 1", "low=2 is not below high=1"),
+        ("timeout: 0.05", 'example: "X=+1"', "the answer does not match it"),
+        ("unit: deg", "units: deg", r"did you mean 'unit'\?"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_refused_at_its_key(tmp_path: Path, old: str, new: str, why: str) -> None:
+    (tmp_path / "box.yaml").write_text(FILE.replace(old, new))
+    with pytest.raises(TiltcalError, match=rf"box\.yaml:\d+: .*{why}"):
+        model_named(str(tmp_path / "box.yaml"))

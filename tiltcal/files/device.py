@@ -1,0 +1,180 @@
+"""The device file, ``kind: device``: a device that prints its readings, as its manual describes it."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta
+
+from tiltcal.drivers import find_model
+from tiltcal.drivers.columns import AXES, RAIL, TEMPERATURE, Scale
+from tiltcal.drivers.model import Model
+from tiltcal.drivers.text_device import CHECKED, CHECKSUM, DECIMALS, TextDevice, example_of
+from tiltcal.errors import UsageError
+from tiltcal.files.document import Document, read_document
+from tiltcal.files.record import FromZero, Identifier, Number, Record, Text, about, one_of
+
+LINE_TEXTS = ("ask", "answer", "ends", "example")
+"""The keys with what goes over the line, in which control characters are written as escapes."""
+
+_ESCAPES = {"r": "\r", "n": "\n", "t": "\t", "\\": "\\"}
+_ESCAPE = re.compile(r"\\(?:x([0-9a-fA-F]{2})|(.))")
+
+Sent = Annotated[str, Meta(min_length=1)]
+
+
+class DeviceFile(Record, kw_only=True, frozen=True):
+    """The content of a device file."""
+
+    name: Annotated[Identifier, about("of the model, as calibrations have it")]
+    title: Annotated[Text, about("maker and device")]
+    unit: Annotated[Text, about("of the readings, such as `deg`, `mrad`, `mm/m`, `g`")]
+    baudrate: Annotated[Annotated[int, Meta(ge=50, le=20_000_000)], about("as `baudrate=` of an address")] = 9600
+    parity: Annotated[str, one_of("N", "E", "O", "M", "S"), about("none, even, odd, mark or space")] = "N"
+    bits: Annotated[Annotated[int, Meta(ge=7, le=8)], about("data bits")] = 8
+    ask: Annotated[
+        Sent | None,
+        about('what is sent before each reading, line end and all, such as `"#DATA\\r\\n"`; none: it speaks by itself'),
+    ] = None
+    answer: Annotated[
+        Text,
+        about(
+            "a regular expression with groups such as `X=(?P<x>[-+0-9.]+)\\s+Y=(?P<y>[-+0-9.]+)`, and `temperature`; "
+            "it may reach over several lines, and no number stands beside it"
+        ),
+    ]
+    ends: Annotated[
+        Sent | None, about("what ends an answer: `lf`, `cr`, `crlf`, or its characters", usual="any line end")
+    ] = None
+    decimal: Annotated[str, one_of(*DECIMALS), about("the decimal mark")] = "point"
+    checksum: Annotated[
+        str,
+        one_of("xor", "sum", "none"),
+        about("of the bytes of the group `checked`, which the group `checksum` holds in hexadecimal or as a byte"),
+    ] = "none"
+    timeout: Annotated[Annotated[float, Meta(ge=0.05, le=3600.0)], about("seconds in which an answer comes")] = 2.0
+    interval: Annotated[FromZero, about("shortest time between two new readings, s")] = 0.0
+    offset: Annotated[Number | None, about("nominal, of a level device, unit")] = None
+    sensitivity: Annotated[Number | None, about("nominal, unit/g; the units g, mg and m/s2 imply it")] = None
+    low: Annotated[Number | None, about("a reading at or below it is none")] = None
+    high: Annotated[Number | None, about("a reading at or above it is none")] = None
+    example: Annotated[Sent | None, about("an answer of the manual, as which the virtual part answers")] = None
+
+    @property
+    def model(self) -> Model:
+        """The sensor model that it describes."""
+        return _model_of(self)
+
+    @property
+    def device(self) -> TextDevice:
+        """What its driver and its virtual part are made of."""
+        low, high = -RAIL if self.low is None else self.low, RAIL if self.high is None else self.high
+        return TextDevice(
+            name=self.name,
+            title=self.title,
+            scale=Scale(self.unit, self.offset, self.sensitivity, low, high),
+            answer=self.answer,
+            ask=_characters(self.ask),
+            ends=_characters(self.ends),
+            decimal=self.decimal,
+            checksum=self.checksum.removeprefix("none"),
+            timeout=self.timeout,
+            line={key: str(getattr(self, key)) for key in ("baudrate", "parity", "bits", "timeout")},
+            interval=self.interval,
+            example=_characters(self.example),
+        )
+
+
+def _characters(text: str | None) -> str:
+    """Return a text with the characters that its escapes stand for; a ValueError names an escape that is none."""
+
+    def character(escape: re.Match[str]) -> str:
+        if not escape[1] and escape[2] not in _ESCAPES:
+            raise ValueError(f"{escape[0]!r} is no escape: write \\r, \\n, \\t, \\x02 and its like, or \\\\ for itself")
+        return chr(int(escape[1], 16)) if escape[1] else _ESCAPES[escape[2]]
+
+    return _ESCAPE.sub(character, text or "")
+
+
+def _escaped(text: str) -> str:
+    """Return a text whose control characters, and those that are one byte and no ASCII, are escapes."""
+    short = {written: f"\\{letter}" for letter, written in _ESCAPES.items() if letter != "\\"}
+    return "".join(
+        short.get(one) or (one if " " <= one <= "~" or one > "\xff" else f"\\x{ord(one):02x}") for one in text
+    )
+
+
+@lru_cache(maxsize=64)
+def _model_of(file: DeviceFile) -> Model:
+    try:
+        return file.device.model()
+    except (re.error, ValueError) as error:
+        raise UsageError(f"the device {file.name} cannot be used: {error}") from None
+
+
+def require_pattern(place: Document, key: str, pattern: str | None, groups: Sequence[str] = ()) -> None:
+    """Refuse a text that is no regular expression, or lacks one of the groups; an InputError names the key."""
+    try:
+        found = re.compile(pattern or "").groupindex
+    except re.error as error:
+        raise place.error(f"this is no regular expression: {error}", key) from None
+    if lost := [name for name in groups if name not in found]:
+        raise place.error(f"nothing reads {lost[0]}: the pattern needs the group (?P<{lost[0]}>...)", key)
+
+
+def device_of(document: Document) -> DeviceFile:
+    """Return the content of a device file, checked; an InputError names file, line and key."""
+    body = document.body("device")
+    file = body.read(DeviceFile)
+    file = file.replaced(**{key: _escaped(text) for key in LINE_TEXTS if (text := getattr(file, key))})
+    for key in LINE_TEXTS:
+        if any(one > "\xff" for one in getattr(file, key) or ""):
+            raise body.error("a character beyond \\xff is no byte", key)
+        try:
+            _characters("" if key == "answer" else getattr(file, key))
+        except ValueError as error:
+            raise body.error(str(error), key) from None
+    require_pattern(body, "answer", file.answer, () if file.checksum == "none" else (CHECKED, CHECKSUM))
+    device = file.device
+    if unknown := [name for name in device.names if name not in (*AXES, TEMPERATURE)]:
+        raise body.error(f"the group {unknown[0]!r} is no reading: x, y, z or temperature", "answer")
+    if not device.names:
+        raise body.error("nothing reads x, y or z: the pattern needs a group such as (?P<x>...)", "answer")
+    if why := device.scale.objection():
+        raise body.error(why, why.partition("=")[0])
+    try:
+        example_of(device)
+    except ValueError as error:
+        raise body.error(str(error), "example" if file.example else "answer") from None
+    return file
+
+
+def shipped_devices() -> dict[str, Path]:
+    """Return the device files that come with tiltcal, by name."""
+    folder = Path(str(files("tiltcal.drivers"))) / "text_devices"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def device_named(name: str, beside: str | None = None) -> DeviceFile | None:
+    """Return the device file of a path, or a shipped one by its name; None where the name is a model's.
+
+    ``beside`` is the file whose folder a relative path counts from.
+    """
+    shipped = shipped_devices()
+    if name in shipped:
+        return device_of(read_document(shipped[name]))
+    if not name.endswith((".yaml", ".yml")):
+        return None
+    return device_of(read_document(name if beside is None else os.path.join(os.path.dirname(beside), name)))
+
+
+def model_named(name: str) -> Model:
+    """Return a sensor model by its name, or that of a device file; errors are those of both."""
+    file = device_named(name)
+    return find_model(name) if file is None else file.model
