@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import reduce
 from math import asin, degrees
 from operator import xor
@@ -19,7 +19,8 @@ from support.pty_device import answering, printing
 from tiltcal import TiltcalError, measure
 from tiltcal.bench.devices import open_sensor
 from tiltcal.drivers.bus.clock import VirtualClock
-from tiltcal.errors import HardwareError
+from tiltcal.drivers.model import Sensor
+from tiltcal.errors import BusError, HardwareError
 from tiltcal.files.device import model_named
 
 pytest.importorskip("serial", reason="the pyserial package is not installed")
@@ -32,7 +33,7 @@ title: Tilt box
 unit: deg
 ask: "R\\r"
 answer: 'X=(?P<x>[-+][0-9]{2}\\.[0-9]{3}) Y=(?P<y>[-+][0-9]{2}\\.[0-9]{3})'
-timeout: 0.05
+timeout: 0.3
 """
 
 SUMMED = FILE.replace("answer: 'X=", "answer: '(?P<checked>X=").replace("{3})'", "{3}))\\*(?P<checksum>[0-9A-F]{2})'")
@@ -69,49 +70,72 @@ def test_a_shipped_file_reads_the_example_of_the_manual(name: str) -> None:
     assert (reading.values, reading.temperature) == (pytest.approx(values), celsius)
 
 
+class Unsound:
+    """A device whose answers are late, doubled, foreign, damaged, too short or torn; its tilt always differs."""
+
+    letter = "r"
+
+    def __init__(self, summed: bool, kinds: Iterable[str]) -> None:
+        self.summed, self.kinds, self.asked, self.late = summed, iter(kinds), 0, b""
+        self.clock, self.waiting, self.chance = VirtualClock(), b"", Random(5)
+
+    @property
+    def tilt(self) -> tuple[float, float]:
+        return self.asked % 97 / 8, -(self.asked % 97) / 4
+
+    def answer(self, question: bytes) -> bytes:
+        assert question == b"R\r"
+        self.asked += 1
+        body = "X={:+07.3f} Y={:+07.3f}".format(*self.tilt).encode()
+        whole = body + (b"*%02X" % reduce(xor, body) if self.summed else b"") + b"\r\n"
+        before, self.late, kind, place = self.late, b"", next(self.kinds), self.chance.randrange(len(body))
+        # A device that is always one answer behind cannot be told from one that is not.
+        if kind == "late" and not before:
+            self.late = whole
+            return b""
+        flipped = whole[place] ^ (1 << self.chance.randrange(7) if self.summed else 0x40)
+        return before + {
+            "doubled": whole + whole,
+            "foreign": whole.replace(b"X", b"U"),
+            "damaged": whole[:place] + bytes([flipped]) + whole[place + 1 :],
+            "lost": whole[:place] + whole[place + 1 :],
+            "torn": whole[:place],
+        }.get(kind, whole)
+
+    def exchange(self, out: bytes, count: int = 0) -> bytes:
+        if out or not count:
+            self.waiting = self.answer(out) if out else b""
+        if count and not self.waiting:
+            self.clock.sleep(0.3)
+            raise BusError("silent")
+        arrived, self.waiting = self.waiting[: min(count, 9)], self.waiting[min(count, 9) :]
+        return arrived
+
+    def agrees(self, sensor: Sensor) -> bool:
+        """Whether the sensor reads; it fails where that is no answer to the last question."""
+        try:
+            values = sensor.read().values
+        except HardwareError:
+            return False
+        assert values == pytest.approx(self.tilt, abs=6e-4)
+        return True
+
+
 @pytest.mark.parametrize("text", [FILE, SUMMED])
 def test_no_damaged_late_doubled_or_foreign_answer_becomes_a_reading(tmp_path: Path, text: str) -> None:
-    """The tilt differs at each question, so an answer to another one is seen."""
     (tmp_path / "box.yaml").write_text(text)
-    chance, asked, late = Random(5), [0], [b""]
-
-    def right() -> bytes:
-        body = f"X={asked[0] / 8:+07.3f} Y={-asked[0] / 4:+07.3f}".encode()
-        return body + (b"*%02X" % reduce(xor, body) if text is SUMMED else b"") + b"\r\n"
-
-    def answer(question: bytes) -> bytes:
-        assert question == b"R\r"
-        asked[0] += 1
-        before, late[0], whole = late[0], b"", right()
-        place = chance.randrange(len(whole) - 2)
-        match chance.choice(["right", "right", "late", "doubled", "foreign", "damaged", "lost", "torn"]):
-            case "late" if not before:  # a device that is always one behind cannot be told from one that is not
-                late[0] = whole
-                return before
-            case "doubled":
-                return before + whole + whole
-            case "foreign":
-                return before + whole.replace(b"X", b"U")
-            case "damaged":
-                wrong = bytes([whole[place] ^ 0x40 if text is FILE else whole[place] ^ 1 << chance.randrange(7)])
-                return before + whole[:place] + wrong + whole[place + 1 :]
-            case "lost":
-                return before + whole[:place] + whole[place + 1 :]
-            case "torn":
-                return before + whole[:place]
-        return before + whole
-
-    came = 0
-    with answering(answer) as path, open_sensor(str(tmp_path / "box.yaml"), f"serial://{path}") as sensor:
-        for _ in range(30):
-            try:
-                values = sensor.read().values
-            except HardwareError:
-                continue
-            came += 1
-            assert values == pytest.approx((round(asked[0] / 8, 3), round(-asked[0] / 4, 3)), abs=6e-4)
-        assert sensor.link_statistics()["damaged"] > 0
-    assert came > 8
+    kinds = ("right", "right", "late", "doubled", "foreign", "damaged", "lost", "torn")
+    chance = Random(3)
+    line = Unsound(text is SUMMED, iter(lambda: chance.choice(kinds), ""))
+    sensor = model_named(str(tmp_path / "box.yaml")).driver(line, line.clock)
+    assert sum(line.agrees(sensor) for _ in range(600)) > 100
+    assert sensor.link_statistics()["damaged"] > 100
+    # And on a real line, at the device's own pace.
+    few = Unsound(
+        text is SUMMED, ("right", "late", "right", "right", "foreign", "doubled", "right", "damaged", "right", "right")
+    )
+    with answering(few.answer) as path, open_sensor(str(tmp_path / "box.yaml"), f"serial://{path}") as real:
+        assert [few.agrees(real) for _ in range(6)] == [True, False, True, False, True, False]
 
 
 def test_a_device_is_probed_measured_and_replayed_by_its_file_alone(tmp_path: Path) -> None:
@@ -175,9 +199,9 @@ def test_x_and_y_on_lines_of_their_own_are_one_reading_and_a_lost_line_none(kept
         ("(?P<x>", "(?P<tilt>", "the group 'tilt' is no reading"),
         ("X=(", "X=((", "this is no regular expression"),
         ('ask: "R\\r"', "ask: 'R\\q'", r"'\\\\q' is no escape"),
-        ("timeout: 0.05", "checksum: xor", "nothing reads checked"),
-        ("timeout: 0.05", "low: 2\nhigh: 1", "low=2 is not below high=1"),
-        ("timeout: 0.05", 'example: "X=+1"', "the answer does not match it"),
+        ("timeout: 0.3", "checksum: xor", "nothing reads checked"),
+        ("timeout: 0.3", "low: 2\nhigh: 1", "low=2 is not below high=1"),
+        ("timeout: 0.3", 'example: "X=+1"', "the answer does not match it"),
         ("unit: deg", "units: deg", r"did you mean 'unit'\?"),
     ],
 )
