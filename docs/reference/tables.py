@@ -17,7 +17,7 @@ from tiltcal.files.calibration import LimitsSection, SensorIdentity, TiltFile
 from tiltcal.files.coefficients import CoefficientsSection, UncertaintySection
 from tiltcal.files.device import DeviceFile
 from tiltcal.files.pair import PairFile
-from tiltcal.files.procedure import ProcedureFile, Rotation
+from tiltcal.files.procedure_file import ProcedureFile, Rotation
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.tables import SegmentRow, TabledRow
 from tiltcal.files.twin import DiskSection, TwinFile

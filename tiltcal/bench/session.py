@@ -27,7 +27,8 @@ from tiltcal.errors import HardwareError, InputError, SensorError, Stopped, Usag
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
 from tiltcal.files.moments import moment_after, stamp
-from tiltcal.files.procedure import Position, Ramp
+from tiltcal.files.procedure import Position
+from tiltcal.files.procedure_file import Ramp
 from tiltcal.files.record import plain
 
 NUDGED = 0.002  # a change while sampling above this is a sensor that was touched, g (0.1° near level)

@@ -30,7 +30,8 @@ from tiltcal.files.document import Document, document_of, read_document
 from tiltcal.files.journal import Journal
 from tiltcal.files.machine import Machine
 from tiltcal.files.moments import moment, stamp
-from tiltcal.files.procedure import Procedure, Rotation, procedure_in
+from tiltcal.files.procedure import Procedure, procedure_in
+from tiltcal.files.procedure_file import Rotation
 from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, plain
 from tiltcal.files.results import Reference, Standard
 from tiltcal.stated_arguments import require_printable

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from tiltcal.cli import options
-from tiltcal.files.procedure import Determines, Procedure, Rotation, find_procedure, shipped_procedures
+from tiltcal.files.procedure import Procedure, find_procedure, shipped_procedures
+from tiltcal.files.procedure_file import Determines, Rotation
 
 
 @options.command(

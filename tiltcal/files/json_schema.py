@@ -10,7 +10,7 @@ from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import TiltFile
 from tiltcal.files.device import DeviceFile
 from tiltcal.files.pair import PairFile
-from tiltcal.files.procedure import ProcedureFile, RotationFile
+from tiltcal.files.procedure_file import ProcedureFile, RotationFile
 from tiltcal.files.record import FORMAT_VERSION, Record
 from tiltcal.files.twin import StageFile, TwinFile
 

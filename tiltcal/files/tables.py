@@ -17,7 +17,7 @@ from tiltcal.core.attitude import Vector, normalised
 from tiltcal.core.model import AXES
 from tiltcal.errors import InputError
 from tiltcal.files.document import Document, document_of, parse_document
-from tiltcal.files.procedure import Temperature
+from tiltcal.files.procedure_file import Temperature
 from tiltcal.files.record import AboveZero, Count, FromOne, Number, Record, Text, about, keys_of
 from tiltcal.files.yaml_text import read_text
 from tiltcal.stated_arguments import require_printable

@@ -21,7 +21,8 @@ from tiltcal.drivers import find_model
 from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import Determines, Position, Procedure, find_procedure
+from tiltcal.files.procedure import Position, Procedure, find_procedure
+from tiltcal.files.procedure_file import Determines
 from tiltcal.files.results import FileRecord, Provenance
 from tiltcal.library.calibration import Calibration, combine
 

@@ -10,7 +10,8 @@ import pytest
 
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.document import document_of
-from tiltcal.files.procedure import PairSelection, Rotation, find_procedure, procedure_in, read_procedure
+from tiltcal.files.procedure import find_procedure, procedure_in, read_procedure
+from tiltcal.files.procedure_file import PairSelection, Rotation
 
 OWN = """\
 tiltcal: 1
