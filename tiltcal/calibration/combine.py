@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import combinations, pairwise
 from math import hypot, inf, sqrt
 from pathlib import Path
@@ -20,6 +20,7 @@ from tiltcal.calibration import stated
 from tiltcal.calibration.comparison import compare_records, require_same_sensor, temperature_of
 from tiltcal.calibration.fit import LARGEST_AGREEMENT
 from tiltcal.calibration.record import mounting_in_words, stated_mounting, with_mounting
+from tiltcal.core.directions import common, tilts
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate, with_hysteresis
 from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations, StatedCoefficients
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, referred, values, vector_of
@@ -432,7 +433,7 @@ def _uncertainty(sessions: Sequence[CombinedSession], found: Estimate) -> Uncert
 
 
 def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRecord]) -> Limits:
-    """Return the tilts that the sensitivity was measured in, the temperatures of the drift, the rails of all."""
+    """Return the tilts that are inside for all that measured the sensitivity, °C of the drift, the rails of all."""
     reading: dict[str, tuple[float, float]] = {}
     for channel, rails in (pair for record in records for pair in record.limits.reading.items()):
         reading[channel] = low, high = overlap(rails, reading.get(channel)) or rails
@@ -442,8 +443,12 @@ def _limits(records: Sequence[CalibrationRecord], scaled: Sequence[CalibrationRe
                 "one range; correct the limits, or leave one out"
             )
     met = [record.limits.temperature for record in records if record.limits.temperature and record.coefficients.thermal]
-    tilts = {axis: _union([r.limits.tilt[axis] for r in scaled if axis in r.limits.tilt]) for axis in AXES}
-    return Limits({axis: tilt for axis, tilt in tilts.items() if tilt is not None}, _union(met), reading)
+    directions = [record.limits.directions for record in scaled if record.limits.directions is not None]
+    if directions:
+        inside = common(directions)
+        return Limits(tilts(inside), _union(met), reading, directions=inside)
+    both = {axis: reduce(overlap, (record.limits.tilt.get(axis) for record in scaled)) for axis in AXES}
+    return Limits({axis: tilt for axis, tilt in both.items() if tilt is not None}, _union(met), reading)
 
 
 def _union(ranges: Sequence[tuple[float, float]]) -> tuple[float, float] | None:

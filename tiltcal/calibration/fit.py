@@ -5,7 +5,7 @@ In free positions the attitude of none is set, and gravity is 1 g in each.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import compress, pairwise
 from math import asin, cos, degrees, fsum, radians, sqrt
@@ -14,12 +14,20 @@ import numpy as np
 
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement, judge_channels, rails_of
 from tiltcal.calibration.priors import design_of
-from tiltcal.calibration.stated import DIGITS, derived_record, fit_record, rounded, stated_section
+from tiltcal.calibration.stated import (
+    DIGITS,
+    TEMPERATURE_DIGITS,
+    derived_record,
+    fit_record,
+    rounded,
+    stated_section,
+)
+from tiltcal.core.directions import covered, tilts
 from tiltcal.core.estimation.estimate import NO_FREEDOM, Estimate, estimate_jointly, with_hysteresis
 from tiltcal.core.estimation.free import UNKNOWNS, FreeFit, fit_free
 from tiltcal.core.estimation.positions import Design, Observation, SensorObservations
 from tiltcal.core.model import AXES, Coefficients, Limits
-from tiltcal.core.rounding import significant
+from tiltcal.core.rounding import outwards, significant
 from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means
 from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.errors import EstimateError
@@ -53,14 +61,18 @@ def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure
     measurements, assumed = sensor.measurements, ""
     if design.assumes_sensitivity:
         assumed = "nominal of the model" if sensor.base is None else OF_BASE
+    coefficients = rounded(found)
+    limits = _limits(design, sensor, coefficients)
+    if coefficients.thermal is not None:
+        coefficients = replace(coefficients, thermal=replace(coefficients.thermal, range=limits.temperature))
     return CalibrationRecord(
         sensor=sensor.sensor.replaced(channels=design.channels),
-        coefficients=rounded(found),
+        coefficients=coefficients,
         uncertainty=replace(
             stated_section(found.uncertain),
             single_reading=_reading(measurements, design, found.estimated_thermometer),
         ),
-        limits=_limits(design, sensor, found.coefficients.thermal is not None),
+        limits=limits,
         derived=derived_record(found, assumed, mounted=not design.free),
         fit=fit_record(found, design, max(summary.u for summary in _summaries(measurements, design.channels))),
         procedure=ProcedureRecord(
@@ -177,19 +189,44 @@ def _reading(measurements: Sequence[Measurement], design: Design, shown: float |
     return known
 
 
-def _limits(design: Design, sensor: MeasuredSensor, thermal: bool) -> Limits:
-    """Return the ranges that were covered: tilts, temperatures, and the rails."""
-    tilt = covered_tilts(design.channels, [measurement.gravity for measurement in sensor.measurements])
-    met = [round(one.temperature, 3) for one in sensor.measurements if one.temperature is not None]
-    rails = rails_of(design.channels, sensor.nominal, sensor.base)
-    return Limits(tilt, (min(met), max(met)) if thermal else None, dict(rails))
+def _limits(design: Design, sensor: MeasuredSensor, coefficients: Coefficients) -> Limits:
+    """Return the ranges that were covered: tilts or directions, which are the base's if there is one, °C, and rails."""
+    met = [measurement.temperature for measurement in sensor.measurements if measurement.temperature is not None]
+    warmth = None
+    if coefficients.thermal is not None:
+        step = sensor.temperature_step or sqrt(12.0) * (sensor.thermometer or 0.0)
+        warmth = outwards(min(met), max(met), TEMPERATURE_DIGITS, step)
+    limits = Limits({}, warmth, dict(rails_of(design.channels, sensor.nominal, sensor.base)))
+    if sensor.base is not None:
+        return replace(limits, tilt=sensor.base.limits.tilt, directions=sensor.base.limits.directions)
+    up = [measurement.gravity for measurement in sensor.measurements]
+    if len(design.channels) == 3:
+        directions = covered(up)
+        return replace(limits, tilt=tilts(directions), directions=directions)
+    steps = {
+        channel: max(summary.resolution for summary in _summaries(sensor.measurements, (channel,)))
+        / abs(coefficients.own_sensitivity(channel))
+        for channel in design.channels
+        if channel in design.axes
+    }
+    return replace(limits, tilt=covered_tilts(design.channels, up, steps))
 
 
-def covered_tilts(channels: Sequence[str], directions: Sequence[Sequence[float]]) -> dict[str, tuple[float, float]]:
-    """Return the tilts that positions cover, to either side as far as any of them, radians; none of a level axis."""
+def covered_tilts(
+    channels: Sequence[str], directions: Sequence[Sequence[float]], steps: Mapping[str, float] | None = None
+) -> dict[str, tuple[float, float]]:
+    """Return the tilts that positions cover, to either side as far as any of them, radians; none of a level axis.
+
+    ``steps`` are those of the readings, g.
+    """
     reach = {axis: max(abs(up[AXES.index(axis)]) for up in directions) for axis in channels}
-    furthest = {axis: radians(round(degrees(asin(min(g, 1.0))), 6)) for axis, g in reach.items() if g > 0.0}
-    return {axis: (-angle, angle) for axis, angle in furthest.items()}
+    tilt = {}
+    for axis, g in reach.items():
+        if g > 0.0:
+            furthest = degrees(asin(min(g + (steps or {}).get(axis, 0.0) / 2.0, 1.0)))
+            low, high = outwards(-furthest, furthest, 6)
+            tilt[axis] = radians(low), radians(high)
+    return tilt
 
 
 UNCERTAIN, WORTHLESS = 10.0, 50.0

@@ -25,6 +25,7 @@ import numpy as np
 
 from tiltcal.calibration.comparison import Comparison, compare_records, require_same_sensor, shared_errors, uncertain_of
 from tiltcal.calibration.stated import stated_section
+from tiltcal.core.directions import common, tilts
 from tiltcal.core.model import Array, Coefficients, Limits, overlap, referred, values, with_vector
 from tiltcal.core.uncertain import Uncertain, weighted_sum
 from tiltcal.errors import InputError, UsageError
@@ -229,7 +230,11 @@ def _between(
     }
     alignment = sum(weight * one.alignment for weight, one in zip(weights, stated, strict=True))
     tilt = {a: overlap(before.limits.tilt.get(a), limits) or limits for a, limits in after.limits.tilt.items()}
-    limits = Limits(tilt, overlap(before.limits.temperature, after.limits.temperature), after.limits.reading)
+    warmth, directions = overlap(before.limits.temperature, after.limits.temperature), after.limits.directions
+    if directions is not None and before.limits.directions is not None:
+        directions = common((before.limits.directions, directions))
+        tilt = tilts(directions)
+    limits = Limits(tilt, warmth, after.limits.reading, directions=directions)
     coefficients = _on_line(referred(before.coefficients, reference), after.coefficients, share)
     uncertainty = replace(stated_section(errors), single_reading=single, alignment=alignment)
     between = replace(after, coefficients=coefficients, limits=limits, uncertainty=uncertainty)

@@ -13,7 +13,7 @@ from tiltcal.core.attitude import UNKNOWN_FACTOR, mounting_matrix
 from tiltcal.core.compensation import LENGTH_TOLERANCE
 from tiltcal.core.derived import cross_axis, intrinsic, misalignment, rotation
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, Mounting, values, with_vector
-from tiltcal.core.rounding import round_to, significant
+from tiltcal.core.rounding import outwards, round_to, significant
 from tiltcal.core.uncertain import ALIGNMENT, NEGLIGIBLE, NORMAL_FACTOR, READING, TURN, Uncertain, widened
 from tiltcal.errors import EstimateError
 from tiltcal.files import results
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tiltcal.core.estimation.positions import Design
 
 DIGITS = 4  # of an uncertainty
+TEMPERATURE_DIGITS = 3  # of the ends of a range, behind the point, °C
 MATRIX_DIGITS = 1e4  # the covariance is rounded to this part of what four digits of its two uncertainties would be
 SHARE_DIGITS = 3  # of a share of a variance
 PRIOR_DIGITS = 9  # of an uncertainty that is taken out of a difference again
@@ -102,8 +103,7 @@ def rounded(found: Estimate) -> Coefficients:
     thermal = coefficients.thermal
     if thermal is None or thermal.range is None:
         return coefficients
-    low, high = thermal.range
-    return replace(coefficients, thermal=replace(thermal, range=(round(low, 3), round(high, 3))))
+    return replace(coefficients, thermal=replace(thermal, range=outwards(*thermal.range, TEMPERATURE_DIGITS)))
 
 
 def stated_section(uncertain: Uncertain, before: Uncertainty | None = None) -> Uncertainty:

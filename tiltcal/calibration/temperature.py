@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from tiltcal.calibration.fit import fit_jointly, observed_sensor, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.priors import design_of
-from tiltcal.calibration.stated import rounded_covariance, uncertain_coefficients
+from tiltcal.calibration.stated import TEMPERATURE_DIGITS, rounded_covariance, uncertain_coefficients
 from tiltcal.core.detection import TEMPERATURES
 from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, met_twice
@@ -32,7 +32,7 @@ from tiltcal.core.estimation.positions import Design, Observation
 from tiltcal.core.model import Array, Coefficients, Thermal, vector_of, with_vector
 from tiltcal.core.ramp.fit import RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord, row_noise
-from tiltcal.core.rounding import plus_minus, round_to, significant
+from tiltcal.core.rounding import outwards, plus_minus, round_to, significant
 from tiltcal.core.samples import SampleSummary
 from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
 from tiltcal.core.uncertain import Uncertain, central_differences
@@ -227,7 +227,8 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     # The turns of the temperature are not reached by an element that follows them. The inverse filter amplifies the
     # thermometer's noise, which the means average.
     element = fit.means.temperature(fit.lag) + reference
-    limits = _range(ThermalLag(fit.lag)(record.time, record.temperature) if fit.lag >= 0.0 else element)
+    element = ThermalLag(fit.lag)(record.time, record.temperature) if fit.lag >= 0.0 else element
+    limits = _range(element, record.step or sqrt(12.0) * (sensor.thermometer or 0.0))
     design = replace(design, drift=fit.order, reference=reference)
     groups = _groups(fit, record, attitude)
     estimate = _estimate(fit, design, np.array(attitude.gravity), limits, groups, bench)
@@ -245,8 +246,10 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
                 advice=("state the true one with ", Argument("segments"), " (position,start,end,gx,gy,gz)"),
             )
     coefficients, standard = made.coefficients, made.uncertainty.standard
-    if fit.uses_lag and coefficients.thermal is not None:
-        coefficients = replace(coefficients, thermal=replace(coefficients.thermal, lag=round_to(fit.lag, fit.u_lag)))
+    if coefficients.thermal is not None:
+        lag = round_to(fit.lag, fit.u_lag) if fit.uses_lag else 0.0
+        coefficients = replace(coefficients, thermal=replace(coefficients.thermal, range=limits, lag=lag))
+    if fit.uses_lag:
         standard = {**standard, "temperature.lag": significant(fit.u_lag, 4)}
     # The inverse filter amplifies what is random in the temperature of a log.
     random = (not bench.thermometer and sensor.thermometer) or record.step / sqrt(12.0)
@@ -271,8 +274,8 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     )
 
 
-def _range(temperatures: Array) -> tuple[float, float]:
-    return round(float(temperatures.min()), 3), round(float(temperatures.max()), 3)
+def _range(temperatures: Array, step: float = 0.0) -> tuple[float, float]:
+    return outwards(float(temperatures.min()), float(temperatures.max()), TEMPERATURE_DIGITS, step)
 
 
 def _estimate(

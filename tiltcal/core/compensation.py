@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tiltcal.core import flags
 from tiltcal.core.attitude import mounting_matrix
+from tiltcal.core.directions import Cone
 from tiltcal.core.flags import Bytes, Reasons, mark
 from tiltcal.core.model import AXES, Array, Coefficients, Limits, overlap, polynomial, take_out_nonlinearity
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
@@ -159,6 +160,11 @@ class Compensation:
             {axis: (_sine_of_limit(low, -1), _sine_of_limit(high, +1)) for axis, (low, high) in limits.tilt.items()},
             self.axes,
         )
+        self._cone = None
+        if self.axes == AXES and limits.directions is not None:
+            self.reach = {}
+            if not isinstance(limits.directions, str):
+                self._cone = Cone(limits.directions)
         self.temperatures = overlap(limits.temperature, None if self._thermal is None else self._thermal.range)
         self.angles = (*(f"tilt_{axis}" for axis in self.axes), *(DIRECTIONS if channels == 3 else ()))
         self.columns = (*(f"g_{axis}" for axis in self.axes), *self.angles, "flag", "reason")
@@ -325,11 +331,13 @@ class Compensation:
             out.gravity[unknown, column] = out.angles[unknown, column] = np.nan
 
     def _judge_tilt(self, own: Array, out: Compensated) -> None:
-        """Mark rows that tilt a sensor axis further than the calibration covers."""
+        """Mark rows that tilt a sensor axis further than the calibration covers, or lie in another direction."""
         for axis, (low, high) in self.reach.items():
             argument = own[axis]
             measured = np.abs(argument) <= CLIP_LIMIT + _ROUNDING
             mark(out, measured & ((argument < low) | (argument > high)), flags.SUSPECT, flags.TILT_RANGE)
+        if self._cone is not None:
+            mark(out, ~self._cone.inside(own), flags.SUSPECT, flags.TILT_RANGE)
 
     def _judge_readings(self, u: Array, out: Compensated) -> None:
         """Mark readings at the rail, and blank the rows that have a reading which is no number."""

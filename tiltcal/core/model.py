@@ -106,13 +106,15 @@ class Limits:
     """The ranges in which a calibration holds: tilts per axis, radians; °C; readings between rails per channel, unit.
 
     ``length`` is by how much the length of gravity of three axes may differ from 1 g, g; None where its uncertainty
-    decides, infinite for means, whose length says nothing.
+    decides, infinite for means, whose length says nothing. ``directions`` of three axes, if stated, count in place of
+    ``tilt``, which then is how far they reach: see :mod:`tiltcal.core.directions`.
     """
 
     tilt: dict[str, tuple[float, float]] = field(default_factory=dict)
     temperature: tuple[float, float] | None = None
     reading: dict[str, tuple[float, float]] = field(default_factory=dict)
     length: float | None = None
+    directions: tuple[tuple[float, float, float], ...] | str | None = None
 
 
 def overlap(first: tuple[float, float] | None, second: tuple[float, float] | None) -> tuple[float, float] | None:

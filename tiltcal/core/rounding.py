@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from decimal import Context, Decimal
-from math import isfinite
+from math import ceil, floor, isfinite
 
 _GUARD_DIGITS = 3  # digits kept after the first one of the uncertainty: rounding adds less than a thousandth of it
 _DIGITS_WITHOUT_UNCERTAINTY = 12
+_NO_DIGIT = 1e-6  # of the last digit: what a binary fraction adds to a number that has it
 _ANY = Context(prec=1000)  # digits enough for any double
 _MOST_ZEROS = 4  # largest number of zeros before the first digit; smaller numbers have a power of ten
 
@@ -23,6 +24,12 @@ def round_to(value: float, uncertainty: float) -> float:
     exact = Decimal(repr(float(value)))
     place = Decimal(repr(float(uncertainty))).adjusted() - _GUARD_DIGITS
     return _positive_zero(exact.quantize(Decimal((0, (1,), place)), context=_ANY))
+
+
+def outwards(low: float, high: float, digits: int, step: float = 0.0) -> tuple[float, float]:
+    """Return a range that a reading of some step met, rounded so that it holds what reads alike."""
+    scale = 10.0**digits
+    return floor((low - step / 2.0) * scale + _NO_DIGIT) / scale, ceil((high + step / 2.0) * scale - _NO_DIGIT) / scale
 
 
 def significant(value: float, digits: int) -> float:

@@ -15,6 +15,8 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from tiltcal.core.attitude import normalised
+from tiltcal.core.directions import tilts
 from tiltcal.core.model import Coefficients, Limits, values
 from tiltcal.files.coefficients import (
     CoefficientsSection,
@@ -28,8 +30,16 @@ from tiltcal.files.coefficients import (
 )
 from tiltcal.files.device import DeviceFile
 from tiltcal.files.document import Document, parse_document, read_document
-from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data
-from tiltcal.files.results import DerivedRecord, FileRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
+from tiltcal.files.record import Axis, ByAxis, Range, Record, Text, about, file_data, one_of
+from tiltcal.files.results import (
+    DerivedRecord,
+    Direction,
+    FileRecord,
+    FitRecord,
+    PositionRecord,
+    ProcedureRecord,
+    Provenance,
+)
 from tiltcal.files.yaml_text import yaml_text
 
 UNKNOWN_MODEL = "recorded"  # the model in a file of `fit`, where the user named none
@@ -52,6 +62,10 @@ class SensorIdentity(Record):
 class LimitsSection(Record, kw_only=True):
     """The section ``limits`` as it stands in a file."""
 
+    directions: Annotated[
+        tuple[Direction, ...] | Annotated[str, one_of("all")] | None,
+        about("of gravity that three axes met, in the sensor's own frame, or `all`; in place of `tilt`"),
+    ] = None
     tilt: Annotated[Range | ByAxis[Range], about("`[low, high]` per axis, or for all of them, degrees")] = {}
     temperature: Annotated[Range | None, about("`[low, high]`, °C")] = None
     reading: Annotated[Range | ByAxis[Range], about("the rails `[low, high]` per channel, or for all, unit")] = {}
@@ -139,14 +153,21 @@ def tilt_record(document: Document) -> CalibrationRecord:
     limits.require_order(file.limits.temperature, "temperature")
     # A third column of a two-channel sensor is no axis whose tilt is reported.
     tilt = _by_name(file.limits.tilt, coefficients.axes[: len(channels)], limits, "tilt")
+    reach, directions = {axis: (radians(a), radians(b)) for axis, (a, b) in tilt.items()}, file.limits.directions
+    if directions is not None and (tilt or len(channels) < 3):
+        raise limits.error("directions are of three axes, in place of tilt: leave one out", "directions")
+    if directions is not None:
+        directions = directions if isinstance(directions, str) else tuple(map(normalised, directions))
+        reach = tilts(directions)
     return CalibrationRecord(
         sensor=file.sensor,
         coefficients=coefficients,
         uncertainty=uncertainty,
         limits=Limits(
-            {axis: (radians(low), radians(high)) for axis, (low, high) in tilt.items()},
+            reach,
             file.limits.temperature,
             _by_name(file.limits.reading, channels, limits, "reading"),
+            directions=directions,
         ),
         **{name: getattr(file, name) for name in RECORDS},
     )
@@ -173,12 +194,15 @@ def read_calibration(path: str | Path) -> CalibrationRecord:
 def dump_calibration(calibration: CalibrationRecord) -> str:
     """Return the text of a calibration file, its numbers as they are: round them before."""
     limits = calibration.limits
-    tilt = {axis: (in_degrees(low), in_degrees(high)) for axis, (low, high) in limits.tilt.items()}
+    ranges = limits.tilt.items() if limits.directions is None else ()
+    tilt = {axis: (in_degrees(low), in_degrees(high)) for axis, (low, high) in ranges}
     file = TiltFile(
         sensor=calibration.sensor,
         calibration=coefficients_section(calibration.coefficients),
         uncertainty=uncertainty_section(calibration.uncertainty),
-        limits=LimitsSection(tilt=tilt, temperature=limits.temperature, reading=limits.reading),
+        limits=LimitsSection(
+            directions=limits.directions, tilt=tilt, temperature=limits.temperature, reading=limits.reading
+        ),
         **{name: getattr(calibration, name) for name in RECORDS},
     )
     return yaml_text(file_data("tilt", file), _comments(calibration.sensor.unit))

@@ -25,7 +25,7 @@ from tiltcal.core.estimation.free import fit_free
 from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.core.rounding import significant
-from tiltcal.core.samples import SampleSummary
+from tiltcal.core.samples import SampleSummary, even_step
 from tiltcal.drivers.model import Model
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
@@ -108,6 +108,7 @@ def fit_recorded(
         thermometer=None if model is None else model.thermometer_rounding,
         base=own,
         ramp=positions.ramp,
+        temperature_step=positions.temperature_step,
     )
     (found,) = calibrate([measured], steps, bench, table=table, gravity=options["gravity"])
     origin = None if known is None else known.origin
@@ -116,11 +117,15 @@ def fit_recorded(
 
 @dataclass(frozen=True)
 class FitPositions:
-    """The positions of recorded data, names and checksums of what was read, and of a ramp its continuous record."""
+    """The positions of recorded data, names and checksums of what was read, and of a ramp its continuous record.
+
+    ``temperature_step`` is that of the thermometer, °C; 0 where it is continuous.
+    """
 
     measurements: Sequence[Measurement]
     provenance: Provenance
     ramp: RampRecord | None = None
+    temperature_step: float = 0.0
 
 
 def _require_table_alone(procedure: Procedure, options: FitOptions) -> None:
@@ -205,7 +210,10 @@ def _of_log(
             options["say"](f"{one.position}: {which} far off the others or missing, and left out")
     times = [interval.times for interval in intervals if interval.times is not None]
     provenance = _provenance("recorded log", times, log=_log_record(data, log, record), segments=origin)
-    return FitPositions(measurements if determines.free else placed(intervals, procedure, file=file), provenance)
+    if not determines.free:
+        measurements = placed(intervals, procedure, file=file)
+    step = even_step(record.by_role["temperature"]) if "temperature" in record.by_role else 0.0
+    return FitPositions(measurements, provenance, temperature_step=step)
 
 
 def _of_ramp(
