@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from math import asin, cos, degrees, hypot, radians
+from math import asin, cos, degrees, hypot, isnan, radians
 from pathlib import Path
 
 import pytest
@@ -72,6 +72,13 @@ class TestOutput:
         (row,) = rows(result.stdout)
         assert float(row["tilt_x"]) == pytest.approx(degrees(asin((3.6 - 0.1 - 2.5) / 2)), abs=1e-12)
         assert row["flag"] == "1"
+
+    def test_the_worse_flag_of_a_row_stays(self) -> None:
+        """x is beyond 1.02 g, and y outside the calibrated range."""
+        Path("cal.yaml").write_text(PLAIN + "limits: {tilt: {x: [-90, 90], y: [-30, 30]}}\n")
+        (row,) = numbers(apply("cal.yaml", "-", stdin=b"x,y\n5.0,4.0\n").stdout)
+        assert (row["flag"], row["reason"]) == (4, 1 | 8)
+        assert isnan(row["tilt_x"])
 
     def test_first_order_is_selectable(self) -> None:
         Path("cross.yaml").write_text(PLAIN.replace("y: 0.0}, y: {x: 0.0", "y: 0.04}, y: {x: -0.04"))

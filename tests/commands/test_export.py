@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from support import ROOT
+from support.applied import PLAIN
 from support.command import tiltcal
 from support.export_study import (
     COUNTS,
@@ -113,6 +114,18 @@ def test_tilts_pitch_and_roll_are_defined_as_those_of_apply(tmp_path: Path) -> N
     assert turned == pytest.approx([45.0, 45.0, 180.0], abs=1e-3)
     assert clipped[0] == 90.0
     assert np.isnan(clipped[1])
+
+
+def test_the_header_takes_no_axis_below_the_horizon(tmp_path: Path) -> None:
+    """A channel that reads 0.1 of z, and -1 g and a little more: as apply has it, z is 0 there."""
+    require("gcc")
+    axes = ("x", "y", "z")
+    leaning = Coefficients(axes[:2], axes, np.zeros(2), np.array([[1.0, 0.0, 0.1], [0.0, 1.0, 0.0]]))
+    record = CalibrationRecord(SensorIdentity("recorded", "L-1", "m/s2", axes[:2]), leaning)
+    rows = np.array([[-1.0, 0.0], [-1.003, 0.0]]), np.full(2, 25.0)
+    (table,) = computed_in_c(tmp_path, [exported(Source(record, record.limits, "c0"), "c").text], [rows])
+    assert table[:, 0] == pytest.approx([-1.0, -1.003], abs=1e-6)
+    assert table[:, 1] == pytest.approx([-90.0, -90.0], abs=1e-3)
 
 
 def test_integers_compute_the_same(tmp_path: Path) -> None:
@@ -259,6 +272,11 @@ def test_show_prints_coefficients_tilts_and_the_map(tmp_path: Path) -> None:
     lines = tiltcal("show", "cal.yaml", "--matrix", cwd=tmp_path).stdout.splitlines()
     rows = np.array([line.split()[-3:] for line in lines[-4:]], dtype=float)
     assert (record.coefficients.predict(directions()) - rows[3]) @ rows[:3].T == pytest.approx(directions(), abs=1e-6)
+    # Two channels read g_z as well: b is what they read at level.
+    leaning = PLAIN.replace("y: 0.0}, y", "y: 0.0, z: 0.05}, y").replace("y: 2.0}", "y: 2.0, z: -0.03}")
+    (tmp_path / "cal.yaml").write_text(leaning)
+    level = tiltcal("show", "cal.yaml", "--matrix", cwd=tmp_path).stdout.splitlines()[-1]
+    assert level.split()[-2:] == ["2.55", "2.47"]
     shown = tiltcal("show", ROOT / "fixtures/cross-axis.yaml").stdout
     assert re.search(r"offset x +1026\.\d+ ± 0\.\d+ count", shown)
     assert re.search(r"tilt x within  ± 0\.0\d+° near level, 0\.0\d+° at -30°, 0\.0\d+° at 30°", shown)

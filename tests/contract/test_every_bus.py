@@ -333,6 +333,8 @@ ERRORS = (
     # and what means something else on one of them.
     (I2C, "open", errno.EMFILE, r"failed \(Too many open files\)"),
     (I2C, "transfer", errno.EREMOTEIO, r"no device acknowledges at address 0x1d on /dev/i2c-1 .*'i2cdetect -y 1'"),
+    (I2C, "transfer", errno.ENXIO, "no device acknowledges at address 0x1d"),
+    (I2C, "transfer", errno.EIO, "no device acknowledges at address 0x1d"),
     (I2C, "transfer", errno.ETIMEDOUT, "time-out at address 0x1d .* pull-up resistors"),
     (I2C, "transfer", errno.EAGAIN, "another master has it"),
     (I2C, "transfer", errno.EOPNOTSUPP, "supports SMBus only"),

@@ -37,6 +37,12 @@ def test_turned_round_is_named() -> None:
     assert "looks like x-tilt2" in str(sca100t().objection("x-tilt1", PLANE, reading(-0.49, 0.01)))
 
 
+def test_a_position_that_is_met_twice_as_well_is_named() -> None:
+    """Between -0.5 g and 0.5 g the distances are as one to two at -1/6 g."""
+    assert "looks like x-tilt2" in str(sca100t().objection("x-tilt1", PLANE, reading(-0.18, 0.0)))
+    assert "no position of this procedure" in str(sca100t().objection("x-tilt1", PLANE, reading(-0.15, 0.0)))
+
+
 def test_nowhere_near_any_position_tells_what_was_expected() -> None:
     why = str(sca100t().objection("x-tilt1", PLANE, reading(0.0, 0.0)))
     assert "x reads 1024" in why

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import linregress
 
-from tiltcal.core.samples import ReadingStep, even_step, noise_under_rounding, summarise
+from tiltcal.core.samples import ReadingStep, drift, even_step, noise_under_rounding, summarise
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=2, max_size=50))
@@ -34,6 +35,19 @@ def test_correlated_noise_does_not() -> None:
     naive = np.mean([run.std for run in runs]) / sqrt(400)
     assert naive < 0.4 * scatter
     assert 0.7 * scatter < claimed < 1.3 * scatter
+
+
+def test_the_uncertainty_is_that_of_ten_block_means() -> None:
+    samples = np.random.default_rng(1).normal(7.0, 0.3, 240)
+    means = samples.reshape(10, 24).mean(axis=1)
+    assert summarise(samples.tolist()).u == pytest.approx(np.std(means, ddof=1) / sqrt(10), rel=1e-12)
+
+
+def test_a_drift_is_that_of_the_regression_line() -> None:
+    times = np.arange(12) * 0.5
+    samples = 3.0 + 0.02 * times + np.random.default_rng(2).normal(0.0, 0.1, 12)
+    line = linregress(times, samples)
+    assert drift(times.tolist(), samples.tolist()) == pytest.approx((line.slope * 5.5, line.stderr * 5.5), rel=1e-9)
 
 
 def test_a_reading_that_never_changes_is_uncertain_by_its_step() -> None:

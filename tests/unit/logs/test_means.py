@@ -84,6 +84,9 @@ class TestGroups:
                 time = begin + np.round(np.arange(900) * interval, 6)
                 assert set(cal.apply(rows(time=time), every=every)["count"].tolist()) == {count}, (every, begin)
 
+        # 0.0079 s is 7900.000000000001 µs in floating point.
+        assert set(cal.apply(rows(time=np.arange(0, 900) * 3950 / 1e6), every="7.9ms")["count"].tolist()) == {2}
+
     def test_missing_rows_are_left_out_and_not_counted(self, cal: Calibration) -> None:
         found = cal.apply(rows(x=[2.5, nan, 2.7, nan, nan], n=[1, 2, 4, 6, 8]), average=3)
         assert found["count"].tolist() == [2, 0]
