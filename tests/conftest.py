@@ -9,10 +9,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # An error that nothing foresees fails a test as Python prints it.
 os.environ.setdefault("TILTCAL_TRACEBACK", "1")
 
+import atexit
 import gc
 import re
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
@@ -42,6 +44,12 @@ KEPT = r"\.ttf$|^anon_inode:\[event"
 
 SHORTLY = 5.0
 """Seconds in which a thread that has been told to end has to end."""
+
+
+# Tokens of pages lie in the user's folder, and a session that a test stops leaves one there.
+_runtime = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+atexit.register(_runtime.cleanup)
+os.environ["XDG_RUNTIME_DIR"] = _runtime.name
 
 
 gc.disable()  # while the tests are collected, which makes a million objects that stay

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import select
 import signal
+import socket
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from math import asin, degrees
 from pathlib import Path
 from typing import Any
@@ -18,6 +22,7 @@ from support.web_client import WebClient, session
 
 from tiltcal import measure
 from tiltcal.bench.guidance import CALIBRATED, OWN_FRAME
+from tiltcal.bench.page_token import PageToken
 from tiltcal.errors import Stopped, UsageError
 from tiltcal.files.calibration import read_calibration
 
@@ -117,9 +122,15 @@ def test_nothing_is_pressed_from_elsewhere(tmp_path: Path) -> None:
             ("POST", "/answer", {**answer, "id": "0badcafe-1"}, {}, 409),  # of an earlier session
             ("POST", "/answer", {**answer, "id": question["id"] + "0"}, {}, 409),
             ("POST", "/answer", {"answer": "ready"}, {}, 409),
+            ("POST", "/answer", answer, {"Cookie": "", "Origin": "", "Authorization": f"Bearer {page.token}0"}, 403),
             ("POST", "/answer", "ready", {}, 400),
             ("POST", "/answer", "[" * 4000, {}, 400),
-            ("POST", "/token", answer, {}, 404),
+            ("POST", "/answer", {"id": question["id"]}, {}, 400),
+            ("POST", "/token", answer, {}, 401),
+            ("POST", "/answer", answer, {"Cookie": ""}, 401),
+            ("POST", "/answer", answer, {"Cookie": "", "Authorization": "Bearer guess"}, 401),
+            ("GET", "/events", None, {"Cookie": ""}, 401),
+            *(("GET", "/events", None, {"Host": host.format(page.host), "Origin": ""}, 403) for host in ODD_HOSTS),
             ("GET", "/events", None, {"Origin": evil}, 403),
             ("GET", "/events", None, {"Host": "evil.example", "Origin": ""}, 403),
             ("GET", "/../web.py", None, {}, 404),
@@ -136,23 +147,37 @@ def test_nothing_is_pressed_from_elsewhere(tmp_path: Path) -> None:
     assert journal(tmp_path).count('"answer":"') == 1
 
 
-def test_other_machines_need_the_token(tmp_path: Path) -> None:
-    with session("zero-45", **sensor(tmp_path, listen="0.0.0.0:0")) as (page, _):
-        host, token = page.host, page.token
-        page.host = f"127.0.0.1:{host.rpartition(':')[2]}"
-        assert [page.request("GET", path)[0] for path in ("/", "/page.js", "/events", "/report/S-1")] == [
-            200,
-            200,
-            401,
-            401,
-        ]
-        assert page.request("POST", "/answer", {"id": "1"})[0] == 401
-        assert page.request("POST", "/token", {"token": "guess"})[0] == 401
-        status, headers, _ = page.request("POST", "/token", {"token": token})
-        assert status == 204
-        assert "HttpOnly; SameSite=Strict" in headers["Set-Cookie"]
-        page.cookie = headers["Set-Cookie"].partition(";")[0]
-        accept(page, "level")
+ODD_HOSTS = ("user@{}", "{}/", "{}?", "{}#", "[{}]", "127.0.0.1:", "127.0.0.1:80:80", " ", "127.0.0.1,evil.example")
+
+
+def test_a_program_shows_the_token_and_an_answer_without_a_word_ends_nothing(tmp_path: Path) -> None:
+    with session("zero-45", **sensor(tmp_path, listen="0.0.0.0:0")) as (page, outcome):
+        bearer = {"Cookie": "", "Origin": "", "Authorization": f"Bearer {page.token}"}
+        status, headers, _ = page.request("POST", "/token", {"token": page.token})
+        assert (status, "HttpOnly; SameSite=Strict" in headers["Set-Cookie"]) == (204, True)
+        answer = {"id": page.asked("position", "level")["id"], "answer": "ready"}
+        assert page.request("POST", "/answer", answer, **bearer)[0] == 204
+        assert page.answer(page.asked("review", "level"), "accept") == 204
+        accept(page, "x-45", "y-45")
+        page.answer(page.asked("write"), "yes")
+        last = page.asked("afterwards")
+        assert page.request("POST", "/answer", {"id": last["id"]}, **bearer)[0] == 400
+        assert page.answer(last, "dance") == 204
+        assert page.answer(page.asked("afterwards"), "finish") == 204
+    assert [type(one).__name__ for one in outcome] == ["Calibration"]
+
+
+def test_a_connection_that_drips_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tiltcal.bench.page_server.LOST", 0.3)
+    with session("zero-45", **sensor(tmp_path)) as (page, _):
+        host, _, port = page.host.partition(":")
+        with socket.create_connection((host, int(port)), timeout=10) as connection, suppress(OSError):
+            while True:  # a header without an end, each piece well before the time-out of one
+                connection.sendall(b"X")
+                if select.select([connection], [], [], 0.05)[0]:
+                    assert connection.recv(100) == b""
+                    break
+        assert page.asked("position", "level")
 
 
 @pytest.mark.parametrize(
@@ -160,6 +185,8 @@ def test_other_machines_need_the_token(tmp_path: Path) -> None:
     [
         ({"listen": "8016"}, "HOST:PORT"),
         ({"listen": "127.0.0.1:99999"}, "HOST:PORT"),
+        ({"listen": "user@127.0.0.1:8016"}, "HOST:PORT"),
+        ({"listen": "127.0.0.1:8016/"}, "HOST:PORT"),
         ({"operator": "sim", "hands_free": True}, "is for the page"),
     ],
 )
@@ -169,13 +196,19 @@ def test_what_cannot_be_asked_for(options: dict[str, Any], why: str, tmp_path: P
 
 
 def test_ctrl_c_says_how_to_go_on_and_the_next_session_goes_on(warm: WarmStart, tmp_path: Path) -> None:
+    """The page of the next session takes the token of the tab that is open."""
+    state = tmp_path / "state"
+    state.mkdir()
     begin = ["zero-45", "--sensor", "sca100t-d02", "--address", "sim:", "--serial", "S-1", "-o", "S-1.yaml"]
     steps = [([*begin, "--operator", "web"], "level", "x-45"), (["--resume", "S-1.journal.jsonl"], "x-45", "y-45")]
+    tokens = set()
     for arguments, position, following in steps:
         command = [*warm.program, "measure", *arguments]
-        with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        environment = {**os.environ, "XDG_RUNTIME_DIR": str(state)}
+        with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, env=environment) as process:
             assert process.stderr is not None
             page = WebClient(next(line.split()[-1] for line in process.stderr if "page of this session" in line))
+            tokens.add(page.token)
             states = page.states()
             next(states)
             accept(page, position)
@@ -184,3 +217,21 @@ def test_ctrl_c_says_how_to_go_on_and_the_next_session_goes_on(warm: WarmStart, 
             assert [state["ended"] for state in states][-1]
             assert "--resume S-1.journal.jsonl" in process.stderr.read()
             assert process.wait() == 130
+    (kept,) = (state / "tiltcal").iterdir()
+    assert tokens == {kept.read_text()}
+    assert kept.stat().st_mode & 0o777 == 0o600
+    assert kept.read_text() not in journal(tmp_path)
+
+
+def test_the_token_is_forgotten_at_the_end_and_that_of_another_is_not_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    token = PageToken(tmp_path / "a.journal.jsonl")
+    (kept,) = (tmp_path / "tiltcal").iterdir()
+    assert PageToken(tmp_path / "a.journal.jsonl").value == token.value
+    assert PageToken(tmp_path / "b.journal.jsonl").value != token.value
+    kept.chmod(0o644)
+    assert PageToken(tmp_path / "a.journal.jsonl").value != token.value
+    token.forget()
+    assert not kept.exists()

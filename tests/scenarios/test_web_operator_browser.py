@@ -40,7 +40,7 @@ def button(word: str) -> str:
 def test_keys_touch_a_reload_and_a_killed_browser(tmp_path: Path) -> None:
     with session("cross-axis", **bench(tmp_path)) as (page, _):
         with browser() as first:
-            tab, other = (first.open(f"http://{page.host}/") for _ in range(2))
+            tab, other = (first.open(page.url) for _ in range(2))
             ready(tab, "x-tilt1")
             tab.key("x")  # no key of the page
             tab.key("Enter")
@@ -70,7 +70,7 @@ def test_keys_touch_a_reload_and_a_killed_browser(tmp_path: Path) -> None:
             assert first.complaints == []
             assert page.answer(page.asked("position", "y-tilt1"), "ready") == 204
         with browser() as second:
-            tab = second.open(f"http://{page.host}/")
+            tab = second.open(page.url)
             tab.until(button("accept"))  # of the position that the first one did not see measured
             tab.key("b")
             ready(tab, "x-tilt2")
@@ -81,7 +81,7 @@ def test_free_hands_take_what_follows_and_a_person_writes(tmp_path: Path, monkey
     monkeypatch.setattr("tiltcal.bench.web.STILL_FOR", 0.3)
     monkeypatch.setattr("tiltcal.bench.web.LIVE_PAUSE", 0.05)
     with session("cross-axis", **bench(tmp_path, hands_free=True)) as (page, _), browser() as chromium:
-        tab = chromium.open(f"http://{page.host}/")
+        tab = chromium.open(page.url)
         ready(tab, "x-tilt1")
         tab.key("Enter")
         tab.until(button("accept"))

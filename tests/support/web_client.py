@@ -16,10 +16,12 @@ State = dict[str, Any]
 
 
 class WebClient:
-    """Talks to the page at an address; ``token`` is that of the address, ``cookie`` what it was given."""
+    """Talks to the page at an address; ``token`` is that of the address, ``cookie`` what it was given for it."""
 
     def __init__(self, url: str) -> None:
-        self.host, self.token, self.cookie = urlsplit(url).netloc, urlsplit(url).fragment, ""
+        self.url, self.host, self.token, self.cookie = url, urlsplit(url).netloc, urlsplit(url).fragment, ""
+        self.host = self.host.replace("0.0.0.0", "127.0.0.1")
+        self.cookie = self.request("POST", "/token", {"token": self.token})[1]["Set-Cookie"].partition(";")[0]
 
     def request(
         self, method: str, path: str, content: object = None, **headers: str

@@ -11,7 +11,7 @@ grow with the error of the axis that points up.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import asin, atan2, degrees, hypot, inf, radians, sin, sqrt
 from typing import Any, NamedTuple
@@ -88,8 +88,7 @@ class SensorGuidance:
     @property
     def fits(self) -> bool | None:
         """Whether the sensor is set as asked; None where nothing can be said."""
-        fits = [one.fits for one in self.differences.values()]
-        return False if False in fits else None if None in fits or not fits else True
+        return whether_all(one.fits for one in self.differences.values())
 
     @property
     def ok(self) -> bool | None:
@@ -110,6 +109,12 @@ class SensorGuidance:
     def _of(self, channel: str) -> Difference | None:
         one = self.differences.get(channel)
         return one if one is None or not self.calibrated else one._replace(fits=None)
+
+
+def whether_all(judged: Iterable[bool | None]) -> bool | None:
+    """Return whether all are true; None where nothing can be said."""
+    every = list(judged)
+    return False if False in every else None if None in every or not every else True
 
 
 def note_on(guides: Sequence[SensorGuidance]) -> str:

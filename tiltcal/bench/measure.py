@@ -91,7 +91,7 @@ def _operator(
         case "web":
             from tiltcal.bench.web import open_web
 
-            return open_web(stack, say, listen=listen, hands_free=hands_free)
+            return open_web(stack, say, session, listen=listen, hands_free=hands_free)
         case "sim" if not session.setup.simulated:
             raise UsageError(
                 option="operator", why="sim moves virtual sensors only", advice=("give ", Argument("address", "sim:"))

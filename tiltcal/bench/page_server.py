@@ -5,12 +5,14 @@ tab or a connection that was lost shows what all others show. An answer names th
 is not asked at the moment, as of an old tab or of an earlier session, changes nothing.
 
 What a page of another site could send is refused: its name in ``Host`` (a name that an attacker lets lead to this
-machine) and its ``Origin``. Other machines have to know a token.
+machine) and its ``Origin``. Everybody has to know a token, because every user of this machine reaches its ports: a
+browser gets a cookie for it, a program sends ``Authorization: Bearer``.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import secrets
 import socket
 from collections.abc import Mapping
@@ -20,7 +22,7 @@ from importlib.resources import files
 from ipaddress import ip_address
 from socketserver import ThreadingTCPServer
 from threading import Condition, Thread
-from time import sleep
+from time import monotonic, sleep
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
@@ -48,8 +50,11 @@ HEADERS = {
 REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 
 STRANGE = "not from the page, or not to its address: call it as tiltcal printed it, or start with --listen NAME:PORT"
+NO_TOKEN = "open the new address that the terminal shows"
 LONGEST_ANSWER = 4096
 """Bytes of an answer."""
+
+_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(?::([0-9]{1,5}))?")  # a name or an address, and a port
 
 SILENCE = 2.0
 """Seconds after which a stream shows that it lives, though nothing has changed."""
@@ -58,7 +63,7 @@ PACE = 0.04
 """Seconds between two states on one stream: a virtual session has a thousand readings in that time."""
 
 LOST = 5.0
-"""Seconds after which a connection that says or takes nothing is given up."""
+"""Seconds after which a connection is given up that takes nothing, or has not said all of its request."""
 
 WRONG_TOKEN = 0.5
 """Seconds that the answer to a wrong token takes."""
@@ -138,7 +143,7 @@ class PageState:
 class PageServer(ThreadingTCPServer):
     """Serves the page, the state and the reports until :meth:`close`; ``url`` is where.
 
-    ``listen`` is HOST:PORT for other machines too, which have to know the ``token``; None is this machine alone.
+    ``listen`` is HOST:PORT for other machines too; None is this machine alone. All have to know the ``token``.
 
     UsageError: it cannot listen there.
     """
@@ -146,11 +151,12 @@ class PageServer(ThreadingTCPServer):
     allow_reuse_address = True
     daemon_threads = False  # all end in close
 
-    def __init__(self, state: PageState, listen: str | None = None) -> None:
-        self.state = state
+    def __init__(self, state: PageState, token: str, listen: str | None = None) -> None:
+        self.state, self.token = state, token
         self.reports: dict[str, bytes] = {}
-        self.token = None if listen is None else secrets.token_urlsafe(9)
         self._connections: set[socket.socket] = set()
+        self.unheard: dict[socket.socket, float] = {}
+        """Until when each connection has to have said its request, by the monotonic clock, s."""
         self.named, port = ("127.0.0.1", PORT) if listen is None else host_and_port(listen)
         self.address_family = socket.AF_INET6 if ":" in self.named else socket.AF_INET
         try:
@@ -167,17 +173,27 @@ class PageServer(ThreadingTCPServer):
         """Where the page is; with the token behind #, which a browser sends to nobody."""
         host = _outward_address(self.named) if self.named in ("0.0.0.0", "::") else self.named
         place = f"[{host}]" if ":" in host else host
-        return f"http://{place}:{self.server_address[1]}/" + ("" if self.token is None else f"#{self.token}")
+        return f"http://{place}:{self.server_address[1]}/#{self.token}"
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Serve a connection, which :meth:`close` can end."""
         self._connections.add(request)
+        self.unheard[request] = monotonic() + LOST
         super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
         """End a connection."""
         self._connections.discard(request)
+        self.unheard.pop(request, None)
         super().shutdown_request(request)
+
+    def service_actions(self) -> None:
+        """End the connections whose request drips in."""
+        for connection, until in list(self.unheard.items()):
+            if monotonic() > until:
+                self.unheard.pop(connection, None)
+                with suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of a browser that has gone."""
@@ -202,6 +218,7 @@ class PageRequest(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Send the page, the stream of states, or a report."""
+        self.server.unheard.pop(self.connection, None)
         path = unquote(urlsplit(self.path).path)
         if not self._trusted():
             self._send(403, STRANGE)
@@ -209,7 +226,7 @@ class PageRequest(BaseHTTPRequestHandler):
             name, kind = PAGE[path]
             self._send(200, (files("tiltcal.bench") / "page" / name).read_bytes(), kind)
         elif not self._authorised():
-            self._send(401, "the token is missing")
+            self._send(401, NO_TOKEN)
         elif path == "/events":
             self._stream()
         elif path in self.server.reports:
@@ -220,7 +237,7 @@ class PageRequest(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         """Take an answer, or the token."""
         path = urlsplit(self.path).path
-        if not self._trusted() or self.headers.get("Origin") is None:
+        if not self._trusted() or (self.headers.get("Origin") is None and not self._has_bearer()):
             self._send(403, STRANGE)
             return
         try:
@@ -228,14 +245,17 @@ class PageRequest(BaseHTTPRequestHandler):
             said = json.loads(self.rfile.read(max(0, min(length, LONGEST_ANSWER))))
         except (ValueError, TypeError, RecursionError):
             said = None
+        self.server.unheard.pop(self.connection, None)
         if not isinstance(said, dict):
             self._send(400, "an answer is a JSON object")
-        elif path == "/token" and self.server.token is not None:
+        elif path == "/token":
             self._let_in(said.get("token"))
         elif not self._authorised():
-            self._send(401, "the token is missing")
+            self._send(401, NO_TOKEN)
         elif path != "/answer":
             self._send(404, "there is no such page")
+        elif not isinstance(said.get("answer"), str):
+            self._send(400, 'an answer has a word: {"id": ..., "answer": ...}')
         else:
             self._take(said)
 
@@ -253,18 +273,20 @@ class PageRequest(BaseHTTPRequestHandler):
 
     def _trusted(self) -> bool:
         """Return whether the request is to this machine by address, and from our own page where it says so."""
-        host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
-        try:
-            name = urlsplit(f"//{host}").hostname or ""
-        except ValueError:
-            return False
+        hosts, origin = self.headers.get_all("Host", []), self.headers.get("Origin")
+        found = _HOST.fullmatch(hosts[0]) if len(hosts) == 1 else None
+        name = "" if found is None else found[1].strip("[]").lower()
         by_address = name in ("localhost", self.server.named.lower()) or _is_address(name)
-        return by_address and origin in (None, f"http://{host}")
+        return by_address and origin in (None, f"http://{hosts[0]}")
 
     def _authorised(self) -> bool:
-        """Return whether the browser has shown the token, where one is asked for."""
+        """Return whether the browser or the program has shown the token."""
         shown = [pair.strip() for pair in self.headers.get("Cookie", "").split(";")]
-        return self.server.token is None or any(_same(pair, self._cookie) for pair in shown)
+        return self._has_bearer() or any(_same(pair, self._cookie) for pair in shown)
+
+    def _has_bearer(self) -> bool:
+        """Return whether a program has shown the token, which no page of another site can."""
+        return _same(self.headers.get("Authorization", ""), f"Bearer {self.server.token}")
 
     @property
     def _cookie(self) -> str:
@@ -273,7 +295,7 @@ class PageRequest(BaseHTTPRequestHandler):
 
     def _let_in(self, token: object) -> None:
         """Give a browser that shows the token a cookie."""
-        if _same(str(token), str(self.server.token)):
+        if _same(str(token), self.server.token):
             self._send(204, cookie=f"{self._cookie}; HttpOnly; SameSite=Strict; Path=/")
         else:
             sleep(WRONG_TOKEN)
@@ -309,12 +331,9 @@ class PageRequest(BaseHTTPRequestHandler):
 
 def host_and_port(listen: str) -> tuple[str, int]:
     """Return host and port of HOST:PORT, such as ``0.0.0.0:8016`` or ``[::]:8016``; a UsageError where it is not."""
-    try:
-        parts = urlsplit(f"//{listen}")
-        if parts.hostname and parts.port is not None and parts.netloc == listen:
-            return parts.hostname, parts.port
-    except ValueError:
-        pass
+    found = _HOST.fullmatch(listen)
+    if found and found[2] and int(found[2]) < 1 << 16:
+        return found[1].strip("[]").lower(), int(found[2])
     raise UsageError((Argument("listen", listen), f": it is HOST:PORT, such as 0.0.0.0:{PORT}"))
 
 

@@ -11,13 +11,17 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from math import atan2, degrees, hypot, sqrt
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, level_sides, note_on, rows_of
+from tiltcal.bench.guidance import COLUMNS, UNCALIBRATED, SensorGuidance, level_sides, note_on, rows_of, whether_all
 from tiltcal.bench.operators import LOOK, Message, Operator, in_words
 from tiltcal.bench.page_server import PageServer, PageState
+from tiltcal.bench.page_token import PageToken
 from tiltcal.core.attitude import Vector
 from tiltcal.errors import Stopped
+
+if TYPE_CHECKING:
+    from tiltcal.bench.session import Session
 
 LIVE_PAUSE = 0.25
 """Seconds between live readings: a bubble is followed by eye, and a night's journal stays small."""
@@ -45,15 +49,21 @@ SOUNDS = ("sampled", "refused", "done")
 
 
 def open_web(
-    stack: ExitStack, say: Callable[[str], None], *, listen: str | None = None, hands_free: bool = False
+    stack: ExitStack,
+    say: Callable[[str], None],
+    session: Session,
+    *,
+    listen: str | None = None,
+    hands_free: bool = False,
 ) -> WebOperator:
     """Return the operator of a page that is served until the end of the stack; ``say`` takes where it is."""
-    state = PageState()
-    server = PageServer(state, listen)
+    state, token = PageState(), PageToken(session.files.journal)
+    stack.callback(lambda: token.forget() if session.finished else None)
+    server = PageServer(state, token.value, listen)
     stack.callback(server.close)
     say(f"the page of this session: {server.url}")
-    if server.token is not None:
-        say(f"its token, which the page asks for: {server.token}")
+    if listen is not None:
+        say(f"its token, which the page asks for: {token.value}")
     return WebOperator(state, server.reports, hands_free=hands_free)
 
 
@@ -200,7 +210,9 @@ class WebOperator(Operator):
             self._readings.popleft()
         self._guide = self._guided(readings)
         samples, seconds = look.get("samples"), look.get("seconds")
-        doing = "" if samples else look["why"]
+        free = self._hands_free and not look["why"] and self._asked is not None
+        waits = self._waits_for(self._asked) if free and self._asked and self._asked["ask"] == "position" else ""
+        doing = "" if samples else look["why"] or (waits and f"hands-free: {waits}")
         self._state.show(
             guide=self._guide, table=self._table(readings), doing=doing, samples=samples, soak=seconds, **_moment()
         )
@@ -220,17 +232,15 @@ class WebOperator(Operator):
         for serial, one in guides.items():
             share = max((part for (whose, _), part in shares.items() if whose == serial), default=None)
             sensors.append({"present": one.up, "sides": list(one.sides.values()), "share": share, "ok": one.ok})
-        oks = [one.ok for one in guides.values()]
         note = note_on(list(guides.values()))
         aimed = any(tilt.target is not None for one in guides.values() for tilt in one.tilts.values())
-        fits = all(one.fits for one in guides.values())
         return {
             "target": self._target["gravity"] if aimed else None,
             "sides": [name for name, _ in level_sides(self._target["gravity"])],
             "sensors": sensors,
             "worst": None if worst is None else {"axis": worst[1], **offs[worst]._asdict()},
-            "fits": fits,
-            "ok": None if not oks or None in oks else all(oks),
+            "fits": whether_all(one.fits for one in guides.values()),
+            "ok": whether_all(one.ok for one in guides.values()),
             "note": "" if note == UNCALIBRATED else note,
             "still": self._stillness(),
         }
@@ -261,16 +271,26 @@ class WebOperator(Operator):
             return ""
         if question["ask"] == "review" and question["position"] == self._taken:
             return "accept" if all(one["guidance"].fits for one in question["readings"].values()) else ""
-        return "ready" if question["ask"] == "position" and self._readings and self._is_shown(question) else ""
+        return "ready" if question["ask"] == "position" and self._readings and not self._waits_for(question) else ""
 
-    def _is_shown(self, question: Message) -> bool:
-        """Return whether the readings show that a position is set: as expected, another one than before, still."""
+    def _waits_for(self, question: Message) -> str:
+        """Return why free hands do not take a position yet; empty where it is as expected, another one, and still."""
         guide, now = self._guide, self._readings[-1][1]
-        stated = question["temperature"] is None and "stage" not in question and not self._begin["headings"]
-        if not stated or not self._before:
-            return False
-        moved = all(_apart(now[serial], self._before[serial]) > MOVED for serial in now)
-        return moved and guide is not None and guide["fits"] and guide["still"] >= 1.0
+        for stated, what in (
+            (question["temperature"] is not None, "a temperature"),
+            ("stage" in question, "an angle of the stage"),
+            (self._begin["headings"], "a heading"),
+            (not self._before, "the first position, and one after a refusal or a step back,"),
+        ):
+            if stated:
+                return f"{what} asks a person: press Measure"
+        if guide is None or guide["fits"] is None:
+            return "nothing predicts this reading: press Measure when it is set"
+        if not guide["fits"]:
+            return "waits until the reading is within the tolerance"
+        if not all(_apart(now[serial], self._before[serial]) > MOVED for serial in now):
+            return "reads as the position before: a sensor that cannot see the turn asks a person: press Measure"
+        return "" if guide["still"] >= 1.0 else "waits until it stands still"
 
     def _table(self, readings: Mapping[str, Any]) -> dict[str, Any]:
         """Return the table of readings, or of the means of a review."""

@@ -90,7 +90,7 @@ class Afterwards:
 
     def _asked(self, question: Message) -> str:
         answer: Any = self._operator.ask(question)
-        return str(answer["answer"])
+        return str(answer.get("answer"))
 
     def _verify(self) -> None:
         """Measure the positions of ``verify`` with all sensors, and judge each."""

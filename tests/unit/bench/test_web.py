@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from math import cos, radians, sin
 from typing import Any
@@ -33,13 +34,18 @@ class Bench:
     def __init__(self, *, channels: str = "xyz", headings: bool = False, accepted: str = "level") -> None:
         self.time = 0.0
         self.channels = channels
-        self.operator = WebOperator(PageState(), {}, hands_free=True, clock=lambda: self.time)
+        self.state = PageState()
+        self.operator = WebOperator(self.state, {}, hands_free=True, clock=lambda: self.time)
         sensors = {"S-1": {**SENSOR, "channels": tuple(channels)}}
         shown = {"positions": list(ATTITUDES), "attitudes": ATTITUDES, "headings": headings, "sensors": sensors}
         self.operator.tell({"event": "begin", "title": "", "length": "", "accepted": [], **shown})
         mean = dict(zip("xyz", ATTITUDES[accepted], strict=True))
         values = {"mean": {channel: mean[channel] for channel in channels}}
         self.operator.tell({"event": "accepted", "position": accepted, **values})
+
+    def doing(self) -> str:
+        """Return what the page says that the session does."""
+        return str(json.loads(self.state.after(0)[1])["doing"])
 
     def answers(
         self, asked: Mapping[str, Any], tilt: float = 30.0, *, turns: float = 0.0, ok: bool | None = True
@@ -70,21 +76,23 @@ def test_the_next_position_is_taken_where_the_readings_show_it() -> None:
     assert Bench().answers(question("up")) == "ready"
 
 
-def test_all_else_asks_a_person() -> None:
+def test_all_else_asks_a_person_and_says_what_it_waits_for() -> None:
     refused = Bench()
     refused.operator.tell({"event": "refused", "position": "up", "why": "it moved"})
-    answers = {
-        "first of all": Bench(accepted="up").answers(question("up")),
-        "not moved": Bench().answers(question("up"), tilt=4.0),
-        "moving": Bench().answers(question("up"), turns=2.0),
-        "not as expected": Bench().answers(question("up"), ok=False),
-        "expectation vague": Bench().answers(question("up"), ok=None),
-        "temperature": Bench().answers(question("up", temperature=40.0)),
-        "stage": Bench().answers(question("up", stage=90.0)),
-        "heading": Bench(headings=True).answers(question("up")),
-        "after a refusal": refused.answers(question("up")),
-    }
-    assert answers == dict.fromkeys(answers, LOOK)
+    for bench, answers, said in (
+        (Bench(accepted="up"), {}, "reads as the position before"),
+        (Bench(), {"tilt": 4.0}, "reads as the position before"),
+        (Bench(), {"turns": 2.0}, "waits until it stands still"),
+        (Bench(), {"ok": False}, "waits until the reading is within the tolerance"),
+        (Bench(), {"ok": None}, "nothing predicts this reading: press Measure"),
+        (Bench(), {"temperature": 40.0}, "a temperature asks a person"),
+        (Bench(), {"stage": 90.0}, "an angle of the stage asks a person"),
+        (Bench(headings=True), {}, "a heading asks a person"),
+        (refused, {}, "the first position, and one after a refusal"),
+    ):
+        asked = {key: answers.pop(key) for key in ("temperature", "stage") if key in answers}
+        assert bench.answers(question("up", **asked), **answers) == LOOK, said
+        assert bench.doing().startswith(f"hands-free: {said}")
 
 
 def test_a_dead_sensor_is_shown_without_an_attitude() -> None:
