@@ -7,6 +7,7 @@
     ├── InputError          exit 2   a file, a line of it, a key of that line is wrong
     │   └── JournalError             a session journal is damaged or does not match
     ├── EstimateError       exit 2   the positions cannot determine the coefficients
+    │   └── WrongPositions           positions contradict the others, and are named
     ├── HardwareError       exit 3   the bus, the sensor or its wiring
     │   ├── BusError                 no device, no permission, no answer, unplugged
     │   ├── DeviceFault              the device answers, and says or shows that it is faulty
@@ -18,7 +19,7 @@ A message says what was found, where, and what to do.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from os import PathLike
 
 NEGATIVE_VERDICT = 1
@@ -135,6 +136,20 @@ class JournalError(InputError):
 
 class EstimateError(TiltcalError):
     """The positions at hand cannot determine the coefficients that were asked for."""
+
+
+class WrongPositions(EstimateError):
+    """Positions contradict the others by more than any error of what was set; taken again, they may agree.
+
+    Parameters
+    ----------
+    positions : sequence of str
+        Those among which the wrong one is.
+    """
+
+    def __init__(self, positions: Sequence[str], message: str) -> None:
+        self.positions = tuple(positions)
+        super().__init__(message)
 
 
 class HardwareError(TiltcalError):

@@ -119,7 +119,7 @@ def test_an_answer_that_will_not_do_is_refused_with_the_reason(tmp_path: Path) -
     rubbish = {
         "what?": "not understood: 'what?'",
         "[]": "a mapping is needed here, found a list",
-        '{"answer": "yes"}': "answer 'yes' is not one of ready, redo, back, quit",
+        '{"answer": "yes"}': "answer 'yes' is not one of ready, redo, back, again, quit",
         '{"answer": "ready", "tilt": {"y": NaN}}': "not understood",
         '{"answer": "ready", "tilt": {"y": 95}}': "a tilt of 95.0° is not between -90° and 90°",
         '{"answer": "ready", "tilt": {"q": 3}}': "unknown key 'q'; known here: x, y",

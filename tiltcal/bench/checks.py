@@ -92,6 +92,7 @@ def result_of(
     *,
     typed: float | None = None,
     left_out: int = 0,
+    takes: int = 1,
     steps: Mapping[str, ReadingStep] | None = None,
 ) -> PositionResult:
     """Return what the samples of a position give at a time; of a ramp, without ``steps``, but for those at a rail.
@@ -100,7 +101,7 @@ def result_of(
     thermometer, else the one that was asked for. Where a model states no step, the one that the readings show is added
     to ``steps``.
     """
-    where = {"time": when, **({"left_out": left_out} if left_out else {})}
+    where = {"time": when, **({"left_out": left_out} if left_out else {}), **({"takes": takes} if takes > 1 else {})}
     measurements = {}
     for sensor in sensors:
         readings, model = [sample[sensor.serial] for sample in samples], sensor.wired

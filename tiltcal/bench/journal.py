@@ -7,7 +7,7 @@ judged a second time: an accepted position names the lines of its samples.
 from __future__ import annotations
 
 from array import array
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import nan
@@ -19,6 +19,7 @@ from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, result_o
 from tiltcal.bench.devices import BenchDevice
 from tiltcal.bench.operators import Message, as_set
 from tiltcal.bench.playback import Playback, RecordedSample
+from tiltcal.bench.setup import Setup
 from tiltcal.core.model import Array
 from tiltcal.core.samples import ReadingStep
 from tiltcal.errors import JournalError
@@ -33,6 +34,7 @@ from tiltcal.files.journal import (
     OperatorAnswer,
 )
 from tiltcal.files.moments import moment_after, stamp
+from tiltcal.files.procedure import Position
 from tiltcal.files.results import (
     VIRTUAL,
     BenchRecord,
@@ -53,8 +55,9 @@ DIGITS = 1e-9  # part of its size by which a mean may differ from the one that w
 class RecordedSession:
     """What a journal holds of a session.
 
-    ``accepted`` are the positions in order, ``leg`` the samples of a ramp since the last one, ``turned`` the end of a
-    rotation. ``spans`` are what the readings span, ``steps`` what they have shown of the steps that no model states.
+    ``accepted`` are the positions in the order of time, and ``last`` is the last of all, be it withdrawn; ``leg`` are
+    the samples of a ramp since then, ``turned`` the end of a rotation. ``spans`` are what the readings span, ``steps``
+    what they have shown of the steps that no model states.
     """
 
     def __init__(self, journal: Journal) -> None:
@@ -63,6 +66,8 @@ class RecordedSession:
         self.setup = self.playback.setup
         self.sensors = {sensor.serial: sensor for sensor in self.setup.sensors}
         self.accepted: list[PositionResult] = []
+        self.last: PositionResult | None = None
+        self._again: Counter[str] = Counter()
         self.leg: list[RecordedSample] = []
         self.turned: AcceptedPosition | None = None
         self.spans = ReadingSpans(self.setup.sensors)
@@ -90,7 +95,32 @@ class RecordedSession:
         """Whether all positions are accepted, or the rotation has ended."""
         if self._channels is not None:
             return self.turned is not None or self.journal.end is not None
-        return len(self.accepted) == len(self.setup.steps.positions)
+        return not self.open
+
+    @property
+    def open(self) -> list[Position]:
+        """The positions that are still to be taken, in the procedure's order."""
+        done = {result.position.name for result in self.accepted}
+        return [position for position in self.setup.steps.positions if position.name not in done]
+
+    def takes(self, name: str) -> int:
+        """Return how often a position was taken, be it one that is taken now."""
+        return 1 + self._again[name]
+
+    def accept(self, result: PositionResult) -> None:
+        """Take an accepted position."""
+        self.accepted.append(result)
+        self.last = result
+
+    def withdraw(self, answer: OperatorAnswer) -> None:
+        """Withdraw the position that is taken ``again``, or of ``back`` the one that was accepted last in time."""
+        if answer.answer == "again":
+            kept = [result for result in self.accepted if result.position.name != answer.position]
+            self._again[answer.position] += len(self.accepted) - len(kept)
+            self.accepted[:] = kept
+        # A session refuses to go back over the leg of a ramp, and before the first position.
+        elif answer.answer == "back" and not self.setup.steps.ramp:
+            del self.accepted[-1:]
 
     @property
     def turning(self) -> bool:
@@ -126,9 +156,7 @@ class RecordedSession:
             self._samples.append(sample)
 
     def _hear(self, answer: OperatorAnswer) -> None:
-        # A session refuses to go back over the leg of a ramp, and before the first position.
-        if answer.answer == "back" and answer.to in ("position", "review") and not self.setup.steps.ramp:
-            del self.accepted[-1:]
+        self.withdraw(answer)
         if answer.to in ("position", "rotation") and answer.answer == "ready":
             self._answer, self._sampling = answer, True
             self._samples.clear()
@@ -139,9 +167,8 @@ class RecordedSession:
             self.turned = noted
             return
         values = noted.sensors
-        positions = self.setup.steps.positions
-        asked = positions[len(self.accepted)] if len(self.accepted) < len(positions) else None
-        if asked is None or asked.name != noted.position or self._answer is None or noted.lines is None:
+        asked = next((position for position in self.open if position.name == noted.position), None)
+        if asked is None or self._answer is None or noted.lines is None:
             raise self._error(f"accepts {noted.position!r}, which the procedure does not ask for here", event)
         position, typed = as_set(asked, self._answer), self._answer.temperature
         if self.setup.steps.ramp is not None:
@@ -162,10 +189,11 @@ class RecordedSession:
             stamp(moment_after(self.setup.began, samples[-1].now_ns)),
             typed=typed,
             left_out=noted.left_out,
+            takes=self.takes(asked.name),
             steps=self.steps if self.setup.steps.ramp is None else None,
         )
         self._require_same_means(result, values, event)
-        self.accepted.append(result)
+        self.accept(result)
         self._sampling = False  # what is read until the next answer is for the operator's eyes
 
     def _require_same_means(self, result: PositionResult, values: Mapping[str, Message], event: Event) -> None:
@@ -180,8 +208,10 @@ class RecordedSession:
                     )
 
     def results(self) -> list[PositionResult]:
-        """Return the accepted positions with the steps that all their readings have shown."""
-        return [result.with_steps(self.steps) for result in self.accepted]
+        """Return the accepted positions in the procedure's order, with the steps that all readings have shown."""
+        names = [position.name for position in self.setup.steps.positions]
+        ordered = sorted(self.accepted, key=lambda result: names.index(result.position.name))
+        return [result.with_steps(self.steps) for result in ordered]
 
     def rotation_rows(self) -> Array:
         """Return the samples of a turning stage: seconds, angle in degrees, readings; shape (n, 2 + channels).
@@ -257,11 +287,7 @@ def calibrations_of(journal: Journal) -> SessionResult:
     session = positions_of(journal)
     setup = session.setup
     if not session.complete:
-        raise JournalError(
-            f"the session was interrupted; continue it with: {setup.resume_command(journal.path)}",
-            file=journal.path,
-            line=len(journal.events) + 2,
-        )
+        raise interrupted(journal)
     statistics = session.playback.link_statistics()
     provenance = {
         "made_by": VIRTUAL if setup.simulated else "measurement",
@@ -280,18 +306,25 @@ def calibrations_of(journal: Journal) -> SessionResult:
     return SessionResult(calibrations, session.lost, statistics)
 
 
-def _tilt_calibrations(
-    session: RecordedSession, provenance: Mapping[str, Any], statistics: Mapping[str, dict[str, int]]
-) -> dict[str, CalibrationRecord]:
-    """Return the calibration of each sensor that was not given up, by its serial number."""
+def interrupted(journal: Journal) -> JournalError:
+    """Return the error of a journal without its end, which says how to go on."""
+    command = Setup.of(journal).resume_command(journal.path)
+    why = f"the session was interrupted; continue it with: {command}"
+    return JournalError(why, file=journal.path, line=len(journal.events) + 2)
+
+
+def fitted(session: RecordedSession) -> list[CalibrationRecord]:
+    """Return the calibration of each sensor that was not given up, without its provenance.
+
+    EstimateError: the positions cannot determine the coefficients; WrongPositions where some contradict the others.
+    """
     from tiltcal.calibration.calibrate import calibrate
     from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor
-    from tiltcal.calibration.wording import quiet_note
 
     setup, settings, accepted, ramps = session.setup, session.setup.settings, session.results(), session.ramp_records()
     # The steps of the sensors' own thermometers count where those are the only ones.
     own_thermometers = setup.thermometer is None and not any(result.typed for result in accepted)
-    records = calibrate(
+    return calibrate(
         [
             MeasuredSensor(
                 SensorIdentity(sensor.model, sensor.serial, sensor.wired.unit, sensor.wired.channels),
@@ -309,7 +342,15 @@ def _tilt_calibrations(
         typical_temperature=setup.typical_temperature,
         settings={"samples": settings.samples, "settle_seconds": settings.settle},
     )
-    calibrations = {}
+
+
+def _tilt_calibrations(
+    session: RecordedSession, provenance: Mapping[str, Any], statistics: Mapping[str, dict[str, int]]
+) -> dict[str, CalibrationRecord]:
+    """Return the calibration of each sensor that was not given up, by its serial number."""
+    from tiltcal.calibration.wording import quiet_note
+
+    setup, records, calibrations = session.setup, fitted(session), {}
     quiet = session.spans.quiet_channels(setup.steps.positions)
     for sensor, record in zip(session.at_work, records, strict=True):
         notes = [*setup.overdue(), *(quiet_note(channel, n) for channel, n in quiet[sensor.serial].items())]

@@ -121,9 +121,10 @@ class Mover:
                 raise HardwareError(f"it was at {in_words(self._at)}, and is at {in_words(drive.read()[0])}")
 
     def close(self) -> None:
-        """Release the machine."""
-        if self._drive is not None:
-            self._drive.close()
+        """Release the machine; it is opened anew, with what is sent first, when it is needed again."""
+        drive, self._drive, self._targets = self._drive, None, {}
+        if drive is not None:
+            drive.close()
 
     def _is_there(self, drive: Drive) -> bool:
         at, _ = drive.read()
@@ -176,6 +177,10 @@ class Machines:
         self._person, self._movers, self._clock = person, list(movers), clock
         self._ramps, self._thermometer = steps.ramp is not None, thermometer
         self.watches, self.most_attempts = person.watches, person.most_attempts
+        self.speaks_unasked = person.speaks_unasked
+        self._contradicting: set[str] = set()
+        """The positions for which the person is asked, though the machines set them."""
+        self._refound = False
         self._limits = {axis: limits for mover in movers for axis, limits in mover.machine.limits.items()}
         self._carrier = next((one.machine.carrier for one in movers if set(TILTS) & set(one.machine.limits)), "")
         self._failures = 0
@@ -195,6 +200,21 @@ class Machines:
         """Release the machines."""
         for mover in self._movers:
             mover.close()
+
+    def to_take_again(self, wrong: Sequence[str], taken: Sequence[str]) -> Sequence[str]:
+        """Return all positions from the first wrong one on, which a lost step falsifies, after a reference run.
+
+        That is done once; then, and where a table has no reference run, the wrong ones alone, of which the person is
+        asked.
+        """
+        refinding = [mover for mover in self._movers if mover.machine.start]
+        if self._refound or not refinding:
+            self._contradicting |= {*wrong}
+            return wrong
+        self._refound = True
+        for mover in refinding:
+            mover.close()
+        return taken[min(map(taken.index, wrong)) :]
 
     def ask(self, question: Message) -> object:
         """Return the answer to a question; to a position it is what was read back."""
@@ -237,7 +257,7 @@ class Machines:
                 }
             )
         left = self._left_to_hand(question)
-        self._asked_by_hand = left != self._by_hand
+        self._asked_by_hand = left != self._by_hand or question["position"] in self._contradicting
         self.most_attempts = self._person.most_attempts if self._asked_by_hand else REFUSALS
         if not self._asked_by_hand:
             return {"answer": "ready", **self._as_set(question, reached)}

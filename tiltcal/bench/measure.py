@@ -10,6 +10,7 @@ from typing import Any
 
 from tiltcal.bench.devices import RECOVERY
 from tiltcal.bench.journal import SessionResult, calibrations_of
+from tiltcal.bench.judgement import Judgement
 from tiltcal.bench.operators import NAMED, Operator, Program, PythonObject, VirtualJig
 from tiltcal.bench.session import Session
 from tiltcal.bench.settle import Unsettled
@@ -140,25 +141,30 @@ def run_session(session: Session, operator: Operator) -> SessionResult:
             from tiltcal.bench.rotation import TurningStage
 
             TurningStage(session, steps.rotation).turn()
-        while len(session.accepted) < len(steps.positions):
-            position = steps.positions[len(session.accepted)]
+        judgement = Judgement(session, operator)
+        while not _measured(session, judgement):
+            position = session.recorded.open[0]
             try:
-                answer = session.attempt(position)
-                if answer == "back" and not session.accepted:
-                    raise InputError("this is the first position: there is none before it to go back to")
-                if answer == "back":
-                    session.accepted.pop()
+                session.attempt(position)
             except JournalError:
                 raise
             except (Unsettled, InputError, HardwareError) as error:
                 _refuse(session, position.name, error)
-        if not session.setup.verifies:
-            outputs = [session.files.outputs.get(sensor.serial) for sensor in session.sensors.sensors]
-            session.ask({"ask": "write", "files": [str(output) for output in outputs if output is not None]})
         result = calibrations_of(read_journal(session.files.journal))
         session.writer.finish(0)
         session.finished = True
     return result
+
+
+def _measured(session: Session, judgement: Judgement) -> bool:
+    """Return whether all positions are taken and agree, and the files are to be written."""
+    if not session.recorded.open:
+        judgement.require_agreement()
+    if session.recorded.open or session.setup.verifies:
+        return not session.recorded.open
+    outputs = [session.files.outputs.get(sensor.serial) for sensor in session.sensors.sensors]
+    files = [str(output) for output in outputs if output is not None]
+    return session.ask({"ask": "write", "files": files}).answer == "yes"
 
 
 def _refuse(session: Session, position: str, error: Exception) -> None:

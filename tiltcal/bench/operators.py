@@ -6,6 +6,7 @@ A session asks, and the answer is ``{"answer": ...}``; it tells what has happene
      "temperature": None, "prompt": "Tilt the +Y side up to 30°"}
         -> {"answer": "ready"}            or {"answer": "ready", "tilt": {"y": 30.02}, "temperature": 5.4}
            or {"answer": "redo" | "back" | "quit"}
+           or {"answer": "again", "position": "x-tilt1"}
     {"event": "waiting", "position": "y-tilt1", "seconds": 60, "why": "...", "temperature": 5.4}
     {"event": "accepted", "position": "y-tilt1", "mean": {...}, "std": {...}, "n": 100}
     {"event": "refused", "position": "y-tilt1", "why": "..."}             (followed by the same question)
@@ -21,9 +22,10 @@ The operator of a turning stage is asked once, and may stop it at any time::
     {"event": "held", "why": "..."}, {"event": "resumed"}
     {"event": "accepted", "position": "rotation", "turns": 25.1, "p": {...}, ..., "suppression": {...}}
 
-``waiting`` comes once a minute. ``redo`` asks for the same position again; ``back`` gives up the position before it and
-asks for that one. A person is asked for a review of each position and before the files are written too, and sees every
-reading.
+``waiting`` comes once a minute. ``redo`` asks for the same position again; ``back`` withdraws the one that was accepted
+last, ``again`` the one that it names, also unasked while a reading settles; it is asked for anew. A person is asked for
+a review of each position and before the files are written too, and sees every reading. Before that the positions are
+judged: one that contradicts the others is refused and asked for again.
 """
 
 from __future__ import annotations
@@ -55,17 +57,20 @@ from tiltcal.stated_arguments import of_python
 Message = Mapping[str, Any]
 
 NAMED = ("terminal", "web", "json", "sim")  # a person at the terminal or at a page, a program, the virtual jig
-USUAL = {"position": "ready", "rotation": "ready", "review": "accept", "write": "yes"}
+USUAL = {"position": "ready", "rotation": "ready", "review": "accept", "write": "yes", "stop": "quit"}
 """The answer to a question that an operator leaves to its default."""
 
 WORDS = {
-    "position": ("ready", "redo", "back", "quit"),
+    "position": ("ready", "redo", "back", "again", "quit"),
     "rotation": ("ready", "quit"),
     "poll": ("stop", "quit"),
-    "review": ("accept", "redo", "back", "quit"),
-    "write": ("yes", "quit"),
+    "settling": ("again",),
+    "review": ("accept", "redo", "back", "again", "quit"),
+    "write": ("yes", "back", "again", "quit"),
+    "stop": ("back", "again", "quit"),
 }
 """The answers to each question."""
+UNASKED = ("poll", "settling")  # the questions that nobody has to answer
 
 LOOK = "look"  # the answer of an operator that wants to see a reading before it is asked again
 HEARD = ("waiting", "accepted", "refused", "lost", "done", "turn", "held", "resumed")  # the events that a program gets
@@ -77,11 +82,12 @@ class Operator(Protocol):
     """Who brings the sensors into position.
 
     A session stops where one position, or the stage, is asked for in vain ``most_attempts`` times in a row, of a person
-    never. ``watches`` is whether it is shown every reading.
+    never. ``watches`` is whether it is shown every reading, ``speaks_unasked`` whether it may answer while one settles.
     """
 
     most_attempts: int | None = None
     watches: bool = False
+    speaks_unasked: bool = False
 
     def ask(self, question: Message) -> object:
         """Return the answer to a question; Stopped where the operator quits."""
@@ -90,6 +96,10 @@ class Operator(Protocol):
     def tell(self, event: Message) -> None:
         """Take an event; Stopped where the operator gives up."""
         ...
+
+    def to_take_again(self, wrong: Sequence[str], taken: Sequence[str]) -> Sequence[str]:
+        """Return which of the positions ``taken`` are to be taken again where some contradict the others."""
+        return wrong
 
 
 def as_set(position: Position, answer: OperatorAnswer) -> Position:
@@ -121,6 +131,8 @@ def understood(said: object, words: Sequence[str] = WORDS["position"]) -> Operat
     answer = document_of(said, "the answer").read(OperatorAnswer)
     if answer.answer not in words:
         raise InputError(f"answer {answer.answer!r} is not one of {', '.join(words)}")
+    if (answer.answer == "again") != bool(answer.position):
+        raise InputError("the answer 'again', and no other, names the position")
     low, high = TEMPERATURES
     if answer.temperature is not None and not low <= answer.temperature <= high:
         raise InputError(f"temperature in the answer is {answer.temperature:g} °C, not between {low:g} and {high:g}")
@@ -195,7 +207,7 @@ class VirtualJig(Operator):
         """Return the usual answer."""
         if question["ask"] == "rotation":
             self._say(f"{len(question['pairs'])} pairs, up to {question['turns']} turns of the virtual stage")
-        return {"answer": USUAL[question["ask"]]} if question["ask"] in USUAL else None
+        return usual(question)
 
     def tell(self, event: Message) -> None:
         """Print what a person would like to read afterwards."""
@@ -233,16 +245,17 @@ class Program(Operator):
     """
 
     most_attempts = 100
+    speaks_unasked = True
 
     def __init__(self, answers: TextIO, questions: TextIO) -> None:
         self._answers, self._questions = LineReader(answers), questions
 
     def ask(self, question: Message) -> object:
         """Ask, and wait for the answer; to a poll return what the program has said without being asked."""
-        if question["ask"] in ("review", "write"):
-            return {"answer": USUAL[question["ask"]]}
         if question["ask"] == "poll":
             return self._next() if self._answers.waiting() else None
+        if question["ask"] not in ("position", "rotation"):
+            return self._again() or usual(question)
         self._send(question)
         return self._next()
 
@@ -250,6 +263,14 @@ class Program(Operator):
         """Send an event, unless it is for a person's eyes."""
         if event["event"] in HEARD:
             self._send(event)
+
+    def _again(self) -> object:
+        """Return the answer ``again``, which may come unasked; any other waits for its question."""
+        for line in self._answers.waiting()[:1]:
+            with suppress(InputError):
+                if again(parsed(line)):
+                    return self._next()
+        return None
 
     def _next(self) -> object:
         line = self._answers.next()
@@ -266,9 +287,13 @@ class Program(Operator):
 
 
 class PythonObject(Operator):
-    """An object with a method for each question that it answers, ``position`` or ``rotation``, and each event."""
+    """An object with a method for each question that it answers, ``position`` or ``rotation``, and each event.
+
+    Its ``poll`` is called while a stage turns, and while a reading settles, where it may answer ``again``.
+    """
 
     most_attempts = 100
+    speaks_unasked = True
 
     def __init__(self, rig: object, question: str) -> None:
         self._rig = rig
@@ -278,16 +303,25 @@ class PythonObject(Operator):
     def ask(self, question: Message) -> object:
         """Return what the method returns."""
         name = question["ask"]
-        if name == "poll":
-            return self._rig.poll() if hasattr(self._rig, "poll") else None
-        if name in ("review", "write"):
-            return {"answer": USUAL[name]}
-        return getattr(self._rig, name)(question)
+        if name in UNASKED:
+            said = self._rig.poll() if hasattr(self._rig, "poll") else None
+            return said if name == "poll" or again(said) else None
+        return getattr(self._rig, name)(question) if name in ("position", "rotation") else usual(question)
 
     def tell(self, event: Message) -> None:
         """Call the method of an event that a program gets, where the object has it."""
         if event["event"] in HEARD and hasattr(self._rig, event["event"]):
             getattr(self._rig, event["event"])(event)
+
+
+def usual(question: Message) -> object:
+    """Return the usual answer to a question; nothing where nobody has to answer."""
+    return {"answer": USUAL[question["ask"]]} if question["ask"] in USUAL else None
+
+
+def again(said: object) -> bool:
+    """Return whether an answer asks to take an accepted position again."""
+    return isinstance(said, Mapping) and said.get("answer") == "again"
 
 
 def parsed(line: str) -> object:

@@ -17,7 +17,8 @@ from tiltcal.bench.checks import Expectations, PositionResult, at_rail, far_off,
 from tiltcal.bench.devices import RECOVERY, Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.journal import RecordedSession, positions_of
-from tiltcal.bench.operators import LOOK, WORDS, Operator, as_set, understood
+from tiltcal.bench.judgement import RAMP, require_withdrawable
+from tiltcal.bench.operators import LOOK, UNASKED, WORDS, Operator, as_set, understood
 from tiltcal.bench.playback import RecordedSample
 from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.setup import SessionFiles, Setup
@@ -122,32 +123,38 @@ class Session:
     def _go_on(self) -> None:
         """Go on from what the journal holds; the virtual jig has taken its positions, too."""
         self.accepted, self.leg = self.recorded.accepted, self.recorded.leg
-        for result in self.accepted:
+        last = self.recorded.last
+        withdrawn = [] if last is None or any(result is last for result in self.accepted) else [last]
+        for result in (*self.accepted, *withdrawn):
             self._hold(replace(result.position, temperature=result.asked))
         if self.leg:
             (reading, *_) = self.leg[-1].readings.values()
-            position = self.setup.steps.positions[len(self.accepted)]
-            self._hold(replace(position, temperature=reading.temperature))
-        self._soaked = self.accepted[-1].asked if self.accepted else None
+            self._hold(replace(self.recorded.open[0], temperature=reading.temperature))
+        self._soaked = None if last is None else last.asked
         self._interrupted = self._soaked is not None
         if self.journal is not None:
             self.clock.seek(self.recorder.now_ns())
             self.recorder.record(RESUMED)
 
-    def attempt(self, position: Position) -> str:
-        """Ask for a position, measure it, have it judged; return the last answer."""
+    def attempt(self, position: Position) -> None:
+        """Ask for a position, measure it, and have it reviewed."""
         if (ramp := self.setup.steps.ramp) is not None:
-            return self._take_leg(ramp, position)
+            self._take_leg(ramp, position)
+            return
         answer = self.ask_for(position)
         if answer.answer != "ready":
-            return answer.answer
+            return
         actual = as_set(position, answer)
         if actual != position:
             self._hold(actual)
         window = self._window(position, answer.temperature)
-        wait_until_still(
-            self.sensors, self.recorder, window, lambda sample, why, left: self.look(actual, sample, why, seconds=left)
-        )
+
+        def settling(sample: Sample, why: str, left: float) -> None:
+            self.look(actual, sample, why, seconds=left)
+            if self._operator.speaks_unasked:
+                self._heard({"ask": "settling", "position": position.name}, "settling")
+
+        wait_until_still(self.sensors, self.recorder, window, settling)
         self._soaked = position.temperature
         first = self.recorder.line + 1
         samples, without = self._sampled(actual, thermometers=answer.temperature is None)
@@ -173,7 +180,6 @@ class Session:
         )
         if verdict.answer == "accept":
             self.accept(result, {"lines": [first, last], **({"without": without} if without else {})})
-        return verdict.answer
 
     def ask_for(self, position: Position) -> OperatorAnswer:
         """Ask for a position."""
@@ -206,9 +212,11 @@ class Session:
 
         Stopped: the operator quits.
         """
-        while (answer := self._heard(question, question["ask"])) is None:
-            self._show_reading(question)
-        return answer
+        while True:
+            if (answer := self._heard(question, question["ask"])) is None:
+                self._show_reading(question)
+            elif answer.answer != "again" or question["ask"] != "review" or answer.position == question["position"]:
+                return answer
 
     def poll(self, to: str) -> OperatorAnswer | None:
         """Return what the operator said without being asked; None where that is nothing."""
@@ -219,16 +227,23 @@ class Session:
         while True:
             try:
                 said = self._operator.ask(question)
-                if said == {"answer": LOOK} or (said is None and question["ask"] == "poll"):
+                if said == {"answer": LOOK} or (said is None and question["ask"] in UNASKED):
                     return None
                 answer = understood(said, WORDS[question["ask"]])
+                require_withdrawable(answer, question, self.recorded)
             except InputError as error:
-                self.refuse(question.get("position", "rotation"), str(error))
+                stage = self.setup.steps.rotation is not None
+                self.refuse(question.get("position", "rotation" if stage else question["ask"]), str(error))
                 continue
             if answer.answer == "quit":
                 raise Stopped("the operator program answered quit")
-            self.recorder.record(ANSWER, plain(answer.replaced(to=to)))
+            self.note(answer.replaced(to=to))
             return answer
+
+    def note(self, answer: OperatorAnswer) -> None:
+        """Write an answer into the journal; ``again`` and ``back`` withdraw a position at once."""
+        self.recorder.record(ANSWER, plain(answer))
+        self.recorded.withdraw(answer)
 
     def tell(self, event: str, **fields: Any) -> None:
         """Tell the operator what has happened."""
@@ -254,7 +269,7 @@ class Session:
         values = result.values()
         self.recorder.record(POSITION, {"position": result.position.name, **samples, "sensors": values})
         self.recorder.secure()
-        self.accepted.append(result)
+        self.recorded.accept(result)
         stated = {
             serial: {key: value for key, value in one.items() if value is not None} for serial, one in values.items()
         }
@@ -327,7 +342,7 @@ class Session:
         if typed is not None:
             return True
         for serial, reading in self.sensors.read(fresh=True).items():
-            before = self.accepted[-1].measurements[serial].temperature
+            before = None if self.recorded.last is None else self.recorded.last.measurements[serial].temperature
             if (
                 reading.temperature is not None
                 and abs(reading.temperature - (soaked if before is None else before)) > NEAR
@@ -368,18 +383,19 @@ class Session:
                     raise Unsettled(why)
         readings = [sample for _, sample in samples]
         result = result_of(
-            sensors, actual, asked, readings, self.now(), typed=typed, left_out=left_out, steps=self.recorded.steps
-        )
+            sensors, actual, asked, readings, self.now(), typed=typed, left_out=left_out,
+            takes=self.recorded.takes(asked.name), steps=self.recorded.steps,
+        )  # fmt: skip
         return result.with_steps(self.recorded.steps)
 
-    def _take_leg(self, ramp: Ramp, position: Position) -> str:
-        """Ask for a turning point of a ramp, sample without a break until it is reached; return the answer.
+    def _take_leg(self, ramp: Ramp, position: Position) -> None:
+        """Ask for a turning point of a ramp, and sample without a break until it is reached.
 
         The operator answers at once: what counts is the way there.
         """
         answer = self.ask_for(position)
         if answer.answer != "ready":
-            raise Unsettled("a ramp is one continuous record: no leg can be taken again; quit, and begin anew")
+            raise Unsettled(RAMP)
         # A temperature that is typed is that of one moment; the thermometer is read all the time.
         actual = replace(as_set(position, answer), temperature=position.temperature)
         if self.accepted and actual.gravity != self.accepted[0].position.gravity:
@@ -394,7 +410,6 @@ class Session:
         result = result_of(self.sensors.sensors, actual, position, samples, self.now())
         self.leg = []
         self.accept(result, {"lines": [first, last]})
-        return answer.answer
 
     def _sampled_on_the_way(self, ramp: Ramp, position: Position) -> list[Sample]:
         """Sample until the temperature of a position is reached, or changes no more; SensorError as in a position."""

@@ -40,6 +40,7 @@ HELP = {
     "t temperature": "type the temperature, where no thermometer is read",
     "b back": "give up the position before this one, and take that again",
     "r redo": "take this position again",
+    "p position again": "take a position again that was accepted: type its name",
     "s stop and use the turns so far": "match the pairs on the turns that were made",
     "q stop and keep": "stop; what was accepted is kept, and --resume goes on",
     "n stop and keep": "stop without the files; --resume asks again",
@@ -186,7 +187,7 @@ class Terminal(Operator):
         """Show the person what to do, and wait for a key."""
         asks: dict[str, Callable[[Message], object]] = {
             "position": self._position, "rotation": self._rotation, "poll": self._poll, "review": self._review,
-            "write": self._write,
+            "write": self._write, "stop": self._stop,
         }  # fmt: skip
         return asks[question["ask"]](question)
 
@@ -222,7 +223,7 @@ class Terminal(Operator):
                 self._say(f"  at {question['temperature']:g} °C")
             if "stage" in question:
                 self._say(f"  stage at {question['stage']:g}°")
-            self._hint("Enter measure", "a angle set", "t temperature", "b back", "q stop and keep")
+            self._hint("Enter measure", "a angle set", "t temperature", "b back", "p position again", "q stop and keep")
             key = self._keys.choice(0.0 if self._live else None)
         else:
             key = self._keys.choice(LIVE_PAUSE)
@@ -234,7 +235,11 @@ class Terminal(Operator):
                 self._asked = {}
                 word = {ENTER: "ready", "b": "back", "r": "redo"}[key]
                 return {"answer": word, **(self._answer if key == ENTER else {})}
-            if key == "t":
+            if key == "p":
+                if named := self._named():
+                    self._asked = {}
+                    return named
+            elif key == "t":
                 typed = self._typed("temperature in °C", "temperature")
                 self._answer |= {"temperature": typed[0]} if typed else {}
             elif key == "a" and question["tilt"] is not None:
@@ -278,18 +283,39 @@ class Terminal(Operator):
         for cells, ok in rows:
             line = "  ".join(cell.rjust(width) for cell, width in zip(cells, widths, strict=False))
             self._say(f"{line}{'  ok' if ok else ''}", "dim" if ok is None else "")
-        self._hint("Enter accept", "r redo", "b back", "q stop and keep")
-        return {"answer": {ENTER: "accept", "r": "redo", "b": "back"}[self._choice(f"{ENTER}rb")]}
+        self._hint("Enter accept", "r redo", "b back", "p position again", "q stop and keep")
+        return self._answered({ENTER: "accept", "r": "redo", "b": "back"})
 
     def _write(self, question: Message) -> object:
         """Ask once more before the files are written."""
         files = question["files"]
         named = ", ".join(f"{path} (replaces the one there)" if os.path.exists(path) else path for path in files)
         self._say(f"\nEverything is measured. Write {named}?")
-        self._hint("Enter write", "n stop and keep")
-        if self._choice(f"{ENTER}yn", quits="not written: the operator declined") == "n":
-            raise Stopped("not written: the operator declined")
-        return {"answer": "yes"}
+        self._hint("Enter write", "b back", "p position again", "n stop and keep")
+        words = {ENTER: "yes", "y": "yes", "b": "back", "n": "quit"}
+        return self._answered(words, quits="not written: the operator declined")
+
+    def _stop(self, question: Message) -> object:
+        """Say why nothing can be written, and wait for the end."""
+        self._ring()
+        self._say(f"\n  {question['why']}", "bold red")
+        self._hint("q stop and keep", "b back", "p position again")
+        return self._answered({"b": "back"})
+
+    def _answered(self, words: Mapping[str, str], quits: str = "stopped by the operator") -> object:
+        """Wait for one of some keys, or for the name of a position to take again, and return the answer."""
+        while (key := self._choice("".join((*words, "p")), quits)) == "p":
+            if named := self._named():
+                return named
+        if words[key] == "quit":
+            raise Stopped(quits)
+        return {"answer": words[key]}
+
+    def _named(self) -> dict[str, str]:
+        """Return the answer that takes a position again whose name is typed; nothing where the line is empty."""
+        self._say(f"  which of {', '.join(self._positions)} is to be taken again, or Enter for none: ", end="")
+        name = self._keys.line()
+        return {"answer": "again", "position": name} if name else {}
 
     def _choice(self, keys: str, quits: str = "stopped by the operator") -> str:
         """Wait for one of these keys; ``q`` stops the session with these words."""

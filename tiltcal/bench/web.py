@@ -96,9 +96,9 @@ class WebOperator(Operator):
         self._sounds = dict.fromkeys(SOUNDS, 0)
         self._log: list[dict[str, str]] = []
         state.show(
-            title="tiltcal", hands_free=hands_free, positions=[], at=0, step="", prompt="", conditions=[], doing="",
-            refused="", soak=None, samples=None, remaining=None, guide=None, table=None, results=[], live={}, log=[],
-            sounds={}, read_ms=0, ended=False,
+            title="tiltcal", hands_free=hands_free, positions=[], accepted=[], now="", step="", prompt="",
+            conditions=[], doing="", refused="", soak=None, samples=None, remaining=None, guide=None, table=None,
+            results=[], live={}, log=[], sounds={}, read_ms=0, ended=False,
         )  # fmt: skip
 
     def ask(self, question: Message) -> object:
@@ -135,14 +135,16 @@ class WebOperator(Operator):
             case "begin":
                 self._begin, self._before, self._target = event, {}, {}
                 title = "  ".join(filter(None, (event["title"], event["length"])))
-                self._state.show(title=title, positions=event["positions"], at=len(event["accepted"]))
+                self._state.show(title=title, positions=event["positions"], accepted=event["accepted"])
             case "progress":
                 # A person, or a table that asks nobody, sets the position now.
                 self._target = {"gravity": self._begin["attitudes"].get(event["position"])}
                 self._guide = None
                 self._readings.clear()
-                at, step = len(event["accepted"]), self._step(event["position"])
-                self._state.show(at=at, step=step, prompt=event["position"], remaining=event["seconds"])
+                name, step = event["position"], self._step(event["position"])
+                self._state.show(
+                    accepted=event["accepted"], now=name, step=step, prompt=name, remaining=event["seconds"]
+                )
             case "look":
                 self._show_reading(event)
             case "refused":
@@ -185,9 +187,11 @@ class WebOperator(Operator):
                 pairs = [f"{' and '.join(pair['pair'])}, orthogonal {pair['orthogonal']}" for pair in question["pairs"]]
                 fields |= {"step": f"up to {question['turns']} turns", "conditions": pairs}
                 fields["prompt"] = question["prompt"]
+            case "stop":
+                fields |= {"accepted": positions, "step": "stop and keep", "prompt": question["why"], "doing": ""}
             case "write" | "afterwards":
                 prompt = question.get("prompt") or f"Write {', '.join(question['files'])}?"
-                fields |= {"at": len(positions), "step": "everything is measured", "prompt": prompt, "doing": ""}
+                fields |= {"accepted": positions, "step": "everything is measured", "prompt": prompt, "doing": ""}
                 fields |= {"table": None, "guide": None, "remaining": None}
         self._state.show(**fields)
         self._state.ask(question)

@@ -30,7 +30,7 @@ from tiltcal.core.model import AXES, Coefficients, Limits
 from tiltcal.core.rounding import outwards, significant
 from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means
 from tiltcal.core.uncertain import NORMAL_FACTOR
-from tiltcal.errors import EstimateError
+from tiltcal.errors import EstimateError, WrongPositions
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import ProcedureRecord
@@ -147,9 +147,10 @@ def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]
     """Return the positions for the estimator, each one's noise made better known by that of the others."""
     correlated = correlated_noise(_summaries(measurements, channels))
     noise = [noise_of_means(_summaries(measurements, (channel,)), correlated) for channel in channels]
-    settings = [None, *((measurement.gravity, measurement.heading) for measurement in measurements)]
+    taken = sorted(measurements, key=lambda one: str(one.when.get("time", "")))  # a position may be taken again later
+    held = {two.position for one, two in pairwise(taken) if (one.gravity, one.heading) == (two.gravity, two.heading)}
     observations = []
-    for number, (measurement, (before, setting)) in enumerate(zip(measurements, pairwise(settings), strict=True)):
+    for number, measurement in enumerate(measurements):
         summaries = [measurement.summaries[channel] for channel in channels]
         adc = np.array([rounding[number] for _, _, rounding in noise])
         observations.append(
@@ -160,7 +161,7 @@ def observations_of(measurements: Sequence[Measurement], channels: Sequence[str]
                 np.sqrt(np.array([variance[number] for variance, _, _ in noise]) + adc**2),
                 measurement.temperature,
                 measurement.heading,
-                held=before == setting,
+                held=measurement.position in held,
                 dof=np.array([dof[number] for _, dof, _ in noise]),
                 adc=adc,
                 noise_unknown=all(summary.noise_unknown for summary in summaries),
@@ -260,9 +261,10 @@ def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     off = {name: significant(1e3 * float(misfit), 3) for name, misfit in zip(names, seen.misfit, strict=True)}
     if len(seen.disagreeing):
         named = ", ".join(f"{names[k]} ({off[names[k]]:+g} mg)" for k in seen.disagreeing)
-        raise EstimateError(
+        raise WrongPositions(
+            [names[k] for k in seen.disagreeing],
             f"the length of gravity in {named} does not agree with the other attitudes, and these are too few without "
-            "them: was the sensor still there? Take them again, or more attitudes"
+            "them: was the sensor still there? Take them again, or more attitudes",
         )
     placed = [
         replace(measurement, gravity=(x, y, z), tilt=None)

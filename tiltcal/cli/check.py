@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 
 import click
 
-from tiltcal.bench.journal import calibrations_of
-from tiltcal.bench.setup import Setup
+from tiltcal.bench.journal import calibrations_of, interrupted
 from tiltcal.calibration.comparison import compare_records
 from tiltcal.calibration.measurement import remarks_on_wiring
 from tiltcal.calibration.record import record_in
 from tiltcal.calibration.wording import objections, remarks_on_chance
 from tiltcal.cli import options
 from tiltcal.cli.talk import in_options, remark
-from tiltcal.errors import NEGATIVE_VERDICT, InputError, TiltcalError, UsageError
+from tiltcal.errors import NEGATIVE_VERDICT, EstimateError, InputError, JournalError, TiltcalError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.journal import read_journal
@@ -98,7 +98,12 @@ def _of_journal(path: Path) -> list[str]:
     if journal.torn:
         findings.append("its last line is torn off")
     if journal.end is None:
-        findings.append(f"the session was interrupted; continue it with: {Setup.of(journal).resume_command(path)}")
+        findings.append(str(interrupted(journal).message))
+        with suppress(JournalError):  # interrupted before its last position
+            try:
+                calibrations_of(journal)
+            except EstimateError as wrong:
+                findings.append(str(wrong))
     return findings
 
 

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import click
 
-from tiltcal.bench.journal import calibrations_of
+from tiltcal.bench.journal import calibrations_of, interrupted
 from tiltcal.bench.playback import Playback, RecordedSample
 from tiltcal.bench.record import write_samples
 from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
-from tiltcal.errors import NEGATIVE_VERDICT, JournalError, UsageError
+from tiltcal.errors import NEGATIVE_VERDICT, UsageError, WrongPositions
 from tiltcal.files.atomic import require_apart, whole_file, write_whole
 from tiltcal.files.journal import read_journal
 
@@ -46,11 +46,12 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
     setup = Setup.of(captured)
     files = SessionFiles(setup, journal, output)
     if captured.end is None:
-        raise JournalError(
-            f"the session was interrupted; continue it with: {setup.resume_command(journal)}",
-            file=journal,
-            line=len(captured.events) + 2,
-        )
+        try:
+            calibrations_of(captured)
+        except WrongPositions as wrong:
+            remark(f"{journal}: {wrong}; continue it with: {setup.resume_command(journal)}")
+            return NEGATIVE_VERDICT
+        raise interrupted(captured)
     if setup.verifies and (output or golden) is not None:
         raise UsageError(f"{journal} is of a verification, which makes no calibration file: leave -o and --golden out")
     if output is not None:

@@ -6,7 +6,7 @@
     [48000, "s", "100000", "008f20", "0c11be07"]          bus transaction: nanoseconds since the line before, the
                                                           bus's letter, bytes out, bytes in, (device number if not 0)
     [0, "!", "100000", "why", "…"]                        a bus transaction that failed
-    [0, "a", {"to": "position", "answer": "ready"}, "…"]  what the operator answered
+    [0, "a", {"to": "position", "answer": "ready"}, "…"]  what the operator answered; "again" withdraws a position
     [0, "p", {"position": "x-tilt1", "lines": [8, 19], …}, "…"]    an accepted position, and the lines of its samples
     [9, "resumed", "…"]                                   the session was interrupted, and goes on from here
     [0, "end", {"events": 812, "sha256": "…"}, "…"]       the session came to its end
@@ -317,11 +317,12 @@ def _damage(why: str, path: Path, number: int) -> JournalError:
 class OperatorAnswer(Record, kw_only=True):
     """An answer of the operator to a question: a word, and what was actually set where that is not as asked.
 
-    Angles are in degrees; ``temperature``, in °C, was typed.
+    Angles are in degrees; ``temperature``, in °C, was typed. ``position`` is the accepted one that is taken ``again``.
     """
 
     to: str = ""
     answer: str
+    position: str = ""
     tilt: Mapping[Annotated[str, one_of("x", "y")], Number] = {}
     gravity: tuple[Number, Number, Number] | None = None
     temperature: Number | None = None

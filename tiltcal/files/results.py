@@ -77,6 +77,7 @@ class PositionRecord(Record, kw_only=True):
     u: Annotated[ByAxis[Size] | None, about("standard uncertainties of the means, unit")] = None
     n: Annotated[Count | None, about("number of samples")] = None
     left_out: Annotated[Count | None, about("samples far off the others, left out or taken again")] = None
+    takes: Annotated[FromOne | None, about("how often it was taken, where `again` withdrew a take")] = None
     temperature: Annotated[Finite | None, about("°C")] = None
     time: Annotated[Text | None, about("when it was measured, UTC")] = None
     rows: Annotated[Rows | None, about("its rows `[first, end]` of the log, the end exclusive")] = None

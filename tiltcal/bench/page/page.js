@@ -7,14 +7,16 @@ const CHOICES = {                                  // by question: key, answer, 
   rotation: [["Enter", "ready", "The stage turns"], ["q", "quit", "stop and keep"]],
   poll: [["s", "stop", "Stop and use the turns so far"], ["q", "quit", "stop and keep"]],
   review: [["Enter", "accept", "Accept"], ["r", "redo", "redo"], ["b", "back", "back"], ["q", "quit", "stop and keep"]],
-  write: [["Enter", "yes", "Write"], ["n", "quit", "stop and keep"]],
+  write: [["Enter", "yes", "Write"], ["b", "back", "back"], ["n", "quit", "stop and keep"]],
+  stop: [["b", "back", "back"], ["q", "quit", "stop and keep"]],
   afterwards: [["v", "verify", "Verify"], ["r", "report", "Write the report"], ["f", "finish", "Finish"]],
 };
+const AGAIN = ["position", "review", "write", "stop"];  // questions at which an accepted position is taken again by a click
 const UNTOUCHED = 250;                             // ms in which a new question takes no key: it was meant for the one before
 const SILENT = 5000;                               // ms without a sign after which the connection is lost
 const SURE = 4000;                                 // ms in which a stop is pressed a second time
 
-let state = null, asked = "", since = 0, heard = 0, sending = false, stopping = 0, stream = null;
+let state = null, asked = "", since = 0, heard = 0, sending = false, stopping = 0, pressed = "", stream = null;
 
 function make(parent, name, text = "", className = "") {
   const made = document.createElement(name);
@@ -74,6 +76,13 @@ async function openWith(token) {
   $("#wrong").textContent = "This is not the token.";
 }
 
+$("#positions").onclick = ({target}) => {
+  const name = target.textContent;
+  if (target.className !== "done" || !AGAIN.includes(state.question?.ask)) return;
+  if (pressed === name) return answer("again", {position: name});
+  pressed = name;
+  $("#said").textContent = `Press ${name} again to withdraw it and take it anew.`;
+};
 $("#token").onsubmit = (event) => { event.preventDefault(); openWith(new FormData(event.target).get("token").trim()); };
 
 // ---- answers
@@ -196,7 +205,7 @@ function show(next) {
   if (id !== asked) {
     asked = id;
     since = performance.now();
-    stopping = 0;
+    stopping = 0, pressed = "";
     $("#said").textContent = "";
     if (before && $("#type").open) $("#type").close("");
     showAnswers(question);
@@ -216,7 +225,7 @@ function show(next) {
   $("#samples").hidden = !next.samples;
   bar($("#samples .bar"), taken / (wanted || 1), false);
   $("#samples span").textContent = `${taken} of ${wanted}`;
-  list($("#positions"), next.positions.map((name, i) => [name, i < next.at ? "done" : i === next.at ? "now" : ""]));
+  list($("#positions"), next.positions.map((name) => [name, next.accepted.includes(name) ? "done" : name === next.now ? "now" : ""]));
   list($("#log"), [...next.log].reverse().map(({text, kind}) => [text, kind]));
   showTable(next.table);
   showResults(next);

@@ -32,7 +32,7 @@ from tiltcal.core.estimation.solve import (
 )
 from tiltcal.core.model import AXES, Array, Coefficients
 from tiltcal.core.uncertain import Uncertain
-from tiltcal.errors import EstimateError
+from tiltcal.errors import EstimateError, WrongPositions
 
 LARGEST_THERMOMETER = 5.0  # standard deviation of a temperature above which no thermometer explains the residuals, °C
 SUSPICION = 0.01  # probability, over all positions together, of suspecting one of a jig that is as stated
@@ -104,26 +104,31 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
     if jig is not None:
         errors, limit = _errors_as_set(equations, start), max(BEYOND * jig, SMALLEST_ERROR)
         if max(errors.values()) > limit:
-            raise EstimateError(
-                f"{_wrong_position(equations, errors, limit)}: positions as they were set contradict the readings by "
-                f"up to {max(errors.values()):.3g}°, where a jig of {jig:g}° is stated; see that it was the one that "
-                "is named, and take it again"
+            raise _contradicting(
+                equations,
+                errors,
+                limit,
+                f"positions as they were set contradict the readings by up to {max(errors.values()):.3g}°, where a jig "
+                f"of {jig:g}° is stated; see that it was the one that is named, and take it again",
             )
     solution = solved_at(equations, start)
-    if solution.dof <= 0 or not (jig is None or equations.noise_unknown):
-        solution = solved(equations, equations.stated, start)
-    dof, chi_square = solution.dof, solution.chi_square
-    if source := _not_stated(solution):
-        fitted = with_estimated(solution, source)
-        if source != THERMOMETER or fitted.bench[THERMOMETER] < LARGEST_THERMOMETER:
-            solution = fitted
-    if solution.bench[JIG] > LARGEST_JIG:
+    try:
+        if solution.dof <= 0 or not (jig is None or equations.noise_unknown):
+            solution = solved(equations, equations.stated, start)
+        dof, chi_square = solution.dof, solution.chi_square
+        if source := _not_stated(solution):
+            fitted = with_estimated(solution, source)
+            if source != THERMOMETER or fitted.bench[THERMOMETER] < LARGEST_THERMOMETER:
+                solution = fitted
+        why = "the residuals are larger than any error of the set angles explains; see that the positions are named "
+        why = f"{why}right, and that the readings are plausible" if solution.bench[JIG] > LARGEST_JIG else ""
+    except EstimateError as unsettled:
+        if solution.dof <= 0:
+            raise
+        why = str(unsettled)
+    if why:
         errors = _errors_as_set(equations, start)
-        raise EstimateError(
-            f"{_wrong_position(equations, errors, LIKE_THE_REST * max(errors.values()))}: the residuals are larger "
-            "than any error of the set angles explains; see that the positions are named right, and that the readings "
-            "are plausible"
-        )
+        raise _contradicting(equations, errors, LIKE_THE_REST * max(errors.values()), why)
     return _estimates(solution, dof, chi_square)
 
 
@@ -243,11 +248,11 @@ def _attitudes(solution: Solution) -> list[AttitudeError]:
 # Grossly wrong positions
 
 
-def _wrong_position(equations: Equations, errors: Mapping[str, float], limit: float) -> str:
-    """Name the position without which the others are off by less than a limit, degrees, else all beyond it."""
+def _contradicting(equations: Equations, errors: Mapping[str, float], limit: float, why: str) -> WrongPositions:
+    """Name the positions without which the others are off by less than a limit, degrees, else all beyond it."""
     named = [position for position in errors if _agree(equations.sensors, position, limit)]
     named = named or [position for position, off in errors.items() if off > limit]
-    return f"{listed(named, 'or')} is wrong"
+    return WrongPositions(named, f"{listed(named, 'or')} is wrong: {why}")
 
 
 def _errors_as_set(equations: Equations, start: Array) -> dict[str, float]:

@@ -1,0 +1,108 @@
+"""Which accepted positions are taken again: those that the operator names, and those that contradict the others.
+
+The positions are judged as the fit judges them, before the operator is asked to write. What contradicts the others is
+withdrawn and asked for again; after a few takes without agreement the session stops, and keeps what it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from tiltcal.bench.journal import RecordedSession, fitted
+from tiltcal.bench.operators import Operator
+from tiltcal.errors import EstimateError, HardwareError, InputError, Stopped, TiltcalError, WrongPositions
+from tiltcal.files.journal import OperatorAnswer
+
+if TYPE_CHECKING:
+    from tiltcal.bench.checks import PositionResult
+    from tiltcal.bench.session import Session
+
+MOST_TAKES = 3  # takes of one position without agreement, after which the session stops
+
+RAMP = "a ramp is one continuous record: no leg can be taken again; quit, and begin anew"
+SWEEP = (
+    "the order of a sweep's temperatures shows hysteresis: no position can be taken again out of it; go back, or quit "
+    "and begin anew"
+)
+FIRST = "this is the first position: there is none before it to go back to"
+
+
+def require_withdrawable(answer: OperatorAnswer, question: Mapping[str, Any], session: RecordedSession) -> None:
+    """Refuse to go back, or to take a position again, where that cannot be; an InputError with the reason."""
+    steps, names = session.setup.steps, [result.position.name for result in session.accepted]
+    if answer.answer in ("again", "back") and steps.ramp is not None:
+        raise InputError(RAMP)
+    if answer.answer == "back" and not names:
+        raise InputError(FIRST)
+    if answer.answer != "again" or (question["ask"] == "review" and answer.position == question["position"]):
+        return
+    if steps.determines.cross_validated:
+        raise InputError(SWEEP)
+    if answer.position not in names:
+        there = f"accepted are {', '.join(names)}" if names else "none is accepted yet"
+        raise InputError(f"{answer.position!r} is no accepted position that could be taken again; {there}")
+
+
+class Judgement:
+    """The judgement of a session's positions before its files are written."""
+
+    def __init__(self, session: Session, operator: Operator) -> None:
+        self._session, self._operator = session, operator
+        self._takes: dict[str, list[str]] = {}
+        """What each position read in every take that contradicted the others."""
+
+    def require_agreement(self) -> None:
+        """Withdraw positions that contradict the others as the fit judges it, so that they are asked for again.
+
+        HardwareError: one was taken a few times without agreement, or no position can be taken again.
+        EstimateError: what the fit refuses is in no position alone.
+        """
+        session = self._session
+        steps = session.setup.steps
+        if session.setup.verifies or steps.ramp is not None or steps.rotation is not None:
+            return
+        try:
+            fitted(session.recorded)
+        except EstimateError as error:
+            wrong = error.positions if isinstance(error, WrongPositions) else ()
+            for result in session.accepted:
+                if result.position.name in wrong:
+                    self._takes.setdefault(result.position.name, []).append(_in_words(result))
+            most = max(wrong, key=lambda name: len(self._takes[name]), default="")
+            if not wrong or steps.determines.cross_validated or len(self._takes[most]) >= MOST_TAKES:
+                self._stop(error, most)
+                return
+            names = self._operator.to_take_again(wrong, [result.position.name for result in session.accepted])
+            for name in names:
+                session.note(OperatorAnswer(to="judgement", answer="again", position=name))
+            why, _, _ = str(error).partition(":")
+            for name in reversed(names):  # the whole reason stands before the next question
+                session.tell("refused", position=name, why=str(error) if name == names[0] else why)
+
+    def _stop(self, error: EstimateError, position: str) -> None:
+        """Ask whether to stop and keep; return where the operator names a position to take again instead."""
+        end: TiltcalError = error
+        why = str(error)
+        if position:
+            *_, before, now = ["", *self._takes[position]]
+            jig = "" if self._session.setup.settings.jig else "; no jig is stated"
+            repeated = f"; before, it read {before}" if before else f"; {SWEEP}"
+            why = f"{position} read {now}{repeated}; {why}{jig}"
+            if len(self._takes[position]) > 1:
+                why = f"{len(self._takes[position])} takes without agreement: {why}"
+            end = HardwareError(why)
+        try:
+            self._session.ask({"ask": "stop", "position": position, "why": why})
+        except Stopped:
+            raise end from None
+        self._takes.clear()
+
+
+def _in_words(result: PositionResult) -> str:
+    """Return the mean readings of a position by channel, behind the serial number where there are several sensors."""
+    several = len(result.measurements) > 1
+    return "; ".join(
+        " ".join([f"{serial}:"] * several + [f"{name} {one.mean:.6g}" for name, one in measured.summaries.items()])
+        for serial, measured in result.measurements.items()
+    )
