@@ -22,7 +22,7 @@ from tiltcal.bench.playback import Playback, RecordedSample
 from tiltcal.bench.setup import Setup
 from tiltcal.core.model import Array
 from tiltcal.core.samples import ReadingStep
-from tiltcal.errors import JournalError
+from tiltcal.errors import InputError, JournalError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
 from tiltcal.files.journal import (
     ANSWER,
@@ -50,6 +50,13 @@ if TYPE_CHECKING:
     from tiltcal.files.pair import PairRecord
 
 DIGITS = 1e-9  # part of its size by which a mean may differ from the one that was accepted
+
+RAMP = "a ramp is one continuous record: no leg can be taken again; quit, and begin anew"
+SWEEP = (
+    "the order of a sweep's temperatures shows hysteresis: no position can be taken again out of it; go back, or quit "
+    "and begin anew"
+)
+FIRST = "this is the first position: there is none before it to go back to"
 
 
 class RecordedSession:
@@ -111,6 +118,21 @@ class RecordedSession:
         """Take an accepted position."""
         self.accepted.append(result)
         self.last = result
+
+    def require_withdrawable(self, answer: OperatorAnswer, question: Message) -> None:
+        """Refuse to go back, or to take a position again, where that cannot be; an InputError with the reason."""
+        steps, names = self.setup.steps, [result.position.name for result in self.accepted]
+        if answer.answer in ("again", "back") and steps.ramp is not None:
+            raise InputError(RAMP)
+        if answer.answer == "back" and not names:
+            raise InputError(FIRST)
+        if answer.answer != "again" or (question["ask"] == "review" and answer.position == question["position"]):
+            return
+        if steps.determines.cross_validated:
+            raise InputError(SWEEP)
+        if answer.position not in names:
+            there = f"accepted are {', '.join(names)}" if names else "none is accepted yet"
+            raise InputError(f"{answer.position!r} is no accepted position that could be taken again; {there}")
 
     def withdraw(self, answer: OperatorAnswer) -> None:
         """Withdraw the position that is taken ``again``, or of ``back`` the one that was accepted last in time."""

@@ -1,4 +1,4 @@
-"""Which accepted positions are taken again: those that the operator names, and those that contradict the others.
+"""The judgement of a session: positions that contradict the others are taken again.
 
 The positions are judged as the fit judges them, before the operator is asked to write. What contradicts the others is
 withdrawn and asked for again; after a few takes without agreement the session stops, and keeps what it has.
@@ -6,12 +6,11 @@ withdrawn and asked for again; after a few takes without agreement the session s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from tiltcal.bench.journal import RecordedSession, fitted
+from tiltcal.bench.journal import SWEEP, fitted
 from tiltcal.bench.operators import Operator
-from tiltcal.errors import EstimateError, HardwareError, InputError, Stopped, TiltcalError, WrongPositions
+from tiltcal.errors import EstimateError, HardwareError, Stopped, TiltcalError, WrongPositions
 from tiltcal.files.journal import OperatorAnswer
 
 if TYPE_CHECKING:
@@ -19,29 +18,6 @@ if TYPE_CHECKING:
     from tiltcal.bench.session import Session
 
 MOST_TAKES = 3  # takes of one position without agreement, after which the session stops
-
-RAMP = "a ramp is one continuous record: no leg can be taken again; quit, and begin anew"
-SWEEP = (
-    "the order of a sweep's temperatures shows hysteresis: no position can be taken again out of it; go back, or quit "
-    "and begin anew"
-)
-FIRST = "this is the first position: there is none before it to go back to"
-
-
-def require_withdrawable(answer: OperatorAnswer, question: Mapping[str, Any], session: RecordedSession) -> None:
-    """Refuse to go back, or to take a position again, where that cannot be; an InputError with the reason."""
-    steps, names = session.setup.steps, [result.position.name for result in session.accepted]
-    if answer.answer in ("again", "back") and steps.ramp is not None:
-        raise InputError(RAMP)
-    if answer.answer == "back" and not names:
-        raise InputError(FIRST)
-    if answer.answer != "again" or (question["ask"] == "review" and answer.position == question["position"]):
-        return
-    if steps.determines.cross_validated:
-        raise InputError(SWEEP)
-    if answer.position not in names:
-        there = f"accepted are {', '.join(names)}" if names else "none is accepted yet"
-        raise InputError(f"{answer.position!r} is no accepted position that could be taken again; {there}")
 
 
 class Judgement:

@@ -16,8 +16,7 @@ from typing import Any
 from tiltcal.bench.checks import Expectations, PositionResult, at_rail, far_off, require_few, result_of
 from tiltcal.bench.devices import RECOVERY, Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.bench.guidance import SensorGuidance
-from tiltcal.bench.journal import RecordedSession, positions_of
-from tiltcal.bench.judgement import RAMP, require_withdrawable
+from tiltcal.bench.journal import RAMP, RecordedSession, positions_of
 from tiltcal.bench.operators import LOOK, UNASKED, WORDS, Operator, as_set, understood
 from tiltcal.bench.playback import RecordedSample
 from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
@@ -230,7 +229,7 @@ class Session:
                 if said == {"answer": LOOK} or (said is None and question["ask"] in UNASKED):
                     return None
                 answer = understood(said, WORDS[question["ask"]])
-                require_withdrawable(answer, question, self.recorded)
+                self.recorded.require_withdrawable(answer, question)
             except InputError as error:
                 stage = self.setup.steps.rotation is not None
                 self.refuse(question.get("position", "rotation" if stage else question["ask"]), str(error))
