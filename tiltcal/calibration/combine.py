@@ -36,7 +36,7 @@ from tiltcal.files.yaml_text import read_text
 
 REFUSED = 0.001  # sessions are refused where chi-square rises over the separate fits with a probability below this
 
-KINDS = {"sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
+KINDS = {"offset": ("offset.",), "sensitivity": ("sensitivity.", "nonlinearity."), "temperature": ("temperature.",)}
 """The coefficients that ``derived.assumed`` names by their first word."""
 
 UNKNOWN_JIG = 5.0

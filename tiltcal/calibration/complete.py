@@ -25,7 +25,7 @@ from tiltcal.calibration.fit import observations_of
 from tiltcal.calibration.measurement import BenchUncertainty, Measurement, missing_temperature
 from tiltcal.core import attitude
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.estimation.equations import ADC, JIG, NOISE, TABLE, THERMOMETER
+from tiltcal.core.estimation.equations import ADC, BASE, JIG, NOISE, TABLE, THERMOMETER
 from tiltcal.core.estimation.positions import Observation
 from tiltcal.core.model import AXES, Array, Coefficients, Mounting, vector_of, with_vector
 from tiltcal.core.rounding import round_to, significant
@@ -36,7 +36,6 @@ from tiltcal.files.coefficients import ANGLES, TURNS
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.results import NOISE_ALONE, CompletingRun, LevelFit, MountingFit
 
-BASE = "base"  # the share of an offset's variance that comes from the calibration that it completes
 NEARLY_LEVEL = 5.0  # the most that a position may be off level as it was set, degrees
 
 NO_LEVEL = (

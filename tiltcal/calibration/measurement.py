@@ -87,6 +87,7 @@ class MeasuredSensor:
     thermometer: float | None = None  # u of the step of its own thermometer, °C; None where another was read
     base: CalibrationRecord | None = None  # its calibration, which is completed, or lends its sensitivity
     ramp: RampRecord | None = None  # the record of a ramp, whose one measurement is the attitude
+    attitude_stated: bool = True  # of a ramp: else its base says in which attitude it was, and keeps its offset
     temperature_step: float = 0.0  # with which temperatures were recorded, °C; 0 where it is not known
 
 

@@ -21,21 +21,24 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from tiltcal.calibration.fit import fit_jointly, observed_sensor, record_of
+from tiltcal.calibration.comparison import temperature_of
+from tiltcal.calibration.fit import OF_BASE, fit_jointly, observed_sensor, record_of
 from tiltcal.calibration.measurement import BenchUncertainty, MeasuredSensor, Measurement
 from tiltcal.calibration.priors import design_of
 from tiltcal.calibration.stated import TEMPERATURE_DIGITS, rounded_covariance, uncertain_coefficients
+from tiltcal.core.attitude import normalised
+from tiltcal.core.compensation import Compensated, Compensation
 from tiltcal.core.detection import TEMPERATURES
-from tiltcal.core.estimation.equations import HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
+from tiltcal.core.estimation.equations import BASE, HYSTERESIS, JIG, NOISE, PRIOR, TABLE, THERMOMETER
 from tiltcal.core.estimation.estimate import Estimate, estimate_jointly, met_twice
 from tiltcal.core.estimation.positions import Design, Observation
-from tiltcal.core.model import Array, Coefficients, Thermal, vector_of, with_vector
+from tiltcal.core.model import Array, Coefficients, Thermal, values, vector_of, with_vector
 from tiltcal.core.ramp.fit import RampFit, fit_ramp
 from tiltcal.core.ramp.record import RampRecord, row_noise
 from tiltcal.core.rounding import outwards, plus_minus, round_to, significant
 from tiltcal.core.samples import SampleSummary
 from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
-from tiltcal.core.uncertain import Uncertain, central_differences
+from tiltcal.core.uncertain import TURN, Uncertain, central_differences, selection
 from tiltcal.errors import Argument, EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Procedure
@@ -201,7 +204,8 @@ def with_typical_temperature(calibration: CalibrationRecord, sensor: MeasuredSen
 
 
 GROUPS = 8  # parts of a leg that the file lists as positions
-FAR = 0.5  # g; an offset that differs by more from that of the base calibration belongs to another attitude
+FAR, DEVIATIONS = 2.0, 5.0  # refuse an attitude that the base reads so far off, degrees and standard uncertainties
+USUAL_GAIN = 2e-4  # standard uncertainty of the sensitivity's temperature coefficient where nothing states it, 1/°C
 
 
 def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
@@ -212,6 +216,10 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     low, high = _range(record.temperature)
     stated = procedure.reference
     reference = stated if stated is not None and low <= stated <= high else round((low + high) / 2.0, 1)
+    renews = sensor.base is None or sensor.attitude_stated or bench.jig is not None
+    at = None if sensor.base is None else temperature_of(sensor.base)
+    if not renews and at is not None and low <= at <= high:
+        reference = at
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
     if low < TEMPERATURES[0] or high > TEMPERATURES[1]:
         raise EstimateError(
@@ -230,21 +238,23 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     element = ThermalLag(fit.lag)(record.time, record.temperature) if fit.lag >= 0.0 else element
     limits = _range(element, record.step or sqrt(12.0) * (sensor.thermometer or 0.0))
     design = replace(design, drift=fit.order, reference=reference)
-    groups = _groups(fit, record, attitude)
-    estimate = _estimate(fit, design, np.array(attitude.gravity), limits, groups, bench)
-    if record.jumps:
-        estimate = replace(estimate, notes=(*estimate.notes, record.jumps))
-    made = record_of(estimate, design, replace(sensor, measurements=groups), procedure)
-    base = made.coefficients if sensor.base is None else sensor.base.coefficients
-    for channel, change, row in zip(
-        base.channels, made.coefficients.offset - base.offset, base.sensitivity, strict=True
-    ):
-        if (off := abs(float(change)) / float(np.max(np.abs(row)))) > FAR:
-            raise EstimateError(
-                f"{channel} reads {off:.2g} g away from what the base calibration expects in the attitude of the "
-                "procedure",
-                advice=("state the true one with ", Argument("segments"), " (position,start,end,gx,gy,gz)"),
+    known, notes = None, [record.jumps] if record.jumps else []
+    if sensor.base is not None:
+        changed = 0.0 if at is None or not low <= at <= high else at - reference
+        seen = fit.coefficients @ changed ** np.arange(fit.order + 1)
+        if renews:
+            _require_attitude(sensor.base, seen, attitude, hypot(bench.jig or 0.0, bench.table or 0.0))
+        else:
+            known, attitude = sensor.base, _as_base_reads(sensor.base, seen, attitude)
+            up = ", ".join(f"{component:.3f}" for component in attitude.gravity)
+            notes.append(
+                f"no attitude is stated (--segments, --jig): the base keeps its offset, by which up was ({up}) g"
             )
+    groups = _groups(fit, record, attitude)
+    gain = _gain_of(sensor, reference)
+    estimate = _estimate(fit, design, np.array(attitude.gravity), limits, groups, bench, gain, known)
+    estimate = replace(estimate, notes=(*estimate.notes, *notes))
+    made = record_of(estimate, design, replace(sensor, measurements=groups), procedure)
     coefficients, standard = made.coefficients, made.uncertainty.standard
     if coefficients.thermal is not None:
         lag = round_to(fit.lag, fit.u_lag) if fit.uses_lag else 0.0
@@ -261,8 +271,10 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
     reading = made.uncertainty.single_reading
     if u_temperature:
         reading = {**reading, "temperature": significant(u_temperature, 4)}
+    assumed = made.derived.assumed if known is None else (*made.derived.assumed, f"offset: {OF_BASE}")
     return replace(
         made,
+        derived=made.derived.replaced(assumed=assumed),
         coefficients=coefficients,
         uncertainty=replace(made.uncertainty, standard=standard, single_reading=reading),
         limits=replace(made.limits, temperature=limits),
@@ -272,6 +284,51 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
             ramp=_ramp_record(fit, design.channels),
         ),
     )
+
+
+def _require_attitude(base: CalibrationRecord, reading: Array, attitude: Measurement, jig: float) -> None:
+    """Refuse readings, (channels,), in a stated attitude where the base reads another one."""
+    own = replace(base.coefficients, mounting=None, thermal=None)
+    known, up = uncertain_coefficients(base.uncertainty, base.coefficients), np.array([attitude.gravity])
+    known = known.named([name for name in known.names if name in values(own)])
+
+    def expected(vector: Array) -> Array:
+        return np.asarray(with_vector(own, known.names, vector).predict(up)[0])
+
+    at = vector_of(own, known.names)
+    slopes = central_differences(expected, at, known.u)
+    variance = np.einsum("ik,kl,il->i", slopes, known.covariance, slopes)
+    size = np.linalg.norm(own.sensitivity, axis=1)
+    off, u = np.degrees(np.abs(reading - expected(at)) / size), np.hypot(np.degrees(np.sqrt(variance) / size), jig)
+    for channel, angle, limit in zip(own.channels, off.tolist(), np.maximum(FAR, DEVIATIONS * u), strict=True):
+        if angle > limit:
+            raise EstimateError(
+                f"{channel} reads {angle:.2g}° away from what the base calibration expects in the attitude that is "
+                "stated",
+                advice=("state the true one with ", Argument("segments"), " (position,start,end,gx,gy,gz)"),
+            )
+
+
+def _as_base_reads(base: CalibrationRecord, reading: Array, attitude: Measurement) -> Measurement:
+    """Return the attitude in which the base reads what was read, (channels,)."""
+    compensation = Compensation(replace(base.coefficients, mounting=None, thermal=None))
+    out = Compensated.empty(1, len(compensation.axes))
+    (chunk,) = compensation.chunks(reading[None], None, out)
+    x, y, z = normalised(compensation.up(chunk)[:, 0].tolist())
+    return replace(attitude, gravity=(x, y, z), tilt=None)
+
+
+def _gain_of(sensor: MeasuredSensor, reference: float) -> Array | float:
+    """Return the size of the temperature coefficient of the sensitivity, which a ramp does not show, 1/°C."""
+    population = None if sensor.nominal is None else sensor.nominal.population
+    if population is not None:
+        mean = Polynomial(population.gain)
+        return hypot(float(mean.deriv()(reference) / mean(reference)), population.gain_spread)
+    thermal = None if sensor.base is None else sensor.base.coefficients.thermal
+    if sensor.base is None or thermal is None or not thermal.gain.any():
+        return USUAL_GAIN
+    names = [f"temperature.sensitivity.{channel}.1" for channel in sensor.base.coefficients.channels]
+    return np.hypot(thermal.gain[:, 0], [sensor.base.uncertainty.get(name, 0.0) for name in names])
 
 
 def _range(temperatures: Array, step: float = 0.0) -> tuple[float, float]:
@@ -285,8 +342,13 @@ def _estimate(
     limits: tuple[float, float],
     groups: Sequence[Measurement],
     bench: BenchUncertainty,
+    gain: Array | float,
+    known: CalibrationRecord | None,
 ) -> Estimate:
-    """Return the coefficients that the record shows, and those that stand in, with their covariance."""
+    """Return the coefficients that the record shows, and those that stand in, with their covariance.
+
+    ``known`` is the base whose offset stays; ``gain`` the size of the sensitivity's temperature coefficient, 1/°C.
+    """
     channels = design.channels
     coefficients = Coefficients(
         channels,
@@ -299,12 +361,12 @@ def _estimate(
     stands_in = {name: prior.value for name, prior in design.priors.items()}
     coefficients = with_vector(coefficients, list(stands_in), np.array(list(stands_in.values())))
     offset = fit.coefficients[:, 0] - coefficients.predict(gravity[None, :])[0]
-    coefficients = replace(coefficients, offset=offset)
+    coefficients = replace(coefficients, offset=offset if known is None else known.coefficients.offset)
     by_model = fit.means.powers(fit.lag, fit.order) @ fit.coefficients.T
     modelled = np.array([by_model[part].mean(axis=0) for _, part in _parts(fit)])
     return Estimate(
         coefficients=coefficients,
-        uncertain=reduce(add, _sources(fit, design, coefficients, gravity, bench)),
+        uncertain=reduce(add, _sources(fit, design, coefficients, gravity, bench, gain, known)),
         positions=tuple(group.position for group in groups),
         residuals=np.array([[group.summaries[c].mean for c in channels] for group in groups]) - modelled,
         dof=max(len(fit.means.leg) - fit.order - 1, 0) * len(channels),
@@ -316,7 +378,13 @@ def _estimate(
 
 
 def _sources(
-    fit: RampFit, design: Design, coefficients: Coefficients, gravity: Array, bench: BenchUncertainty
+    fit: RampFit,
+    design: Design,
+    coefficients: Coefficients,
+    gravity: Array,
+    bench: BenchUncertainty,
+    gain: Array | float,
+    known: CalibrationRecord | None,
 ) -> Iterator[Uncertain]:
     """Yield what each source adds to the uncertainty of the coefficients: the record, and what is stated."""
     names = [name for model in coefficients.models for name in model.coefficients]
@@ -324,6 +392,9 @@ def _sources(
     offsets = np.stack([column[f"offset.{channel}"] for channel in design.channels], axis=1)
     terms = ("offset.{}", *(f"temperature.offset.{{}}.{power}" for power in range(1, fit.order + 1)))
     by_record = np.stack([column[term.format(channel)] for channel in design.channels for term in terms], axis=1)
+
+    if known is not None:  # the record shows the drift alone
+        by_record[offsets.any(axis=1)] = 0.0
 
     def errors(source: str, by: Array, covariance: Array) -> Uncertain:
         return Uncertain.errors([""] * len(covariance), covariance, source=source).through(by, names)
@@ -335,6 +406,13 @@ def _sources(
         model.read(theta, gravity[None, :], np.zeros(1))
         for model, theta in zip(coefficients.models, coefficients.vectors, strict=True)
     ]
+    slope = np.stack([column[f"temperature.offset.{channel}.1"] for channel in design.channels], axis=1)
+    signal = coefficients.predict(gravity[None, :])[0] - coefficients.offset
+    yield errors(PRIOR, slope, np.diag((gain * signal) ** 2))
+    if known is not None:
+        base = uncertain_coefficients(known.uncertainty, known.coefficients).without("temperature.", TURN)
+        yield base.through(selection(names, base.names), names, source=BASE)
+        return
     # An offset follows a sensitivity that stands in: the reading is what it was.
     stands_in = [
         prior.u * (column[name] - derivative * offset)

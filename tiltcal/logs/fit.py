@@ -108,6 +108,7 @@ def fit_recorded(
         thermometer=None if model is None else model.thermometer_rounding,
         base=own,
         ramp=positions.ramp,
+        attitude_stated=options["segments"] is not None,
         temperature_step=positions.temperature_step,
     )
     (found,) = calibrate([measured], steps, bench, table=table, gravity=options["gravity"])

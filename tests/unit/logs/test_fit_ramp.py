@@ -124,6 +124,27 @@ def test_a_base_with_a_nonlinearity_has_it_in_the_offset_and_its_uncertainty(rec
     assert found.uncertainty["offset.y"] == pytest.approx(found.uncertainty["sensitivity.y.y"], rel=0.05)
 
 
+def test_a_ramp_off_level_keeps_the_offset_of_its_base_unless_its_attitude_is_stated(record, base):
+    """On a shelf at 25°, by hand: x reads 819 sin 25° more; its gain of 0.02 %/°C changes that by 0.07 count/°C."""
+    shelf, minutes = 819.0 * np.sin(np.radians(25.0)), {name: values[::15] for name, values in record.items()}
+    minutes["x"] = minutes["x"] + shelf
+    base.write_text(f"{BASE}uncertainty:\n  offset: {{x: 0.1, y: 0.1}}\n")
+    found = fitted(minutes, base=base, jig=None)
+    assert (found.offset["x"], found.uncertainty["offset.x"]) == (1024.0, 0.1)
+    assert [note for note in found.fit.notes if "the base keeps its offset" in note and "(0.423, 0.000, 0.906)" in note]
+    assert found.uncertainty["temperature.offset.x.1"] == pytest.approx(2e-4 * shelf, rel=0.05)
+    level = found.apply({"x": [1024.0], "y": [1020.0], "temperature": [24.0], "seconds": [0.0]})
+    assert abs(level["tilt_x"][0]) < 0.1
+    for at, stated in ((20.0, "refused"), (25.0, "taken")):
+        up = {"gx": np.sin(np.radians(at)), "gy": 0.0, "gz": np.cos(np.radians(at))}
+        segments = [{"position": "shelf", "start": 0, "end": 160, **up}]
+        if stated == "refused":
+            with pytest.raises(EstimateError, match=r"x reads 4\.6° away"):
+                fitted(minutes, base=base, segments=segments)
+        else:
+            assert fitted(minutes, base=base, segments=segments).offset["x"] == pytest.approx(1024.0, abs=0.3)
+
+
 @pytest.mark.parametrize(
     ("changed", "settings", "message"),
     [
@@ -152,8 +173,9 @@ def test_the_recorded_ramp_gets_no_lag_and_is_on_no_leg_worse_than_a_polynomial(
         "    y: {x: 0.0, y: 9.81, z: 0.0}\n    z: {x: 0.0, y: 0.0, z: 9.81}\n"
     )
     log, rows = recording("thermal_ramp.csv"), {"columns": "time=row", "base": base, "serial": "S-1"}
-    with pytest.raises(EstimateError, match=r"z reads 2 g away.*with segments"):
-        fit("ramp", log, **rows)
+    up = [{"position": "up", "start": 0, "end": 8400, "gx": 0.0, "gy": 0.0, "gz": 1.0}]
+    with pytest.raises(EstimateError, match=r"z reads 1\.1e\+02° away.*with segments"):
+        fit("ramp", log, segments=up, **rows)
     down = [{"position": "down", "start": 0, "end": 8400, "gx": 0.0, "gy": 0.0, "gz": -1.0}]
     found = fit("ramp", log, segments=down, **rows)
     ramp = found.record.fit.ramp

@@ -32,7 +32,7 @@ Indices = NDArray[np.intp]
 Number = TypeVar("Number", np.float64, np.intp)
 
 NOISE, ADC, JIG, TABLE, HEADING = "noise", "adc", "jig", "table", "heading"
-THERMOMETER, HYSTERESIS, PRIOR = "thermometer", "hysteresis", "assumed"  # where an uncertainty comes from
+THERMOMETER, HYSTERESIS, PRIOR, BASE = "thermometer", "hysteresis", "assumed", "base"  # where an uncertainty comes from
 
 Bench = Mapping[str, float]
 """Standard uncertainties by source: JIG, TABLE, HEADING, radians; THERMOMETER, °C; NOISE, a factor of its variance."""
