@@ -167,9 +167,12 @@ class ColumnLayout:
         return next(mark for mark in (b",", b";", b"\t", b" ") if re.fullmatch(self.separator, mark))
 
     def reading(self, line: bytes) -> Reading | None:
-        """Return the reading of a line; None if its number of columns is wrong or a cell is not a number."""
+        """Return the reading of a line.
+
+        None where its number of columns is wrong, a cell is not a number, or a label is that of another column.
+        """
         cells = re.split(self.separator, bare(line).strip())
-        if len(cells) != len(self.names):
+        if len(cells) != len(self.names) or self.mislabelled(line):
             return None
         numbers, places = {}, []
         for name, cell in zip(self.names, cells, strict=True):
@@ -185,6 +188,15 @@ class ColumnLayout:
                 places.append(int(exponent or 0) - len(whole or part or b""))
         values = tuple(numbers[channel] for channel in self.channels)
         return Reading(values, numbers.get(TEMPERATURE), float(f"1e{min(places)}"))
+
+    def mislabelled(self, line: bytes) -> str:
+        """Return the label of a line that contradicts the column at its place; empty where none does."""
+        labels = _labels(line)
+        if len(labels) != len(self.names):
+            return ""
+        pairs = zip(labels, self.names, strict=True)
+        named = (*AXES, TEMPERATURE)
+        return next((label for label, name in pairs if name in named and _meaning(label) not in (name, "-")), "")
 
     def line(self, numbers: Mapping[str, float]) -> bytes:
         """Return the line that shows these numbers, by the names of their columns; a column without one shows 0."""
@@ -212,6 +224,8 @@ class ColumnsSensor(Sensor):
                 return reading
             self._damaged += 1
         wanted = ",".join(self._columns.names)
+        if label := self._columns.mislabelled(line):
+            raise BusError(f"the label {label!r} of {shown(line)} contradicts columns={wanted}: name them as they come")
         raise BusError(
             f"{UNUSABLE} lines arrived and none had the numbers {wanted}; the last was {shown(line)}: does columns= "
             "name every number of a line, and is the separator right?"
@@ -305,7 +319,7 @@ def guess(lines: Sequence[bytes]) -> Guess:
     if not usual:
         return Guess(0, "", "", "")
     example = next(line for line, count in zip(reversed(lines), reversed(counts), strict=True) if count == usual)
-    labels = [label.split()[-1].decode() for label in _LABEL.findall(_CLOCK.sub(b"", example))]
+    labels = _labels(example)
     headings = (re.split(rb"[,;\t ]+", line.strip()) for line, count in zip(lines, counts, strict=True) if not count)
     heading = next((names for names in headings if len(names) == usual), [])
     names = labels if len(labels) == usual else [name.decode("latin-1") for name in heading]
@@ -323,6 +337,11 @@ def unit_of_gravity(guessed: Guess) -> str:
     along = [number for number, column in zip(numbers, columns, strict=False) if column in ("x", "y", "z")]
     near = (unit for unit, gravity in (("m/s2", 9.81), ("g", 1.0)) if 0.75 < hypot(*along) / gravity < 1.25)
     return next(near, "") if len(along) == 3 else ""
+
+
+def _labels(line: bytes) -> list[str]:
+    """Return the last words of the labels of a line."""
+    return [label.split()[-1].decode() for label in _LABEL.findall(_CLOCK.sub(b"", line))]
 
 
 def _meaning(name: str) -> str:

@@ -88,15 +88,11 @@ class TextDevice:
         """Return the readings of a match, and the step with which they are written; a ValueError says what is wrong."""
         numbers, places = {}, []
         for name in self.names:
-            text = match[name] or ""
-            written = _NUMBER.fullmatch((text if self.decimal == "point" else _swapped(text)).strip())
-            if not written or not isfinite(float(number := written[0].replace(" ", ""))):
-                raise ValueError(f"{name} is {text!r}, no number with a decimal {self.decimal}")
+            number, place = number_of(name, match[name], self.decimal)
             # Degrees from 0 to 360 have a step at level.
-            turned = self.scale.unit in DEGREES and name != TEMPERATURE and float(number) > 180.0
-            numbers[name] = float(number) - 360.0 * turned
-            if name != TEMPERATURE:
-                places.append(int(written[5] or 0) - len(written[3] or written[4] or ""))
+            turned = self.scale.unit in DEGREES and name != TEMPERATURE and number > 180.0
+            numbers[name] = number - 360.0 * turned
+            places += [place] * (name != TEMPERATURE)
         if self.checksum and (stated := match[CHECKSUM]) != (right := self.summed(match[CHECKED], stated)):
             raise ValueError(f"the check sum is {stated!r}, and that of {match[CHECKED]!r} is {right!r}")
         return numbers, float(f"1e{min(places, default=0)}")
@@ -126,8 +122,13 @@ class TextDevice:
         )
 
 
-def _swapped(text: str) -> str:
-    return text.translate(str.maketrans(".,", ",."))
+def number_of(name: str, text: str | None, decimal: str = "point") -> tuple[float, int]:
+    """Return the number in a group of an answer and the power of ten of its last digit; a ValueError if it is none."""
+    shown = (text or "").strip()
+    written = _NUMBER.fullmatch(shown if decimal == "point" else shown.translate(str.maketrans(".,", ",.")))
+    if not written or not isfinite(number := float(written[0].replace(" ", ""))):
+        raise ValueError(f"{name} is {shown!r}, no number with a decimal {decimal}")
+    return number, int(written[5] or 0) - len(written[3] or written[4] or "")
 
 
 def shown(text: str) -> str:

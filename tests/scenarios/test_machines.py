@@ -255,7 +255,7 @@ def test_a_bench_file_says_what_is_wrong_with_its_machines(tmp_path: Path) -> No
         ("serial:///", "spi:///", "table: address 'spi:///dev/ttyUSB0': a machine of kind text has an address such as"),
         ("Y{y:.3f}", "", "table.set: nothing sets y: write {y} where its number belongs"),
         ("Y{y:.3f}", "Y{z}", "table.set[0]: 'G0 X{x:.3f} Y{z}' is no template of x, y"),
-        ("(?P<y>", "(", "table.pattern: nothing reads y back: the pattern needs the group (?P<y>...)"),
+        ("(?P<y>", "(", "table.pattern: nothing reads y: the pattern needs the group (?P<y>...)"),
         ("error|ALARM", "error)", "table.failed: this is no regular expression"),
         ('  read: "?"\n', "", "table: the key 'read' is missing; a machine of kind text needs it"),
         ("kind: text", "kind: modbus", "table.set: a machine of kind modbus has no set: that is one of kind text"),

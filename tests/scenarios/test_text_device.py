@@ -128,8 +128,8 @@ def test_no_damaged_late_doubled_or_foreign_answer_becomes_a_reading(tmp_path: P
     chance = Random(3)
     line = Unsound(text is SUMMED, iter(lambda: chance.choice(kinds), ""))
     sensor = model_named(str(tmp_path / "box.yaml")).driver(line, line.clock)
-    assert sum(line.agrees(sensor) for _ in range(600)) > 100
-    assert sensor.link_statistics()["damaged"] > 100
+    assert sum(line.agrees(sensor) for _ in range(200)) > 30
+    assert sensor.link_statistics()["damaged"] > 30
     # And on a real line, at the device's own pace.
     few = Unsound(
         text is SUMMED, ("right", "late", "right", "right", "foreign", "doubled", "right", "damaged", "right", "right")

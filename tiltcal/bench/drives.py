@@ -16,11 +16,11 @@ from tiltcal.drivers.bus.attributes import made_by
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.bus.modbus import HOLDING
 from tiltcal.drivers.modbus import ORDERS, TABLES, ModbusColumns, RegisterLayout, column_of
+from tiltcal.drivers.text_device import LINE_ENDS, number_of
 from tiltcal.errors import BusError, HardwareError
 from tiltcal.files.machine import Machine
 
 CHUNK = 1 << 16
-LINE_ENDS = {"lf": "\n", "cr": "\r", "crlf": "\r\n"}
 MOST_LINES = 1000  # without the one that is waited for, after which a device only talks
 
 Angles = Mapping[str, float]
@@ -109,9 +109,9 @@ class TextDrive(Drive):
         asked = (machine.read or "") + ("" if machine.read_alone else self._end)
         answer = self._heard(asked.encode(), machine.pattern or "")
         try:
-            at = {axis: float(answer[axis]) for axis in machine.limits}
-        except (TypeError, ValueError):
-            raise HardwareError(f"{answer.string!r} has no number where {machine.pattern!r} finds one") from None
+            at = {axis: number_of(axis, answer[axis])[0] for axis in machine.limits}
+        except ValueError as error:
+            raise HardwareError(f"{error}, in {answer.string!r}") from None
         return at, machine.done is None or re.search(machine.done, answer.string) is not None
 
     def stop(self) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from string import Formatter
 from typing import Annotated
 
 from msgspec import Meta
 
+from tiltcal.drivers.text_device import LINE_ENDS
+from tiltcal.files.device import require_pattern
 from tiltcal.files.document import Document
 from tiltcal.files.record import AboveZero, FromZero, Number, Range, Record, Text, about, one_of
 
@@ -64,7 +65,7 @@ class Machine(Record, kw_only=True):
     ] = None
     done: Annotated[Text | None, about("`text`: the pattern in that answer that says it is at rest")] = None
     stop: Annotated[Text | None, about("`text`: the line that stops it")] = None
-    line_end: Annotated[str, one_of("lf", "cr", "crlf"), about("`text`: what ends a line")] = "lf"
+    line_end: Annotated[str, one_of(*LINE_ENDS), about("`text`: what ends a line")] = "lf"
     registers: Annotated[Mapping[MachineAxis, Registers], about("`modbus`: the registers of each axis")] = {}
     objects: Annotated[Mapping[MachineAxis, MachineObject], about("`object`: the object of each axis")] = {}
 
@@ -114,9 +115,4 @@ def _check_text(machine: Machine, place: Document) -> None:
         if axis not in used:
             raise place.error(f"nothing sets {axis}: write {{{axis}}} where its number belongs", "set")
     for key in ("greeting", "accepted", "failed", "pattern", "done"):
-        try:
-            groups = re.compile(getattr(machine, key) or "").groupindex
-        except re.error as error:
-            raise place.error(f"this is no regular expression: {error}", key) from None
-        if key == "pattern" and (lost := [axis for axis in machine.limits if axis not in groups]):
-            raise place.error(f"nothing reads {lost[0]} back: the pattern needs the group (?P<{lost[0]}>...)", key)
+        require_pattern(place, key, getattr(machine, key), tuple(machine.limits) if key == "pattern" else ())

@@ -40,6 +40,7 @@ def test_lines_are_read_as_they_are_printed_and_guessed() -> None:
     for torn in (
         b"X: 1.55 Y: -0.09",
         b"X: 1.55 Y: -0.09 Z: ",
+        b"Y: -0.09 X: 1.55 Z: 9.49",
         b"X: 1.55 Y: -0X: 1.5 Z: 2",
         b"1,2,3x",
         b"-> 1,2,3",
@@ -64,6 +65,9 @@ def test_a_port_alone_is_listened_to_and_the_advice_works() -> None:
         done = tiltcal("probe", "--sensor", "serial-columns", "--address", advised)
         assert done.returncode == 0, done.stderr
         assert "9.5" in done.stdout or "9.49" in done.stdout
+        swapped = tiltcal("probe", "--sensor", "serial-columns", "--address", advised.replace("x,y,z", "y,x,z"))
+        assert "the label 'X' of " in swapped.stderr
+        assert "contradicts columns=y,x,z" in swapped.stderr
     with printing(lines_of(b"hello\r\n"), 50.0, waits=False) as port:
         assert "text without numbers" in tiltcal("probe", "--address", port).stderr
     with printing(lines_of(b"$PTCDC,17,40960,38912,80000,80000,23.9*4C\r\n"), 50.0, waits=False) as port:
