@@ -21,6 +21,7 @@ from tiltcal.bench.devices import open_sensor
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Sensor
 from tiltcal.errors import BusError, HardwareError
+from tiltcal.files.bench import BenchFile, BenchSensor
 from tiltcal.files.device import model_named
 
 pytest.importorskip("serial", reason="the pyserial package is not installed")
@@ -191,6 +192,30 @@ def test_x_and_y_on_lines_of_their_own_are_one_reading_and_a_lost_line_none(kept
         readings = [sensor.read().values for _ in range(40)]
     assert all(x == -y for x, y in readings)
     assert len(set(readings)) == 40
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0])
+def test_two_axes_in_one_column_are_no_position(tmp_path: Path, spread: float) -> None:
+    """Printed in turn, or in any order: the first position that is tilted otherwise is refused at the latest."""
+    chance, tilt = Random(1), [0.0]
+
+    def printed() -> bytes:
+        tilt.append(tilt[-2] if chance.random() > spread / 2 and len(tilt) > 1 else tilt[-1])
+        return b"%.3f\r\n" % (tilt[-1] + chance.gauss(0.0, 0.01))
+
+    class Rig:
+        def position(self, ask: Mapping[str, Any]) -> dict[str, str]:
+            tilt[:] = [degrees(asin(axis)) for axis in ask["gravity"][:2]]
+            return {"answer": "ready"}
+
+        def refused(self, event: Mapping[str, Any]) -> None:
+            raise KeyError(event["why"])
+
+    with printing(printed, 500.0, waits=True) as path:
+        sensor = BenchSensor("T", "serial-columns", f"serial://{path}?columns=x&unit=tenths")
+        bench = BenchFile((sensor,))
+        with pytest.raises(KeyError, match="does each line have all axes"):
+            measure("plane", bench=bench, tilt=10.0, operator=Rig(), output=tmp_path, samples=40, settle=0.1)
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,13 @@ from tiltcal.files.bench import BenchSensor
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.procedure import Position
 
+TWO_AXES = "does each line have all axes that columns= or the pattern names"
+FEWEST, SEVERAL, IN_TURN = 8, 4.0, 0.8
+"""Two values are read in turn: from so many samples on, so many steps apart, by their correlation one sample apart."""
+
+FAR, WITHIN = 0.08, 6.0
+"""Positions that differ by more along a channel, g (5°), must differ by so many of its standard deviations."""
+
 POWER_ON = 85.0  # the temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)
 AGREEMENT = 20.0
 """The largest distance of a position's temperature from the one asked for, or from a position before, °C."""
@@ -157,6 +164,19 @@ def _absurd_temperatures(readings: Sequence[Reading]) -> dict[int, str]:
         for number, temperature in measured.items()
         if not low <= temperature <= high or (middle is not None and abs(temperature - middle) > TEMPERATURE_JUMP)
     }
+
+
+def require_no_turns(samples: Sequence[Sample], models: Mapping[str, Model]) -> None:
+    """Raise Unsettled where a channel reads two values in turn, as of a device that prints x and y line by line."""
+    for serial, model in models.items():
+        for channel, values in zip(
+            model.channels, np.array([sample[serial].values for sample in samples]).T, strict=True
+        ):
+            away, step = values - values.mean(), model.resolution or resolution([values])
+            in_turn = float(away[1:] @ away[:-1]) < -IN_TURN * float(away @ away)
+            if in_turn and len(values) >= FEWEST and np.ptp(values) > SEVERAL * step:
+                low, high = float(values.min()), float(values.max())
+                raise Unsettled(f"{channel} reads about {low:.6g} and {high:.6g} in turn: {TWO_AXES}?")
 
 
 def require_few(count: int, wanted: int, why: str) -> None:
@@ -295,6 +315,22 @@ class Expectations:
             if why:
                 alone = determines.free or len(self._setup.sensors) == 1
                 raise Unsettled(why if alone else f"{serial}: {why}")
+            if self._known:
+                self._require_change(serial, sensor.wired.unit, result)
+
+    def _require_change(self, serial: str, unit: str, result: PositionResult) -> None:
+        """Refuse a channel that differs from a position of another tilt by no more than it scatters within one."""
+        now = result.measurements[serial]
+        for before in (one.measurements[serial] for one in self._accepted):
+            for channel, summary in now.summaries.items():
+                other, axis = before.summaries[channel], "xyz".index(channel)
+                scatter, change = max(summary.std, other.std), abs(summary.mean - other.mean)
+                if abs(now.gravity[axis] - before.gravity[axis]) > FAR and change < WITHIN * scatter:
+                    raise Unsettled(
+                        f"{channel} of {serial} scatters by {scatter:.3g} {unit} within a position, and differs by "
+                        f"{change:.3g} {unit} from {before.position}: was the sensor turned and held still; "
+                        f"{TWO_AXES}? If not so in the positions before, go back and repeat them"
+                    )
 
     def _require_not_stuck(self, serial: str, unit: str, now: Measurement) -> None:
         """Refuse a channel that reads one value, never another, where something else has changed.

@@ -13,7 +13,15 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
-from tiltcal.bench.checks import Expectations, PositionResult, at_rail, far_off, require_few, result_of
+from tiltcal.bench.checks import (
+    Expectations,
+    PositionResult,
+    at_rail,
+    far_off,
+    require_few,
+    require_no_turns,
+    result_of,
+)
 from tiltcal.bench.devices import RECOVERY, Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.journal import RAMP, RecordedSession, positions_of
@@ -381,6 +389,7 @@ class Session:
                 if why := at_rail(sample[serial], model):
                     raise Unsettled(why)
         readings = [sample for _, sample in samples]
+        require_no_turns(readings, models)
         result = result_of(
             sensors, actual, asked, readings, self.now(), typed=typed, left_out=left_out,
             takes=self.recorded.takes(asked.name), steps=self.recorded.steps,
