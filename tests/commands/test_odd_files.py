@@ -9,10 +9,11 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
-from support import FIXTURES
+from support import FIXTURES, ROOT
 from support.command import TILTCAL, measure, tiltcal, tiltcal_process
 
 LONG = "a" * 300
+TABLE = "position,x,y\nx-tilt1,3.5,2.5\nx-tilt2,1.5,2.5\ny-tilt1,2.5,3.5\ny-tilt2,2.5,1.5\n"
 SIM = ("--sensor", "sca100t-d02", "--address", "sim:", "--serial", "S")
 CSV = "x,y\n1024,1024\n1100,1000\n"
 
@@ -24,6 +25,7 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "log.csv").write_text(CSV)
     (tmp_path / "segments.csv").write_text("position,start,end\nlevel,0,2\n")
     (tmp_path / "link.csv").symlink_to("log.csv")
+    shutil.copy(ROOT / "procedures" / "plane.yaml", tmp_path / "own.yaml")
     return tmp_path
 
 
@@ -37,6 +39,10 @@ def folder(tmp_path: Path) -> Path:
         ("noise", "log.csv", "--figure", "log.csv"),
         ("replay", "plane.journal.jsonl", "-o", "plane.journal.jsonl"),
         ("measure", "plane", *SIM, "-o", "new.yaml", "--journal", "new.yaml"),
+        ("combine", "plane.yaml", "plane.yaml", "-o", "plane.yaml"),
+        ("fit", "level", "log.csv", "--segments", "segments.csv", "--base", "plane.yaml", "-o", "plane.yaml"),
+        ("measure", "level", *SIM[:4], "--base", "plane.yaml", "-o", "plane.yaml"),
+        ("measure", "own.yaml", *SIM, "-o", "own.yaml"),
     ],
 )
 def test_an_output_replaces_no_input(command: tuple[str, ...], folder: Path) -> None:
@@ -45,6 +51,45 @@ def test_an_output_replaces_no_input(command: tuple[str, ...], folder: Path) -> 
     assert done.returncode == 2
     assert "it would replace" in done.stderr
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("command", "new"),
+    [
+        (("measure", "plane", *SIM[:4], "--serial", "SIM-42", "--operator", "sim"), "sca100t-d02 SIM-42"),
+        (("fit", "plane", "table.csv", "--table", "--unit", "V", "--jig", "0.1"), "recorded S-1"),
+        (("combine", "S-1.yaml", "--mounting", "roll=180"), "sca100t-d02 SIM-42"),
+        (("replay", "plane.journal.jsonl"), "sca100t-d02 SIM-42"),
+    ],
+)
+def test_a_calibration_replaces_one_of_its_own_sensor_and_no_other_file(
+    command: tuple[str, ...], new: str, folder: Path
+) -> None:
+    (folder / "table.csv").write_text(TABLE)
+    shutil.copy(folder / "plane.yaml", folder / "S-1.yaml")
+    if "fit" in command:
+        assert tiltcal(*command, "--serial", "S-1", "-o", "first.yaml", cwd=folder).returncode == 0
+        first, command = (folder / "first.yaml").read_text(), (*command, "--serial", "S-1")
+    else:
+        first = (folder / "plane.yaml").read_text()
+    model, serial = new.split()
+    for text, said in (
+        ("notes of mine", "out.yaml: the file there is no calibration: move it away, or name another file with -o"),
+        ((FIXTURES / "rotation.yaml").read_text(), f"is the calibration of pairs of gradiometer SIM-42, not of {new}"),
+        (first.replace(f"serial: {serial}", "serial: B-7"), f"is the calibration of {model} B-7, not of {new}"),
+        (first.replace(f"model: {model}", "model: adxl202"), f"is the calibration of adxl202 {serial}, not of {new}"),
+    ):
+        (folder / "out.yaml").write_text(text)
+        done = tiltcal(*command, "-o", "out.yaml", cwd=folder)
+        assert (done.returncode, (folder / "out.yaml").read_text()) == (2, text), done.stderr
+        assert said in done.stderr
+        assert not (folder / "out.journal.jsonl").exists()
+    ended = "2000-01-01T00:00:00.594Z"
+    (folder / "out.yaml").write_text(first)
+    done = tiltcal(*command, "-o", "out.yaml", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("out.yaml: the calibration of ") == 1
+    assert ("fit" in command) != (f"out.yaml: the calibration of {ended} is replaced" in done.stderr)
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,10 @@ from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import Argument, InputError, JournalError, UsageError
 from tiltcal.files.atomic import check_writable
 from tiltcal.files.bench import BenchFile, BenchSensor, bench_of, with_device_file
-from tiltcal.files.calibration import BaseFile, tilt_record
+from tiltcal.files.calibration import BaseFile
+from tiltcal.files.calibration_output import Sensors, require_replaceable, write_calibration
 from tiltcal.files.device import DeviceFile
-from tiltcal.files.document import Document, document_of, read_document
+from tiltcal.files.document import Document, document_of
 from tiltcal.files.journal import Journal
 from tiltcal.files.machine import Machine
 from tiltcal.files.moments import moment, stamp
@@ -341,6 +342,7 @@ class SessionFiles:
     def __init__(self, setup: Setup, journal: Path, output: Path | None = None) -> None:
         self.journal = journal
         self._identities = [(device.model, device.serial) for device in setup.sensors]
+        self._turning = setup.steps.rotation is not None
         self._named = output
         planned = {
             device.serial: Path(os.path.normpath(journal.parent / device.output))
@@ -372,44 +374,30 @@ class SessionFiles:
     def require_writable(self, captured: Journal | None) -> None:
         """Check before the operator starts that the files can be written; a journal that has its end is not.
 
-        UsageError: a path that cannot be written, or where a captured journal, which may be somebody else's, would
-            replace a file that is no calibration of its sensor, or that it names outside its own folder.
+        UsageError: a path that cannot be written, where a file is that is no calibration of the same sensor, or that a
+            captured journal, which may be somebody else's, names outside its own folder.
         """
         if captured is not None and self._named is None and self._outside:
             raise UsageError(
                 f"the journal names {self._outside[0]}, outside its own folder",
                 advice=("say with ", Argument("output"), " where the calibration goes"),
             )
-        for path in self.outputs.values():
-            check_writable(path, self.journal)
-            if captured is not None and os.path.isfile(path) and os.path.getsize(path):
-                self._require_calibration(path)
+        for serial, path in self.outputs.items():
+            require_replaceable(path, self.sensors_of(serial), self.journal)
         if captured is None or captured.end is None:
             check_writable(self.journal)
 
-    def _require_calibration(self, path: Path) -> None:
-        """Refuse to replace a file that is no calibration of a sensor of the session."""
-        try:
-            there = _identities_in(read_document(path))
-        except InputError:
-            there = []
-        if not (there == self._identities or (len(there) == 1 and there[0] in self._identities)):
-            serials = ", ".join(serial for _, serial in self._identities)
-            raise UsageError(
-                f"cannot write {path}: the file there is no calibration of {serials}",
-                advice=("move it away, or name another file with ", Argument("output")),
-            )
+    def sensors_of(self, serial: str) -> Sensors:
+        """Return what the calibration in the output of a serial number is of."""
+        if self._turning:
+            return ("pair", *self._identities)
+        return ("tilt", next(one for one in self._identities if one[1] == serial))
 
-
-def _identities_in(document: Document) -> list[tuple[str, str]]:
-    """Return model and serial number of each sensor of a calibration file."""
-    if document.kind == "pair":
-        from tiltcal.files.pair import pair_record
-
-        bench = pair_record(document).provenance.bench
-        return [] if bench is None else [(one.model or "", one.serial or "") for one in bench.sensors]
-    sensor = tilt_record(document).sensor
-    return [(sensor.model, sensor.serial)]
+    def write(self, texts: Mapping[str, str], remark: Callable[[str], None] | None = None) -> list[Path]:
+        """Write the calibration files, by serial number, and return their paths."""
+        for serial, text in texts.items():
+            write_calibration(self.outputs[serial], text, self.sensors_of(serial), remark)
+        return [self.outputs[serial] for serial in texts]
 
 
 def known_bench(document: Document) -> BenchFile:

@@ -9,7 +9,7 @@ import click
 from tiltcal.calibration.wording import summary
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
-from tiltcal.files.atomic import check_writable
+from tiltcal.files.calibration_output import require_replaceable
 from tiltcal.library.calibration import combine
 
 
@@ -32,8 +32,8 @@ def command(calibrations: tuple[Path, ...], mounting: str, output: Path) -> None
     covariance.
     """
 
-    check_writable(output)
+    require_replaceable(output, None, *calibrations)
     found = combine(calibrations, mounting=mounting)
-    found.save(output)
+    found.save(output, remark)
     click.echo(summary(found.record))
     remark(f"wrote {output}")

@@ -10,7 +10,7 @@ import click
 
 from tiltcal.cli import options
 from tiltcal.cli.talk import progress_bar, remark
-from tiltcal.files.atomic import check_writable
+from tiltcal.files.calibration_output import require_replaceable
 from tiltcal.logs.options import FitOptions
 
 if TYPE_CHECKING:
@@ -43,10 +43,10 @@ def command(procedure: str, log: Path, output: Path, topic: str | None, **settin
     from tiltcal.library.recorded import fit
 
     log = Path(options.of_topic(str(log), topic))
-    check_writable(output, log, *filter(None, [settings["segments"]]))
+    require_replaceable(output, None, log, *filter(None, [settings["segments"], settings["base"]]))
     with progress_bar("fit") as progress:
         calibration = fit(procedure, log, say=remark, progress=progress, **settings)
-    calibration.save(output)
+    calibration.save(output, remark)
     record = calibration.record
     determines = find_procedure(procedure, settings["tilt"]).determines
     in_words = mounting_summary if determines.mounting else level_summary if determines.level else summary

@@ -13,6 +13,7 @@ from tiltcal.cli.talk import progress_bar, remark
 from tiltcal.core.pair.matching import Matching
 from tiltcal.errors import UsageError
 from tiltcal.files.atomic import check_writable
+from tiltcal.files.calibration_output import require_replaceable
 from tiltcal.library.calibration import PairCalibration
 from tiltcal.logs.match import PairLog, match_log, pairs_of
 from tiltcal.report.record_figures import PairDrawing, draw_matching
@@ -71,15 +72,17 @@ def command(
     """
 
     wanted = pairs_of(_triples(pairs, orthogonals))
-    for path in filter(None, (output, figure)):
-        check_writable(path, log)
+    if figure:
+        check_writable(figure, log)
+    if output:
+        require_replaceable(output, None, log)
     with progress_bar("match") as progress:
         record, read, course = match_log(log, wanted, say=remark, progress=progress, **settings)
     calibration = PairCalibration(record)
     first = calibration.matchings[0]
     drawing = spectra_of(first, read) if figure else None
     if output:
-        calibration.save(output)
+        calibration.save(output, remark)
     if figure and drawing:
         draw_matching(figure, replace(drawing, course=course, uncertainty=max(first.u_p, first.u_q)))
     if as_json:

@@ -16,7 +16,7 @@ from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError, WrongPositions
-from tiltcal.files.atomic import require_apart, whole_file, write_whole
+from tiltcal.files.atomic import require_apart, whole_file
 from tiltcal.files.journal import read_journal
 
 
@@ -60,12 +60,12 @@ def command(journal: Path, output: Path | None, golden: Path | None, samples: Pa
         require_apart(samples, journal)
         with whole_file(samples) as stream:
             write_samples(stream, setup, (item for item in Playback(captured) if isinstance(item, RecordedSample)))
-    texts = {files.outputs[serial]: text for serial, text in calibrations_of(captured).texts().items()}
+    made = calibrations_of(captured).texts()
+    texts = {files.outputs[serial]: text for serial, text in made.items()}
     if golden is not None and not _gives(journal, texts, golden):
         return NEGATIVE_VERDICT
     if output is not None:
-        for path, text in texts.items():
-            write_whole(path, text)
+        for path in files.write(made, remark):
             remark(f"wrote {path}")
     elif setup.verifies:
         remark(f"{journal} is replayed; for its verdict: tiltcal verify CAL --resume {journal}")

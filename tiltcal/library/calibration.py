@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
@@ -17,8 +17,8 @@ from tiltcal.core.model import Coefficients, Limits
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.pair.matching import Matching
 from tiltcal.errors import UsageError
-from tiltcal.files.atomic import write_whole
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity, dump_calibration
+from tiltcal.files.calibration_output import sensors_of, write_calibration
 from tiltcal.files.coefficients import Uncertainty
 from tiltcal.files.document import read_document
 from tiltcal.files.pair import PairRecord, dump_pair
@@ -49,15 +49,22 @@ class SavedCalibration:
         """The text of its file."""
         return dump_pair(self.record) if isinstance(self.record, PairRecord) else dump_calibration(self.record)
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, say: Callable[[str], None] | None = None) -> None:
         """Write the calibration file, whole or not at all.
+
+        Parameters
+        ----------
+        path : str or Path
+            It replaces a calibration of the same sensor, and no other file.
+        say : callable, optional
+            Takes a sentence about the file that is replaced.
 
         Raises
         ------
         UsageError
             The file cannot be written there.
         """
-        write_whole(path, self._text)
+        write_calibration(path, self._text, sensors_of(self.record), say)
 
     def report(self, path: str | Path) -> None:
         """Write the HTML page that is filed with the sensor; it needs no other file, and prints on A4.

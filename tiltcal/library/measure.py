@@ -24,7 +24,7 @@ from tiltcal.core.rounding import plus_minus
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import link_in_words
 from tiltcal.errors import Argument, HardwareError, JournalError, UsageError, listed
-from tiltcal.files.atomic import check_writable, write_whole
+from tiltcal.files.atomic import require_apart
 from tiltcal.files.bench import BenchFile
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.device import model_named
@@ -143,10 +143,7 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
     operator = given["operator"] or session.setup.operator
     with led_by(operator, session, "measure", remark, given) as opened:
         outcome = run_session(session, opened)
-        paths = {session.files.outputs[serial]: text for serial, text in outcome.texts().items()}
-        for path, text in paths.items():
-            write_whole(path, text)
-        files = [str(path) for path in paths]
+        files = [str(path) for path in session.files.write(outcome.texts(), remark)]
         opened.tell({"event": "done", "calibrations": files, "journal": str(session.files.journal)})
         if outcome.lost:
             raise HardwareError("no calibration file for " + "; ".join(outcome.lost.values()))
@@ -223,6 +220,9 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
     bench = bench.with_stated(jig=given["jig"], lean=given["table_lean"], heading=given["heading"])
     bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
     outputs, beside = _outputs(steps, bench, named, output)
+    read = [path for path in (procedure, base, named) if isinstance(path, str | Path) and os.path.isfile(path)]
+    for written in filter(None, outputs):
+        require_apart(written, *read)
     path = resume or given["journal"]
     path = free_journal(beside, remark) if path is None else Path(path)
     operator = given["operator"] or "terminal"
@@ -300,7 +300,6 @@ def _outputs(
             raise UsageError("the pairs of a stage have one file together", advice=advice)
         return [output, *(None for _ in sensors.sensors[1:])], output
     if bench is None and output is not None:
-        check_writable(output)
         return [output], output
     folder = output or Path()
     name = "bench" if isinstance(bench, BenchFile) else Path(str(bench)).name

@@ -1,0 +1,62 @@
+"""What a calibration file may replace: another of the same sensors, and nothing else."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from tiltcal.errors import Argument, InputError, UsageError
+from tiltcal.files.atomic import check_writable, write_whole
+from tiltcal.files.calibration import CalibrationRecord, tilt_record
+from tiltcal.files.document import read_document
+from tiltcal.files.pair import PairRecord, pair_record
+
+Sensors = tuple[str | tuple[str, str], ...]
+"""The kind of a calibration, then model and serial number of each of its sensors; a matching of a log states none."""
+
+
+def write_calibration(
+    path: str | Path, text: str, sensors: Sensors, remark: Callable[[str], None] | None = None
+) -> None:
+    """Write a calibration file, whole or not at all; the errors are those of :func:`require_replaceable`."""
+    replaced = require_replaceable(path, sensors)
+    write_whole(path, text)
+    if replaced and remark:
+        remark(replaced)
+
+
+def require_replaceable(path: str | Path, sensors: Sensors | None = None, *read: str | Path) -> str:
+    """Check that a calibration file can be written, and return what is to say of the one that it replaces.
+
+    ``read`` are files that the command reads. Without ``sensors``, which are not known yet, any calibration passes.
+
+    UsageError: it cannot be written, or one of those, no calibration, or that of another sensor is there.
+    """
+    check_writable(path, *read)
+    if not os.path.isfile(path) or not os.path.getsize(path):
+        return ""
+    advice = ("move it away, or name another file with ", Argument("output"))
+    try:
+        document = read_document(path)
+        there = pair_record(document) if document.kind == "pair" else tilt_record(document)
+    except InputError:
+        raise UsageError(f"cannot write {path}: the file there is no calibration", advice=advice) from None
+    if sensors is not None and (found := sensors_of(there)) != sensors:
+        why = f"cannot write {path}: the file there is the calibration of {_named(found)}, not of {_named(sensors)}"
+        raise UsageError(why, advice=advice)
+    return f"{path}: the calibration of {there.provenance.ended or 'no date'} is replaced"
+
+
+def sensors_of(record: CalibrationRecord | PairRecord) -> Sensors:
+    """Return what a calibration is of."""
+    if isinstance(record, CalibrationRecord):
+        return ("tilt", (record.sensor.model, record.sensor.serial))
+    bench = record.provenance.bench
+    return ("pair", *((one.model or "", one.serial or "") for one in (bench.sensors if bench else ())))
+
+
+def _named(sensors: Sensors) -> str:
+    kind, *each = sensors
+    names = ", ".join(" ".join(one) for one in each)
+    return names if kind == "tilt" else f"pairs of {names or 'a log'}"
