@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from threading import Thread
 from time import sleep
@@ -162,15 +163,49 @@ def check(bus: AnsweredBus, judged: Judged, span: str) -> str:
 THERMOMETER = ("raw", "offset", "scale")
 
 
+def check_rates(bus: AnsweredBus, judged: Judged) -> str:
+    """For each rate that both have, the kernel writes the code of our row into its register."""
+    model, clock = find_model(judged.model), VirtualClock()
+    part = model.twin(model.default_truth(3), Fixture(clock), clock)
+    part.letter = "i" if judged.bus else "s"
+    row, written = part._part, []
+    setting = next((write for write in chain(*row.start_up.set_up) if write.rate), None)
+    keep = part._write
+    part._write = lambda register, content: (written.append((register, content)), keep(register, content))[-1]
+    asked, said = WithCompass(part) if model.name == "mpu9250" else part, 0
+    with bus.driven(judged, asked, clock) as folder:
+        files = [path for name in RATES for path in folder.glob(name)]
+        if setting is None or not files:
+            return "no rates"
+        known = Path(f"{files[0]}_available")
+        offered = (known if known.exists() else folder / "sampling_frequency_available").read_text().split()
+        bits = (1 << max(row.sampling.rates.values()).bit_length()) - 1
+        for rate, code in row.sampling.rates.items():
+            nearest = min(offered, key=lambda one: abs(float(one) - rate))
+            if abs(float(nearest) - rate) > 0.05 * rate:
+                continue
+            written.clear()
+            files[0].write_text(nearest)
+            number(folder, "in_accel_x_raw")
+            codes = {content // setting.rate & bits for register, content in written if register == setting.register}
+            assert code in codes or not codes, (rate, code, codes)
+            said += bool(codes)
+    assert said
+    return f"{said} rates"
+
+
+RATES = ("in_accel_sampling_frequency", "sampling_frequency")
+
+
 def main() -> int:
     """Judge each part on its buses and ranges, or those whose names are given; return the number of failures."""
     bus, failures = AnsweredBus(), 0
     for judged in JUDGED:
         if sys.argv[1:] and judged.model not in sys.argv[1:]:
             continue
-        for span in judged.ranges:
+        for span in (*judged.ranges, *(["rates"] if judged.unit == G and judged not in SCA3000 else [])):
             try:
-                said = check(bus, judged, span)
+                said = check_rates(bus, judged) if span == "rates" else check(bus, judged, span)
             except (AssertionError, OSError, StopIteration) as failure:
                 said, failures = f"FAILED: {type(failure).__name__} {failure}", failures + 1
             sleep(0.01)
