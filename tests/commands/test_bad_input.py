@@ -55,7 +55,7 @@ def test_a_wrong_log_and_a_file_that_is_not_there(folder: Path) -> None:
         ("time,x\n0,1024\n", "'y'"),
         ("time,x,y\n0,1024,fast\n", "log.csv:2: "),
         ("time,x,y\n0,1024\n", "log.csv:2: "),
-        ("time,x,y\n0,1024,1022\n1,2,2.", "log.csv:3: "),
+        ("time,x,y\n0,1024,1022\n1,2,2.\n", "log.csv:3: "),
         (None, "log.csv"),
     ):
         (folder / "log.csv").unlink() if log is None else (folder / "log.csv").write_text(log)

@@ -14,7 +14,7 @@ _MISSING = ("", "nan", "+nan", "-nan", "na", "n/a", "null", "none")
 
 
 def cells_of(text: str) -> list[list[str]]:
-    """Return the fields of each row; an empty line is a row without a field."""
+    """Return the fields of each row; an empty line is none."""
     rows: list[list[str]] = []
     row, cell, quoted = [], "", False
     place = 0
@@ -30,7 +30,7 @@ def cells_of(text: str) -> list[list[str]]:
             cell = ""
         elif character == "\n" and not quoted:
             cell = cell.removesuffix("\r")
-            rows.append([*row, cell] if row or cell else [])
+            rows += [[*row, cell]] if row or cell else []
             row, cell = [], ""
         else:
             cell += character

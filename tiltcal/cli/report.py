@@ -13,6 +13,7 @@ from tiltcal.cli import options
 from tiltcal.cli.history import read_history
 from tiltcal.cli.match import spectra_of
 from tiltcal.cli.talk import progress_bar, remark
+from tiltcal.dialect import TIME
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import CalibrationRecord, tilt_record
@@ -21,7 +22,7 @@ from tiltcal.files.document import read_document
 from tiltcal.files.pair import PairRecord, pair_record
 from tiltcal.files.results import FileRecord
 from tiltcal.logs.apply import look_over
-from tiltcal.logs.columns import TIME, named_columns
+from tiltcal.logs.columns import named_columns
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.kernel import prepare
 from tiltcal.logs.match import read_pair_log

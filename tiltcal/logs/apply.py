@@ -18,12 +18,13 @@ from tiltcal.calibration.season import CalibrationFolder
 from tiltcal.core.column_statistics import ColumnStatistics
 from tiltcal.core.earth_frame import VELOCITY, FieldLength
 from tiltcal.core.flags import FLAGS, REASONS, count_flags
+from tiltcal.dialect import TEMPERATURE, TIME
 from tiltcal.errors import Argument, UsageError
 from tiltcal.files.atomic import require_apart
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.document import read_document
 from tiltcal.files.pair import PairRecord
-from tiltcal.logs.columns import HEADING, TEMPERATURE, TIME, column_names, locate_columns, named_columns, require_units
+from tiltcal.logs.columns import HEADING, column_names, locate_columns, named_columns, require_units
 from tiltcal.logs.formats import create_log, open_log, require_way
 from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare, with_lag
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table

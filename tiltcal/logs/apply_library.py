@@ -23,9 +23,10 @@ from tiltcal.core.earth_frame import HEADING, full_circle
 from tiltcal.core.flags import OUTSIDE_TIME, SUSPECT, mark_columns
 from tiltcal.core.model import Array
 from tiltcal.core.tilt_angles import DIRECTIONS, tilt, tilts_of_three
+from tiltcal.dialect import TIME
 from tiltcal.errors import Argument, InputError, Parts, UsageError
 from tiltcal.files.moments import LEAST_SECONDS, MOST_SECONDS, moment
-from tiltcal.logs.columns import TIME, named_columns
+from tiltcal.logs.columns import named_columns
 from tiltcal.logs.kernel import (
     Kernel,
     PreparedCalibration,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 
 from tiltcal.core.model import AXES, Array
+from tiltcal.dialect import TEMPERATURE, TIME, best_time, meaning
 from tiltcal.errors import Argument, InputError, UsageError, Words, parts_of
 from tiltcal.printable import did_you_mean
 from tiltcal.stated_arguments import named_values
@@ -20,29 +20,8 @@ from tiltcal.units import DEGREE, READINGS, TEMPERATURES, same_unit, spelt, spli
 if TYPE_CHECKING:
     from tiltcal.logs.log import LogReader
 
-TEMPERATURE = "temperature"
-TIME = "time"
 HEADING = "heading"
 
-_WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
-_GLUED = re.compile(r"(?:field\.)?(?:(a|aa|acc|accel|gf|gforce)[ _.-]?([xyz])|([xyz])[ _.-]?acc)", re.IGNORECASE)
-_ACCELERATION = {"a", "acc", "accel", "accelerometer", "acceleration", "accelerations", "gforce", "gf", "lacc", "aacc"}
-_OTHER_QUANTITY = re.compile(
-    "g|gyro?s?|gyroscope|w|omega|angular|rot|rotation|rate|m|magn?|magnetometer|magnetic|b|field|compass|vel|velocity|pos"
-    "|position|euler|q|quat|quaternion|angles?|orientation|attitude|std|var|covariance|min|max|rms|sigma|bias|offset|jerk"
-)
-"""Words of names that are no acceleration, or none of a sample."""
-
-_CLOCKS = (
-    "time", "t", "seconds_elapsed", "timestamp", "datetime", "date time", "date/time", "utc time", "epoch", "epoc",
-    "elapsed", "time since start", "elapsed time", "timestamps", "utc", "seconds", "sec", "millis", "ms", "clock",
-    "header.stamp", "field.header.stamp", "unix time", "unix_time", "system time", "local time",
-    "yyyy-mo-dd hh-mi-ss_sss",
-)  # fmt: skip
-"""Names of a time, the best first."""
-_THERMOMETER = re.compile(
-    r"(?:(?:imu|sensor|chip|die|internal|accel(?:erometer)?)[ _.]*)?temp(?:erature)?", re.IGNORECASE
-)
 _MEMORY = 256 << 20
 """Keep the columns in memory up to so many bytes, and in temporary files beyond."""
 
@@ -79,28 +58,11 @@ def column_names(names: Sequence[str], roles: Sequence[str], named: Mapping[str,
         if role in AXES and len(alone) > 1:  # beside the acceleration that one has, linear ones are without gravity
             alone = {name for name in alone if "linear" not in name.lower() and "user" not in name.lower()}
         if role == TIME and alone:
-            alone = {min(alone, key=lambda name: (_CLOCKS.index(split_unit(name)[0].strip().lower()), name))}
+            alone = {best_time(alone)}
         column = bare.get(named.get(role, role))
         if column is not None or len(alone) == 1:
             found[role] = column or next(iter(alone))
     return found
-
-
-def meaning(name: str) -> str:
-    """Return the role that the name of a column means, without its unit; empty where it means none."""
-    name = name.strip()
-    if name.lower() in _CLOCKS:
-        return TIME
-    if _THERMOMETER.fullmatch(name):
-        return TEMPERATURE
-    if glued := _GLUED.fullmatch(name):
-        return str(glued[2] or glued[3]).lower()
-    words = [word.lower() for word in _WORDS.findall(re.sub(r"^field\.|-?axis", "", name, flags=re.IGNORECASE))]
-    axes = [word for word in words if word in AXES]
-    rest = {word for word in words if word not in AXES and not word.isdigit()}
-    if len(axes) != 1 or any(map(_OTHER_QUANTITY.fullmatch, rest)) or (rest and not rest & _ACCELERATION):
-        return ""
-    return str(axes[0])
 
 
 @dataclass(frozen=True)
@@ -193,21 +155,12 @@ def require_units(
 def _absent(column: str, names: Sequence[str], option: str, role: str) -> Words:
     if not names:
         return "there are no columns"
-    if all(is_number(name) for name in names if name):
+    if all(name.isdigit() for name in names if name):
         why = f"there is no column {column!r}; the log has no header, and its columns are called 1 to {len(names)}: "
         return f"{why}name one, such as ", Argument(option, f"{role}{min(2, len(names))}")
     listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
     why = f"there is no column {column!r}{did_you_mean(column, names)}; the log has {listed}. Name it with "
     return why, Argument(option, f"{role}NAME")
-
-
-def is_number(text: str) -> bool:
-    """Return whether a field of a first line is a number, so that it names no column."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 @dataclass(frozen=True)

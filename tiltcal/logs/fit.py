@@ -26,6 +26,7 @@ from tiltcal.core.model import AXES
 from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary, even_step
+from tiltcal.dialect import TEMPERATURE, TIME
 from tiltcal.drivers.model import Model
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
@@ -43,8 +44,6 @@ from tiltcal.files.tables import (
     tabled_channels,
 )
 from tiltcal.logs.columns import (
-    TEMPERATURE,
-    TIME,
     ReadingsHeader,
     RecordedColumns,
     named_columns,

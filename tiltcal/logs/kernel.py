@@ -21,11 +21,12 @@ from tiltcal.core.flags import NO_DIRECTION, NO_TEMPERATURE, SUSPECT, mark_colum
 from tiltcal.core.model import Array
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.thermal_lag import ThermalLag
+from tiltcal.dialect import TIME
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.pair import PairRecord
 from tiltcal.logs.cf_attributes import COUNT
-from tiltcal.logs.columns import HEADING, TIME
+from tiltcal.logs.columns import HEADING
 from tiltcal.logs.log import Table
 from tiltcal.logs.options import ApplyOptions, GroupSize, vectors
 from tiltcal.options import complete

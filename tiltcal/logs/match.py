@@ -21,10 +21,11 @@ from tiltcal.core.pair.matching import Matching, PairCoefficients, drifts, match
 from tiltcal.core.pair.model import Pair, matched_sum
 from tiltcal.core.pair.online import Online
 from tiltcal.core.pair.stage import StageRecord, estimated_angle, stage_record
+from tiltcal.dialect import TIME
 from tiltcal.errors import Argument, EstimateError, InputError, Stopped, UsageError
 from tiltcal.files.pair import PairRecord, SpinRecord
 from tiltcal.files.results import LogRecord, PairProvenance
-from tiltcal.logs.columns import TIME, locate_columns, read_columns, require_units
+from tiltcal.logs.columns import locate_columns, read_columns, require_units
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.stated_arguments import require_boolean, require_text_or_none

@@ -24,12 +24,13 @@ from tiltcal.core.noise import (
     characterise,
     sample_size,
 )
+from tiltcal.dialect import TIME
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.model import OF_G
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.device import model_named
-from tiltcal.logs.columns import TIME, column_names, locate_readings, named_columns, read_columns, readings_header
+from tiltcal.logs.columns import column_names, locate_readings, named_columns, read_columns, readings_header
 from tiltcal.logs.formats import open_log
 from tiltcal.logs.log import LogReader, Progress
 from tiltcal.printable import counted, in_html

@@ -23,11 +23,12 @@ from tiltcal.core.detection import (
 )
 from tiltcal.core.model import Array
 from tiltcal.core.samples import SampleSummary, resolution, summarise
+from tiltcal.dialect import TEMPERATURE, TIME
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Procedure
 from tiltcal.files.tables import Segment, TabledPosition
-from tiltcal.logs.columns import TEMPERATURE, TIME, RecordedColumns
+from tiltcal.logs.columns import RecordedColumns
 
 FEWEST_ROWS = 2
 """Samples that a segment needs for a standard deviation."""

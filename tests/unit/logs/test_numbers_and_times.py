@@ -51,7 +51,7 @@ def test_a_moment_may_leave_out_seconds_and_zone() -> None:
 
 @pytest.mark.parametrize("block", [8, 1 << 20])
 def test_text_that_is_no_time_is_refused_with_its_line(block: int) -> None:
-    for text in ("01.05.2026 12:00:00", "05/01/2026 12:00", "12:00:01", "2026-05-01T25:00", "noon"):
+    for text in ("01.13.2026 12:00:00", "2026-05-01T25:00", "25:00:00", "noon"):
         with pytest.raises(InputError, match=f"^log.csv:3: column 'time' holds '{text}', neither seconds nor ISO 8601"):
             csv(f"time,x\n,1\n{text},2\n{text},3\n", block=block)
 
@@ -62,7 +62,7 @@ def test_a_text_behind_the_first_times_counts_as_missing() -> None:
 
 def test_a_date_in_parquet_is_its_midnight_and_a_time_of_day_is_refused_with_its_row(tmp_path: Path) -> None:
     assert parquet(tmp_path, [date(2026, 5, 1), None]) == pytest.approx([NOON - 43200.0, np.nan], nan_ok=True)
-    for times, found in (([None, time(12, 0, 1)], "12:00:01"), ([None, "01.05.2026"], "01.05.2026")):
+    for times, found in (([None, time(12, 0, 1)], "12:00:01"), ([None, "01.13.2026"], "01.13.2026")):
         with pytest.raises(InputError, match=f"^log.parquet: row 1: column 'time' holds '{found}', neither"):
             parquet(tmp_path, times)
 

@@ -1,11 +1,13 @@
-"""CSV: a log read block by block so that its size does not matter, and written with columns behind its own.
+"""CSV and other text: a log read block by block, whatever its size, and written with columns behind its own.
 
-:mod:`tiltcal.logs.formats.csv_dialect` finds how it is written, :mod:`tiltcal.logs.formats.csv_rows` defines a row.
+:mod:`tiltcal.dialect` finds how it is written, :mod:`tiltcal.logs.formats.csv_rows` defines a row.
 """
 
 from __future__ import annotations
 
-import csv
+from bisect import bisect_right
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE, IncrementalDecoder, getincrementaldecoder
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -14,12 +16,15 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from tiltcal.dialect import Dialect, dialect_of, quoted, split
 from tiltcal.errors import InputError
-from tiltcal.logs.formats.csv_dialect import Dialect, dialect_of
-from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, RowGrammar, between_commas, in_utf8
+from tiltcal.files.moments import LEAST_SECONDS
+from tiltcal.logs.formats.binary import refuse_binary
+from tiltcal.logs.formats.csv_rows import UTF8_BOM, CsvBlock, RowGrammar
 from tiltcal.logs.log import LogBlock, LogReader, LogSource, LogWriter, Table
 from tiltcal.logs.numbers_and_times import numbers
 from tiltcal.logs.streams import refusing
+from tiltcal.printable import counted
 
 if TYPE_CHECKING:
     import polars as pl
@@ -27,75 +32,113 @@ if TYPE_CHECKING:
 _BLOCK = 6 << 20
 _TOP = 1 << 16  # bytes in which the dialect is looked for
 _LONGEST_ROW = 16 << 20
-_UTF16_BOMS = (b"\xff\xfe", b"\xfe\xff")
+_UTF16 = ("utf-16-le", "utf-16-be")
+_MOST_DROPPED = 1 << 16  # lines between rows whose places are kept, for the line of a row in a message
 _LOSES_ITSELF = r"^\s*[+-]?(?:0\d|\d{16})"
 """What a number begins with that a double would not give back as it stood."""
+_NO_ROWS = {"empty": "empty", "comment": "comment", "header": "repeated header", "other": "other"}
+"""Kinds of line between the rows that are none, in words."""
 
 
 class CsvReader(LogReader):
-    """A log in CSV, read by ``block`` bytes at a time.
+    """A log in CSV, or in any other text that has a dialect, read by ``block`` bytes at a time.
 
-    ``header`` is the first line as it stands, byte-order mark and all, without its line end; in a log without a header,
-    or with blanks between its fields, the columns between commas. ``line_end`` is LF or CRLF, as the first line has it.
+    ``header`` is the line of names as it stands, byte-order mark and all, without its line end, or the names between
+    separators where the log has no such line. ``line_end`` is LF or CRLF, as the first line has it.
     """
-
-    header_line = 1
 
     def __init__(self, source: LogSource, *, block: int = _BLOCK) -> None:
         super().__init__(source)
         self._block, self._line = block, 1
         self._digest = sha256() if source.size is None else None  # a pipe gives its bytes once
+        self._decoder: IncrementalDecoder | None = None
+        self._charset, self._replaced = "utf-8", 0
+        self._between: Counter[str] = Counter()
+        self._dropped: list[int] = []
         top = self._top()
-        first, end, self._pending = top.partition(b"\n")
-        self.header = in_utf8(first.removesuffix(b"\r"))
-        self.line_end = "\r\n" if first.endswith(b"\r") and end else "\n"
-        if self.header.startswith(_UTF16_BOMS) or b"\0" in self.header:
-            raise self._error("this is no CSV text: save the log as CSV in UTF-8")
-        if b"\r" in self.header:
-            raise self._error("the lines end in CR alone: save the log with LF or CRLF")
-        top = top.removeprefix(UTF8_BOM)
-        self.dialect = self._dialect(top[: top.rfind(b"\n", 0, max(_TOP, len(first) + 1)) + 1] or top)
-        self.names = self.dialect.names
-        if not self.dialect.has_header:
-            self.header, self._pending = self.dialect.separator.join(self.names).encode(), top
-        elif self.dialect.has_blanks:
-            self.header = ",".join(self.names).encode()
-        self._line += self.dialect.has_header
+        whole = top[: top.rfind(b"\n") + 1] or top
+        marked = whole.startswith(UTF8_BOM)
+        self._charset = charset_of(whole)
+        lines = [line.removesuffix("\r") for line in self._in_utf8(whole).decode().removeprefix("\ufeff").split("\n")]
+        lines = lines[:-1] if whole.endswith(b"\n") else lines
+        self.line_end = "\r\n" if top.partition(b"\n")[0].endswith(b"\r") and b"\n" in top else "\n"
+        self._refuse_other_text(lines)
+        self.dialect = self._dialect(lines)
+        found = self.dialect
+        self.header_line = 1 + (found.first if found.named is None else found.named)
+        self.names = found.column_names
+        header = "" if found.named is None or not found.is_plain else lines[found.named]
+        if (
+            not header
+            or header.lstrip().startswith(found.comments)
+            or len(split(header, found.separator)) != len(found.names)
+        ):
+            header, marked = found.separator.join(quoted(name, found.separator) for name in self.names), False
+        self.header = UTF8_BOM * (marked and found.named == 0) + header.encode()
+        before = [line for row, line in enumerate(found.head) if row != found.named and line.strip()]
+        self.notes = {"header": "\n".join(before)} if before else {}
+        place = 0
+        for _ in range(found.first):
+            place = top.find(b"\n", place) + 1 or len(top)
+        self._pending = top[place:] if found.first else top.removeprefix(UTF8_BOM)
+        self._line += found.first
 
     @property
     def sha256(self) -> str | None:
         return super().sha256 if self._digest is None else self._digest.hexdigest()
 
+    def unit(self, column: int) -> str | None:
+        return self.dialect.units.get(self.dialect.names[column]) or super().unit(column)
+
     def read(self, size: int) -> bytes:
-        """Return so many bytes of the file, fewer at its end."""
+        """Return so many bytes of the file, fewer at its end; of UTF-16 in UTF-8."""
         data = self.source.stream.read(size)
         self.bytes_read += len(data)
         if self._digest is not None:
             self._digest.update(data)
-        return data
+        if self._decoder is None:
+            return data
+        text = self._decoder.decode(data, final=not data)
+        while data and not text and (more := self.source.stream.read(size)):  # half of a character is no end
+            text = self._decoder.decode(more)
+        return text.encode(errors="replace")
 
     def _top(self) -> bytes:
-        """Read the first two lines, and what comes with them."""
+        """Read the first lines, and what comes with them."""
         data = b""
-        while data.count(b"\n") < 2 and (more := self.read(self._block)):
+        while (len(data) < _TOP or data.count(b"\n") < 2) and (more := self.read(self._block)):
+            if not data:
+                refuse_binary(more, self.name)
+                if (encoding := _wide(more)) is not None:
+                    self._decoder = getincrementaldecoder(encoding)("replace")
+                    more = self._decoder.decode(more).removeprefix("\ufeff").encode(errors="replace")
             data += more
-            if b"\n" not in data:
-                self._refuse_endless(data)
+            pending = data[data.rfind(b"\n") + 1 :]
+            if len(pending) > _LONGEST_ROW:
+                self._line = 1 + data.count(b"\n")
+                self._refuse_endless(pending)
         if not data.removeprefix(UTF8_BOM).strip():
             raise InputError("the log is empty", file=self.name)
         return data
 
-    def _dialect(self, top: bytes) -> Dialect:
+    def _refuse_other_text(self, lines: Sequence[str]) -> None:
+        """Refuse what has no lines of text."""
+        if "\0" in lines[0]:
+            raise self._error("this is no CSV text: save the log as CSV in UTF-8")
+        if "\r" in lines[0]:
+            raise self._error("the lines end in CR alone: save the log with LF or CRLF")
+
+    def _dialect(self, lines: Sequence[str]) -> Dialect:
         try:
-            dialect = dialect_of(in_utf8(top).decode())
-        except csv.Error as failure:
-            raise self._error(f"the header cannot be parsed: {failure}") from None
+            dialect = dialect_of(lines)
+        except ValueError as failure:
+            raise self._error(f"{failure}: is this a log?") from None
         named = [name for name in dialect.names if name]
-        if not named:
-            raise self._error("the first line is empty: it must name the columns")
+        self._line = 1 + (dialect.named or 0)
         if len({*named}) < len(named):
             twice = next(name for place, name in enumerate(named) if name in named[:place])
             raise self._error(f"the header names column {twice!r} twice: rename one of them")
+        self._line = 1
         return dialect
 
     @property
@@ -112,17 +155,69 @@ class CsvReader(LogReader):
 
     def _parsed(self, grammar: RowGrammar) -> Iterator[CsvBlock]:
         """Yield the rows, block after block."""
-        rows = 0
+        rows = torn = 0
         for data, unended in self._lines():
-            block = grammar.parse(between_commas(data) if self.dialect.has_blanks else data, unended=unended)
-            if block.faults and not self.source.skip_bad_rows:
-                row = min(block.faults)
-                raise self._row_error(block.faults[row], rows + row)
-            rows += len(block)
-            self._line += len(block)
-            yield block
+            block, places = self._rows_of(grammar, self._in_utf8(data), unended)
+            for row in sorted(block.faults):
+                line = self._line + (row if places is None else places[row])
+                self._refuse_other_header(block, row, line)
+                if row not in block.torn and not self.source.skip_bad_rows:
+                    raise InputError(block.faults[row], file=self.name, line=line)
+            lines = data.count(b"\n")
+            count = lines if places is None else len(places)
+            if places is not None and len(self._dropped) < _MOST_DROPPED:
+                behind = np.setdiff1d(np.arange(lines), places) - np.arange(lines - count)
+                self._dropped += (rows + behind).tolist()
+            rows, torn = rows + count, torn + len(block.torn)
+            self._line += lines
+            if count:
+                yield block
         if not rows:
             raise self._error("the log has a header and no rows")
+        self._remark(torn)
+
+    def _rows_of(self, grammar: RowGrammar, data: bytes, unended: bool) -> tuple[CsvBlock, Sequence[int] | None]:
+        """Return the rows among whole lines, and the places of these lines where some are no rows."""
+        if not unended and not self._has_comments(data):
+            fields = self.dialect.fields(data)
+            if fields is not None and (block := grammar.at_once(fields)) is not None:
+                return block, None
+        lines = data.decode().split("\n")[:-1]
+        kinds = [self.dialect.no_row(line) for line in lines]
+        places = [place for place, kind in enumerate(kinds) if not kind]
+        ends = [row for row, place in enumerate(places) if kinds[place + 1 : place + 2] == ["header"]]
+        ends += [len(places) - 1] * (unended and not kinds[-1])
+        if len(places) < len(lines):
+            self._between.update(filter(None, kinds))
+            lines = [lines[place] for place in places]
+            fields = self.dialect.fields("".join(f"{line}\n" for line in lines).encode())
+            if fields and not ends and (block := grammar.at_once(fields)) is not None:
+                return block, places
+        fields = "".join(f"{self.dialect.fields_of(line)}\n" for line in lines).encode()
+        return grammar.by_line(fields, sorted({*ends})), places if len(places) < len(kinds) else None
+
+    def _has_comments(self, data: bytes) -> bool:
+        marks = [mark.encode() for mark in self.dialect.comments]
+        return any(data.startswith(mark) or b"\n" + mark in data for mark in marks if mark in data)
+
+    def _refuse_other_header(self, block: CsvBlock, row: int, line: int) -> None:
+        """Refuse names inside the table that are not those of its columns: what follows has other columns."""
+        text = str(block.lines[row]).rstrip(self.dialect.separator)
+        text = text[1:-1].replace('""', '"') if text.startswith('"') else text
+        if self.dialect.is_other_header(text):
+            why = f"the columns change here: {text!r} behind {self.header.decode()!r}; cut the log in two at this line"
+            raise InputError(why, file=self.name, line=line)
+
+    def _remark(self, torn: int) -> None:
+        """Say what was no row, or cannot be read."""
+        if self._between:
+            kinds = ", ".join(f"{count} {_NO_ROWS[kind]}" for kind, count in self._between.items())
+            lines = counted(self._between.total(), "line")
+            self.remarks.append(f"{lines} between the rows left out: {kinds}")
+        if torn:
+            self.remarks.append(f"{counted(torn, 'row')} cut short while it was written: kept as missing")
+        if self._replaced:
+            self.remarks.append(f"{counted(self._replaced, 'byte')} that are no UTF-8: each is now \ufffd")
 
     def _lines(self) -> Iterator[tuple[bytes, bool]]:
         """Whole lines, and whether they are the very last one, which had no end."""
@@ -138,6 +233,17 @@ class CsvReader(LogReader):
         if pending and not self.interrupted:
             yield pending + b"\n", True
 
+    def _in_utf8(self, data: bytes) -> bytes:
+        """Return lines in UTF-8 with LF, where a byte that is none in the encoding of the log is a U+FFFD."""
+        if not data.isascii():
+            try:
+                data = data if self._charset == "utf-8" and data.decode() else data.decode(self._charset).encode()
+            except UnicodeDecodeError:
+                text = data.decode(self._charset, errors="replace")
+                self._replaced += text.count("\ufffd") - data.count("\ufffd".encode())
+                data = text.encode()
+        return data.replace(b"\r\n", b"\n") if b"\r" in data else data
+
     def _refuse_endless(self, pending: bytes) -> None:
         """Stop at what is no log, before it fills the memory."""
         if len(pending) > _LONGEST_ROW:
@@ -147,7 +253,30 @@ class CsvReader(LogReader):
         return InputError(message, file=self.name, line=self._line)
 
     def _row_error(self, why: str, row: int) -> InputError:
-        return InputError(why, file=self.name, line=1 + self.dialect.has_header + row)
+        return InputError(why, file=self.name, line=1 + self.dialect.first + row + bisect_right(self._dropped, row))
+
+
+def charset_of(head: bytes) -> str:
+    """Return the encoding of text without a mark, by its first lines: UTF-8, else Windows-1252.
+
+    One byte that is damaged, among characters that are UTF-8, does not change that they are.
+    """
+    try:
+        head.decode()
+    except UnicodeDecodeError:
+        text = head.decode(errors="replace")
+        beyond = sum(character > "\x7f" for character in text)
+        return "utf-8" if beyond > 2 * text.count("\ufffd") else "cp1252"
+    return "utf-8"
+
+
+def _wide(data: bytes) -> str | None:
+    """Return which UTF-16 data are in, by their mark or by the zeros in every other byte; None where in none."""
+    if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+        return _UTF16[data.startswith(BOM_UTF16_BE)]
+    some = data[: 1 << 10]
+    low, high = some[1::2].count(0), some[::2].count(0)
+    return _UTF16[high > low] if len(some) > 3 and max(low, high) > len(some) // 4 > min(low, high) * 8 else None
 
 
 class ColumnTypes:
@@ -160,13 +289,7 @@ class ColumnTypes:
     """
 
     def __init__(self, dialect: Dialect, needed: Sequence[int], time: int | None, *, file: str) -> None:
-        names = dialect.names
-        if "" in names:
-            raise InputError(
-                f"column {names.index('') + 1} has no name, which Parquet and means need: name it in the header",
-                file=file,
-                line=1,
-            )
+        names = self._names = dialect.column_names
         self._dialect, self._time, self._file = dialect, time, file
         self._needed = tuple(index for index in needed if index != time)
         self.others = tuple(index for index in range(len(names)) if index not in self._needed)
@@ -177,7 +300,7 @@ class ColumnTypes:
         """Return a block with its columns as a frame."""
         import polars as pl
 
-        columns = {name: self._column(block, index) for index, name in enumerate(self._dialect.names)}
+        columns = {name: self._column(block, index) for index, name in enumerate(self._names)}
         self._row += len(block)
         return replace(block, frame=pl.DataFrame(columns))
 
@@ -188,7 +311,7 @@ class ColumnTypes:
         cells = block.texts[index].clone().scatter([*block.faults], None)
         values, wrong = numbers(self._dialect.with_points(cells))
         if wrong is not None:
-            moments = index == self._time and np.isfinite(block.values[index][wrong]).any()
+            moments = index == self._time and (block.values[index][wrong] > LEAST_SECONDS).any()
             return pl.Datetime("us", "UTC") if moments else pl.String()
         exact = np.isfinite(values).any() and not cells.str.contains(_LOSES_ITSELF).any()
         return pl.Float64() if exact else pl.String()
@@ -211,7 +334,7 @@ class ColumnTypes:
         for row in () if wrong is None else np.flatnonzero(wrong).tolist():
             if row not in block.faults:
                 raise InputError(
-                    f"row {self._row + row}: column {self._dialect.names[index]!r} holds {cells[row]!r}, and numbers "
+                    f"row {self._row + row}: column {self._names[index]!r} holds {cells[row]!r}, and numbers "
                     "above it: Parquet and means need one type in a column; mend it, or write CSV without them",
                     file=self._file,
                 )

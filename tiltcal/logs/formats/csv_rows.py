@@ -3,7 +3,7 @@
 CSV readers differ in silence on short and long rows, on a row that a power cut tore, on blank lines and odd numbers. So
 the grammar is our own, and the same for every row of every file:
 
-- A line is a row, with as many fields as the header. Lines end in LF or CRLF. An empty line cannot be parsed.
+- A line is a row, with as many fields as the header. Lines end in LF or CRLF.
 - A field in double quotes may hold separators and doubled quotes, but no line end; elsewhere a quote is a character.
 - A NUL byte, or a bare CR outside quotes, is damage.
 - A last line that has no end is torn where it is short, or stops inside a number.
@@ -17,16 +17,17 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.model import Array
-from tiltcal.logs.formats.csv_dialect import Dialect
+from tiltcal.dialect import Dialect, in_quotes
 from tiltcal.logs.log import LogBlock
 from tiltcal.logs.numbers_and_times import is_cut, numbers, seconds
 from tiltcal.printable import counted
@@ -40,35 +41,18 @@ _OF_NUMBERS = b"0123456789+-."
 _UNUSED = "\x1f\x1e\x1d\x1c\x01\x02\x03\x04\x05\x06\x0e\x0f\x10\x11\x12\x13\x14\x15\x16\x17"
 UTF8_BOM = b"\xef\xbb\xbf"
 
-_MARGINS = re.compile(rb"^[ \t]+|[ \t]+(?=\r?$)", re.MULTILINE)
-_GAPS = re.compile(rb"[ \t]+")
-
-
-def in_utf8(text: bytes) -> bytes:
-    """Return text in UTF-8, which is taken as Latin-1 where it is none."""
-    if not text.isascii():
-        try:
-            text.decode()
-        except UnicodeDecodeError:
-            return text.decode("latin-1").encode()
-    return text
-
-
-def between_commas(lines: bytes) -> bytes:
-    """Return whole lines whose fields are separated by blanks as CSV."""
-    return _GAPS.sub(b",", _MARGINS.sub(b"", lines))
-
 
 @dataclass(frozen=True, kw_only=True)
 class CsvBlock(LogBlock):
     """Some rows of a CSV log, in order, with what is wrong with which row.
 
     ``text`` has the rows in UTF-8, each with a LF; ``texts`` are the text columns that were asked for, null where a
-    cell is empty.
+    cell is empty. ``torn`` are the faults of rows that were cut short while they were written.
     """
 
     faults: Mapping[int, str]
     text: bytes
+    torn: Collection[int] = ()
     texts: Mapping[int, pl.Series] = field(default_factory=dict)
 
     @property
@@ -92,24 +76,26 @@ class RowGrammar:
     texts: Sequence[int] = ()
 
     def parse(self, data: bytes, *, unended: bool = False) -> CsvBlock:
-        """Parse whole lines, the last one with its line end; ``unended``: it had none in the file.
+        """Parse whole lines in UTF-8, the last one with its line end; ``unended``: it had none in the file.
 
         Nothing is raised: what breaks a rule is in ``faults``.
         """
-        data = in_utf8(data)
-        if b"\r" in data:
-            data = data.replace(b"\r\n", b"\n")
-        return (None if unended else self._at_once(data)) or self._by_line(data, unended)
+        last = data.count(b"\n") - 1
+        return (None if unended else self.at_once(data)) or self.by_line(data, [last] * unended)
 
-    def _at_once(self, data: bytes) -> CsvBlock | None:
+    def at_once(self, data: bytes) -> CsvBlock | None:
         """Parse rows that break no rule, as is seen without a look at single rows; None where one might.
 
         The engine gives a short row null in its last field and leaves out what a long row has too much, without a word.
         Where no last field is null and the separators are as many as the rows need, no row is short or long.
         """
-        fields, separator = len(self.dialect.names), ord(self.dialect.separator)
-        if b'"' in data or b"\r" in data or b"\0" in data:
+        fields, separator, text = len(self.dialect.names), ord(self.dialect.separator), data
+        if b"\r" in data or b"\0" in data:
             return None
+        if b'"' in data:  # cells in quotes that hold neither separators nor quotes are what is between them
+            data = self._quoted.sub(rb"\1\2", data)
+            if b'"' in data:
+                return None
         rows = _count(data, _LF)
         if _count(data, separator) != rows * (fields - 1):
             return None
@@ -125,7 +111,12 @@ class RowGrammar:
                 return None
         texts = {index: frame[str(index)].replace("", None) for index in self.texts}
         times = None if self.time is None else frame[str(self.time)]
-        return CsvBlock(values=values, faults={}, text=data, texts=texts, times=times)
+        return CsvBlock(values=values, faults={}, text=text, texts=texts, times=times)
+
+    @cached_property
+    def _quoted(self) -> re.Pattern[bytes]:
+        mark = re.escape(self.dialect.separator.encode())
+        return re.compile(rb'(^|%b)"([^"%b\n]*)"(?=%b|$)' % (mark, mark, mark), re.MULTILINE)
 
     def _columns_by_engine(self, data: bytes) -> pl.DataFrame | None:
         """Read needed columns as numbers, or as text where that fails, and the last column; None if both fail."""
@@ -150,10 +141,10 @@ class RowGrammar:
         if cells.dtype != pl.String:
             return cells.to_numpy(), None
         cells = self.dialect.with_points(cells, moments=index == self.time)
-        return (seconds(cells), None) if index == self.time else numbers(cells)
+        return (seconds(cells, self.dialect.dates), None) if index == self.time else numbers(cells)
 
-    def _by_line(self, data: bytes, unended: bool) -> CsvBlock:
-        """Parse rows one by one, and say what is wrong with each."""
+    def by_line(self, data: bytes, last: Collection[int] = ()) -> CsvBlock:
+        """Parse rows one by one, and say what is wrong with each; the ``last`` ones may have been torn."""
         import polars as pl
 
         names, separator = self.dialect.names, self.dialect.separator
@@ -170,11 +161,12 @@ class RowGrammar:
         for row in np.flatnonzero((counts != len(names)) | (lines == "").to_numpy()).tolist():
             fault = f"the row has {counted(int(counts[row]), 'field')}, the header {len(names)}"
             faults.setdefault(row, fault if lines[row] else "the line is empty")
-        last = len(lines) - 1
-        if unended:
-            cell = (odd[last] if last in odd else rows[last].to_list())[-1:]
-            if counts[last] < len(names) or (last not in faults and is_cut(self.dialect.with_point(cell[0]))):
-                faults[last] = "the last row is cut short"
+        torn = []
+        for row in last:
+            cell = (odd[row] if row in odd else rows[row].to_list())[-1:]
+            if counts[row] < len(names) or (row not in faults and is_cut(self.dialect.with_point(cell[0]))):
+                faults[row] = "the row is cut short"
+                torn.append(row)
 
         def cells_of(index: int) -> pl.Series:
             cells = rows.list.get(index, null_on_oob=True)
@@ -197,9 +189,9 @@ class RowGrammar:
             bad = [lines[row] for row in faults]
             if 0 in texts:
                 texts[0] = texts[0].scatter([*faults], bad)
-            quoted = ['"' + line.replace('"', '""') + '"' + separator * (len(names) - 1) for line in bad]
+            quoted = [in_quotes(line) + separator * (len(names) - 1) for line in bad]
             data = "".join(f"{line}\n" for line in lines.scatter([*faults], quoted)).encode()
-        return CsvBlock(values=values, faults=faults, text=data, texts=texts, times=times)
+        return CsvBlock(values=values, faults=faults, text=data, texts=texts, times=times, torn=torn)
 
 
 def _odd_row(line: str, separator: str) -> tuple[list[str], str]:
