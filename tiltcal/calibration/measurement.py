@@ -204,7 +204,10 @@ def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
         name = f"sensitivity.{channel}.{axis}"
         largest = max(abs(measurement.summaries[channel].mean) for measurement in sensor.measurements)
         expanded = factors.get(name, 2.0) * u[name]
-        if sensitivity <= max(REACTION * expanded, ROUNDING * largest):
+        usual = sensor.nominal.sensitivity if sensor.nominal is not None and sensor.nominal.scaled else 0.0
+        usual = abs(usual) or OF_G.get(sensor.sensor.unit, 0.0)
+        reacts = usual and sensitivity > usual / CLEARLY  # as much as it should, however uncertain
+        if not reacts and sensitivity <= max(REACTION * expanded, ROUNDING * largest):
             raise EstimateError(
                 f"{channel} of {sensor.sensor.serial} does not react to gravity: its sensitivity is "
                 f"{significant(sensitivity, 3):g} ± {significant(expanded, 2):g} "

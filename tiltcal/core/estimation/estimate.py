@@ -38,6 +38,7 @@ LARGEST_THERMOMETER = 5.0  # standard deviation of a temperature above which no 
 SUSPICION = 0.01  # probability, over all positions together, of suspecting one of a jig that is as stated
 IMPROBABLE = 0.01  # say that more is left than noise and attitudes explain if its probability is below this
 BEYOND, SMALLEST_ERROR = 5.0, 2.0  # a position is wrong if it is off by more stated jigs and noises, and degrees
+GROSS = 10.0  # without stated jig and noise, ask whether attitudes explain errors that are larger, degrees
 LIKE_THE_REST = 0.2  # positions agree without one of them where the largest error falls to this share of what it was
 LEAST_SENSITIVITY = 0.5  # a singular value below this share of the nominal sensitivity follows from a wrong position
 ALIKE = 1.5  # temperatures that are no further apart are one temperature met twice, °C
@@ -117,7 +118,10 @@ def estimate_jointly(sensors: Sequence[SensorObservations]) -> tuple[Estimate, .
             solution = solved(equations, equations.stated, start)
         dof, chi_square = solution.dof, solution.chi_square
         if source := _not_stated(solution):
-            fitted = with_estimated(solution, source)
+            gross = source == NOISE and jig is None and max(_errors_as_set(equations, start).values()) > GROSS
+            fitted = with_estimated(solution, JIG if gross else source)
+            if gross and fitted.bench[JIG] <= LARGEST_JIG:  # attitudes explain it: the noise is estimated as usual
+                fitted = with_estimated(solution, source)
             if source != THERMOMETER or fitted.bench[THERMOMETER] < LARGEST_THERMOMETER:
                 solution = fitted
         why = "the residuals are larger than any error of the set angles explains; see that the positions are named "
