@@ -26,6 +26,7 @@ from tiltcal.files.results import PositionRecord, PositionSet
 
 if TYPE_CHECKING:  # `check` needs no estimator
     from tiltcal.core.estimation.estimate import Estimate
+    from tiltcal.core.estimation.positions import InstrumentErrors
     from tiltcal.core.ramp.record import RampRecord
     from tiltcal.files.procedure import Procedure
 
@@ -38,6 +39,7 @@ class BenchUncertainty:
     thermometer: float | None = None  # °C; not stated, the step of the sensors' own thermometers
     table: float | None = None  # of the lean that all share, degrees per axis; not stated, several headings show it
     heading: float | None = None  # degrees; not stated, headings count as exact
+    instrument: InstrumentErrors | None = None  # of a reference that says what was set; the jig is its repeatability
 
 
 @dataclass(frozen=True)

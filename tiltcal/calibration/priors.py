@@ -45,6 +45,7 @@ def design_of(
         inf if determines.free else bench.jig,
         table=bench.table,
         heading=bench.heading or 0.0,
+        instrument=bench.instrument,
         thermometer=bench.thermometer,
         nonlinearity=determines.nonlinearity,
     )

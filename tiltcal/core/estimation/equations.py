@@ -24,18 +24,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tiltcal.core.attitude import heading_rotations, tangent_basis, turned
-from tiltcal.core.estimation.positions import SensorObservations, require_sound
+from tiltcal.core.estimation.positions import Indices, SensorObservations, require_sound
 from tiltcal.core.model import Array, ChannelModel
 from tiltcal.errors import EstimateError
 
-Indices = NDArray[np.intp]
 Number = TypeVar("Number", np.float64, np.intp)
 
 NOISE, ADC, JIG, TABLE, HEADING = "noise", "adc", "jig", "table", "heading"
+REFERENCE = "reference"
 THERMOMETER, HYSTERESIS, PRIOR, BASE = "thermometer", "hysteresis", "assumed", "base"  # where an uncertainty comes from
 
 Bench = Mapping[str, float]
-"""Standard uncertainties by source: JIG, TABLE, HEADING, radians; THERMOMETER, °C; NOISE, a factor of its variance."""
+"""Standard uncertainties by source: JIG, TABLE, HEADING, radians; THERMOMETER, °C; NOISE, a factor of its variance;
+REFERENCE 1, because the effects of its errors are those of one standard uncertainty."""
 
 UNKNOWN_TABLE = radians(5.0)  # standard uncertainty of a lean that is not stated, radians: no table in use leans more
 SAME_DIRECTION = 1e-6  # refuse two sensors whose directions for one position differ by more, g
@@ -117,6 +118,10 @@ class Equations:
         several = len({round(heading % 360.0, 9) for heading in self.headings}) > 1
         leans = several if design.table is None else design.table > 0.0
         self._rotations = heading_rotations(np.radians(self.headings)) if leans else None
+        self._shared = np.zeros((len(self.gravity), 2, 0))
+        if design.instrument is not None:
+            moves = design.instrument.moves(self.gravity, self.settings)
+            self._shared = np.einsum("nji,njk->nik", self.basis, moves)
         warms = any(sensor.design.thermal for sensor in sensors) and design.thermometer != 0.0
         settings, temperatures = len(self.looser), 1 + max(int(c.temperatures.max()) for c in self.channels)
         self.errors: dict[str, slice] = {}
@@ -125,6 +130,7 @@ class Equations:
             (THERMOMETER, temperatures if warms else 0),
             (TABLE, 2 if leans else 0),
             (HEADING, settings if leans and design.heading else 0),
+            (REFERENCE, self._shared.shape[2]),
             (JIG, 2 * settings),
         ):
             self.errors[source] = slice(start, start + count)
@@ -136,8 +142,16 @@ class Equations:
             HEADING: radians(design.heading),
             THERMOMETER: design.thermometer or 0.0,
             NOISE: 1.0,
+            REFERENCE: 1.0,
         }
-        self.as_set: Bench = {JIG: 0.0, TABLE: self.stated[TABLE], HEADING: 0.0, THERMOMETER: 0.0, NOISE: 1.0}
+        self.as_set: Bench = {
+            JIG: 0.0,
+            TABLE: self.stated[TABLE],
+            HEADING: 0.0,
+            THERMOMETER: 0.0,
+            NOISE: 1.0,
+            REFERENCE: 0.0,
+        }
         self.noise_unknown = all(one.noise_unknown for sensor in sensors for one in sensor.observations)
 
     def rows(self, source: str) -> slice:
@@ -189,6 +203,9 @@ class Equations:
                 terms.append(
                     (reading.by_temperature[:, None], self.errors[THERMOMETER].start + channel.temperatures[:, None])
                 )
+            if self._shared.shape[2]:
+                shared = np.einsum("nj,njk->nk", angle, self._shared[places])
+                terms.append((shared, np.arange(self.errors[REFERENCE].start, self.errors[REFERENCE].stop)))
             if by_heading is not None:
                 rotations, per_heading = by_heading
                 terms.append((np.einsum("nj,njk->nk", angle, rotations[places]), np.arange(lean.start, lean.stop)))
@@ -219,7 +236,7 @@ class Equations:
     def _directions(self, z: Array, shortened: Array) -> tuple[Array, Array, tuple[Array, Array] | None]:
         """Return mean gravity and its derivative by the angles, and how these follow lean and heading at each place."""
         rotations, by_heading = self._rotations, None
-        angles = z[self.errors[JIG]].reshape(-1, 2)[self.settings]
+        angles = z[self.errors[JIG]].reshape(-1, 2)[self.settings] + self._shared @ z[self.errors[REFERENCE]]
         if rotations is not None:
             lean, headings = z[self.errors[TABLE]], z[self.errors[HEADING]]
             if len(headings):

@@ -5,11 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import inf
+from math import inf, radians
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.core.attitude import STRAIGHT
 from tiltcal.core.model import Array, ChannelModel, Coefficients, Thermal
 from tiltcal.errors import EstimateError
+
+Indices = NDArray[np.intp]
+LEAST_VERTICAL = 0.05  # least component of gravity along z by which an error of a tilt counts, g: 87° of tilt
 
 
 @dataclass(frozen=True)
@@ -27,6 +33,34 @@ class Observation:
     adc: Array | float = 0.0  # the part of u that rounding gives, shape (channels,), unit
     noise_unknown: bool = False  # nothing but rounding is in u: the residuals show one noise for all readings
     looser: float = 1.0  # factor of the design's jig here: sessions set their positions each with its own
+
+
+@dataclass(frozen=True)
+class InstrumentErrors:
+    """The errors that a reference instrument on the plate has in all positions alike, as standard uncertainties."""
+
+    axes: tuple[str, ...]  # the tilts that it reads
+    zero: float  # degrees
+    scale: float  # share of the tilt
+    alignment: float  # about the vertical of the plate, degrees
+    unread: float = 0.0  # of a tilt that it does not read, degrees, beyond the design's jig; not alike in all positions
+
+    def moves(self, gravity: Array, settings: Indices) -> Array:
+        """Return by how much each error moves gravity, (places, 3), at each place: (places, 3, errors), g."""
+        x, y, z = gravity.T
+        away = np.where(np.abs(z) < LEAST_VERTICAL, np.copysign(LEAST_VERTICAL, z), z)
+        columns = [radians(self.alignment) * np.stack([-y, x, np.zeros_like(z)], axis=1)]
+        for number, axis in enumerate("xy"):
+            sine = gravity[:, number]
+            by_tilt = np.zeros_like(gravity)
+            by_tilt[:, number], by_tilt[:, 2] = 1.0, -sine / away
+            by_tilt *= np.sqrt(np.maximum(1.0 - sine**2, 0.0))[:, None]
+            if axis in self.axes:
+                columns += [radians(self.zero) * by_tilt, self.scale * np.arcsin(sine)[:, None] * by_tilt]
+            elif self.unread:
+                own = settings == np.arange(settings.max() + 1)[:, None]
+                columns += [radians(self.unread) * by_tilt * here[:, None] for here in own]
+        return np.stack(columns, axis=2)
 
 
 @dataclass(frozen=True)
@@ -64,6 +98,7 @@ class Design:
     table: float | None = None  # of the lean that all positions share, degrees per axis
     heading: float = 0.0  # degrees
     thermometer: float | None = 0.0  # °C
+    instrument: InstrumentErrors | None = None  # where a reference says what was set; the jig is its repeatability
     nonlinearity: int = 0  # 0 for a straight line, 1 for a square, 2 for a square and a cube
     priors: Mapping[str, Prior] = field(default_factory=dict)  # by the coefficient's dotted name
     nominal: float = 0.0  # sensitivity of the model, unit/g; 0 where it is not known

@@ -25,7 +25,7 @@ from tiltcal.core.attitude import (
 )
 from tiltcal.core.estimation.design import predict_uncertainty
 from tiltcal.core.estimation.estimate import Estimate, estimate, with_hysteresis
-from tiltcal.core.estimation.positions import Design, Observation, Prior, SensorObservations
+from tiltcal.core.estimation.positions import Design, InstrumentErrors, Observation, Prior, SensorObservations
 from tiltcal.core.model import Mounting
 
 Array = NDArray[np.float64]
@@ -173,3 +173,38 @@ def test_gimbal_lock_is_stated_of_sensors_that_are_mounted_so(pitch: float, leas
         u_pitch = sqrt((slopes @ found.covariance @ slopes.T)[1, 1])
         stated += is_locked(mounting_angles(found.matrix)[0].pitch, u_pitch)
     assert least <= stated <= most
+
+
+def test_the_errors_of_a_reference_are_the_same_in_all_positions() -> None:
+    """Its zero, scale and alignment do not average out: 95 % of the intervals hold of 150 instruments."""
+    draw, errors = np.random.default_rng(1), []
+    instrument = InstrumentErrors(("x", "y"), zero=0.02, scale=0.001, alignment=0.3)
+    design = Design(("x", "y"), ("x", "y"), jig=0.01, instrument=instrument)
+    truth, offset = np.array([[1000.0, 20.0], [-10.0, 990.0]]), np.array([50.0, -30.0])
+    tilts = np.radians([(0, 0), (25, 3), (-20, 5), (4, 22), (-3, -25), (15, 15), (-17, 12), (10, -18)])
+    for _ in range(150):
+        zero, scale, turn = draw.normal(0, radians(0.02), 2), draw.normal(0, 0.001, 2), draw.normal(0, radians(0.3))
+        seen = []
+        for number, tilt in enumerate(tilts):
+            said = np.sin((tilt - zero) / (1.0 + scale) + draw.normal(0, radians(0.01), 2))
+            up = Rotation.from_rotvec([0.0, 0.0, turn]).apply([*np.sin(tilt), 0.0])[:2]
+            mean = offset + truth @ up + draw.normal(0, 0.05, 2)
+            gravity = np.array([*said, sqrt(1.0 - said @ said)])
+            seen.append(Observation(str(number), gravity, mean, np.full(2, 0.05)))
+        found = estimate(seen, design)
+        values = np.column_stack([found.coefficients.offset, found.coefficients.sensitivity])
+        errors.append((values - np.column_stack([offset, truth])).ravel() / found.uncertain.u)
+    held = np.abs(errors) < found.uncertain.factors
+    assert 0.90 <= held.mean(axis=0).min() <= held.mean(axis=0).max() <= 0.99
+    # The offset is off by all of the zero, whatever the number of positions.
+    assert found.uncertain.u[0] == pytest.approx(1000.0 * radians(0.02), rel=0.1)
+    planned = predict_uncertainty(design, seen, sensitivity=1000.0).uncertain
+    assert planned.u == pytest.approx(found.uncertain.u, rel=0.05)
+    # A tilt that it does not read is as uncertain as the jig, and only that.
+    half = replace(instrument, axes=("x",), zero=0.0, scale=0.0, alignment=0.0, unread=0.2)
+    blind = predict_uncertainty(replace(design, instrument=half), seen, sensitivity=1000.0).uncertain
+    one, both = (
+        predict_uncertainty(replace(design, instrument=None, jig=u), seen, sensitivity=1000.0) for u in (0.01, 0.2)
+    )
+    assert blind.u[0] == pytest.approx(one.uncertain.u[0], rel=0.02)
+    assert blind.u[3] == pytest.approx(both.uncertain.u[3], rel=0.02)
