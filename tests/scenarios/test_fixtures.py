@@ -5,13 +5,17 @@ from __future__ import annotations
 import csv
 import json
 import re
+import runpy
+import shutil
 from decimal import Decimal
 from pathlib import Path
 
+import msgspec
 import pytest
 from support import FIXTURES
 from support.command import tiltcal
 
+from tiltcal.bench.setup import Setup
 from tiltcal.files.calibration import read_calibration
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
@@ -51,6 +55,28 @@ def test_replay_gives_the_golden_file(journal: Path, tmp_path: Path) -> None:
         assert abs(Decimal(ours) - Decimal(theirs)) <= max(last_digit(ours), last_digit(theirs)), (ours, theirs)
 
 
+def unchecked(journal: Path) -> list[str]:
+    """The events of a journal without their checks, which hold the header too."""
+    return [line.rpartition(",")[0] for line in journal.read_text(encoding="utf-8").splitlines()[1:-1]]
+
+
+def test_a_session_of_today_is_the_fixture_to_the_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(FIXTURES / "twins", tmp_path / "twins")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["make.py", "plane"])
+    monkeypatch.setattr("os.chdir", lambda folder: None)
+    runpy.run_path(str(FIXTURES / "make.py"), run_name="__main__")
+    assert sorted(path.name for path in tmp_path.glob("*.*")) == ["plane.journal.jsonl", "plane.yaml"]
+    made, kept = (read_journal(folder / "plane.journal.jsonl") for folder in (tmp_path, FIXTURES))
+    assert unchecked(made.path) == unchecked(kept.path)
+    # The header of the fixture was written when it left defaults out.
+    now, then = (Setup.of(journal) for journal in (made, kept))
+    assert now.steps == then.steps
+    assert msgspec.structs.replace(now, procedure=then.procedure) == then
+    text = (tmp_path / "plane.yaml").read_text().replace(made.sha256, kept.sha256)
+    assert text.replace('"', "") == (FIXTURES / "plane.yaml").read_text().replace('"', "")  # a digit first is quoted
+
+
 def test_the_samples_of_a_session_are_a_log_that_gives_its_means(tmp_path: Path) -> None:
     """Averaged apart from the session: the last rows before each position was accepted."""
     journal = FIXTURES / "plane.journal.jsonl"
@@ -83,10 +109,12 @@ def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
     changed = tmp_path / "plane.yaml"
     kept = golden(JOURNALS[0]).read_text(encoding="utf-8")
     changed.write_text(kept.replace("SIM-42", "SIM-43"), encoding="utf-8")
-    line = next(number for number, text in enumerate(kept.splitlines(), start=1) if "SIM-42" in text)
+    lines = enumerate(kept.splitlines(), start=1)
+    line, text = next((number, text) for number, text in lines if "SIM-42" in text)
     judged = tiltcal("replay", JOURNALS[0], "--golden", changed)
     assert judged.returncode == 1
-    assert f"does not give {changed}: line {line} differs" in judged.stderr
+    both = f"- {text.replace('SIM-42', 'SIM-43')}\n+ {text}\n"
+    assert f"does not give {changed}: line {line} differs\n{both}" in judged.stderr
     assert tiltcal("replay", JOURNALS[0], "--golden", golden(JOURNALS[0])).returncode == 0
 
 

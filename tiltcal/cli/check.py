@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
+import numpy as np
 
 from tiltcal.bench.journal import calibrations_of, interrupted
 from tiltcal.calibration.comparison import compare_records
@@ -16,6 +19,7 @@ from tiltcal.calibration.record import record_in
 from tiltcal.calibration.wording import objections, remarks_on_chance
 from tiltcal.cli import options
 from tiltcal.cli.talk import in_options, remark
+from tiltcal.core.model import Array
 from tiltcal.errors import NEGATIVE_VERDICT, EstimateError, InputError, JournalError, TiltcalError, UsageError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.document import Document, read_document
@@ -23,6 +27,12 @@ from tiltcal.files.journal import read_journal
 from tiltcal.files.json_schema import json_schema
 from tiltcal.files.pair import PairRecord
 from tiltcal.files.record import KINDS
+from tiltcal.files.yaml_text import Place, dotted, parse
+
+_NAMED = 5  # keys of a file that a finding names
+_ROUNDING = 0.01  # share of an uncertainty by which versions may differ; two digits of it are written
+_ABSENT = object()
+_NO_COEFFICIENTS = (("temperature", "reference"), ("temperature", "range"))
 
 
 @options.command(epilog="Example: tiltcal check S-0042.yaml S-0042.journal.jsonl")
@@ -118,18 +128,59 @@ def _of_calibration(path: Path, document: Document) -> tuple[str, list[str], lis
 
 
 def _of_journal_beside(path: Path, found: CalibrationRecord | PairRecord) -> tuple[list[str], list[str]]:
-    """Replay the journal beside a calibration file; where its text differs, compare the coefficients."""
+    """Replay the journal beside a calibration file; where its text differs, name what no rounding explains."""
     captured = found.provenance.journal
     if captured is None or not (os.path.isfile(path) and os.path.isfile(path.parent / captured.name)):
         return [], []
 
     journal = path.parent / captured.name
     made = calibrations_of(read_journal(journal))
-    if path.read_text(encoding="utf-8") in made.texts().values():
+    texts = made.texts()
+    if (text := path.read_text(encoding="utf-8")) in texts.values():
         return [], []
-    for new in made.calibrations.values():
-        if isinstance(new, CalibrationRecord) and isinstance(found, CalibrationRecord) and new.sensor == found.sensor:
-            agrees = compare_records(found, new).verdict.word == "unchanged"
-            if agrees and new.provenance.journal == captured:
-                return [], [f"{journal} gives other digits with this version, which agree within their uncertainty"]
-    return [f"{journal} does not give this file"], []
+    serial = found.sensor.serial if isinstance(found, CalibrationRecord) else ""
+    serial = serial if serial in texts else next(iter(texts), "")
+    if not texts:
+        return [f"{journal} does not give this file"], []
+    new = made.calibrations[serial]
+    differing = list(_differing(parse(text)[0], parse(texts[serial])[0]))
+    keys = [place for place, *_ in differing]
+    if isinstance(found, CalibrationRecord) and isinstance(new, CalibrationRecord):
+        covariance = new.uncertainty.covariance
+        errors = np.sqrt(np.diag(covariance.as_array())) if covariance else np.empty(0)
+        keys = [place for place, old, other in differing if not _rounded(place, old, other, errors)]
+        if not keys and compare_records(found, new).verdict.word == "unchanged":
+            return [], [f"{journal} gives other digits with this version, which agree within their uncertainty"]
+    named = ", ".join(dotted(key) or "all of it" for key in keys[:_NAMED]) or "the coefficients"
+    more = f" and {len(keys) - _NAMED} more" if len(keys) > _NAMED else ""
+    return [f"{journal} does not give this file: {named}{more} differ"], []
+
+
+def _differing(found: Any, made: Any, place: Place = ()) -> Iterator[tuple[Place, Any, Any]]:
+    """Yield the places of values that differ, with both values."""
+    if isinstance(found, dict) and isinstance(made, dict):
+        for key in {**found, **made}:
+            yield from _differing(found.get(key, _ABSENT), made.get(key, _ABSENT), (*place, key))
+    elif isinstance(found, list) and isinstance(made, list) and len(found) == len(made):
+        for number, pair in enumerate(zip(found, made, strict=True)):
+            yield from _differing(*pair, (*place, number))
+    elif found != made:
+        yield place, found, made
+
+
+def _rounded(place: Place, found: Any, made: Any, errors: Array) -> bool:
+    """Return whether a value may differ in its digits: a coefficient, or an uncertainty that differs by rounding."""
+    if place[0] not in ("calibration", "uncertainty") or place[1:3] in _NO_COEFFICIENTS:
+        return False
+    try:
+        old, new = float(found), float(made)
+    except (TypeError, ValueError):  # text, or a key that one of them lacks
+        return False
+    match place:
+        case ("calibration", *_):
+            return True  # which the comparison of both judges
+        case (_, "covariance", _, int(row), int(column)):
+            scale = errors[row] * errors[column]
+        case _:
+            scale = abs(new)
+    return bool(abs(old - new) <= _ROUNDING * scale)

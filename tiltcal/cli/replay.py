@@ -79,9 +79,9 @@ def _gives(journal: Path, texts: Mapping[Path, str], golden: Path) -> bool:
     for path, text in zip(_targets(golden, list(texts)), texts.values(), strict=True):
         expected, made = path.read_bytes() if os.path.isfile(path) else b"", text.encode()
         if expected != made:
-            lines = zip_longest(expected.splitlines(keepends=True), made.splitlines(keepends=True))
-            number = next(number for number, (kept, new) in enumerate(lines, start=1) if kept != new)
-            remark(f"{journal} does not give {path}: line {number} differs")
+            lines = zip_longest(expected.decode(errors="replace").split("\n"), text.split("\n"), fillvalue="")
+            number, differ = next(pair for pair in enumerate(lines, start=1) if len({*pair[1]}) > 1)
+            remark(f"{journal} does not give {path}: line {number} differs\n- {differ[0]}\n+ {differ[1]}")
             return False
         remark(f"{journal} gives {path} to the byte")
     return True
