@@ -177,6 +177,35 @@ table:
 """
 
 
+def test_a_dry_run_reaches_every_position_without_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It opens no sensor and writes nothing; a position that is not reached is named. The table goes 30 °/s."""
+    table, sensor = (
+        VirtualTable(np.random.default_rng(1), lambda: 0.1),
+        SENSOR.replace("sim:?seed=1", "spi:///dev/none"),
+    )
+    monkeypatch.setattr("tiltcal.bench.dry_run.session_clock", lambda began, virtual: VirtualClock())
+    with serving(table.line) as place:
+        bench = BENCH.split("chamber:")[0].format(table=place).replace("thermometer: {model: thermistor, ", "#")
+        (tmp_path / "bench.yaml").write_text(f"{bench}sensors:\n{sensor}")
+        done = tiltcal("measure", "plane", "--bench", "bench.yaml", "--dry-run", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        found = re.findall(r"(\d)/4  (\S+) +x (\S+)°, y (\S+)°   (\d+) s\n", done.stdout)
+        assert [(number, name) for number, name, *_ in found] == [
+            *zip("1234", ("x-tilt1", "x-tilt2", "y-tilt1", "y-tilt2"), strict=True)
+        ]
+        reached = [(float(x), float(y)) for _, _, x, y, _ in found]
+        assert reached == [pytest.approx(pair, abs=0.05) for pair in ((30, 0), (-30, 0), (0, 30), (0, -30))]
+        assert re.search(r"went from -30\S* to (30|29.9)\S* in x; its limits are -95 and 95\n", done.stdout)
+        assert list(tmp_path.iterdir()) == [tmp_path / "bench.yaml"]
+        table.speed = 0.0
+        (tmp_path / "bench.yaml").write_text(f"{bench}sensors:\n{sensor}".replace("timeout: 30", "timeout: 1"))
+        stalled = tiltcal("measure", "plane", "--bench", "bench.yaml", "--dry-run", cwd=tmp_path)
+    assert stalled.returncode == 3
+    assert "x-tilt1: table: it is at" in stalled.stderr
+    refused = tiltcal("measure", "plane", "--sensor", "sca100t-d02", "--dry-run", cwd=tmp_path)
+    assert refused.returncode == 2
+
+
 def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it reads back is the angle that was set; one that fails stops the session until it is mended."""
     monkeypatch.syspath_prepend(tmp_path)

@@ -8,7 +8,7 @@ sent, or does not stay there, has its position refused and is opened anew; after
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from math import asin, atan2, cos, degrees, hypot, radians, sin
 from typing import Any
@@ -67,6 +67,11 @@ def require_reachable(machines: Mapping[str, Machine], positions: Sequence[Posit
                     if not low <= (angle := targets.get(axis, low + back) - back) <= high:
                         way = f"{position.name} takes {axis} of the {name} to {angle:g}"
                         raise UsageError(f"{way}, and its limits are {low:g} and {high:g}")
+
+
+def carrier_of(machines: Iterable[Machine]) -> str:
+    """Return the tilt that carries the other on the table; nothing where no machine tilts."""
+    return next((machine.carrier for machine in machines if set(TILTS) & set(machine.limits)), "")
 
 
 def in_words(angles: Angles) -> str:
@@ -182,7 +187,7 @@ class Machines:
         """The positions for which the person is asked, though the machines set them."""
         self._refound = False
         self._limits = {axis: limits for mover in movers for axis, limits in mover.machine.limits.items()}
-        self._carrier = next((one.machine.carrier for one in movers if set(TILTS) & set(one.machine.limits)), "")
+        self._carrier = carrier_of(mover.machine for mover in movers)
         self._failures = 0
         self._asked: Message = {}
         self._asked_by_hand = False

@@ -96,6 +96,9 @@ class MeasureOptions(TypedDict, total=False):
             _POSITIONS,
         ),
     ]
+    dry_run: Annotated[
+        bool, _flag("Only send the table and the chamber of the bench file through all positions, without a sensor.")
+    ]
     plain: Annotated[bool, _flag("Plain lines: no live reading, no single keys.")]
     hands_free: Annotated[bool, _flag("With --operator web: take the next position as soon as it is set and still.")]
     listen: Annotated[

@@ -117,7 +117,8 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
     Returns
     -------
     Calibration, PairCalibration or list of Calibration
-        Of the sensor, of the pairs of a stage, or of each of several sensors; a type checker cannot infer which.
+        Of the sensor, of the pairs of a stage, or of each of several sensors; a type checker cannot infer which. None
+        after a dry run.
 
     Raises
     ------
@@ -130,6 +131,11 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
     """
     given: Any = {name: of_python(value) for name, value in complete(MeasureOptions, options).items()}
     remark, result, resume = given["remark"], given["result"], given["resume"]
+    if given["dry_run"]:
+        from tiltcal.bench.dry_run import dry_run
+
+        dry_run(_begun(procedure, given).setup, result or remark)
+        return None
     if resume is not None and os.path.exists(resume):
         stated = {"PROCEDURE": procedure} | {
             flag_of(name, option): given[name]
