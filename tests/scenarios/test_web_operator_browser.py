@@ -42,6 +42,11 @@ def test_keys_touch_a_reload_and_a_killed_browser(tmp_path: Path) -> None:
         with browser() as first:
             tab, other = (first.open(page.url) for _ in range(2))
             ready(tab, "x-tilt1")
+            tab("Emulation.setDeviceMetricsOverride", width=1280, height=800, deviceScaleFactor=1, mobile=False)
+            seen = (
+                "[...document.querySelectorAll('#each span')].filter((one) => one.getBoundingClientRect().bottom < 800)"
+            )
+            assert tab.value(f"{seen}.length") == 6
             tab.key("x")  # no key of the page
             tab.key("Enter")
             tab.until(button("accept"))
@@ -55,6 +60,8 @@ def test_keys_touch_a_reload_and_a_killed_browser(tmp_path: Path) -> None:
             tab.tap("[data-answer=ready]")
             tab.until(button("accept"))
             assert tab.value("document.documentElement.scrollWidth") == 400
+            beside = "document.querySelector('#readings td:first-child b').getBoundingClientRect().right < 400"
+            assert tab.value(beside)  # ok, at its name
             tab.tap("[data-answer=accept]")
             ready(tab, "y-tilt1")
             tab.tap("[data-answer=typed]")
@@ -101,6 +108,8 @@ def test_free_hands_take_what_follows_and_a_person_writes(tmp_path: Path, monkey
         tab.until(button("finish"))
         tab.key("f")
         tab.until("document.querySelector('#link').textContent === 'the session has ended'")
+        assert tab.value("document.querySelector('#prompt').textContent") == "Finished. You may close this page."
+        assert tab.value("document.querySelectorAll('main a, main button').length") == 0
         assert chromium.complaints == []
 
 

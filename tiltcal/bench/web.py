@@ -61,6 +61,7 @@ def open_web(
     stack.callback(lambda: token.forget() if session.finished else None)
     server = PageServer(state, token.value, listen)
     stack.callback(server.close)
+    stack.callback(lambda: state.show(**_end(finished=session.finished)))
     say(f"the page of this session: {server.url}")
     if listen is not None:
         say(f"its token, which the page asks for: {token.value}")
@@ -235,7 +236,10 @@ class WebOperator(Operator):
         sensors = []
         for serial, one in guides.items():
             share = max((part for (whose, _), part in shares.items() if whose == serial), default=None)
-            sensors.append({"present": one.up, "sides": list(one.sides.values()), "share": share, "ok": one.ok})
+            off = max(one.differences.items(), key=lambda item: item[1].share or 0.0, default=None)
+            said = "" if off is None or off[1].angle is None else f"{off[0]} {off[1].angle:+.1f}°".strip()
+            drawn = {"present": one.up, "sides": list(one.sides.values()), "share": share, "ok": one.ok}
+            sensors.append({"name": serial, "said": said, **drawn})
         note = note_on(list(guides.values()))
         aimed = any(tilt.target is not None for one in guides.values() for tilt in one.tilts.values())
         return {
@@ -302,12 +306,23 @@ class WebOperator(Operator):
         width = max((len(cells) for cells, _ in rows), default=1)
         calibrated = any(one["guidance"].calibrated for one in readings.values())
         head = ["calibrated" if calibrated else "not calibrated yet", *COLUMNS[1:width]]
-        return {"head": head, "rows": [{"cells": cells, "ok": ok} for cells, ok in rows]}
+        filled = [place for place in range(width) if any("".join(cells[place : place + 1]) for cells, _ in rows)]
+        return {
+            "head": [head[place] for place in filled],
+            "rows": [{"cells": ["".join(cells[at : at + 1]) for at in filled], "ok": ok} for cells, ok in rows],
+        }
 
     def _sound(self, name: str) -> dict[str, dict[str, int]]:
         """Return the field of the state that has the page sound once."""
         self._sounds = {**self._sounds, name: self._sounds[name] + 1}
         return {"sounds": self._sounds}
+
+
+def _end(*, finished: bool) -> dict[str, Any]:
+    """Return what the page shows at the end: nothing that only a running session gives."""
+    said = "Finished. You may close this page." if finished else "Stopped. The terminal says how to go on."
+    empty: dict[str, Any] = {"guide": None, "table": None, "live": {}, "samples": None, "soak": None, "remaining": None}
+    return {"step": "the session has ended", "prompt": said, "conditions": [], "doing": "", **empty}
 
 
 def _conditions(question: Message) -> Iterator[str]:

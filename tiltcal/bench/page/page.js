@@ -51,12 +51,12 @@ function alive() {
   heard = Date.now();
   document.body.className = "live";
   $("#lost").hidden = $("#token").hidden = true;
-  $("main").hidden = false;
+  $("main").hidden = $("header").hidden = false;
   $("#link").textContent = "connected";
 }
 
 function lost() {
-  document.body.className = "lost";
+  document.body.className = state?.ended ? "ended" : "lost";
   $("#lost").hidden = Boolean(state?.ended) || !state;
   $("#link").textContent = state?.ended ? "the session has ended" : "no connection";
   for (const button of document.querySelectorAll("#answers button")) button.disabled = true;
@@ -255,7 +255,13 @@ function showGuide(guide) {
   bar($("#still .bar"), guide.still, guide.still >= 1);
   if (!guide.target) return;
   drawBox($("#set svg"), guide.target);
-  if (!guide.worst) return;
+  if (!guide.worst) return $("#each").replaceChildren();
+  const each = $("#each");
+  each.replaceChildren();
+  for (const {name, said, ok} of guide.sensors.length > 1 ? guide.sensors : []) {
+    const chip = make(each, "span", `${name} `, ok === null ? "" : ok ? "good" : "bad");
+    make(chip, "b", ok ? "ok" : said);
+  }
   drawBubble($("#level svg"), guide.sides, guide.sensors);
   const shown = guide.sensors.filter(({sides}) => sides.length);
   const away = guide.sides.map((side, i) => [side, shown.reduce((sum, {sides}) => sum + sides[i], 0) / shown.length]);
@@ -269,9 +275,9 @@ function showOff(guide, next) {
   off.replaceChildren();
   if (next.refused) off.textContent = `refused: ${next.refused}`;
   else if (guide?.worst) {
-    const {axis, angle, tolerance} = guide.worst, sign = !axis ? "" : angle < 0 ? "−" : "+", said = `${sign}${Math.abs(angle).toFixed(1)}°${axis ? "" : " off"}`;
+    const {axis, angle, tolerance} = guide.worst, sign = !axis ? "" : angle < 0 ? "−" : "+", said = `${sign}${Math.abs(angle).toFixed(1)}°`;
     off.textContent = guide.ok ? "ok" : said;
-    make(off, "small", [axis, guide.ok ? said : "", `(±${tolerance.toFixed(1)}°)`].filter(Boolean).join(" "));
+    make(off, "small", [axis, guide.ok ? said : "", axis ? "" : "off", `(±${tolerance.toFixed(1)}°)`].filter(Boolean).join(" "));
   }
 }
 
@@ -298,17 +304,19 @@ function showTable(table) {
   place.replaceChildren();
   const made = make(place, "table");
   const head = make(make(made, "thead"), "tr"), body = make(made, "tbody");
-  for (const name of [...table.head, ""]) make(head, "th", name);
+  for (const name of table.head) make(head, "th", name);
   for (const {cells, ok} of table.rows) {
     const row = make(body, "tr");
-    for (const cell of cells) make(row, "td", cell);
-    make(row, "td", ok === null ? "" : ok ? "ok" : "off", ok === null ? "" : ok ? "good" : "bad");
+    cells.forEach((cell, i) => {
+      const made = make(row, "td", cell);
+      if (!i && ok !== null) make(made, "b", ok ? "ok" : "off", ok ? "good" : "bad");
+    });
   }
 }
 
 function showResults(next) {
   const place = $("#results");
-  const text = JSON.stringify(next.results);
+  const text = JSON.stringify([next.results, next.ended]);
   if (place.dataset.shown !== text) {
     place.dataset.shown = text;
     place.replaceChildren();
@@ -318,7 +326,8 @@ function showResults(next) {
       make(card, "div", "", "tilt").dataset.serial = result.serial;
       for (const line of result.uncertainty ?? []) make(card, "p", line);
       if (result.verdict) make(card, "pre", result.verdict, "verdict");
-      if (result.report) Object.assign(make(card, "a", `${result.report} is written: open it`), {href: `report/${encodeURIComponent(result.serial)}`, target: "_blank"});
+      if (result.report && next.ended) make(card, "p", `${result.report} is written`);
+      else if (result.report) Object.assign(make(card, "a", `${result.report} is written: open it`), {href: `report/${encodeURIComponent(result.serial)}`, target: "_blank"});
       if (!result.summary) continue;
       const more = make(card, "details");
       make(more, "summary", "coefficients");
