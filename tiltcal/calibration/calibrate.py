@@ -18,6 +18,7 @@ from tiltcal.calibration.measurement import (
     Measurement,
     require_own_readings,
 )
+from tiltcal.calibration.priors import design_of
 from tiltcal.core.rounding import round_to
 from tiltcal.drivers.model import ACCELERATION
 from tiltcal.errors import EstimateError
@@ -57,6 +58,11 @@ def calibrate(
 
         found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
     else:
+        if table and not determines.free:
+            for sensor in sensors:
+                design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
+                unknowns = len(set(design.names) - set(design.priors))
+                _require_stated(sensor.measurements, len(sensor.measurements) * len(design.channels) - unknowns)
         if determines.free:
             found = [calibrate_free(sensor, procedure, bench) for sensor in sensors]
         elif determines.cross_validated:
@@ -77,14 +83,20 @@ def calibrate(
 
 def _of_table(calibration: CalibrationRecord, measurements: Sequence[Measurement]) -> CalibrationRecord:
     """Keep in the record of positions what the table states, and nothing else."""
+    stated = _require_stated(measurements, calibration.fit.degrees_of_freedom or 0)
+    kept = (position.replaced(std=None, u=position.u if stated else None) for position in calibration.positions)
+    return replace(calibration, positions=tuple(kept))
+
+
+def _require_stated(measurements: Sequence[Measurement], dof: int) -> bool:
+    """Return whether a table states uncertainties; refused where it has neither these nor a degree of freedom."""
     stated = any(one.u > one.quantisation for measurement in measurements for one in measurement.summaries.values())
-    if not stated and not calibration.fit.degrees_of_freedom:
+    if not stated and dof <= 0:
         raise EstimateError(
             "the table states no uncertainties (ux, uy, uz) and has no position more than there are unknowns: nothing "
             "says how good the result is; add either"
         )
-    kept = (position.replaced(std=None, u=position.u if stated else None) for position in calibration.positions)
-    return replace(calibration, positions=tuple(kept))
+    return stated
 
 
 def _of_local_gravity(calibration: CalibrationRecord, gravity: float) -> CalibrationRecord:

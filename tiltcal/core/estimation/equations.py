@@ -225,10 +225,16 @@ class Equations:
         return Linearised(residual, table, _padded(columns), self.unknowns, sigma)
 
     def unexplained(self, z: Array) -> Array:
-        """Return measured minus modelled readings in the positions as set, shape (readings,), in the sensors' units."""
+        """Return measured minus modelled readings in the positions as set, shape (readings,), in the sensors' units.
+
+        A lean of the table that the readings show is none of them.
+        """
+        as_set = z.copy()
+        as_set[self.errors[JIG]] = as_set[self.errors[HEADING]] = 0.0
+        up, _, _ = self._directions(as_set, np.zeros(len(self.looser)))
         return np.concatenate(
             [
-                c.mean - c.model.read(z[c.coefficients], self.gravity[c.places] @ c.orientation.T, c.dt).value
+                c.mean - c.model.read(z[c.coefficients], up[c.places] @ c.orientation.T, c.dt).value
                 for c in self.channels
             ]
         )
