@@ -28,6 +28,8 @@ PACKAGES = Path(__file__).parent / "build" / "python"
 UP = (0.36, -0.288, (1.0 - 0.36**2 - 0.288**2) ** 0.5)
 """Within ±0.49 g of x and y, where the narrowest range of an IIS2ICLX ends."""
 G = 9.80665
+COLD = -20.0
+"""Far from where thermometers have their zeros, °C."""
 
 
 class Board:
@@ -37,7 +39,7 @@ class Board:
         self.clock = VirtualClock()
         self.model = find_model(model).at(parse_address(f"sim:{options}"))
         self.truth: Truth = replace(self.model.default_truth(3), noise={})
-        fixture = Fixture(self.clock, ambient=24.0)
+        fixture = Fixture(self.clock, ambient=COLD)
         fixture.move(UP)
         self.part = self.model.twin(self.truth, fixture, self.clock)
         self.part.letter = letter
@@ -45,11 +47,11 @@ class Board:
 
     def counts(self, channels: str = "") -> list[float]:
         """What the part's channels read, not rounded."""
-        return [self.truth.reading(channel, UP, 24.0) for channel in channels or self.model.channels]
+        return [self.truth.reading(channel, UP, COLD) for channel in channels or self.model.channels]
 
     @property
     def celsius(self) -> float:
-        return 24.0 + self.truth.thermometer_error
+        return COLD + self.truth.thermometer_error
 
     def install(self, patch: pytest.MonkeyPatch) -> None:
         """Put the modules of a board in place of those that are not here."""
