@@ -12,6 +12,7 @@ import pytest
 import yaml
 from support.arriving_pieces import ArrivingPieces
 from support.scripted_link import Script
+from support.virtual_device import VirtualDevice
 
 from tiltcal import errors
 from tiltcal.drivers import find_model
@@ -100,6 +101,14 @@ def test_the_facts_of_a_model_are_those_of_its_data_sheet(sheet: dict[str, Any],
             else:
                 figure = tuple(map(float, expected)) if isinstance(expected, list) else float(expected)
                 assert value == pytest.approx(figure, rel=2e-3 if name.endswith("spread") else 2e-5), name
+
+
+@each("codes")
+def test_an_option_is_set_by_the_code_of_the_data_sheet(sheet: dict[str, Any], row: dict[str, str]) -> None:
+    for option, transaction in row.items():
+        device = VirtualDevice(find_model(sheet["model"]), option)
+        device.sensor.read()
+        assert bytes.fromhex(transaction) in [out for out, _, _ in device.line.sent], (option, transaction)
 
 
 @each("refused")
