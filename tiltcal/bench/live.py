@@ -10,17 +10,58 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.bench.devices import Recorder, VirtualBench, connected, probe_devices
+from tiltcal.bench.devices import BenchDevice, Recorder, VirtualBench, connected, probe_devices
 from tiltcal.calibration.record import compensation_of
 from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
 from tiltcal.core.flags import FLAGS, PASS, REASONS
 from tiltcal.core.thermal_lag import ThermalLag
+from tiltcal.drivers import find_model
+from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import session_clock
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import EstimateError, InputError
 from tiltcal.files.bench import BenchSensor
 from tiltcal.files.calibration import CalibrationRecord
+
+OTHER_SCALE = 1.4
+"""A calibrated sensitivity that differs by more than this factor from the model's is of another range or scale."""
+
+
+def as_calibrated(calibration: CalibrationRecord, address: str) -> str:
+    """Return an address with the options of the device, such as its columns, that the calibration's own one states."""
+    bench, stated = calibration.provenance.bench, parse_address(address)
+    if bench is None or bench.address is None:
+        return address
+    filed = parse_address(bench.address)
+    model = find_model(calibration.sensor.model) if calibration.device is None else calibration.device.model
+    absent = [
+        f"{name}={filed.options[name]}" for name in model.options if name in filed.options.keys() - stated.options
+    ]
+    return address + ("&" if "?" in address else "?" if not stated.simulated else "") * bool(absent) + "&".join(absent)
+
+
+def require_as_calibrated(calibration: CalibrationRecord, device: BenchSensor | BenchDevice) -> None:
+    """Refuse a sensor at an address where it has other channels, another unit, range or scale than its calibration.
+
+    InputError: the message names what differs.
+    """
+    identity, model, coefficients = calibration.sensor, device.wired, calibration.coefficients
+    advice, of = "name the address as it was calibrated", f"the calibration of {identity.serial} is of "
+    if identity.unit != model.unit or not set(identity.channels) <= set(model.channels):
+        raise InputError(
+            f"{of}{', '.join(identity.channels)} in {identity.unit}, and {device.address} gives "
+            f"{', '.join(model.channels)} in {model.unit}: {advice}"
+        )
+    channel, bench = identity.channels[0], calibration.provenance.bench
+    own = abs(coefficients.own_sensitivity(channel)) if channel in coefficients.axes else model.sensitivity
+    filed = model if bench is None or bench.address is None else device.replaced(address=bench.address).wired
+    other = (filed.sensitivity, filed.offset) != (model.sensitivity, model.offset)
+    if model.scaled and (other or max(own / model.sensitivity, model.sensitivity / own) > OTHER_SCALE):
+        raise InputError(
+            f"{of}another range or scale, {own:.5g} {identity.unit}/g: at {device.address} it is nominally "
+            f"{model.sensitivity:.5g} {model.unit}/g; {advice}"
+        )
 
 
 @dataclass(frozen=True)
@@ -61,6 +102,16 @@ class LiveTilt:
     def __str__(self) -> str:
         return "   ".join(" ".join(filter(None, part)) for part in self.in_words())
 
+    def within(self, width: int) -> str:
+        """Return what has room in so many columns, first what says most: the flag, pitch and roll of three axes."""
+        parts = [" ".join(filter(None, part)) for part in self.in_words()]
+        if self.flag != PASS:
+            parts = [FLAGS[self.flag], *parts[:-1], parts[-1].removeprefix(FLAGS[self.flag]).strip()]
+        line = ""
+        for part in sorted(parts, key=lambda part: part not in FLAGS.values() and part[:4] not in ("pitc", "roll")):
+            line += f"   {part}" if len(line) + 3 + len(part) <= width else ""
+        return line or f"   {parts[0]}"[:width]
+
 
 class TiltOfReadings:
     """Turns readings of a model, in the order of time, into tilt.
@@ -69,13 +120,7 @@ class TiltOfReadings:
     """
 
     def __init__(self, calibration: CalibrationRecord, model: Model) -> None:
-        coefficients, unit = calibration.coefficients, calibration.sensor.unit
-        if unit != model.unit or not set(coefficients.channels) <= set(model.channels):
-            raise InputError(
-                f"the calibration of {calibration.sensor.serial} is of {', '.join(coefficients.channels)} in {unit}, "
-                f"and the sensor gives {', '.join(model.channels)} in {model.unit}: name the address as it was "
-                "calibrated"
-            )
+        coefficients = calibration.coefficients
         self._places = [model.channels.index(channel) for channel in coefficients.channels]
         self._lag = ThermalLag(0.0 if coefficients.thermal is None else coefficients.thermal.lag)
         try:
@@ -118,6 +163,8 @@ def live_tilts(
     HardwareError: a device does not answer; from the function a SensorError, after which it may be called again.
     """
     clock = session_clock(datetime.now(UTC), virtual=False)
+    for device in devices:
+        require_as_calibrated(calibrations[device.serial], device)
     every = tuple(devices) if thermometer is None else (*devices, thermometer)
     recorder = Recorder(clock)
     kernels = {device.serial: TiltOfReadings(calibrations[device.serial], device.wired) for device in devices}

@@ -12,7 +12,7 @@ import click
 
 from tiltcal.cli import options
 from tiltcal.cli.talk import in_options, talk
-from tiltcal.errors import INTERRUPTED, HardwareError
+from tiltcal.errors import INTERRUPTED, HardwareError, UsageError
 from tiltcal.files.moments import stamp
 
 if TYPE_CHECKING:
@@ -23,23 +23,29 @@ CLEAR = "\r\x1b[2K"
 
 @options.command(epilog="Example: tiltcal live S-0042.yaml --address spi:///dev/spidev0.0")
 @click.argument("calibration", type=click.Path(path_type=Path))
-@click.option("--address", required=True, help="The address of the sensor, or sim: for its virtual twin.")
+@click.option(
+    "--address", help="The address of the sensor, or sim: for its virtual twin; not stated, the one of the CALIBRATION."
+)
 @options.above_zero("--rate", metavar="HZ", default=4.0, show_default=True, help="Readings per second.")
 @options.above_zero("--for", "seconds", metavar="SECONDS", help="Stop after this time.")
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object a reading.")
-def command(calibration: Path, address: str, rate: float, seconds: float | None, as_json: bool) -> int:
+def command(calibration: Path, address: str | None, rate: float, seconds: float | None, as_json: bool) -> int:
     """Show the tilt of a sensor by its CALIBRATION until Ctrl-C.
 
     Half of the 95 % interval stands behind each tilt, and why a reading is suspect behind all. On a terminal one line
     renews itself; elsewhere each reading is a line. A reading that fails is said, the fifth in a row ends the command.
     """
     from tiltcal.bench.devices import ATTEMPTS
-    from tiltcal.bench.live import live_tilts
+    from tiltcal.bench.live import as_calibrated, live_tilts
     from tiltcal.files.bench import BenchSensor
     from tiltcal.files.calibration import read_calibration
 
     record = read_calibration(calibration)
-    serial = record.sensor.serial
+    serial, bench = record.sensor.serial, record.provenance.bench
+    address = address or (None if bench is None else bench.address)
+    if address is None:
+        raise UsageError(f"{calibration} names no address of its sensor: state --address")
+    address = as_calibrated(record, address)
     device = BenchSensor(serial, record.sensor.model, address, device=record.device)
     renews = sys.stdout is not None and sys.stdout.isatty() and not as_json
     failures = 0
@@ -72,7 +78,6 @@ def _show(serial: str, tilt: LiveTilt, *, renews: bool, as_json: bool) -> None:
     elif renews:
         from shutil import get_terminal_size
 
-        line = f"{serial}   {tilt}"
-        click.echo(f"{CLEAR}{line[: get_terminal_size().columns - 1]}", nl=False)
+        click.echo(f"{CLEAR}{serial}{tilt.within(get_terminal_size().columns - 1 - len(serial))}", nl=False)
     else:
         click.echo(f"{serial}   {tilt}")

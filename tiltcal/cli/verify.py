@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from tiltcal.bench.live import require_as_calibrated
 from tiltcal.bench.measure import led_by
 from tiltcal.bench.options import MeasureOptions
 from tiltcal.bench.session import Session
@@ -16,7 +17,7 @@ from tiltcal.calibration.verification import LIMIT, PASSED
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
-from tiltcal.files.calibration import SensorIdentity, read_calibration
+from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.library.afterwards import verified
 from tiltcal.library.measure import resumed
@@ -65,7 +66,7 @@ def command(
         bench = single(sensor.model, sensor.serial, stated["address"], stated["jig"], device)
         steps, settings = _positions(procedure, stated["tilt"]), {name: stated[name] for name in ("samples", "settle")}
         session = Session(Setup.begin(steps, bench, [None], path, operator=operator or "terminal", **settings), path)
-    _require_sensor(session, judged.sensor, calibration)
+    _require_sensor(session, judged, calibration)
     again = f"verify {quote(str(calibration))}"
     again += "" if options.left_at_default("limit") else f" --limit {limit}"
     again += " --json" if as_json else ""
@@ -92,17 +93,12 @@ def _positions(procedure: str, tilt: float | None) -> Procedure:
     return steps
 
 
-def _require_sensor(session: Session, judged: SensorIdentity, calibration: Path) -> None:
+def _require_sensor(session: Session, judged: CalibrationRecord, calibration: Path) -> None:
     """Refuse the journal of another sensor, and readings that are not those of the calibration's sensor."""
     for device in session.setup.sensors:
-        if (device.model, device.serial) != (judged.model, judged.serial):
+        if (device.model, device.serial) != (judged.sensor.model, judged.sensor.serial):
             raise UsageError(
-                f"{session.files.journal} is of {device.model} {device.serial}, and {calibration} of {judged.model} "
-                f"{judged.serial}: name the calibration of that sensor"
+                f"{session.files.journal} is of {device.model} {device.serial}, and {calibration} of "
+                f"{judged.sensor.model} {judged.sensor.serial}: name the calibration of that sensor"
             )
-        channels, unit = device.wired.channels, device.wired.unit
-        if unit != judged.unit or not set(judged.channels) <= set(channels):
-            raise UsageError(
-                f"{calibration} is of {', '.join(judged.channels)} in {judged.unit}, and {device.address} gives "
-                f"{', '.join(channels)} in {unit}: name the address as it was calibrated"
-            )
+        require_as_calibrated(judged, device)
