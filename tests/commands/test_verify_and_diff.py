@@ -76,7 +76,7 @@ def test_other_readings_than_the_calibration_s_are_refused(tmp_path: Path) -> No
     for given, says in (
         (
             "columns=x,y&unit=V",
-            "C-1.yaml is of x, y, z in V, and serial:///dev/null?columns=x,y&unit=V gives x, y in V",
+            "the calibration of C-1 is of x, y, z in V, and serial:///dev/null?columns=x,y&unit=V gives x, y in V",
         ),
         ("columns=x,y,z&unit=mV", "gives x, y, z in mV: name the address as it was calibrated"),
     ):
