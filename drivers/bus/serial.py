@@ -80,7 +80,11 @@ class SerialLink:
         try:
             port.timeout = GATHER
             port.write_timeout = timeout
+            if place.lower().startswith("socket://"):
+                # pyserial drops what a server says on being called, which may be a greeting that is waited for.
+                port.reset_input_buffer = lambda: None
             port.open()
+            vars(port).pop("reset_input_buffer", None)
         except _PORT_ERRORS as cause:
             port.close()
             raise BusError(_why(place, cause)) from cause

@@ -8,12 +8,13 @@ from __future__ import annotations
 import errno
 import grp
 import os
+import select
 import socket
 import sys
 import threading
 import tty
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -354,6 +355,27 @@ def test_an_error_of_the_system_says_what_to_try(bus: Stub) -> None:
         bus.closed = 0
         link.close()
         assert bus.closed, address
+
+
+def test_what_a_server_says_at_once_is_read_and_can_be_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    connect = socket.create_connection
+    with socket.create_server(("localhost", 0)) as server:
+
+        def greeted(*where: object, **options: object) -> socket.socket:
+            client = connect(*where, **options)
+            stack.enter_context(server.accept()[0]).sendall(b"Grbl 1.1h")
+            assert select.select([client], [], [], 5.0)[0]
+            return client
+
+        monkeypatch.setattr(socket, "create_connection", greeted)
+        address = f"serial:socket://localhost:{server.getsockname()[1]}?timeout=0.05"
+        with ExitStack() as stack:
+            link = stack.enter_context(closing(opened(address)))
+            assert link.exchange(b"", 9) == b"Grbl 1.1h"
+            dropped = stack.enter_context(closing(opened(address)))
+            dropped.exchange(b"")
+            with pytest.raises(BusError, match="was silent"):
+                dropped.exchange(b"", 1)
 
 
 def test_what_is_not_there_or_no_port_is_named(tmp_path: Path) -> None:
