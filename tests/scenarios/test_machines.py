@@ -139,10 +139,12 @@ SENSOR = '  - {serial: S-1, model: sca100t-d02, address: "sim:?seed=1"}\n'
 QUICK = ("--bench", "bench.yaml", "--operator", "json", "--samples", "5", "--settle", "0.5")
 
 
-def measured(folder: Path, procedure: str, machines: str, said: str = "", sensor: str = SENSOR) -> list[str]:
+def measured(
+    folder: Path, procedure: str, machines: str, *options: str, said: str = "", sensor: str = SENSOR
+) -> list[str]:
     """Measure with the machines of a bench file, and return the positions for which a program was asked."""
     (folder / "bench.yaml").write_text(f"tiltcal: 1\nkind: bench\njig: 0.05\nsensors:\n{sensor}{machines}")
-    done = tiltcal("measure", procedure, *QUICK, cwd=folder, said=said)
+    done = tiltcal("measure", procedure, *QUICK, *options, cwd=folder, said=said)
     assert done.returncode == 0, done.stderr
     return [one["position"] for one in map(json.loads, done.stdout.splitlines()) if "ask" in one]
 
@@ -207,16 +209,29 @@ def test_a_dry_run_reaches_every_position_without_a_sensor(tmp_path: Path, monke
 
 
 def test_an_object_with_set_and_read_moves_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it reads back is the angle that was set; one that fails stops the session until it is mended."""
+    """What it reads back is the angle that was set; one that fails stops the session until it is mended.
+
+    A file from elsewhere imports nothing of the present folder that nobody named.
+    """
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "tilt_rig.py").write_text(RIG.format(success=False))
     with pytest.raises(AssertionError, match="x-tilt1 failed 3 times in a row: table: x has not got there") as stopped:
-        measured(tmp_path, "plane", OBJECTS)
+        measured(tmp_path, "plane", OBJECTS, "--python", "tilt_rig")
     assert "continue with: tiltcal measure --resume bench.journal.jsonl" in str(stopped.value)
     (tmp_path / "tilt_rig.py").write_text(RIG.format(success=True))
     monkeypatch.delitem(sys.modules, "tilt_rig")
     invalidate_caches()
-    done = tiltcal("measure", "--resume", "bench.journal.jsonl", "--operator", "json", cwd=tmp_path)
+    resume = ("measure", "--resume", "bench.journal.jsonl", "--operator", "json")
+    for command, file in (
+        (resume, "bench.journal.jsonl"),
+        (("measure", "plane", *QUICK, "--python", "numpy"), "bench.yaml"),
+        (("record", "--bench", "bench.yaml", "--rows", "2", "-o", "log.csv"), "bench.yaml"),
+    ):
+        refused = tiltcal(*command, cwd=tmp_path)
+        assert (refused.returncode, refused.stdout, "tilt_rig" in sys.modules) == (2, "", False)
+        assert f"{file} names tilt_rig, a module of Python that would be imported" in refused.stderr
+        assert "if you trust it, say --python tilt_rig" in refused.stderr
+    done = tiltcal(*resume, "--python", "tilt_rig", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     told = [tuple(one["tilt"].values()) for one in answers(tmp_path)]
     # The tilt of the axis that is carried is asin(cos 30.02° sin 0.02°), 0.017°.
@@ -249,7 +264,7 @@ def test_what_no_machine_does_is_left_to_the_operator(tmp_path: Path) -> None:
     table = VirtualTable(np.random.default_rng(1), lambda: 0.1)
     said = '{"answer": "ready"}\n{"answer": "ready", "tilt": {"y": 30.02}}\n{"answer": "ready"}\n'
     with serving(table.line) as place:
-        asked = measured(tmp_path, "plane", ONE_AXIS.format(place=place), said)
+        asked = measured(tmp_path, "plane", ONE_AXIS.format(place=place), said=said)
     assert asked == ["x-tilt1", "y-tilt1", "y-tilt2"]
     assert [one["tilt"] for one in answers(tmp_path)] == [{"x": 30.0}, {"x": -30.0}, {"x": 0.0, "y": 30.02}, {"x": 0.0}]
 
@@ -262,7 +277,7 @@ def test_a_chamber_alone_asks_for_the_attitude_once(tmp_path: Path) -> None:
     with serving(chamber.line) as place:
         machines = f"chamber: {{kind: text, address: '{place}', {stated}, pattern: {pattern}}}\n"
         sensor = SENSOR.replace("sca100t-d02", "adxl202-analog")
-        asked = measured(tmp_path, "two-temperature", machines, '{"answer": "ready"}\n', sensor)
+        asked = measured(tmp_path, "two-temperature", machines, said='{"answer": "ready"}\n', sensor=sensor)
     positions = find_procedure("two-temperature").positions
     assert asked == [positions[0].name]
     wanted = [position.temperature for position in positions]

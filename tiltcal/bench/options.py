@@ -65,6 +65,9 @@ class MeasureOptions(TypedDict, total=False):
     ]
     serial: Annotated[str | None, Option("Its serial number, for the calibration file.", "S", _SENSOR)]
     bench: Annotated[Any, Option("A bench file: measure its sensors together, in place of the above.", "FILE", _SENSOR)]
+    python: Annotated[
+        str | None, Option("Modules of python: addresses in a bench file or a journal, to import.", "MODULES", _SENSOR)
+    ]
     base: Annotated[
         _Path,
         _file(

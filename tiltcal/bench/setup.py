@@ -6,7 +6,9 @@ to make its calibration files again.
 
 from __future__ import annotations
 
+import json
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -398,6 +400,22 @@ class SessionFiles:
         for serial, text in texts.items():
             write_calibration(self.outputs[serial], text, self.sensors_of(serial), remark)
         return [self.outputs[serial] for serial in texts]
+
+
+def require_trusted(content: object, file: str | Path, trusted: str | None) -> None:
+    """Refuse a file that would import modules of Python which nobody named.
+
+    ``trusted`` has their names, with commas between them.
+
+    UsageError: the addresses of a bench file or a journal name others.
+    """
+    named = set(re.findall(r'(?i)"address":"\s*python:([^:"]*)', json.dumps(plain(content), separators=(",", ":"))))
+    if strange := named - set((trusted or "").split(",")):
+        names = ", ".join(sorted(strange))
+        raise UsageError(
+            f"{file} names {names}, a module of Python that would be imported here and then does what it likes",
+            advice=("if you trust it, say ", Argument("python", ",".join(sorted(named)))),
+        )
 
 
 def known_bench(document: Document) -> BenchFile:

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from tiltcal.bench.record import Recording, record_bench
-from tiltcal.bench.setup import known_bench, single
+from tiltcal.bench.setup import known_bench, require_trusted, single
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import INTERRUPTED, UsageError
@@ -28,13 +28,14 @@ SHOWN_EVERY = 0.25
 @options.file_option("--bench", metavar="FILE", help="Record the sensors of a bench file.")
 @click.option("--sensor", metavar="MODEL", help="The model of a single sensor.")
 @click.option("--address", help="Its address.")
+@click.option("--python", metavar="MODULES", help="Modules of python: addresses in the bench file, to import.")
 @options.above_zero("--rate", metavar="HZ", help="Rows per second [the rate of the slowest sensor].")
 @click.option("--rows", type=options.count(1, "rows"), help="Stop after this number of rows.")
 @options.above_zero("--for", "seconds", metavar="SECONDS", help="Stop after this time.")
 @options.file_option("-o", "--output", required=True, help="The log to write: .csv or .parquet.")
 def command(
-    bench: Path | None, sensor: str | None, address: str | None, rate: float | None, rows: int | None,
-    seconds: float | None, output: Path,
+    bench: Path | None, sensor: str | None, address: str | None, python: str | None, rate: float | None,
+    rows: int | None, seconds: float | None, output: Path,
 ) -> int:  # fmt: skip
     """Record the readings of a sensor or a bench until Ctrl-C.
 
@@ -46,6 +47,8 @@ def command(
     if (bench is None) == (sensor is None) or (sensor is None) != (address is None):
         raise UsageError("record needs either --bench FILE, or --sensor MODEL and --address ADDRESS")
     named = known_bench(read_document(bench)) if bench is not None else single(str(sensor), "", str(address))
+    if bench is not None:
+        require_trusted(named, bench, python)
     tally = record_log(named, rate, rows, seconds, output)
     remark(f"{tally.rows} rows in {output}{tally.losses_in_words}")
     return INTERRUPTED if tally.interrupted else 0

@@ -39,7 +39,7 @@ from tiltcal.stated_arguments import require_from_zero
     metavar="DEGREES",
     help="Standard uncertainty of a set angle. Not stated, the positions count as exact.",
 )
-@options.declared(MeasureOptions, "tilt samples settle resume journal operator plain hands_free listen")
+@options.declared(MeasureOptions, "python tilt samples settle resume journal operator plain hands_free listen")
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object after the session, as with --operator json.")
 def command(
     calibration: Path, procedure: str, limit: float, operator: str | None, resume: str | None, as_json: bool,
@@ -56,7 +56,7 @@ def command(
     if resume is not None:
         named = {"--procedure": None if options.left_at_default("procedure") else procedure}
         named |= {f"--{name}": stated[name] for name in ("address", "jig", "tilt", "samples", "settle", "journal")}
-        session = resumed(Path(resume), None, named, remark, verifies=True)
+        session = resumed(Path(resume), None, named, remark, stated["python"], verifies=True)
     elif stated["address"] is None:
         raise UsageError("verify needs --address, where the sensor is connected (or --resume JOURNAL)")
     else:

@@ -14,7 +14,7 @@ from tiltcal.bench.journal import SessionResult
 from tiltcal.bench.measure import led_by, run_session
 from tiltcal.bench.options import MeasureOptions, PlanOptions, unheard
 from tiltcal.bench.session import Session
-from tiltcal.bench.setup import Setup, free_journal, known_bench, single, stage_channels
+from tiltcal.bench.setup import Setup, free_journal, known_bench, require_trusted, single, stage_channels
 from tiltcal.calibration.complete import NO_LEVEL
 from tiltcal.calibration.measurement import require_no_jig, require_suitable, unchecked
 from tiltcal.calibration.prediction import Plan, predict, predict_mounting
@@ -140,10 +140,11 @@ def measure(procedure: str | Path | None = None, **options: Unpack[MeasureOption
         stated = {"PROCEDURE": procedure} | {
             flag_of(name, option): given[name]
             for name, (option, _) in options_of(MeasureOptions).items()
-            if name not in ("output", "resume", "operator", "plain", "hands_free", "listen", "remark", "result")
+            if name
+            not in ("output", "resume", "operator", "plain", "python", "hands_free", "listen", "remark", "result")
         }
         output = None if given["output"] is None else Path(given["output"])
-        session = resumed(Path(resume), output, stated, remark)
+        session = resumed(Path(resume), output, stated, remark, given["python"])
     else:
         session = _begun(procedure, given)
     operator = given["operator"] or session.setup.operator
@@ -168,13 +169,14 @@ def resumed(
     output: Path | None,
     stated: Mapping[str, object],
     remark: Callable[[str], None],
+    trusted: str | None,
     *,
     verifies: bool = False,
 ) -> Session:
     """Return the session of a journal; options that are stated again are a remark, for it goes on as it began.
 
     ``stated`` are values by option, None and False of those that are not stated. ``output`` takes the place of where
-    the journal says that calibrations go.
+    the journal says that calibrations go; ``trusted`` are modules of Python that it may import.
 
     JournalError: it cannot be read or used.
     UsageError: it is not of a verification, or is of one, as ``verifies`` asks.
@@ -186,6 +188,7 @@ def resumed(
     if setup.verifies != verifies:
         kind = "verification" if setup.verifies else "measurement"
         raise UsageError(f"{path} is of a {kind}; continue it with: {setup.resume_command(path)}")
+    require_trusted(journal.header, path, trusted)
     repeated = [option for option, value in stated.items() if value is not None and value is not False]
     if repeated:
         remark(f"the session goes on as it began: {', '.join(repeated)} beside --resume changes nothing")
@@ -223,6 +226,8 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
         bench = single(str(sensor), str(serial), str(address))
     else:
         bench = named if isinstance(named, BenchFile) else known_bench(read_document(named))
+        if bench is not named:
+            require_trusted(bench, named, given["python"])
     bench = bench.with_stated(jig=given["jig"], lean=given["table_lean"], heading=given["heading"])
     bases = bases_of(steps, base, [sensor.serial for sensor in bench.sensors])
     outputs, beside = _outputs(steps, bench, named, output)
