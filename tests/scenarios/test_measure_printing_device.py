@@ -53,7 +53,13 @@ def session(table: Table, options: str, folder: Path, *, stops: bool = True) -> 
 def test_a_wrong_position_is_refused_in_a_unit_of_acceleration(tmp_path: Path) -> None:
     table = Table("x-tilt1", 0.1, 9.8)
     remarks = session(table, "unit=m/s²", tmp_path)
-    assert table.refusals == [("x-tilt1", "this looks like x-tilt2: is the sensor turned round?")]
+    assert table.refusals == [
+        (
+            "x-tilt1",
+            "this looks like x-tilt2: is the sensor turned round? "
+            "If the +X side really points down now, choose x-tilt2",
+        )
+    ]
     assert not any("is stated, so that" in remark for remark in remarks)
 
 

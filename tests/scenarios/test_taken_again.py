@@ -93,15 +93,30 @@ def test_a_face_askew_is_refused_at_the_end_and_asked_for_again(
     require_right(tmp_path, dict.fromkeys(wrong, 2))
 
 
+PRINTS = """\
+tiltcal: 1
+kind: twin
+model: serial-columns
+truth:
+  offset: {x: 1.61, y: 1.65, z: 1.68}
+  sensitivity: {x: {x: 0.33, y: 0.002, z: 0}, y: {x: 0, y: 0.34, z: 0}, z: {x: 0, y: 0, z: 0.32}}
+  noise: {x: 0.0003, y: 0.0003, z: 0.0003}
+"""
+
+
 def test_a_swapped_pair_of_a_sensor_whose_readings_nobody_predicts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two faces of two axes, exchanged, of a device that prints numbers in a scale that nobody stated."""
+    """Two faces of two axes are exchanged: the second one reads alike in another tilt, and the first is taken again."""
     really(monkeypatch, lambda name, n: {"x-up": "y-up", "y-up": "x-up"}.get(name, name) if n == 1 else name)
-    sensor = ("--sensor", "serial-columns", "--address", "sim:?columns=x,y,z&unit=V&seed=1")
-    led = lead(*BEGIN[:2], *sensor, *BEGIN[6:], cwd=tmp_path)
+    (tmp_path / "twin.yaml").write_text(PRINTS)
+    sensor = ("--sensor", "serial-columns", "--address", "sim:?columns=x,y,z&unit=V&twin=twin.yaml")
+    said = iter([*3 * [{"answer": "ready"}], {"answer": "again", "position": "x-up"}, *6 * [{"answer": "ready"}]])
+    led = lead(*BEGIN[:2], *sensor, *BEGIN[6:], cwd=tmp_path, answer=lambda one: next(said) if "ask" in one else None)
     assert led.exit_code == 0, led.errors
-    assert {"x-up", "y-up"} <= {event["position"] for event in led.events("refused")}
+    (refused,) = led.events("refused")
+    assert (refused["position"], "from x-down: was the sensor turned" in refused["why"]) == ("y-up", True)
+    assert taken(led) == ["x-up", "x-down", "x-up", *FACES[2:]]
     assert tiltcal("check", "S-1.yaml", cwd=tmp_path).returncode == 0
 
 
@@ -123,12 +138,12 @@ def test_killed_while_it_is_taken_again(warm: WarmStart, tmp_path: Path, monkeyp
     accept(terminal, "4/6  y-down")
     terminal.expect("Everything is measured")
     terminal.send("p")
-    terminal.expect("to be taken again")
+    terminal.expect("to be taken next")
     terminal.sendline("x-sideways")
-    terminal.expect("'x-sideways' is no accepted position")
+    terminal.expect("'x-sideways' is no position")
     terminal.expect("Everything is measured")
     terminal.send("p")
-    terminal.expect("to be taken again")
+    terminal.expect("to be taken next")
     terminal.sendline("x-down")
     accept(terminal, "2/6  x-down")
     terminal.expect("Everything is measured")
@@ -137,6 +152,29 @@ def test_killed_while_it_is_taken_again(warm: WarmStart, tmp_path: Path, monkeyp
     terminal.close()
     assert terminal.exitstatus == 0
     require_right(tmp_path, {**dict.fromkeys(WRONG, 2), "x-down": 2})
+
+
+def test_the_person_chooses_the_order_and_the_reading_does_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """x-down is set where x-up is asked for; twice that is proposed, then the wiring is in question."""
+    choices = iter(["", "", "", "x-down", "z-up", *4 * [""]])
+    really(monkeypatch, lambda name, n: "x-down" if name == "x-up" and n < 4 else name)
+    chosen = lambda: {"answer": "ready", **({"position": name} if (name := next(choices)) else {})}  # noqa: E731
+    led = lead(*BEGIN, cwd=tmp_path, answer=lambda message: chosen() if "ask" in message else None)
+    assert led.exit_code == 0, led.errors
+    proposed = "is the sensor turned round? If the +X side really points down now, choose x-down"
+    assert [event["why"].partition("x-down: ")[2] for event in led.events("refused")] == [
+        *2 * [proposed],
+        "is the sensor turned round? See to the wiring, and to axes: of the bench file",
+    ]
+    assert taken(led) == ["x-down", "z-up", "x-up", "y-up", "y-down", "z-down"]
+    require_right(tmp_path, {})
+
+
+def test_a_position_of_another_temperature_is_taken_in_the_procedure_s_order(tmp_path: Path) -> None:
+    said = iter([{"answer": "ready", "position": "level-cold"}, {"answer": "quit"}])
+    options = ("--sensor", "sca100t-d02", *BEGIN[4:10], "--settle", "0.2")
+    led = lead("measure", "mavs", *options, cwd=tmp_path, answer=lambda one: next(said) if "ask" in one else None)
+    assert "level-cold has another temperature, heading or stage angle" in led.events("refused")[0]["why"]
 
 
 def accept(terminal: pexpect.spawn, position: str) -> None:
@@ -174,7 +212,7 @@ def test_a_program_takes_a_position_again_at_any_time(tmp_path: Path) -> None:
         [
             {"answer": "ready"},
             {"answer": "again"},  # it names none
-            {"answer": "again", "position": "x-down"},  # it is not accepted
+            {"answer": "again", "position": "x-sideways"},  # there is none
             {"answer": "again", "position": "x-up"},
             {"answer": "ready"},
             '{"answer": "ready"}\n{"answer": "again", "position": "x-up"}',  # the second comes while x-down settles
@@ -187,8 +225,8 @@ def test_a_program_takes_a_position_again_at_any_time(tmp_path: Path) -> None:
     led = lead(*BEGIN, cwd=tmp_path, answer=lambda message: next(said) if "ask" in message else None)
     assert led.exit_code == 0, led.errors
     assert [event["why"] for event in led.events("refused")] == [
-        "the answer 'again', and no other, names the position",
-        "'x-down' is no accepted position that could be taken again; accepted are x-up",
+        "the answer 'again' names the position",
+        "'x-sideways' is no position that could be taken now; accepted are x-up",
     ]
     assert taken(led) == ["x-up", "x-up", "x-down", "x-up", "y-up", "y-down", "z-up", "z-down", "y-up"]
     require_right(tmp_path, {"x-up": 3, "y-up": 2})
@@ -271,7 +309,7 @@ def test_a_position_is_clicked_on_the_page(tmp_path: Path, monkeypatch: pytest.M
     stated: dict[str, Any] = {"sensor": "adxl345", "address": "sim:?seed=1", "serial": "S-1", "jig": 0.1}
     stated |= {"output": tmp_path / "S-1.yaml", "samples": 5, "settle": 0.2}
     with session("six-face", **stated) as (page, _), browser() as chromium:
-        tab = chromium.open(f"http://{page.host}/")
+        tab = chromium.open(page.url)
         for name in FACES:
             assert page.answer(page.asked("position", name), "ready") == 204
             assert page.answer(page.asked("review", name), "accept") == 204

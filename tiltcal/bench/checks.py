@@ -42,6 +42,7 @@ FAR, WITHIN = 0.08, 6.0
 """Positions that differ by more along a channel, g (5°), must differ by so many of its standard deviations."""
 
 POWER_ON = 85.0  # the temperature that a DS18B20 reports as long as it has converted none, °C (its data sheet)
+HINTS = 2  # refusals of a session that propose the position that the reading resembles; then it is the wiring
 AGREEMENT = 20.0
 """The largest distance of a position's temperature from the one asked for, or from a position before, °C."""
 
@@ -248,7 +249,10 @@ class ReadingSpans:
 
 
 class Expectations:
-    """What the ``accepted`` positions so far, and the models, predict of the readings of each sensor."""
+    """What the ``accepted`` positions so far, and the models, predict of the readings of each sensor.
+
+    ``open_`` are the positions that the operator may choose, ``alike`` those that a reading resembled in the session.
+    """
 
     def __init__(
         self,
@@ -256,7 +260,10 @@ class Expectations:
         sensors: Sequence[BenchSensor],
         accepted: Sequence[PositionResult],
         judged: Mapping[str, CalibrationRecord] | None = None,
+        open_: Sequence[Position] = (),
+        alike: list[str] | None = None,
     ) -> None:
+        self._open, self._alike = open_, [] if alike is None else alike
         self._setup = setup
         self._sensors = {sensor.serial: sensor for sensor in sensors}
         self._accepted = accepted
@@ -370,4 +377,14 @@ class Expectations:
         positions = [*self._setup.steps.positions, *(one.position for one in (*self._accepted, result))]
         seen = {position.name: sensor.orientation.seen(position.gravity) for position in positions}
         temperature = result.measurements[serial].temperature
-        return readings.objection(result.position.name, seen, result.mean(serial), temperature)
+        taken = result.position.name, seen, result.mean(serial), temperature
+        why = readings.objection(*taken)
+        other = next((one for one in self._open if one.name == readings.resembled(*taken)), None)
+        if why is None or other is None:
+            return why
+        self._alike.append(other.name)
+        if len(self._alike) > HINTS:
+            return f"{why} See to the wiring, and to axes: of the bench file"
+        place = max(range(3), key=lambda one: abs(other.gravity[one]) - (one == 2 and other.tilt is not None))
+        points = "up" if other.gravity[place] > 0.0 else "down"
+        return f"{why} If the +{'XYZ'[place]} side really points {points} now, choose {other.name}"

@@ -119,20 +119,34 @@ class RecordedSession:
         self.accepted.append(result)
         self.last = result
 
-    def require_withdrawable(self, answer: OperatorAnswer, question: Message) -> None:
-        """Refuse to go back, or to take a position again, where that cannot be; an InputError with the reason."""
+    @property
+    def choosable(self) -> list[Position]:
+        """The open positions that may be taken next: those of the first one's temperature, heading and stage."""
+        alike = [(one.temperature, one.heading or 0.0, one.stage) for one in self.open]
+        steps = self.setup.steps
+        fixed = steps.ramp is not None or steps.determines.cross_validated
+        return self.open[:1] if fixed else [p for p, one in zip(self.open, alike, strict=True) if one == alike[0]]
+
+    def require_possible(self, answer: OperatorAnswer, question: Message) -> None:
+        """Refuse, with an InputError, to go back, to take a position again or to choose one where that cannot be."""
         steps, names = self.setup.steps, [result.position.name for result in self.accepted]
         if answer.answer in ("again", "back") and steps.ramp is not None:
             raise InputError(RAMP)
         if answer.answer == "back" and not names:
             raise InputError(FIRST)
-        if answer.answer != "again" or (question["ask"] == "review" and answer.position == question["position"]):
+        chosen = answer.position
+        if not chosen or chosen == question.get("position") or chosen in [one.name for one in self.choosable]:
             return
-        if steps.determines.cross_validated:
+        if answer.answer == "again" and steps.determines.cross_validated:
             raise InputError(SWEEP)
-        if answer.position not in names:
-            there = f"accepted are {', '.join(names)}" if names else "none is accepted yet"
-            raise InputError(f"{answer.position!r} is no accepted position that could be taken again; {there}")
+        if answer.answer == "again" and chosen in names:
+            return
+        if chosen in [one.name for one in self.open]:
+            raise InputError(
+                f"{chosen} has another temperature, heading or stage angle: it comes in the procedure's order"
+            )
+        there = f"accepted are {', '.join(names)}" if names else "none is accepted yet"
+        raise InputError(f"{chosen!r} is no position that could be taken now; {there}")
 
     def withdraw(self, answer: OperatorAnswer) -> None:
         """Withdraw the position that is taken ``again``, or of ``back`` the one that was accepted last in time."""

@@ -17,7 +17,7 @@ from tiltcal.bench.drives import Angles, Drive
 from tiltcal.bench.operators import Message, Operator
 from tiltcal.core.attitude import Vector
 from tiltcal.drivers.bus.clock import Clock
-from tiltcal.errors import HardwareError, Stopped, UsageError
+from tiltcal.errors import HardwareError, InputError, Stopped, UsageError
 from tiltcal.files.machine import TILTS, Machine
 from tiltcal.files.procedure import Position, Procedure
 
@@ -271,6 +271,9 @@ class Machines:
         self._by_hand = left if ready else None
         if not isinstance(said, Mapping) or not ready:
             return said
+        if said.get("position", question["position"]) != question["position"]:
+            self._by_hand = None
+            raise InputError("machines take the positions in the procedure's order: set this one")
         # Whoever sets something by hand may have opened the door of the chamber.
         answer = self._as_set(question, self._moved(targets, question["position"]))
         if "tilt" in answer and "tilt" in said:

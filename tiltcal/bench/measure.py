@@ -143,7 +143,7 @@ def run_session(session: Session, operator: Operator) -> SessionResult:
             TurningStage(session, steps.rotation).turn()
         judgement = Judgement(session, operator)
         while not _measured(session, judgement):
-            position = session.recorded.open[0]
+            position = session.next
             try:
                 session.attempt(position)
             except JournalError:

@@ -23,9 +23,10 @@ The operator of a turning stage is asked once, and may stop it at any time::
     {"event": "accepted", "position": "rotation", "turns": 25.1, "p": {...}, ..., "suppression": {...}}
 
 ``waiting`` comes once a minute. ``redo`` asks for the same position again; ``back`` withdraws the one that was accepted
-last, ``again`` the one that it names, also unasked while a reading settles; it is asked for anew. A person is asked for
-a review of each position and before the files are written too, and sees every reading. Before that the positions are
-judged: one that contradicts the others is refused and asked for again.
+last, ``again`` the one that it names, also unasked while a reading settles; it is asked for anew. Of positions with one
+temperature, heading and stage the order is free: ``ready`` may name the one that was set, ``again`` one to ask for.
+A person is asked for a review of each position and before the files are written too, and sees every reading. Before
+that the positions are judged: one that contradicts the others is refused and asked for again.
 """
 
 from __future__ import annotations
@@ -70,6 +71,7 @@ WORDS = {
     "stop": ("back", "again", "quit"),
 }
 """The answers to each question."""
+NAMES = ("ready", "again")  # the answers that may name a position
 UNASKED = ("poll", "settling")  # the questions that nobody has to answer
 
 LOOK = "look"  # the answer of an operator that wants to see a reading before it is asked again
@@ -131,8 +133,8 @@ def understood(said: object, words: Sequence[str] = WORDS["position"]) -> Operat
     answer = document_of(said, "the answer").read(OperatorAnswer)
     if answer.answer not in words:
         raise InputError(f"answer {answer.answer!r} is not one of {', '.join(words)}")
-    if (answer.answer == "again") != bool(answer.position):
-        raise InputError("the answer 'again', and no other, names the position")
+    if (answer.answer == "again" and not answer.position) or (answer.position and answer.answer not in NAMES):
+        raise InputError(f"the answer {answer.answer!r} names {'no' if answer.position else 'the'} position")
     low, high = TEMPERATURES
     if answer.temperature is not None and not low <= answer.temperature <= high:
         raise InputError(f"temperature in the answer is {answer.temperature:g} °C, not between {low:g} and {high:g}")

@@ -78,6 +78,7 @@ class Session:
         self.finished = journal is not None and journal.end is not None
         self._virtual = VirtualBench(self.clock, setup.devices)
         self._answered_ns = self._minutes = 0
+        self._chosen, self._alike = "", list[str]()
         self._attempts = ("", 0)
         """The position that was last asked for in vain, and how often in a row."""
 
@@ -151,8 +152,9 @@ class Session:
         answer = self.ask_for(position)
         if answer.answer != "ready":
             return
+        asked, position = position, self._named(answer, position)
         actual = as_set(position, answer)
-        if actual != position:
+        if actual != asked:
             self._hold(actual)
         window = self._window(position, answer.temperature)
 
@@ -188,9 +190,15 @@ class Session:
         if verdict.answer == "accept":
             self.accept(result, {"lines": [first, last], **({"without": without} if without else {})})
 
+    def _named(self, answer: OperatorAnswer, position: Position) -> Position:
+        """Return the open position that an answer names in place of the one that was asked for."""
+        return next((one for one in self.recorded.open if one.name == answer.position), position)
+
     def ask_for(self, position: Position) -> OperatorAnswer:
         """Ask for a position."""
-        self._expectations = Expectations(self.setup, self.sensors.sensors, self.accepted, self.judged)
+        self._expectations = Expectations(
+            self.setup, self.sensors.sensors, self.accepted, self.judged, self.recorded.choosable, self._alike
+        )
         if position.temperature != self._soaked:
             self._soaked = None
         self._hold(position)
@@ -237,7 +245,7 @@ class Session:
                 if said == {"answer": LOOK} or (said is None and question["ask"] in UNASKED):
                     return None
                 answer = understood(said, WORDS[question["ask"]])
-                self.recorded.require_withdrawable(answer, question)
+                self.recorded.require_possible(answer, question)
             except InputError as error:
                 stage = self.setup.steps.rotation is not None
                 self.refuse(question.get("position", "rotation" if stage else question["ask"]), str(error))
@@ -250,7 +258,17 @@ class Session:
     def note(self, answer: OperatorAnswer) -> None:
         """Write an answer into the journal; ``again`` and ``back`` withdraw a position at once."""
         self.recorder.record(ANSWER, plain(answer))
+        if answer.answer == "back":
+            self._chosen = self.accepted[-1].position.name
+        elif answer.position:
+            self._chosen = answer.position if answer.to in WORDS else ""
         self.recorded.withdraw(answer)
+
+    @property
+    def next(self) -> Position:
+        """The position that is taken next: the one that the operator chose, else the first one that is open."""
+        choosable = self.recorded.choosable
+        return next((position for position in choosable if position.name == self._chosen), choosable[0])
 
     def tell(self, event: str, **fields: Any) -> None:
         """Tell the operator what has happened."""

@@ -40,7 +40,7 @@ HELP = {
     "t temperature": "type the temperature, where no thermometer is read",
     "b back": "give up the position before this one, and take that again",
     "r redo": "take this position again",
-    "p position again": "take a position again that was accepted: type its name",
+    "p another position": "type the name of the one to take next; one that was accepted is withdrawn",
     "s stop and use the turns so far": "match the pairs on the turns that were made",
     "q stop and keep": "stop; what was accepted is kept, and --resume goes on",
     "n stop and keep": "stop without the files; --resume asks again",
@@ -223,7 +223,9 @@ class Terminal(Operator):
                 self._say(f"  at {question['temperature']:g} °C")
             if "stage" in question:
                 self._say(f"  stage at {question['stage']:g}°")
-            self._hint("Enter measure", "a angle set", "t temperature", "b back", "p position again", "q stop and keep")
+            self._hint(
+                "Enter measure", "a angle set", "t temperature", "b back", "p another position", "q stop and keep"
+            )
             key = self._keys.choice(0.0 if self._live else None)
         else:
             key = self._keys.choice(LIVE_PAUSE)
@@ -283,7 +285,7 @@ class Terminal(Operator):
         for cells, ok in rows:
             line = "  ".join(cell.rjust(width) for cell, width in zip(cells, widths, strict=False))
             self._say(f"{line}{'  ok' if ok else ''}", "dim" if ok is None else "")
-        self._hint("Enter accept", "r redo", "b back", "p position again", "q stop and keep")
+        self._hint("Enter accept", "r redo", "b back", "p another position", "q stop and keep")
         return self._answered({ENTER: "accept", "r": "redo", "b": "back"})
 
     def _write(self, question: Message) -> object:
@@ -291,7 +293,7 @@ class Terminal(Operator):
         files = question["files"]
         named = ", ".join(f"{path} (replaces the one there)" if os.path.exists(path) else path for path in files)
         self._say(f"\nEverything is measured. Write {named}?")
-        self._hint("Enter write", "b back", "p position again", "n stop and keep")
+        self._hint("Enter write", "b back", "p another position", "n stop and keep")
         words = {ENTER: "yes", "y": "yes", "b": "back", "n": "quit"}
         return self._answered(words, quits="not written: the operator declined")
 
@@ -299,7 +301,7 @@ class Terminal(Operator):
         """Say why nothing can be written, and wait for the end."""
         self._ring()
         self._say(f"\n  {question['why']}", "bold red")
-        self._hint("q stop and keep", "b back", "p position again")
+        self._hint("q stop and keep", "b back", "p another position")
         return self._answered({"b": "back"})
 
     def _answered(self, words: Mapping[str, str], quits: str = "stopped by the operator") -> object:
@@ -312,8 +314,8 @@ class Terminal(Operator):
         return {"answer": words[key]}
 
     def _named(self) -> dict[str, str]:
-        """Return the answer that takes a position again whose name is typed; nothing where the line is empty."""
-        self._say(f"  which of {', '.join(self._positions)} is to be taken again, or Enter for none: ", end="")
+        """Return the answer that names the position to take next; nothing where the line is empty."""
+        self._say(f"  which of {', '.join(self._positions)} is to be taken next, or Enter for none: ", end="")
         name = self._keys.line()
         return {"answer": "again", "position": name} if name else {}
 

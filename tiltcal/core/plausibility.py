@@ -90,11 +90,9 @@ class ExpectedReadings:
         self, position: str, positions: Mapping[str, Vector], reading: Array, temperature: float | None = None
     ) -> str | None:
         """Return why a reading, (channels,), cannot be that of a position among others; None where it can."""
-        distances = {name: self.distance(gravity, reading, temperature) for name, gravity in positions.items()}
-        own, nearest = distances[position], min(distances, key=lambda name: distances[name])
-        if own > MATCHED and distances[nearest] < own / 2:
-            return f"this looks like {nearest}: is the sensor turned round{self._or}?"
-        if own > ODD:
+        if other := self.resembled(position, positions, reading, temperature):
+            return f"this looks like {other}: is the sensor turned round{self._or}?"
+        if self.distance(positions[position], reading, temperature) > ODD:
             expected = self.expected(positions[position])
             differences = ", ".join(
                 f"{channel} reads {value:.6g} where about {expected[channel]:.6g} is expected"
@@ -105,6 +103,14 @@ class ExpectedReadings:
                 f"its axes named right{self._or}?"
             )
         return None
+
+    def resembled(
+        self, position: str, positions: Mapping[str, Vector], reading: Array, temperature: float | None = None
+    ) -> str:
+        """Return the position that a reading, (channels,), fits clearly better than the one it was taken in, if any."""
+        distances = {name: self.distance(gravity, reading, temperature) for name, gravity in positions.items()}
+        own, nearest = distances[position], min(distances, key=lambda name: distances[name])
+        return nearest if own > MATCHED and distances[nearest] < own / 2 else ""
 
     def repeated(self, readings: Mapping[str, Array], reading: Array) -> str | None:
         """Return why a reading, (3,), is the attitude of one before, by their names; None where it is not."""

@@ -78,6 +78,7 @@ async function openWith(token) {
 
 $("#positions").onclick = ({target}) => {
   const name = target.textContent;
+  if (target.className === "" && state.question?.ask === "position") return answer("again", {position: name});
   if (target.className !== "done" || !AGAIN.includes(state.question?.ask)) return;
   if (pressed === name) return answer("again", {position: name});
   pressed = name;
