@@ -18,6 +18,7 @@ from time import sleep
 from typing import Any, NamedTuple
 
 from tiltcal.drivers import find_model
+from tiltcal.drivers.bus import open_link
 from tiltcal.drivers.bus.address import parse_address
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.virtual import Fixture
@@ -157,6 +158,12 @@ def check(bus: AnsweredBus, judged: Judged, span: str) -> str:
             celsius = (counts + offset) * degree / (1.0 if judged in SCA3000 else 1000.0)
             assert abs(celsius - COLD - truth.thermometer_error) < 0.06 + 0.51 * model.thermometer_step, celsius
             said += f", {celsius:.2f} °C"
+        # So does our driver for any accelerometer that Linux has a driver of.
+        address = parse_address(f"{folder.name}?sensitivity={model.sensitivity:g}")
+        iio = find_model("iio").at(address)
+        link = open_link(address, iio)
+        assert list(iio.driver(link, clock).read().values)[: len(raw)] == raw
+        link.close()
         biases = [folder / f"in_accel_{channel}_calibbias" for channel in model.channels]
         if model.name in USER_OFFSETS:
             for bias in biases:
