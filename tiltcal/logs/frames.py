@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
+from decimal import Decimal
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
@@ -171,10 +172,14 @@ class TableFrame:
         import polars as pl
 
         column = self._frame.get_column(self.named[name])
-        with _suppress_failures():
+        # Without pyarrow polars takes nothing from pandas that numpy has no type for.
+        with _suppress_failures(), suppress(ImportError):
             typed: pl.Series = column.to_polars()
             if typed.dtype != pl.Object:
                 return typed
+        if zone := getattr(column.dtype, "time_zone", None):
+            plain: pl.Series = column.dt.convert_time_zone("UTC").dt.replace_time_zone(None).to_polars()
+            return plain.dt.replace_time_zone("UTC").dt.convert_time_zone(zone)
         return _of_objects(column.to_list())
 
     def of_rows(self, rows: pl.DataFrame) -> TableFrame:
@@ -310,6 +315,7 @@ def _present(row: Mapping[str, Any]) -> dict[str, Any]:
     A column of whole numbers is one of floats where pandas or an array has none for a row.
     """
     cells = {key: of_python(cell) for key, cell in row.items() if not _is_missing(cell)}
+    cells = {key: float(cell) if isinstance(cell, Decimal) else cell for key, cell in cells.items()}
     return {key: int(cell) if isinstance(cell, float) and cell.is_integer() else cell for key, cell in cells.items()}
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
@@ -331,3 +333,51 @@ def test_a_stage_angle_in_radians() -> None:
     disk["theta"].attrs["units"] = "rad"
     with pytest.raises(TiltcalError, match="column 'theta' is in rad, and stage angles in degree"):
         match(disk, [("a1", "a2", "a4")], phase="theta")
+
+
+WITHOUT_PYARROW = """
+import sys
+
+
+class WithoutPyarrow:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == "pyarrow":
+            raise ModuleNotFoundError(name)
+
+
+sys.meta_path.insert(0, WithoutPyarrow())
+from decimal import Decimal
+
+import numpy as np
+import pandas as pd
+import tiltcal
+
+cal, rows = tiltcal.read(sys.argv[1]), 40
+x, y = np.linspace(900.0, 1100.0, rows), np.linspace(1000.0, 1050.0, rows)
+plain = cal.apply({"x": x, "y": y, "temperature": np.full(rows, 24.0)})
+moments = pd.date_range("2026-01-01", periods=rows, freq="1s", tz="Europe/Berlin")
+for more in (
+    {"note": "hello"},
+    {"note": pd.Categorical(["a"] * rows)},
+    {"x": [Decimal(str(value)) for value in x]},
+    {"x": pd.array(x, dtype="Float64")},
+    {"time": moments},
+    {"note": pd.array([True, None] * (rows // 2), dtype="boolean")},
+):
+    made = cal.apply(pd.DataFrame({"x": x, "y": y, "temperature": 24.0}).assign(**more))
+    np.testing.assert_allclose(made["tilt_x"], plain["tilt_x"])
+faces = {"position": ["x-up", "x-down", "y-up", "y-down", "z-up", "z-down"]}
+readings = dict(zip("xyz", 9.81 * np.array([[1, -1, 0, 0, 0, 0], [0, 0, 1, -1, 0, 0], [0, 0, 0, 0, 1, -1]]) + 0.1))
+for kind in (float, str, lambda value: Decimal(str(value))):
+    table = pd.DataFrame(faces | {axis: [kind(float(one)) for one in values] for axis, values in readings.items()})
+    fitted = tiltcal.fit("six-face", table, serial="I-1", unit="m/s2", jig=0.1)
+    np.testing.assert_allclose(list(fitted.offset.values()), 0.1, atol=1e-3)
+"""
+
+
+def test_pandas_needs_no_pyarrow() -> None:
+    """Columns that numpy has no type for, and tables of positions; each fails with an ImportError of polars else."""
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_PYARROW, str(CAL)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
