@@ -40,7 +40,7 @@ SEPARATORS = (",", ";", "\t", "|", " ")
 _DIGITS = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _PRINTED = re.compile(rf"(?<![\w.^²])[-+]?{_DIGITS}(?![\w.]|\s*[:=])")
 _NUMBER = re.compile(rf"[-+]?(?:{_DIGITS}|inf|infinity)", re.IGNORECASE)
-_WITH_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+WITH_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 _CLOCK = r"\d{1,2}:\d\d(?::\d\d(?:[.,:]\d+)?)?(?: ?[AaPp][Mm])?"
 _MOMENT = re.compile(
     rf"\d{{1,4}}[-/.](?:\d\d?|[A-Za-z]{{3}})[-/.]\d{{1,4}}(?:[T ]+\d{{1,2}}[:.][-+:.,\dZ APMUTC]*)?|{_CLOCK}"
@@ -102,7 +102,7 @@ def kind_of(cell: str, decimal: str = ".") -> str:
     text = cell.strip()
     if text.casefold() in MISSING:
         return "missing"
-    if _NUMBER.fullmatch(text) or (decimal == "," and _WITH_COMMA.fullmatch(text)):
+    if _NUMBER.fullmatch(text) or (decimal == "," and WITH_COMMA.fullmatch(text)):
         return "number"
     return "time" if _MOMENT.fullmatch(text) else "text"
 
@@ -185,6 +185,7 @@ class Dialect:
     first: the number of lines before the first row; ``head`` are these lines, ``named`` is the place of the names.
     units: of columns by name, from a line of units.
     comments: the marks behind which a line is none, but for a whole row where rows begin with text.
+    kinds: what most cells of each column are, see :func:`kind_of`.
     dates: whether ``day`` or ``month`` is first in dates such as 03/04/2026; ``open`` where none shows it.
     """
 
@@ -202,7 +203,7 @@ class Dialect:
     units: Mapping[str, str] = field(default_factory=dict)
     comments: tuple[str, ...] = COMMENTS
     dates: str = ""
-    begins_with_text: bool = False
+    kinds: tuple[str, ...] = ()
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -259,7 +260,7 @@ class Dialect:
         if text in self._head:
             return "header"
         if text.startswith(self.comments) and not (
-            self.begins_with_text and len(split(text, self.separator)) == len(self.names)
+            self.kinds[:1] == ("text",) and len(split(text, self.separator)) == len(self.names)
         ):
             return "comment"
         return "other" if any(other.cells(text) is not None for other in self.others) else ""
@@ -350,7 +351,7 @@ class _Reading:
     def of(cls, lines: Sequence[str], separator: str) -> _Reading:
         cells = tuple(split(line, separator) for line in lines)
         flat = [cell for row in cells for cell in row]
-        commas = separator != "," and any(_WITH_COMMA.fullmatch(cell) for cell in flat if cell[:1] != ",")
+        commas = separator != "," and any(WITH_COMMA.fullmatch(cell) for cell in flat if cell[:1] != ",")
         decimal = "," if commas else "."
         return cls(separator, decimal, cells, tuple(tuple(kind_of(cell, decimal) for cell in row) for row in cells))
 
@@ -394,7 +395,7 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
         clock = "clock" if any(_means(name) == TIME for name in found.names) else TIME
         numbered = not found.has_header
         names = tuple(map(str, range(2, len(found.names) + 2))) if numbered else found.names
-        found = replace(found, names=(clock, *names), has_clock=True)
+        found = replace(found, names=(clock, *names), kinds=("time", *found.kinds), has_clock=True)
     return replace(found, head=head, comments=comments)
 
 
@@ -426,6 +427,7 @@ def _pattern_of(lines: Sequence[str], later: Sequence[int]) -> Dialect | None:
     return Dialect(
         listed,
         has_header=any(names),
+        kinds=("number",) * len(listed),
         units={name: unit for name, unit in zip(listed, behind, strict=False) if unit},
         pattern=pattern,
         others=others,
@@ -502,7 +504,7 @@ def _table_of(lines: Sequence[str], later: Sequence[int], comments: tuple[str, .
         first=start,
         named=named,
         units=units,
-        begins_with_text=usual[0] == "text",
+        kinds=tuple(usual),
         dates=_order_of_dates(cell for row in rows for cell in best.cells[row]),
     )
 

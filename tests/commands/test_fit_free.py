@@ -172,7 +172,7 @@ def refused(folder: Path, procedure: str, log: str, *options: str) -> str:
         ("free", ("--jig", "0.1"), "no jig"),
         ("free", ("--tilt", "30"), "no angle"),
         ("free", ("--table", "--segments", "seg.csv"), "leave --segments out"),
-        ("free", ("--table", "--columns", "x=a"), "leave --columns out"),
+        ("free", ("--table", "--columns", "x=a"), "there is no column 'a'"),
         ("free", ("--sensor", "sca100t-d02"), "three channels"),
         ("free", (), "no threshold finds enough attitudes"),
         ("free", ("--gravity", "1.0"), "--gravity"),

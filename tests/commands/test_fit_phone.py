@@ -95,13 +95,14 @@ def test_a_face_that_is_missing_is_named(tmp_path: Path) -> None:
 
 
 def test_what_is_not_clear_is_asked_for(tmp_path: Path) -> None:
-    def said(header: tuple[str, ...]) -> str:
-        log = written(tmp_path / "log.csv", header)
+    def said(header: tuple[str, ...], rows: np.ndarray = HELD) -> str:
+        log = written(tmp_path / "log.csv", header, rows=rows)
         done = tiltcal("fit", "free", log, "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path)
         assert done.returncode == 2
         return done.stderr
 
-    assert "state the --unit" in said(("time", "x", "y", "z"))
+    whole = np.column_stack([HELD[:, 0], np.rint(1000.0 * HELD[:, 1:])])
+    assert "state the --unit" in said(("time", "x", "y", "z"), whole)
     absent = tiltcal("fit", "free", "absent.csv", "--serial", "PHONE", "-o", "phone.yaml", cwd=tmp_path)
     assert "cannot read absent.csv: No such file or directory" in absent.stderr
     mixed = said(("time", "ax (m/s^2)", "ay (g)", "az (m/s^2)"))

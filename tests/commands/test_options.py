@@ -25,7 +25,7 @@ from tiltcal.stated_arguments import require_from_zero
     [
         ("measure", measure, "operator"),
         ("plan", plan, "as_json"),
-        ("fit", fit, "log topic output"),
+        ("fit", fit, "logs topic output"),
         ("apply", apply_log, "files calibrations scheduler as_json topic"),
     ],
 )

@@ -20,6 +20,7 @@ INCREDIBLE = 1e-3  # probability of a chi-square below which it is not credible
 
 NOT_FOLLOWED = "was not seen to follow"
 ONE_VALUE = "it showed one value"
+LOST_HOLDS = "holds are left out for a rail or standstill, which is not credible"
 """What a note says of a channel that showed at most two neighbouring values in a whole session."""
 
 REMARKABLE = 0.05  # probability of a chi-square below which it is remarked
@@ -155,7 +156,8 @@ def objections(calibration: CalibrationRecord) -> list[str]:
     if fit.suspect_positions:
         named = [f"{position} ({suspect.off_degrees:g}°)" for position, suspect in fit.suspect_positions.items()]
         found.append(f"further off than the stated jig allows, the worst first: {', '.join(named)}")
-    return [*found, *(note for note in fit.notes if ONE_VALUE in note), *_objections_to_mounting(fit.mounting)]
+    found += [note for note in fit.notes if ONE_VALUE in note or LOST_HOLDS in note]
+    return [*found, *_objections_to_mounting(fit.mounting)]
 
 
 def remarks_on_chance(fit: FitRecord) -> Iterator[str]:

@@ -57,6 +57,7 @@ class SensorIdentity(Record):
         about("its readings, one to three of x, y, z"),
     ]
     columns: Annotated[ByAxis[Text], about("the columns of the log it was fitted from: `apply` looks for them")] = {}
+    unit_from: Annotated[Text | None, about("`length` where the length of gravity at rest shows the unit")] = None
 
 
 class LimitsSection(Record, kw_only=True):

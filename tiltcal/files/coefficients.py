@@ -211,6 +211,12 @@ class Covariance(Record, kw_only=True):
         """Return the matrix as an array, shape (k, k)."""
         return np.array(self.matrix, dtype=float).reshape(2 * (len(self.parameters),))
 
+    def turned(self, signs: Array) -> Covariance:
+        """Return the covariance of the coefficients with other signs, shape (k,)."""
+        matrices = (np.array(rows, dtype=float) * np.outer(signs, signs) for rows in (self.matrix, self.wide) if rows)
+        matrix, *wide = [tuple(map(tuple, rows.tolist())) for rows in matrices]
+        return self.replaced(matrix=matrix, wide=wide[0] if wide else ())
+
     def without_turn(self) -> Covariance:
         """Return the covariance of all but the turn of the mounting."""
         kept = [k for k, name in enumerate(self.parameters) if not name.startswith(TURN)]

@@ -278,6 +278,9 @@ class SegmentsRecord(Record, kw_only=True):
     window_rows: Annotated[FromOne | None, about("rows in which the sensor held still")] = None
     threshold: Annotated[Size | None, about("the largest standard deviation, unit")] = None
     times_noise: Annotated[Size | None, about("the threshold over the noise")] = None
+    holds: Annotated[Count | None, about("how many were found, where some are trimmed or left out")] = None
+    trimmed: Annotated[Mapping[str, Text], about("holds of which some rows count, and why")] = {}
+    left_out: Annotated[Mapping[str, Text], about("holds that do not count, and why")] = {}
 
 
 class BenchSensorRecord(Record, kw_only=True):
@@ -320,6 +323,7 @@ class Provenance(Record, kw_only=True):
     base: Annotated[FileRecord | None, about("the calibration that it builds on (`--base`)")] = None
     sources: Annotated[tuple[FileRecord, ...], about("the calibrations that `combine` put together")] = ()
     log: Annotated[LogRecord | None, about("the log")] = None
+    logs: Annotated[tuple[LogRecord, ...], about("several logs of one session, whose rows count on")] = ()
     table: Annotated[FileRecord | None, about("the table of positions")] = None
     segments: Annotated[SegmentsRecord | None, about("the segments: their file, or how they were found")] = None
     software: Annotated[Text | None, about("program and version")] = None

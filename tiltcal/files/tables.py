@@ -8,32 +8,40 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
 from tiltcal.core.attitude import Vector, normalised
 from tiltcal.core.model import AXES
+from tiltcal.dialect import SEPARATORS, WITH_COMMA, Dialect, dialect_of, meaning, split
 from tiltcal.errors import InputError
 from tiltcal.files.document import Document, document_of, parse_document
 from tiltcal.files.procedure_file import Temperature
 from tiltcal.files.record import AboveZero, Count, FromOne, Number, Record, Text, about, keys_of
 from tiltcal.files.yaml_text import read_text
 from tiltcal.stated_arguments import require_printable
+from tiltcal.units import split_unit
 
 Table = str | Path | Sequence[Mapping[str, Any]]  # a file of CSV, or of a JSON list of objects; or such rows
 
 
-def table_rows(table: Table, file: str | Path, keys: Mapping[str, bool]) -> Iterator[Document]:
-    """Yield the rows of a small table that messages call ``file``; ``keys`` are columns, and whether each is needed."""
+def table_rows(
+    table: Table, file: str | Path, keys: Mapping[str, bool], columns: Mapping[str, str] | None = None
+) -> Iterator[Document]:
+    """Yield the rows of a small table that messages call ``file``; ``keys`` are columns, and whether each is needed.
+
+    ``columns`` says which column, by name or number, is a key; those that are none are then left out.
+    """
     if not isinstance(table, str | Path):
         rows: Iterable[Document] = document_of(list(table), str(file)).items()
     elif (text := read_text(table)).lstrip().startswith(("[", "{")):  # a CSV header begins with a name
         rows = parse_document(text, str(file)).items()
     else:
-        rows = _csv_rows(text, str(file), keys)
-    for row in rows:
+        rows = _csv_rows(text, str(file), keys, columns or {})
+    for number, row in enumerate(rows, 1):
+        if not keys.get("position", True):
+            row = Document({"position": f"row {number}", **row.data}, row.lines, row.file)
         _require_columns(row, keys)
         yield row
 
@@ -44,30 +52,62 @@ def _require_columns(row: Document, keys: Mapping[str, bool]) -> None:
     row.require_keys([name for name in needed if row.data.get(name) is not None], needed, complete=True)
 
 
-def _csv_rows(text: str, file: str, keys: Mapping[str, bool]) -> Iterator[Document]:
-    rows = csv.reader(StringIO(text, newline=""), strict=True)
+def _csv_rows(text: str, file: str, keys: Mapping[str, bool], columns: Mapping[str, str]) -> Iterator[Document]:
+    lines = text.splitlines()
+    found = _dialect_of_table(lines, keys, file)
+    body = lines[found.first if found.named is None else found.named :]
+    if not found.is_plain:
+        body = [found.fields_of(line) for line in body]
+    rows = csv.reader(body, strict=True, delimiter=found.separator)
+    before = len(lines) - len(body)
     try:
-        header = [name.strip() for name in next(rows, [])]
-        if not header:
-            raise InputError("the file is empty", file=file)
-        if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-            why = f"the header {header[0]!r} is a single column: separate the columns with commas"
-            raise InputError(why, file=file, line=1)
+        header = [name.strip() for name in next(rows, [])] if found.has_header else list(found.names)
         for name in header:
             if header.count(name) > 1:
                 raise InputError(f"the column {name!r} is there twice", file=file, line=1)
-        _require_columns(Document(dict.fromkeys(header, ""), {(): 1}, file), keys)
-        line = rows.line_num + 1
+        names = _keys_of(header, columns, found.has_header or bool(columns), file)
+        listed = [name for name in names if name in keys] if names != header else names
+        _require_columns(Document(dict.fromkeys(listed, ""), {(): 1 + before}, file), keys)
+        line = before + rows.line_num + 1
         for row in rows:
             if row and len(row) != len(header):
                 raise InputError(f"the row has {len(row)} fields, the header {len(header)}", file=file, line=line)
             if row:
                 require_printable("".join(row), None, file, line)
-                fields = {name: field.strip() for name, field in zip(header, row, strict=True) if field.strip()}
-                yield Document(fields, {(): line}, file)
-            line = rows.line_num + 1
+                cells = zip(names, (found.with_point(field.strip()) for field in row), strict=True)
+                yield Document({name: cell for name, cell in cells if cell and name in listed}, {(): line}, file)
+            line = before + rows.line_num + 1
     except csv.Error as failure:
-        raise InputError(f"not CSV: {failure}", file=file, line=rows.line_num) from None
+        raise InputError(f"not CSV: {failure}", file=file, line=before + rows.line_num) from None
+
+
+def _dialect_of_table(lines: Sequence[str], keys: Mapping[str, bool], file: str) -> Dialect:
+    """Return how a table is written: by the keys in its first line, else as a log."""
+    first = next((line for line in lines if line.strip()), None)
+    if first is None:
+        raise InputError("the file is empty", file=file)
+    for separator in SEPARATORS[:-1]:
+        if {*keys} & {cell.strip('"') for cell in split(first, separator)}:
+            commas = separator != "," and any(
+                WITH_COMMA.fullmatch(cell) for line in lines for cell in split(line, separator)
+            )
+            return Dialect(tuple(split(first, separator)), separator, "," if commas else ".", named=lines.index(first))
+    return dialect_of(lines)
+
+
+def _keys_of(header: Sequence[str], columns: Mapping[str, str], named: bool, file: str) -> list[str]:
+    """Return the key of each column: as ``columns`` says, as its name means, or x, y, z of three without names."""
+    names = list(header)
+    for key, column in columns.items():
+        place = header.index(column) if column in header else int(column) - 1 if column.isdigit() else -1
+        if not 0 <= place < len(names):
+            raise InputError(f"there is no column {column!r}; the table has {', '.join(header)}", file=file, line=1)
+        names[place] = key
+    if not named:
+        return list(AXES) if len(header) == len(AXES) else names
+    if not {*AXES} & {*names}:
+        names = [axis if (axis := meaning(split_unit(name)[0])) in AXES else name for name in names]
+    return names
 
 
 @dataclass(frozen=True)
@@ -156,12 +196,18 @@ def read_segments(segments: Table) -> list[Segment]:
     return read
 
 
-def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition]:
-    """Read and check a table of positions, in the order of the file, with a mean for each channel."""
+def read_positions(
+    table: Table, channels: Sequence[str], columns: Mapping[str, str] | None = None, *, unnamed: bool = False
+) -> list[TabledPosition]:
+    """Read and check a table of positions, in the order of the file, with a mean for each channel.
+
+    ``columns`` is that of :func:`table_rows`; where ``unnamed``, positions need no name.
+    """
     absent = [f"{lead}{axis}" for axis in AXES if axis not in channels for lead in ("", "u")]
     keys = {key: needed or key in channels for key, needed in keys_of(TabledRow).items() if key not in absent}
+    keys["position"] = not unnamed
     path = table if isinstance(table, str | Path) else "the table"
-    positions = [_position(row, channels) for row in table_rows(table, path, keys)]
+    positions = [_position(row, channels) for row in table_rows(table, path, keys, columns)]
     if not positions:
         raise InputError("the table has no position", file=path)
     stated = [position for position in positions if position.u is not None]
@@ -172,10 +218,10 @@ def read_positions(table: Table, channels: Sequence[str]) -> list[TabledPosition
     return positions
 
 
-def tabled_channels(table: Table, axes: Sequence[str]) -> tuple[str, ...]:
+def tabled_channels(table: Table, axes: Sequence[str], columns: Mapping[str, str] | None = None) -> tuple[str, ...]:
     """Return those of some axes that a table has a reading of."""
     path = table if isinstance(table, str | Path) else "the table"
-    rows = [row.read(TabledRow) for row in table_rows(table, path, keys_of(TabledRow))]
+    rows = [row.read(TabledRow) for row in table_rows(table, path, keys_of(TabledRow), columns)]
     return tuple(axis for axis in axes if any(getattr(row, axis) is not None for row in rows))
 
 

@@ -30,6 +30,7 @@ from tiltcal.logs.kernel import PreparedCalibration, RoleValues, prepare, with_l
 from tiltcal.logs.log import LogBlock, LogReader, Progress, Table
 from tiltcal.logs.means import BlockOfMeans, Means
 from tiltcal.logs.options import ApplyOptions, require_consistent
+from tiltcal.logs.recordings import require_no_signs
 from tiltcal.logs.streams import STANDARD, log_sink, read_ahead, sha256_of, with_writeback
 from tiltcal.printable import counted
 from tiltcal.stated_arguments import require_path
@@ -115,6 +116,7 @@ class CompensatedLog:
         self.log, self.prepared, self._say = log, prepared, options["say"]
         self._lagged = any(sensor.lag for sensor in prepared.sensors)
         thermometers = [name for one in prepared.sensors if one.lead and (name := one.lead + TEMPERATURE) in log.names]
+        require_no_signs(options["columns"], log.names)
         named = named_columns(options["columns"], [*prepared.channels, *thermometers], prepared.roles)
         for sensor in prepared.sensors:
             named = {sensor.lead + axis: name for axis, name in sensor.named.items() if name in log.names} | named

@@ -67,21 +67,31 @@ def column_names(names: Sequence[str], roles: Sequence[str], named: Mapping[str,
 
 @dataclass(frozen=True)
 class ReadingsHeader:
-    """The column of each axis that a log has, and the unit that all of them state."""
+    """The column of each axis that a log has, and the unit that all of them state.
+
+    ``guessed`` are the columns of a log without names that has three of numbers, beside times; ``units`` are all that
+    are stated.
+    """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     unit: str | None = None
+    guessed: Mapping[str, str] = field(default_factory=dict)
+    units: Sequence[str] = ()
 
 
 def readings_header(log: LogReader, named: Mapping[str, str] | str) -> ReadingsHeader:
     """Return what the names of a log say of its readings."""
-    columns = column_names(log.names, AXES, named_columns(named, AXES))
+    roles, guessed = named_columns(named, AXES), dict[str, str]()
+    if not roles and len(log.unnamed) == 3:
+        guessed = roles = dict(zip(AXES, log.unnamed, strict=True))
+    columns = column_names(log.names, AXES, roles)
     units = {
         spelt(log.unit(log.names.index(name)) or "") or ("g" if name.lower().startswith(("gf", "g-f")) else None)
         for name in columns.values()
     }
+    stated = sorted(filter(None, units))
     unit = units.pop() if len(units) == 1 else None
-    return ReadingsHeader(columns, unit if unit in READINGS else None)
+    return ReadingsHeader(columns, unit if unit in READINGS else None, guessed, stated)
 
 
 def locate_columns(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 import tiltcal
 from tiltcal.calibration.calibrate import calibrate
@@ -22,7 +24,7 @@ from tiltcal.calibration.measurement import (
 from tiltcal.calibration.priors import SENSITIVITY_FROM
 from tiltcal.calibration.record import bases_of
 from tiltcal.core.estimation.free import fit_free
-from tiltcal.core.model import AXES
+from tiltcal.core.model import AXES, Array
 from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary, even_step
@@ -34,7 +36,7 @@ from tiltcal.files.device import model_named
 from tiltcal.files.moments import stamp_of
 from tiltcal.files.procedure import Procedure, find_procedure
 from tiltcal.files.record import Record, keys_of
-from tiltcal.files.results import FileRecord, LogRecord, Provenance, SegmentsRecord
+from tiltcal.files.results import FileRecord, Provenance, SegmentsRecord
 from tiltcal.files.tables import (
     Segment,
     SegmentRow,
@@ -45,22 +47,40 @@ from tiltcal.files.tables import (
 )
 from tiltcal.logs.columns import (
     ReadingsHeader,
-    RecordedColumns,
     named_columns,
-    read_readings,
     readings_header,
     require_units,
 )
-from tiltcal.logs.formats import open_log
 from tiltcal.logs.frames import FrameReader, rows_of
-from tiltcal.logs.log import LogReader, Progress
-from tiltcal.logs.options import FitOptions
-from tiltcal.logs.positions import SOAKS, Rails, intervals_of, intervals_of_table, placed, require_positions
-from tiltcal.logs.still import Judge, find_still, judge_of
+from tiltcal.logs.log import Progress
+from tiltcal.logs.options import FitOptions, Remark
+from tiltcal.logs.positions import (
+    SOAKS,
+    Rails,
+    Trimmed,
+    intervals_of,
+    intervals_of_table,
+    placed,
+    require_positions,
+    trimmed,
+)
+from tiltcal.logs.recordings import (
+    Recordings,
+    length_remark,
+    of_raw_readings,
+    open_recordings,
+    split_signs,
+    unit_of_length,
+    upside_down_remark,
+    with_signs,
+)
+from tiltcal.logs.still import WINDOWS, Judge, find_still, judge_of
 from tiltcal.logs.streams import sha256_of
 from tiltcal.stated_arguments import require_name
 
-R = TypeVar("R", LogRecord, FileRecord, SegmentsRecord)
+R = TypeVar("R", FileRecord, SegmentsRecord)
+
+UNSTATED = "1"  # stands for a unit that nothing states yet; it fits all
 
 
 def fit_recorded(
@@ -83,22 +103,37 @@ def fit_recorded(
     serial = _serial(options["serial"], options["base"])
     known = bases_of(steps, options["base"], [serial]).get(serial)
     own = None if known is None else known.calibration
-    with nullcontext() if table else open_log(data, progress=progress) as log:
-        header = ReadingsHeader() if log is None else readings_header(log, options["columns"])
+    skip, signs = options["skip_bad_rows"], dict[str, float]()
+    with nullcontext() if table else open_recordings(data, skip_bad_rows=skip, progress=progress) as logs:
+        header = ReadingsHeader()
+        if logs is not None:
+            named, signs = split_signs(options["columns"], logs.logs[0].names)
+            header = readings_header(logs.logs[0], named)
+            options = {**options, "columns": {**header.guessed, **named}}
+            if header.guessed:
+                options["say"](f"{logs.name} has no names: its columns of numbers are taken for x, y and z")
         unknown = own is None and model is None
-        identity = _identity(own, model, steps, options["unit"] or (header.unit if unknown else None), serial)
+        unit = options["unit"] or (header.unit if unknown else None)
+        by_length = unknown and unit is None and steps.ramp is None and not header.units
+        by_length = by_length and (logs is not None or steps.determines.free)
+        identity = _identity(own, model, steps, UNSTATED if by_length else unit, serial)
         if unknown:
             identity = identity.replaced(channels=_channels(data, None if table else header, steps, options))
         columns = {axis: name for axis, name in header.columns.items() if axis in identity.channels and name != axis}
         identity = identity.replaced(columns=columns or identity.columns)
         nominal = None if model is None or model.unit != identity.unit else model
-        if log is None:
-            positions = _of_table(data, identity, steps)
+        if logs is None:
+            positions = _of_table(data, identity, steps, options)
         elif steps.ramp is not None:
-            positions = _of_ramp(data, log, identity, steps, options)
+            positions = _of_ramp(logs, identity, steps, options, signs)
         else:
-            positions = _of_log(data, log, identity, steps, options, rails_of(identity.channels, nominal, own))
-        for remark in [] if log is None else log.remarks:
+            positions = _of_log(logs, identity, steps, options, rails_of(identity.channels, nominal, own), signs)
+        if by_length:
+            identity = _with_unit(identity, positions, options["say"])
+        elif positions.lengths is not None:
+            remark = length_remark(positions.lengths, identity.unit, positions.columns)
+            options["say"](f"note: {remark}") if remark else None
+        for remark in dict.fromkeys(remark for log in (logs.logs if logs else ()) for remark in log.remarks):
             options["say"](f"note: {remark}")
     measured = MeasuredSensor(
         identity,
@@ -112,20 +147,44 @@ def fit_recorded(
     )
     (found,) = calibrate([measured], steps, bench, table=table, gravity=options["gravity"])
     origin = None if known is None else known.origin
-    return replace(found, provenance=positions.provenance.replaced(base=origin))
+    notes = [note] if positions.holds is not None and (note := positions.holds.not_credible) else []
+    found = replace(
+        found,
+        provenance=positions.provenance.replaced(base=origin),
+        fit=found.fit.replaced(notes=(*found.fit.notes, *notes)) if notes else found.fit,
+    )
+    if logs is not None and (remark := upside_down_remark(found)) and not signs:
+        options["say"](f"note: {remark}")
+    return of_raw_readings(found, signs)
+
+
+def _with_unit(sensor: SensorIdentity, positions: FitPositions, say: Remark) -> SensorIdentity:
+    """Return the identity of a sensor with the unit in which gravity at rest is as long."""
+    unit = None if positions.lengths is None else unit_of_length(positions.lengths, positions.columns)
+    if unit is None:
+        raise UsageError(
+            ("state the ", Argument("unit"), " of the readings (such as m/s2), or the ", Argument("sensor"), " model"),
+            advice="neither names nor the length of gravity at rest show it",
+        )
+    say(f"the unit is {unit}: at rest the readings are as long as gravity")
+    return sensor.replaced(unit=unit, unit_from="length")
 
 
 @dataclass(frozen=True)
 class FitPositions:
     """The positions of recorded data, names and checksums of what was read, and of a ramp its continuous record.
 
-    ``temperature_step`` is that of the thermometer, °C; 0 where it is continuous.
+    ``temperature_step`` is that of the thermometer, °C; 0 where it is continuous. ``lengths`` are the mean readings at
+    rest, (n, channels), of the ``columns`` of a log; ``holds`` what is left of those that were found.
     """
 
     measurements: Sequence[Measurement]
     provenance: Provenance
     ramp: RampRecord | None = None
     temperature_step: float = 0.0
+    lengths: Array | None = None
+    columns: Sequence[Array] = ()
+    holds: Trimmed | None = None
 
 
 def _require_table_alone(procedure: Procedure, options: FitOptions) -> None:
@@ -133,9 +192,6 @@ def _require_table_alone(procedure: Procedure, options: FitOptions) -> None:
     if options["segments"] is not None:
         why = ("a ", Argument("table"), " has its positions already")
         raise UsageError(why, advice=("leave ", Argument("segments"), " out"))
-    if options["columns"]:
-        why = ("a ", Argument("table"), " names its columns itself (position, x, y, z, ...)")
-        raise UsageError(why, advice=("leave ", Argument("columns"), " out"))
     if procedure.ramp is not None:
         why = (f"{procedure.name} takes a continuous record, not a ", Argument("table"), " of positions")
         raise UsageError(why)
@@ -147,16 +203,17 @@ def _channels(data: Any, header: ReadingsHeader | None, procedure: Procedure, op
     if procedure.determines.free or not axes:
         return axes or AXES
     if header is None:
-        found = tabled_channels(_path_or_rows(data, "the table", TabledRow), axes)
+        named = named_columns(options["columns"], AXES)
+        found = tabled_channels(_path_or_rows(data, "the table", TabledRow), axes, named)
     else:
-        found = tuple(axis for axis in axes if axis in {**named_columns(options["columns"], axes), **header.columns})
+        found = tuple(axis for axis in axes if axis in {**named_columns(options["columns"], AXES), **header.columns})
     absent = [axis for axis in axes if axis not in found]
     if found and absent:
         options["say"](f"there is no {' and no '.join(absent)}: the sensor has {' and '.join(found)}")
     return found or axes
 
 
-def _of_table(data: Any, sensor: SensorIdentity, procedure: Procedure) -> FitPositions:
+def _of_table(data: Any, sensor: SensorIdentity, procedure: Procedure, options: FitOptions) -> FitPositions:
     """Return the positions that a table states, with their means."""
     if hasattr(data, "data_vars"):  # an xarray Dataset states units
         table = FrameReader(data, name="the table")
@@ -164,42 +221,67 @@ def _of_table(data: Any, sensor: SensorIdentity, procedure: Procedure) -> FitPos
         means = {name: sensor.unit for axis in AXES for name in (axis, f"u{axis}")}
         require_units(table, where, means, ("the ", Argument("unit")))
     file = str(data) if isinstance(data, str | Path) else "the table"
-    positions = read_positions(_path_or_rows(data, "the table", TabledRow), sensor.channels)
+    free = procedure.determines.free
+    rows = _path_or_rows(data, "the table", TabledRow)
+    positions = read_positions(rows, sensor.channels, named_columns(options["columns"], AXES), unnamed=free)
     provenance = _provenance("table of positions", table=_origin(data, FileRecord))
-    if procedure.determines.free:
-        return FitPositions([one.measurement for one in intervals_of_table(positions)], provenance)
+    if free:
+        lengths = np.array([[position.mean[channel] for channel in sensor.channels] for position in positions])
+        found = [one.measurement for one in intervals_of_table(positions)]
+        return FitPositions(found, provenance, lengths=lengths, columns=list(lengths.T))
     require_positions(positions, procedure, file=file)
     return FitPositions(placed(intervals_of_table(positions), procedure, file=file), provenance)
 
 
 def _of_log(
-    data: Any, log: LogReader, sensor: SensorIdentity, procedure: Procedure, options: FitOptions, rails: Rails
+    logs: Recordings,
+    sensor: SensorIdentity,
+    procedure: Procedure,
+    options: FitOptions,
+    rails: Rails,
+    signs: Mapping[str, float],
 ) -> FitPositions:
     """Return what the sensor read in the segments of a log, given or found; of one position it is the whole log.
 
     Names are checked before the log is read, which may be long.
     """
     determines, given = procedure.determines, options["segments"]
-    file, judge, segments = log.name, None, list[Segment]()
+    file, judge, stated, say = logs.name, None, list[Segment](), options["say"]
+    named = [Segment(name, 0, 0, None, None) for name in logs.positions if name is not None]
     if given is not None:
-        file, segments = _segments(given)
-        if not determines.free:
-            require_positions(segments, procedure, file=file)
-    elif determines.free or len(procedure.positions) > 1:
+        if named:
+            raise UsageError(option="segments", why="names positions, and the logs do (NAME=FILE): leave one out")
+        file, stated = _segments(given)
+    elif not named and (determines.free or len(procedure.positions) > 1):
         judge = _judge(procedure, sensor.channels)
-    record = read_readings(log, sensor.channels, options["columns"], sensor.unit)
-    origin = _origin(given, SegmentsRecord)
+    if not determines.free:
+        require_positions([*stated, *named], procedure, file=file)
+    record, found = logs.read(sensor.channels, options["columns"], sensor.unit)
+    record = with_signs(record, signs)
+    origin, fewest, holds = _origin(given, SegmentsRecord), WINDOWS[-1], None
     if judge is not None:
         chosen = find_still(record.of(sensor.channels), judge)
-        segments = chosen.segments
-        options["say"](chosen.in_words(sensor.unit))
+        found, fewest = chosen.segments, chosen.window
+        say(chosen.in_words("" if sensor.unit == UNSTATED else f" {sensor.unit}"))
         origin = SegmentsRecord(
             found="standard deviation in a window below a threshold",
             window_rows=chosen.window,
             threshold=significant(chosen.threshold, 4),
             times_noise=chosen.multiple,
         )
-    segments = segments or [Segment(procedure.positions[0].name, 0, len(record), None, None)]
+    if found:
+        count = len({*_holds_of(found)})
+        holds = trimmed(record, sensor.channels, found, rails, fewest)
+        for line in holds.in_words(count):
+            say(line)
+        if holds.left_out or holds.trimmed:
+            origin = (origin or SegmentsRecord(found="one log for each position")).replaced(
+                holds=count, trimmed=holds.trimmed, left_out=holds.left_out
+            )
+        stated = [*holds.segments]
+        if not determines.free:
+            _require_held(procedure, holds, file)
+    segments = stated or [Segment(procedure.positions[0].name, 0, len(record), None, None)]
     thermal = determines.drift or determines.gain
     soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if thermal else 0.0
     intervals = intervals_of(record, sensor.channels, segments, rails, file=file, soak=soak)
@@ -207,17 +289,43 @@ def _of_log(
     for one in measurements:
         if far := one.when.get("left_out"):
             which = "1 sample is" if far == 1 else f"{far} samples are"
-            options["say"](f"{one.position}: {which} far off the others or missing, and left out")
+            say(f"{one.position}: {which} far off the others or missing, and left out")
     times = [interval.times for interval in intervals if interval.times is not None]
-    provenance = _provenance("recorded log", times, log=_log_record(data, log, record), segments=origin)
+    provenance = _provenance("recorded log", times, **logs.provenance(record), segments=origin)
     if not determines.free:
         measurements = placed(intervals, procedure, file=file)
     step = even_step(record.by_role["temperature"]) if "temperature" in record.by_role else 0.0
-    return FitPositions(measurements, provenance, temperature_step=step)
+    means = np.array([[one.summaries[channel].mean for channel in sensor.channels] for one in measurements])
+    return FitPositions(
+        measurements,
+        provenance,
+        temperature_step=step,
+        lengths=means,
+        columns=record.of(sensor.channels),
+        holds=holds,
+    )
+
+
+def _holds_of(segments: Sequence[Segment]) -> Iterator[tuple[str, int]]:
+    """Yield a mark of the hold of each segment: of those of one name that follow each other it is one."""
+    number, last = -1, None
+    for segment in segments:
+        number += segment.name != last
+        last = segment.name
+        yield segment.name, number
+
+
+def _require_held(procedure: Procedure, holds: Trimmed, file: str) -> None:
+    """Refuse a procedure of set positions of which one has no hold left."""
+    there = {segment.name for segment in holds.segments}
+    gone = [position.name for position in procedure.positions if position.name not in there]
+    reasons = [f"{name} ({why})" for name, why in holds.left_out.items() if name.partition(" (")[0] in gone]
+    if gone and reasons:
+        raise InputError(f"no hold is left in {', '.join(reasons)}: take it again", file=file)
 
 
 def _of_ramp(
-    data: Any, log: LogReader, sensor: SensorIdentity, procedure: Procedure, options: FitOptions
+    logs: Recordings, sensor: SensorIdentity, procedure: Procedure, options: FitOptions, signs: Mapping[str, float]
 ) -> FitPositions:
     """Return the continuous record of a ramp: the whole log, or the rows of its one segment."""
     given, segment = options["segments"], None
@@ -228,7 +336,10 @@ def _of_ramp(
                 f"{procedure.name} takes one continuous record, and these are {1 + len(more)} segments: name the first"
             )
             raise InputError(f"{why} row and the last of the whole ramp", file=file)
-    record = read_readings(log, sensor.channels, options["columns"], sensor.unit, (TIME, TEMPERATURE))
+    if len(logs.logs) > 1:
+        raise UsageError(f"{procedure.name} takes one continuous record, and {len(logs.logs)} logs are given: name one")
+    record, _ = logs.read(sensor.channels, options["columns"], sensor.unit, (TIME, TEMPERATURE))
+    record = with_signs(record, signs)
     start, end = (0, len(record)) if segment is None else (segment.start, segment.end)
     if segment is not None and end > len(record):
         raise InputError(f"segment {segment.name} ends at row {end}, and the log has {len(record)}", file=record.name)
@@ -246,18 +357,10 @@ def _of_ramp(
         None,
         dict.fromkeys(sensor.channels, SampleSummary(0.0, 0.0, 1, 0.0)),
     )
-    read = _log_record(data, log, record, end - start - ramp.rows or None)
+    read = logs.provenance(record, end - start - ramp.rows or None)
     times = [(ramp.time[0], ramp.time[-1])]
-    return FitPositions(
-        [attitude], _provenance("recorded log", times, log=read, segments=_origin(given, SegmentsRecord)), ramp
-    )
-
-
-def _log_record(data: Any, log: LogReader, record: RecordedColumns, missing: int | None = None) -> LogRecord | None:
-    """Return what was read of a file; None of a frame."""
-    if (sha := log.sha256) is None:
-        return None
-    return LogRecord(name=Path(data).name, sha256=sha, rows=len(record), missing=missing)
+    segments = _origin(given, SegmentsRecord)
+    return FitPositions([attitude], _provenance("recorded log", times, **read, segments=segments), ramp)
 
 
 def _provenance(what: str, times: Sequence[tuple[float, float]] = (), **origins: Any) -> Provenance:
@@ -309,7 +412,8 @@ def _serial(serial: str | None, base: str | Path | None) -> str:
 
 def _is_table(data: Any, segments: Any) -> bool:
     """Return whether a frame is one of positions."""
-    if segments is not None or isinstance(data, str | Path):
+    paths = isinstance(data, Sequence) and not isinstance(data, str) and all(isinstance(k, str | Path) for k in data)
+    if segments is not None or paths or isinstance(data, str | Path):
         return False
     return "position" in FrameReader(data).names
 

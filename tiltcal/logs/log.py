@@ -84,11 +84,13 @@ class LogReader(ABC):
     names: tuple[str, ...]
     header_line: int | None = None
     """The line that names the columns; None where the file has no lines."""
+    unnamed: tuple[str, ...] = ()
+    """The columns of numbers, but for times, of a log that does not name its columns."""
 
     def __init__(self, source: LogSource) -> None:
         self.source = source
         self.notes: Mapping[str, str] = {}
-        self.bytes_read = 0
+        self.bytes_read = self.rows_read = 0
         self.remarks: list[str] = []
         self._moments: bool | None = None
         self._time_unit: str | None = None
@@ -133,6 +135,7 @@ class LogReader(ABC):
             if not timed and block.times is not None:
                 self._refuse_times(block.times, self.names[time or 0], rows)
             rows += len(block)
+            self.rows_read = rows
             yield self._converted(block, time, temperatures)
             if self.source.progress is not None:
                 self.source.progress(self.bytes_read, self.source.size)

@@ -166,15 +166,21 @@ class FitOptions(TypedDict, total=False):
         bool | None,
         Option(
             "The data are a table of means: position, x, y, z, and optionally gx, gy, gz, ux, uy, uz (the standard "
-            "uncertainties of the means), n, temperature.",
+            "uncertainties of the means), n, temperature; for free three numbers a line, without names, will do.",
             "",
             check=lambda name, value: None if value is None else require_boolean(name, value),
         ),
     ]
     columns: Annotated[
         Mapping[str, str] | str,
-        Option("The column of each reading [x, y, z, temperature]; a number without a header.", "x=NAME,…", default=""),
+        Option(
+            "The column of each reading [x, y, z, temperature, or what means them], or its number; x=-NAME turns the "
+            "sign of one that reads -1 g up.",
+            "x=NAME,…",
+            default="",
+        ),
     ]
+    skip_bad_rows: Annotated[bool, _flag("Count rows of a log that cannot be parsed as missing.")]
     unit: Annotated[str | None, Option("The unit of the readings, such as m/s2, V or count [the model's].", "UNIT")]
     serial: Annotated[str | None, Option("The sensor's serial number [that of the base].", "S")]
     sensor: Annotated[str | None, Option("The model of the sensor, if it is one of `tiltcal devices`.", "MODEL")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from difflib import get_close_matches
@@ -12,8 +12,10 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tiltcal.calibration.measurement import Measurement, at_rail
+from tiltcal.calibration.wording import LOST_HOLDS
 from tiltcal.core.detection import (
     LEFT_OUT,
     TEMPERATURE_JUMP,
@@ -35,6 +37,9 @@ FEWEST_ROWS = 2
 
 UP = (0.0, 0.0, 1.0)
 """Stands for a direction that nothing has said yet."""
+
+MOST_FAULTS = 2  # holds in which one channel may be at its rail or stand still before the sensor is not credible
+STEP_BLOCKS, STEP = 8, 4.0  # blocks of a hold; a jump between them exceeds their wandering so many times
 
 SOAKS = 3
 """Soaks up to the end of a segment over which the temperature is judged."""
@@ -86,6 +91,130 @@ def intervals_of(
         intervals.append(interval.read(name, step, rails, soak, previous))
     _require_not_stuck(intervals, step, file)
     return intervals
+
+
+@dataclass(frozen=True)
+class Trimmed:
+    """What is left of holds that were found: segments, and by name why some rows or the whole hold do not count.
+
+    ``faults`` are the channels by hold that was at a rail or stood at one value.
+    """
+
+    segments: tuple[Segment, ...]
+    trimmed: Mapping[str, str]
+    left_out: Mapping[str, str]
+    faults: Mapping[str, str]
+
+    def in_words(self, holds: int) -> Iterator[str]:
+        """Yield which of so many holds are trimmed or left out, and why."""
+        for what, named in (("left out", self.left_out), ("trimmed", self.trimmed)):
+            if named:
+                each = ", ".join(f"{name} ({why})" for name, why in named.items())
+                yield f"{len(named)} of {holds} holds {'is' if len(named) == 1 else 'are'} {what}: {each}"
+
+    @property
+    def not_credible(self) -> str | None:
+        """What speaks against the sensor: holds lost by rail or standstill; None where little does."""
+        holds = len({segment.name for segment in self.segments}) + len(self.left_out)
+        often = Counter(self.faults.values()).most_common(1)
+        if 3 * len(self.faults) > holds or (often and often[0][1] > MOST_FAULTS):
+            return f"{len(self.faults)} of {holds} {LOST_HOLDS} ({', '.join(sorted({*self.faults.values()}))})"
+        return None
+
+
+def trimmed(
+    record: RecordedColumns, channels: Sequence[str], segments: Sequence[Segment], rails: Rails, fewest: int
+) -> Trimmed:
+    """Trim holds that were found to what stands still, at least ``fewest`` rows, or leave them out.
+
+    Only a hold's own samples decide: a rail, one value, a step, samples far off or missing.
+    """
+    step = resolution(record.of(channels))
+    groups = [list(parts) for _, parts in groupby(segments, key=lambda segment: segment.name)]
+    names = _distinct([parts[0].name for parts in groups])
+    holds = [np.concatenate([np.arange(part.start, part.end) for part in parts]) for parts in groups]
+    noise = {}
+    for channel in channels:
+        values = (record.by_role[channel][rows] for rows in holds)
+        finite = [one[np.isfinite(one)] for one in values]
+        noise[channel] = noise_of_positions([summarise(one, step) for one in finite if len(one) > 1], step)
+    kept, shorter, gone, faults = list[Segment](), dict[str, str](), dict[str, str](), dict[str, str]()
+    for name, parts, rows in zip(names, groups, holds, strict=True):
+        samples = {channel: record.by_role[channel][rows] for channel in channels}
+        if fault := _standing_fault(samples, rails, noise, step):
+            gone[name], faults[name] = fault
+            continue
+        usable, why = _usable(samples, step)
+        if usable.all() or (why == "" and not usable.all()):
+            kept += parts
+            continue
+        start, end = _longest(rows, usable)
+        if end - start < fewest:
+            gone[name] = why
+        else:
+            shorter[name] = f"{why}: rows {start} to {end}"
+            kept.append(replace(parts[0], start=start, end=end))
+    return Trimmed(tuple(kept), shorter, gone, faults)
+
+
+def _standing_fault(
+    samples: Mapping[str, Array], rails: Rails, noise: Mapping[str, float], step: float
+) -> tuple[str, str] | None:
+    """Return why a hold says nothing, and the channel: at its rail, or at one value that noise would have changed."""
+    for channel, values in samples.items():
+        finite = values[np.isfinite(values)]
+        low, high = rails.get(channel, (-np.inf, np.inf))
+        if len(finite) and not ((low < finite) & (finite < high)).all():
+            return f"{channel} is at its rail", channel
+        if len(finite) > 1 and np.ptp(finite) == 0.0 and not identical_by_chance(len(finite), noise[channel], step):
+            return f"{channel} stood at one value", channel
+    return None
+
+
+def _usable(samples: Mapping[str, Array], step: float) -> tuple[NDArray[np.bool_], str]:
+    """Return which rows of a hold stand still and are there, and why the others do not count, if they are not few."""
+    usable = np.logical_and.reduce([np.isfinite(values) for values in samples.values()])
+    count, why = len(usable), ""
+    far = np.zeros(count, dtype=bool)
+    for values in samples.values():
+        there = np.flatnonzero(np.isfinite(values))
+        far[there[outliers(values[there], step)]] = True
+    lost = int((far | ~usable).sum())
+    if lost > max(1, LEFT_OUT * count):
+        why = f"{lost} of its {count} samples are far off or missing"
+    usable &= ~far
+    for channel, values in samples.items():
+        if (cut := _step_at(values[usable])) is not None:
+            at = int(np.flatnonzero(usable)[cut])
+            side = np.arange(count) < at if 2 * cut >= int(usable.sum()) else np.arange(count) >= at
+            usable &= side
+            why = f"{channel} jumps in it"
+    return usable, why
+
+
+def _step_at(values: Array) -> int | None:
+    """Return where the mean of a channel at rest jumps, by far more than it wanders on either side; None if nowhere."""
+    size = len(values) // STEP_BLOCKS
+    if size < FEWEST_FOR_A_RISE:
+        return None
+    means = values[: size * STEP_BLOCKS].reshape(STEP_BLOCKS, size).mean(axis=1)
+    noise = float(np.std(np.diff(values))) / sqrt(2.0)
+    for cut in range(2, STEP_BLOCKS - 1):
+        left, right = means[:cut], means[cut:]
+        wander = max(float(np.ptp(left)), float(np.ptp(right)), noise / sqrt(size))
+        if abs(float(left.mean() - right.mean())) > max(STEP * wander, 2.0 * noise):
+            return cut * size
+    return None
+
+
+def _longest(rows: NDArray[np.intp], usable: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return the first row and the row behind the last of the longest run of rows that are usable."""
+    good = rows[usable]
+    if not len(good):
+        return 0, 0
+    runs = np.split(good, np.flatnonzero(np.diff(good) != 1) + 1)
+    longest = max(runs, key=len)
+    return int(longest[0]), int(longest[-1]) + 1
 
 
 def intervals_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterval]:

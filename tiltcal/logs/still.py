@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from math import cos, inf, radians, sqrt
 
 import numpy as np
@@ -29,7 +29,7 @@ from tiltcal.core.detection import (
     stuck_spans,
     window_scatter,
 )
-from tiltcal.core.estimation.free import FreeFit, fit_free
+from tiltcal.core.estimation.free import DIFFERENT_ATTITUDE, UNKNOWNS, FreeFit, fit_free
 from tiltcal.core.flags import Mask
 from tiltcal.core.model import AXES, Array
 from tiltcal.core.samples import BLOCKS
@@ -42,6 +42,8 @@ WINDOWS = (200, 100, 50, 25)
 
 MULTIPLES = (1.4, 1.7, 2.0, 2.4, 2.8, 3.4, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Thresholds that are tried, in units of the noise of the stillest part."""
+
+NEARLY = 0.15  # rows whose lengths differ by less may all be gravity, and may be means, relative
 
 SAME_DIRECTION_COSINE = cos(radians(0.5))
 """Still intervals one after the other, with less of a turn between them than this, are one attitude."""
@@ -113,10 +115,10 @@ class StaticDetection:
         ]
 
     def in_words(self, unit: str) -> str:
-        """Return what was found, and at which threshold, in the unit of the readings."""
+        """Return what was found, and at which threshold, in the unit of the readings, with a blank before it."""
         return (
             f"{sum(map(len, self.intervals))} static intervals in {len(self.intervals)} attitudes: standard deviation "
-            f"over {self.window} rows up to {self.threshold:.4g} {unit}, {self.multiple:g} times the noise of the "
+            f"over {self.window} rows up to {self.threshold:.4g}{unit}, {self.multiple:g} times the noise of the "
             "stillest part"
         )
 
@@ -131,7 +133,7 @@ def find_still(columns: Sequence[Array], judge: Judge = fit_free) -> StaticDetec
     tried = tuple(choice for window in WINDOWS for choice in _choices(columns, lost, changes, window, judge))
     best = min(tried, key=lambda choice: choice.expanded, default=None)
     if best is None or best.fit is None or best.expanded == inf:
-        raise EstimateError(_too_few(tried, int(lost.sum())))
+        raise EstimateError(_too_few(tried, columns, int(lost.sum())))
     # What is left over shows the scatter no better than this. A choice that is better by less has but left out some
     # attitude that fits badly, and would be surer of itself than it is.
     limit = best.expanded * (1.0 + 1.0 / sqrt(2.0 * best.fit.dof))
@@ -227,17 +229,58 @@ def mean_of(columns: Sequence[Array], spans: Sequence[Span]) -> tuple[Array, Arr
     return rows.mean(axis=1), np.asarray(blocks.std(axis=1, ddof=1) / sqrt(blocks.shape[1]))
 
 
-def _too_few(tried: Sequence[StaticDetection], lost: int) -> Parts:
-    """Return why no choice will do; ``lost`` rows are missing, or stuck at one value."""
+def _too_few(tried: Sequence[StaticDetection], columns: Sequence[Array], lost: int) -> Parts:
+    """Return why no choice will do, and what to add; ``lost`` rows are missing, or stuck at one value."""
     absent = min((choice.fit.absent for choice in tried if isinstance(choice.fit, PositionFit)), key=len, default=None)
+    most = max(tried, key=lambda choice: len(choice.intervals), default=None)
+    longer = "Hold the sensor still for longer in each"
     if absent is not None:
         found = f"the sensor still in every position: {', '.join(absent) or 'a further one'} is missing"
     else:
-        most = max((len(choice.intervals) for choice in tried), default=0)
-        found = f"enough attitudes to determine the sensor and check the result (10, better 12 to 18): at most {most}"
+        count = 0 if most is None else len(most.intervals)
+        found = f"enough attitudes to determine the sensor and check the result (10, better 12 to 18): at most {count}"
+        if most is not None and count > UNKNOWNS:
+            directions = _directions(np.array([mean_of(columns, spans)[0] for spans in most.intervals]))
+            different = _different(directions)
+            if len(different) <= UNKNOWNS:
+                found = f"{found}, of which {len(different)} are different"
+                longer = f"Add other attitudes, such as the one with {_farthest(different)} up"
     lost_too = f"; {lost} rows are missing, or stuck at one value" if lost else ""
-    return (
-        f"no threshold finds {found} in windows of {WINDOWS[-1]} rows or more{lost_too}. Hold the sensor still for "
-        "longer in each; or give the intervals with ",
-        Argument("segments"),
+    why = f"no threshold finds {found} in windows of {WINDOWS[-1]} rows or more{lost_too}. {longer}"
+    means = () if most is not None and most.intervals else _as_table(columns)
+    return f"{why}; or give the intervals with ", Argument("segments"), *means
+
+
+def _as_table(columns: Sequence[Array]) -> Parts:
+    """Return the advice on rows that are about as long as gravity themselves: they may be means of positions."""
+    lengths = np.linalg.norm(np.stack(columns), axis=0)
+    lengths = lengths[np.isfinite(lengths)]
+    near = np.abs(lengths / np.median(lengths) - 1.0) < NEARLY if len(lengths) else np.zeros(1)
+    alike = len(columns) == 3 and bool(near.mean() > 1.0 - NEARLY)
+    return ("; if each row is the mean of one position, say ", Argument("table")) if alike else ()
+
+
+def _directions(means: Array) -> Array:
+    """Return the directions of readings about the middle of all, unit vectors, (n, 3)."""
+    half = np.maximum(np.ptp(means, axis=0) / 2.0, 1e-300)
+    up = (means - (means.max(axis=0) + means.min(axis=0)) / 2.0) / half
+    return np.asarray(up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-300))
+
+
+def _different(directions: Array) -> Array:
+    """Return one of each group of directions that are nearer than attitudes that count as different."""
+    kept = list[Array]()
+    for one in directions:
+        if all(float(one @ other) < cos(radians(DIFFERENT_ATTITUDE)) for other in kept):
+            kept.append(one)
+    return np.array(kept)
+
+
+def _farthest(directions: Array) -> str:
+    """Return the face, edge or corner of a box that is farthest from all directions, in words."""
+    corners = np.array([corner for corner in product((-1, 0, 1), repeat=3) if any(corner)], float)
+    near = (corners / np.linalg.norm(corners, axis=1, keepdims=True) @ directions.T).max(axis=1)
+    signs = {1: "+", -1: "-"}
+    return " and ".join(
+        f"{signs[int(sign)]}{axis}" for sign, axis in zip(corners[int(near.argmin())], AXES, strict=True) if sign
     )

@@ -55,7 +55,6 @@ def test_what_is_wrong_with_positions_is_told_with_its_line(tmp_path: Path) -> N
     for text, line, about in (
         ("", None, "empty"),
         ("position,x,y\n", None, "no position"),
-        ("position;x;y\nup;1;2\n", 1, "is a single column: separate the columns with commas"),
         ("position,x\nup,1\n", 1, "'y' is missing"),
         ("position,x,y,temp\nup,1,2,3\n", 1, "unknown key 'temp'"),
         ("position,x,y\nup,1,\n", 2, "'y' is missing"),

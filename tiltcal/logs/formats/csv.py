@@ -67,6 +67,9 @@ class CsvReader(LogReader):
         found = self.dialect
         self.header_line = 1 + (found.first if found.named is None else found.named)
         self.names = found.column_names
+        if not found.has_header:
+            kinds = zip(self.names, found.kinds, strict=True)
+            self.unnamed = tuple(name for name, kind in kinds if kind == "number")
         header = "" if found.named is None or not found.is_plain else lines[found.named]
         if (
             not header
