@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import degrees, sqrt
+from math import asin, degrees, sqrt, tan
 from typing import NamedTuple
 
 from tiltcal.drivers.bus import Device, Link
@@ -28,6 +28,17 @@ OF_TILT = {
     "arcsec": 3600.0 * degrees(1.0),
 }
 """What a tilt of 1 rad is in the units of angle and slope, near level: a change of 1 g there."""
+
+SLOPES = ("mm/m", "%")
+"""The units of those that are the tangent of a tilt."""
+
+
+def as_tilt(linear: float, unit: str) -> float:
+    """Return what a device prints in a unit of angle or slope where one that is linear in gravity has a reading."""
+    if (scale := OF_TILT.get(unit)) is None:
+        return linear
+    tilt = asin(min(max(linear / scale, -1.0), 1.0))
+    return scale * (tan(tilt) if unit in SLOPES else tilt)
 
 
 NO_TWIN_MODELS = (

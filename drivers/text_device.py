@@ -22,7 +22,7 @@ from typing import Any
 from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.columns import CHUNK, LONGEST, TEMPERATURE, UNUSABLE, Scale, channels_of, model_of_numbers
-from tiltcal.drivers.model import Model, Reading, Sensor
+from tiltcal.drivers.model import Model, Reading, Sensor, as_tilt
 from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth, VirtualPart
 from tiltcal.errors import BusError
 
@@ -401,15 +401,10 @@ def virtual_text_device(device: TextDevice, truth: Truth, fixture: HeldPose, clo
     example = example_of(device)
 
     def message(number: int) -> bytes:
-        celsius = fixture.temperature() + truth.thermometer_error
-        return answer_with(
-            device,
-            example,
-            {
-                name: celsius if name == TEMPERATURE else truth.sample(name, fixture, clock, number)
-                for name in device.names
-            },
-        )
+        numbers = {TEMPERATURE: fixture.temperature() + truth.thermometer_error}
+        for name in channels_of(device.names):
+            numbers[name] = as_tilt(truth.sample(name, fixture, clock, number), device.scale.unit)
+        return answer_with(device, example, {name: numbers[name] for name in device.names})
 
     if device.ask:
         return VirtualAnswers(device, message, truth, fixture, clock)

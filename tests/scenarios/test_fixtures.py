@@ -28,6 +28,7 @@ from tiltcal.library.measure import measure
 NUMBER = re.compile(r"(?<![\w.:-])-?\d+\.\d+(?:e[+-]\d+)?(?![\w.:-])")
 
 JOURNALS = sorted(FIXTURES.glob("*.journal.jsonl"))
+PLANE = FIXTURES / "plane.journal.jsonl"
 
 
 def golden(journal: Path) -> Path:
@@ -107,15 +108,15 @@ def test_the_result_of_a_rotation_is_that_of_its_samples_as_a_log(tmp_path: Path
 
 def test_a_golden_file_that_differs_is_judged_failing(tmp_path: Path) -> None:
     changed = tmp_path / "plane.yaml"
-    kept = golden(JOURNALS[0]).read_text(encoding="utf-8")
+    kept = golden(PLANE).read_text(encoding="utf-8")
     changed.write_text(kept.replace("SIM-42", "SIM-43"), encoding="utf-8")
     lines = enumerate(kept.splitlines(), start=1)
     line, text = next((number, text) for number, text in lines if "SIM-42" in text)
-    judged = tiltcal("replay", JOURNALS[0], "--golden", changed)
+    judged = tiltcal("replay", PLANE, "--golden", changed)
     assert judged.returncode == 1
     both = f"- {text.replace('SIM-42', 'SIM-43')}\n+ {text}\n"
     assert f"does not give {changed}: line {line} differs\n{both}" in judged.stderr
-    assert tiltcal("replay", JOURNALS[0], "--golden", golden(JOURNALS[0])).returncode == 0
+    assert tiltcal("replay", PLANE, "--golden", golden(PLANE)).returncode == 0
 
 
 @pytest.mark.parametrize("procedure", ["cross-axis", "complete"])

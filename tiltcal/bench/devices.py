@@ -18,18 +18,24 @@ from tiltcal.drivers.model import Model, Reading, Sensor
 from tiltcal.errors import BusError, HardwareError, SensorError, UsageError
 from tiltcal.files.bench import BenchFile, BenchSensor, with_device_file
 from tiltcal.files.journal import HARDWARE_ERROR, JournalWriter
-from tiltcal.files.record import about
+from tiltcal.files.record import FromZero, about
 
 if TYPE_CHECKING:
     from tiltcal.drivers.bus.modbus import ModbusLine
     from tiltcal.drivers.virtual import Fixture, Truth
 
-Sample = Mapping[str, Reading]
-"""One reading of each sensor of a bench, by serial number."""
+
+class Sample(dict[str, Reading]):
+    """One reading of each sensor of a bench, by serial number, and that of a reference on the plate, where one is."""
+
+    reference: Reading | None = None
+
 
 ATTEMPTS = 5  # failures in a row after which a sensor is given up
 RECOVERY = 1.0  # seconds that a bus is left alone after an error
 THERMOMETER = "(thermometer)"  # that of the bench, among serial numbers: none has parentheses
+REFERENCE = "(reference)"  # likewise
+OF_THE_BENCH = (THERMOMETER, REFERENCE)  # without which no sensor is measured
 
 
 class BenchDevice(BenchSensor, kw_only=True):
@@ -50,6 +56,15 @@ def thermometer_of(bench: BenchFile) -> BenchDevice | None:
     if not thermometer.wired.thermometer:
         raise UsageError(f"{thermometer.model} reports no temperature: it cannot be the bench's thermometer")
     return thermometer
+
+
+class ReferenceDevice(BenchDevice, kw_only=True):
+    """The reference instrument of a session."""
+
+    zero: Annotated[FromZero, about("standard uncertainty of its zero, degrees")]
+    scale: Annotated[FromZero, about("of its scale, as a share")]
+    repeatability: Annotated[FromZero, about("of each of its tilts beside, degrees")]
+    alignment: Annotated[FromZero, about("of its turn about the vertical, degrees")]
 
 
 class VirtualBench:
@@ -162,14 +177,14 @@ def probe_devices(devices: Sequence[BenchSensor], clock: Clock) -> None:
 class SensorSet:
     """Reads several sensors as one, and gives up those that fail for good.
 
-    The temperature of ``thermometer``, where there is one, stands for that of every sensor. ``lost`` says why sensors
-    were given up, by serial number; ``sensors`` are the others, ``models`` those as they are wired.
+    ``beside`` are a thermometer, whose temperature stands for that of every sensor, and a reference. ``lost`` says why
+    sensors were given up, by serial number; ``sensors`` are the others, ``models`` those as they are wired.
     """
 
     def __init__(
-        self, sensors: Sequence[BenchSensor], drivers: Sequence[Sensor], thermometer: Sensor | None = None
+        self, sensors: Sequence[BenchSensor], drivers: Sequence[Sensor], beside: Mapping[str, Sensor] | None = None
     ) -> None:
-        self.thermometer = thermometer
+        self.beside = beside or {}
         self.lost: dict[str, str] = {}
         self._all = list(zip(sensors, drivers, strict=True))
         self._failures: dict[str, int] = {}
@@ -183,7 +198,7 @@ class SensorSet:
         self.sensors = [sensor for sensor, _ in at_work]
         self.models = {sensor.serial: sensor.wired for sensor in self.sensors}
         self._drivers = {sensor.serial: driver for sensor, driver in at_work}
-        self._drivers |= {} if self.thermometer is None else {THERMOMETER: self.thermometer}
+        self._drivers |= self.beside
 
     @property
     def interval(self) -> float:
@@ -218,7 +233,7 @@ class SensorSet:
                 readings[name] = driver.read()
             except HardwareError as error:
                 reasons.append(str(named_error(name, error, alone=len(self._all) == 1)))
-        if self.thermometer is not None:
+        if THERMOMETER in self.beside:
             readings.setdefault(THERMOMETER, Reading(()))
         return at_one_temperature(readings), reasons
 
@@ -240,7 +255,7 @@ class SensorSet:
         count = self._failures[error.serial] = self._failures.get(error.serial, 0) + 1
         if count < ATTEMPTS:
             return
-        if not needed and error.serial != THERMOMETER and len(self.sensors) > 1:
+        if not needed and error.serial not in OF_THE_BENCH and len(self.sensors) > 1:
             self._just_lost.append(error.serial)
             self.give_up({error.serial: str(error)})
         elif self._just_lost:
@@ -258,14 +273,17 @@ class SensorSet:
 
 def at_one_temperature(readings: dict[str, Reading]) -> Sample:
     """Return readings by serial number with the temperature of the bench's thermometer, where it is among them."""
-    if (thermometer := readings.pop(THERMOMETER, None)) is None:
-        return readings
-    return {serial: replace(reading, temperature=thermometer.temperature) for serial, reading in readings.items()}
+    thermometer, reference = (readings.pop(name, None) for name in OF_THE_BENCH)
+    if thermometer is not None:
+        readings = {serial: replace(one, temperature=thermometer.temperature) for serial, one in readings.items()}
+    sample = Sample(readings)
+    sample.reference = reference
+    return sample
 
 
 def named_error(name: str, error: HardwareError, *, alone: bool) -> SensorError:
     """Return an error with the name of its device, unless that is the only sensor."""
-    where = () if alone and name != THERMOMETER else (f"{name.strip('()')}: ",)
+    where = () if alone and name not in OF_THE_BENCH else (f"{name.strip('()')}: ",)
     return SensorError(name, (*where, *error.words))
 
 
@@ -347,7 +365,7 @@ class RecordedLink:
 @contextmanager
 def connected(
     sensors: Sequence[BenchSensor],
-    thermometer: BenchSensor | None,
+    beside: Mapping[str, BenchSensor],
     recorder: Recorder,
     virtual: VirtualBench,
 ) -> Iterator[SensorSet]:
@@ -355,12 +373,12 @@ def connected(
     lines: dict[str, ModbusLine] = {}
     drivers = []
     with ExitStack() as stack:
-        for number, device in enumerate(sensors if thermometer is None else (*sensors, thermometer)):
+        for number, device in enumerate((*sensors, *beside.values())):
             connect = partial(open_same, device, virtual, lines, recorder, [])
             link = RecordedLink(recorder, connect, device.letter, number)
             stack.callback(link.close)
             drivers.append(device.wired.driver(link, recorder))
-        yield SensorSet(sensors, drivers[: len(sensors)], *drivers[len(sensors) :])
+        yield SensorSet(sensors, drivers[: len(sensors)], dict(zip(beside, drivers[len(sensors) :], strict=True)))
 
 
 @contextmanager

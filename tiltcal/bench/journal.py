@@ -19,6 +19,7 @@ from tiltcal.bench.checks import PositionResult, ReadingSpans, at_rail, result_o
 from tiltcal.bench.devices import BenchDevice
 from tiltcal.bench.operators import Message, as_set
 from tiltcal.bench.playback import Playback, RecordedSample
+from tiltcal.bench.reference import compared, set_by, uncertainty_with
 from tiltcal.bench.setup import Setup
 from tiltcal.core.model import Array
 from tiltcal.core.samples import ReadingStep
@@ -217,6 +218,8 @@ class RecordedSession:
             samples = [sample for number, sample in enumerate(samples) if number not in noted.without]
         if not samples or any(serial not in sample.readings for sample in samples for serial in values):
             raise self._error(f"accepts {noted.position!r}, and does not hold its samples", event)
+        if self.setup.reference is not None:
+            position = set_by(self.setup.reference, position, [sample.readings for sample in samples])
         result = result_of(
             [self.sensors[serial] for serial in values],
             position,
@@ -374,7 +377,9 @@ def fitted(session: RecordedSession) -> list[CalibrationRecord]:
             for sensor in session.at_work
         ],
         setup.steps,
-        BenchUncertainty(settings.jig, settings.thermometer, settings.table, settings.heading),
+        uncertainty_with(
+            setup.reference, BenchUncertainty(settings.jig, settings.thermometer, settings.table, settings.heading)
+        ),
         typical_temperature=setup.typical_temperature,
         settings={"samples": settings.samples, "settle_seconds": settings.settle},
     )
@@ -389,12 +394,17 @@ def _tilt_calibrations(
     setup, records, calibrations = session.setup, fitted(session), {}
     quiet = session.spans.quiet_channels(setup.steps.positions)
     for sensor, record in zip(session.at_work, records, strict=True):
-        notes = [*setup.overdue(), *(quiet_note(channel, n) for channel, n in quiet[sensor.serial].items())]
+        notes = [
+            *compared(setup.reference),
+            *setup.overdue(),
+            *(quiet_note(channel, n) for channel, n in quiet[sensor.serial].items()),
+        ]
         bench = BenchRecord(
             address=sensor.address,
             axes=() if sensor.orientation.straight else tuple(sensor.orientation.names),
             thermometer=None if setup.thermometer is None else setup.thermometer.address,
             device=sensor.device,
+            reference=None if setup.reference is None else setup.reference.address,
         )
         base = setup.bases.get(sensor.serial)
         calibrations[sensor.serial] = replace(

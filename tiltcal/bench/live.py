@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tiltcal.bench.devices import BenchDevice, Recorder, VirtualBench, connected, probe_devices
+from tiltcal.bench.devices import THERMOMETER, BenchDevice, Recorder, VirtualBench, connected, probe_devices
 from tiltcal.calibration.record import compensation_of
 from tiltcal.calibration.stated import stated_uncertainty
 from tiltcal.core.angle_uncertainty import CompensationWithUncertainty
@@ -165,11 +165,12 @@ def live_tilts(
     clock = session_clock(datetime.now(UTC), virtual=False)
     for device in devices:
         require_as_calibrated(calibrations[device.serial], device)
-    every = tuple(devices) if thermometer is None else (*devices, thermometer)
+    beside = {} if thermometer is None else {THERMOMETER: thermometer}
+    every = (*devices, *beside.values())
     recorder = Recorder(clock)
     kernels = {device.serial: TiltOfReadings(calibrations[device.serial], device.wired) for device in devices}
     probe_devices(every, clock)
-    with connected(devices, thermometer, recorder, VirtualBench(clock, every)) as sensors:
+    with connected(devices, beside, recorder, VirtualBench(clock, every)) as sensors:
 
         def read() -> dict[str, LiveTilt]:
             readings = sensors.read(fresh=True)

@@ -237,6 +237,7 @@ class VirtualJig(Operator):
             stated = (f"{name} {mean:.6g} ± {values['std'][name]:.2g}" for name, mean in values["mean"].items())
             whose = f"{serial}  " if len(sensors) > 1 else ""
             warmth = f"  at {values['temperature']:.1f} °C" if "temperature" in values else ""
+            warmth += "".join(f"  {axis} set {angle:+.4f}°" for axis, angle in (event.get("reference") or {}).items())
             yield f"  {number} {event['position']:<12} {whose}{'  '.join(stated)} {sensors[serial]['unit']}{warmth}"
 
 

@@ -132,6 +132,7 @@ class PlanOptions(TypedDict, total=False):
     """What is stated of a session that is predicted."""
 
     sensor: Annotated[str | None, Option("The sensor's model [that of the base].", "MODEL", _SENSOR)]
+    bench: Annotated[_Path, _file("The bench file: its jig, its table's lean, its reference.", "FILE", _KNOWN)]
     address: Annotated[
         str | None, Option("Its address, if an option of it changes the model, as counts_per_g.", "ADDRESS", _SENSOR)
     ]

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from tiltcal.bench.devices import THERMOMETER, Sample, at_one_temperature, named_error
+from tiltcal.bench.devices import OF_THE_BENCH, Sample, at_one_temperature, named_error
 from tiltcal.bench.setup import Setup
 from tiltcal.drivers.bus.clock import VirtualClock
 from tiltcal.drivers.model import Reading
@@ -88,7 +88,7 @@ class Playback:
         """The sensors that the last accepted position lacks."""
         self._statistics: dict[str, dict[str, int]] = {}
         self._names = [device.serial for device in self.setup.sensors]
-        self._names += [] if self.setup.thermometer is None else [THERMOMETER]
+        self._names += [*self.setup.beside]
         self._connect()
 
     def _connect(self) -> None:
@@ -202,7 +202,7 @@ class Playback:
         One that streams may hold a reading without a transaction; it is given up where the next position lacks it.
         """
         name, event = self._names[number], self._event
-        if name not in self._given_up and name in self.failures and name != THERMOMETER and len(self._names) > 1:
+        if name not in self._given_up and name in self.failures and name not in OF_THE_BENCH and len(self._names) > 1:
             lacking = not self._coming or name not in self._coming[0].sensors
             streams = self.setup.devices[number].letter in STREAMS
             another = event is not None and event.payload[2:] != ((number,) if number else ())

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from tiltcal.bench.devices import (
     RECOVERY,
+    THERMOMETER,
     Recorder,
     Sample,
     SensorSet,
@@ -174,7 +175,8 @@ def record_bench(
     HardwareError: a sensor does not answer.
     """
     sensors, thermometer = bench.sensors, thermometer_of(bench)
-    devices = sensors if thermometer is None else (*sensors, thermometer)
+    beside = {} if thermometer is None else {THERMOMETER: thermometer}
+    devices = (*sensors, *beside.values())
     virtual = all(device.simulated for device in devices)
     interval = 1.0 / rate if rate else max(sensor.wired.interval for sensor in sensors)
     endless = rows is None and seconds is None
@@ -185,7 +187,7 @@ def record_bench(
     started = VIRTUAL_START if virtual else datetime.now(UTC)
     clock = session_clock(started, virtual=virtual)
     probe_devices(devices, clock)
-    with connected(sensors, thermometer, Recorder(clock), VirtualBench(clock, devices)) as opened:
+    with connected(sensors, beside, Recorder(clock), VirtualBench(clock, devices)) as opened:
         columns = LogColumns(opened.models, thermometer=thermometer is not None)
         recording = Recording(log, columns.names)
         try:

@@ -27,6 +27,7 @@ from tiltcal.bench.guidance import SensorGuidance
 from tiltcal.bench.journal import RAMP, RecordedSession, positions_of
 from tiltcal.bench.operators import LOOK, UNASKED, WORDS, Operator, as_set, understood
 from tiltcal.bench.playback import RecordedSample
+from tiltcal.bench.reference import guidance_of, require_steady, set_by
 from tiltcal.bench.settle import NEAR, Timed, Unsettled, Window, movement, wait_until_still
 from tiltcal.bench.setup import SessionFiles, Setup
 from tiltcal.core.attitude import Vector
@@ -104,7 +105,7 @@ class Session:
         stack.callback(self.writer.close)
         self.recorder = Recorder(self.clock, self.writer, self.recorded.playback.now_ns)
         self._go_on()
-        opened = connected(setup.sensors, setup.thermometer, self.recorder, self._virtual)
+        opened = connected(setup.sensors, setup.beside, self.recorder, self._virtual)
         self.sensors = stack.enter_context(opened)
         self.sensors.give_up(self.recorded.lost)
         self.tell(
@@ -124,7 +125,10 @@ class Session:
                     "offset": model.offset,
                     "sensitivity": model.sensitivity,
                 }
-                for sensor, model in zip(self.sensors.sensors, self.sensors.models.values(), strict=True)
+                for sensor, model in (
+                    *zip(self.sensors.sensors, self.sensors.models.values(), strict=True),
+                    *([] if setup.reference is None else [(setup.reference, setup.reference.wired)]),
+                )
             },
         )
 
@@ -169,6 +173,12 @@ class Session:
         samples, without = self._sampled(actual, thermometers=answer.temperature is None)
         last = self.recorder.line
         self.sensors.succeeded()
+        if self.setup.reference is not None:
+            require_steady(self.setup.reference, samples)
+            actual = set_by(self.setup.reference, actual, [sample for _, sample in samples])
+            if self.accepted and actual.tilt == self.accepted[-1].position.tilt is not None:
+                before = self.accepted[-1].position.name
+                raise Unsettled(f"the reference reads to the last digit what it read in {before}: is it still read?")
         result = self._result(position, actual, samples, len(without), answer.temperature)
         self._expectations.require(result)
         verdict = self.ask(
@@ -184,7 +194,8 @@ class Session:
                         ),
                     }
                     for serial, one in result.values().items()
-                },
+                }
+                | self._shown_reference(samples[-1][1], position.gravity),
             }
         )
         if verdict.answer == "accept":
@@ -299,6 +310,8 @@ class Session:
             serial: {key: value for key, value in one.items() if value is not None} for serial, one in values.items()
         }
         event = {"position": result.position.name, **next(iter(stated.values()))}
+        if self.setup.reference is not None:
+            event["reference"] = result.position.tilt
         self.tell("accepted", **event, **({"sensors": stated} if len(self.setup.sensors) > 1 else {}))
 
     def _show_reading(self, question: Mapping[str, Any]) -> None:
@@ -336,7 +349,16 @@ class Session:
                 else self._expectations.guidance(serial, reading.values, gravity, reading.temperature),
             }
             for serial, reading in sample.items()
-        }
+        } | self._shown_reference(sample, gravity)
+
+    def _shown_reference(self, sample: Sample, gravity: Vector | None) -> dict[str, dict[str, Any]]:
+        """Return the reading of the reference as the operator gets it, by its name; empty where there is none."""
+        device, reading = self.setup.reference, sample.reference
+        if device is None or reading is None:
+            return {}
+        guide = SensorGuidance() if gravity is None else guidance_of(device, reading, gravity)
+        values = dict(zip(device.wired.channels, reading.values, strict=True))
+        return {device.serial: {"values": values, "temperature": None, "guidance": guide}}
 
     def now(self) -> str:
         """Return the time of the last event as a stamp."""

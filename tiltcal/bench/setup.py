@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from msgspec import Meta
 
 import tiltcal
-from tiltcal.bench.devices import BenchDevice, thermometer_of
+from tiltcal.bench.devices import REFERENCE, THERMOMETER, BenchDevice, ReferenceDevice, thermometer_of
+from tiltcal.bench.reference import reference_of
 from tiltcal.drivers.bus.clock import VIRTUAL_START
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.errors import Argument, InputError, JournalError, UsageError
@@ -73,6 +74,7 @@ class Setup(Record, kw_only=True, dict=True):
     person: Annotated[Text | None, about("the name in the bench file")] = None
     sensors: Annotated[Annotated[tuple[BenchDevice, ...], Meta(min_length=1)], about("the sensors, in order")]
     thermometer: Annotated[BenchDevice | None, about("of a bench that has one")] = None
+    reference: Annotated[ReferenceDevice | None, about("of a bench that has a reference instrument")] = None
     table: Annotated[Machine | None, about("that moves by itself, as in the bench file")] = None
     chamber: Annotated[Machine | None, about("likewise")] = None
     references: Annotated[Mapping[Standard, Reference], about("as in the bench file")] = {}
@@ -122,7 +124,8 @@ class Setup(Record, kw_only=True, dict=True):
             for sensor, output in zip(bench.sensors, outputs, strict=True)
         )
         thermometer = thermometer_of(bench)
-        virtual = all(device.simulated for device in (*sensors, *filter(None, (thermometer,))))
+        reference = reference_of(bench)
+        virtual = all(device.simulated for device in (*sensors, *filter(None, (thermometer, reference))))
         setup = cls(
             software=f"tiltcal {tiltcal.__version__}",
             journal=journal.name,
@@ -132,6 +135,7 @@ class Setup(Record, kw_only=True, dict=True):
             person=bench.operator,
             sensors=sensors,
             thermometer=thermometer,
+            reference=reference,
             table=bench.moving_table,
             chamber=bench.chamber,
             references=bench.references,
@@ -192,8 +196,14 @@ class Setup(Record, kw_only=True, dict=True):
 
     @property
     def devices(self) -> tuple[BenchDevice, ...]:
-        """The sensors, and the thermometer behind them; a journal numbers them in this order."""
-        return self.sensors if self.thermometer is None else (*self.sensors, self.thermometer)
+        """The sensors, and the others behind them; a journal numbers them in this order."""
+        return (*self.sensors, *self.beside.values())
+
+    @property
+    def beside(self) -> dict[str, BenchDevice]:
+        """The thermometer and the reference, by their names among serial numbers."""
+        both = {THERMOMETER: self.thermometer, REFERENCE: self.reference}
+        return {name: device for name, device in both.items() if device is not None}
 
     @property
     def simulated(self) -> bool:
@@ -238,6 +248,12 @@ class Setup(Record, kw_only=True, dict=True):
     def _require_suitable(self) -> None:
         """Refuse a procedure that the devices cannot carry out, and curves that have no source or are measured."""
         steps, determines = self.steps, self.steps.determines
+        if steps.compares and self.reference is None:
+            raise UsageError(f"{steps.name} states no angles: the bench file needs a reference, which reads them")
+        if self.reference is not None and (
+            determines.completes or determines.free or steps.ramp is not None or steps.rotation is not None
+        ):
+            raise UsageError(f"{steps.name} sets no angles that a reference could read: take it out of the bench file")
         if steps.rotation is not None:
             self.stage_channels()
         else:

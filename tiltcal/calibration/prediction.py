@@ -17,7 +17,7 @@ from tiltcal.calibration.record import half_widths, tilt_lines
 from tiltcal.calibration.wording import label
 from tiltcal.core.attitude import STRAIGHT, Orientation, solve_mounting
 from tiltcal.core.estimation.design import predict_uncertainty
-from tiltcal.core.estimation.positions import Observation
+from tiltcal.core.estimation.positions import InstrumentErrors, Observation
 from tiltcal.core.model import Limits
 from tiltcal.core.samples import rounding_of_means
 from tiltcal.drivers.model import Model
@@ -91,6 +91,7 @@ def predict(
     orientation: Orientation = STRAIGHT,
     sensors: int = 1,
     base: CalibrationRecord | None = None,
+    instrument: InstrumentErrors | None = None,
 ) -> Plan:
     """Predict the standard uncertainty of every coefficient equal sensors reach; no stated jig is a perfect one."""
     samples = samples or procedure.samples
@@ -99,6 +100,7 @@ def predict(
         procedure = _along_ramp(procedure)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
     bench = BenchUncertainty(jig, model.thermometer_rounding if thermometer is None else thermometer, table_lean)
+    bench = replace(bench, instrument=instrument)
     design = design_of(identity, procedure, bench, nominal=model, base=base)
     scatter = _usual_noise(model) if noise is None else noise
     drift, positions = _usual_drift(model, base), procedure.positions
@@ -148,6 +150,8 @@ def predict(
     def lines() -> Iterator[str]:
         """Yield the plan in words."""
         set_by = "positions that are not set" if design.free else _jig_in_words(jig)
+        if instrument is not None:
+            set_by = f"a reference whose zero is known to {instrument.zero:.2g}°, each tilt to {jig or 0.0:.2g}°"
         yield f"predicted standard uncertainty, with {scatter:.2g} {model.unit} of noise a sample and {set_by}:"
         if design.thermal and design.thermometer:
             part = f"for a part that drifts by {drift:.2g} {model.unit}/°C"

@@ -16,7 +16,7 @@ from tiltcal.drivers.model import Model
 from tiltcal.files.device import DeviceFile, device_named
 from tiltcal.files.document import Document
 from tiltcal.files.machine import CHAMBER_AXES, TABLE_AXES, Machine, check_machine
-from tiltcal.files.record import FromZero, Record, Text, about
+from tiltcal.files.record import AboveZero, FromZero, Record, Text, about
 from tiltcal.files.results import Reference, Standard
 
 NAMES_A_FILE = {"says": "a serial number that names a file: letters, digits, '-', '_', '.', '+'"}
@@ -72,11 +72,41 @@ class BenchThermometer(Record):
     device: Annotated[DeviceFile | None, about("as of a sensor")] = None
 
 
+class BenchReference(Record, kw_only=True):
+    """A reference instrument on the plate, which is read and never moved: its reading is the angle that was set."""
+
+    model: Annotated[Text, about("as of a sensor; it reads tilts, in degrees, mrad, mm/m or g")]
+    address: Annotated[Text, about("its address")]
+    axes: Annotated[tuple[SignedAxis, ...], Meta(min_length=2, max_length=3), about("as of a sensor")] = STRAIGHT.names
+    device: Annotated[DeviceFile | None, about("as of a sensor")] = None
+    zero: Annotated[FromZero | None, about("standard uncertainty of its zero, degrees, in all positions alike")] = None
+    scale: Annotated[FromZero | None, about("of its scale, as a share, likewise")] = None
+    repeatability: Annotated[FromZero, about("standard uncertainty of each of its tilts beside, degrees")]
+    alignment: Annotated[FromZero, about("of its turn about the vertical of the plate, degrees")] = 1.0
+    uncertainty: Annotated[
+        FromZero | None,
+        about("of its certificate, expanded (95 %), degrees: counts as `zero`, and as `scale` at `range`"),
+    ] = None
+    range: Annotated[AboveZero | None, about("its full range to one side, degrees")] = None
+
+    def errors(self) -> tuple[float, float]:
+        """Return the standard uncertainties of zero, degrees, and scale, a share; a ValueError if one is not stated."""
+        if self.uncertainty is not None and self.range is None:
+            raise ValueError("an uncertainty needs the key 'range': it counts as that of the scale there")
+        half = None if self.uncertainty is None else self.uncertainty / 2.0
+        zero = half if self.zero is None else self.zero
+        scale = self.scale if self.scale is not None or half is None else half / (self.range or 1.0)
+        if zero is None or scale is None:
+            raise ValueError("state 'zero' and 'scale', or the 'uncertainty' of the certificate and the 'range'")
+        return zero, scale
+
+
 class BenchFile(Record):
     """The content of a bench file."""
 
     sensors: Annotated[tuple[BenchSensor, ...], Meta(min_length=1), about("a list, at least one")]
     thermometer: Annotated[BenchThermometer | None, about("the thermometer beside the sensors")] = None
+    reference: Annotated[BenchReference | None, about("a reference instrument on the same plate")] = None
     operator: Annotated[Text | None, about("the name of who stands there, for the files")] = None
     jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees; or `--jig`")] = None
     table: Annotated[
@@ -107,7 +137,7 @@ class BenchFile(Record):
         )
 
 
-S = TypeVar("S", BenchSensor, BenchThermometer)
+S = TypeVar("S", BenchSensor, BenchThermometer, BenchReference)
 
 
 def with_device_file(sensor: S, beside: str | None = None) -> S:
@@ -126,7 +156,13 @@ def bench_of(document: Document) -> BenchFile:
     bench = bench.replaced(
         sensors=tuple(with_device_file(sensor, document.file) for sensor in bench.sensors),
         thermometer=None if bench.thermometer is None else with_device_file(bench.thermometer, document.file),
+        reference=None if bench.reference is None else with_device_file(bench.reference, document.file),
     )
+    if bench.reference is not None:
+        try:
+            bench.reference.errors()
+        except ValueError as error:
+            raise body.error(str(error), "reference") from None
     serials = [sensor.serial for sensor in bench.sensors]
     for number, sensor in enumerate(bench.sensors):
         with body.locating("sensors", number, "axes"):

@@ -134,5 +134,6 @@ class ProcedureFile(NamedProcedure, kw_only=True):
     samples: Annotated[int, Meta(ge=2), about("samples a position")] = 100
     settle: Annotated[AboveZero, about("seconds over which the reading must hold still")] = 2.0
     soak: Annotated[Soak, about("at a new temperature", usual=USUAL_SOAK)] = Soak(20.0, 0.06, 360.0)
+    compares: Annotated[bool, about("whether a reference on the plate says the angles, and nobody states any")] = False
     ramp: Annotated[Ramp | None, about("the temperature goes on from position to position, in one attitude")] = None
     positions: Annotated[tuple[PositionSection, ...], Meta(min_length=1), about("in order")]

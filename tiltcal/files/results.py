@@ -297,6 +297,7 @@ class BenchRecord(Record, kw_only=True):
     address: Annotated[Text | None, about("of the sensor")] = None
     axes: Annotated[Names, about("of the fixture along the sensor's axes, where it does not sit straight")] = ()
     thermometer: Annotated[Text | None, about("address of the thermometer")] = None
+    reference: Annotated[Text | None, about("address of the reference instrument")] = None
     device: Annotated[DeviceFile | None, about("of a text device what its file says")] = None
     sensors: Annotated[tuple[BenchSensorRecord, ...], about("of a pair: the sensors on the stage")] = ()
 

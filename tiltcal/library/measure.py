@@ -13,10 +13,11 @@ from typing import Any, Unpack
 from tiltcal.bench.journal import SessionResult
 from tiltcal.bench.measure import led_by, run_session
 from tiltcal.bench.options import MeasureOptions, PlanOptions, unheard
+from tiltcal.bench.reference import reference_of, uncertainty_with
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import Setup, free_journal, known_bench, require_trusted, single, stage_channels
 from tiltcal.calibration.complete import NO_LEVEL
-from tiltcal.calibration.measurement import require_no_jig, require_suitable, unchecked
+from tiltcal.calibration.measurement import BenchUncertainty, require_no_jig, require_suitable, unchecked
 from tiltcal.calibration.prediction import Plan, predict, predict_mounting
 from tiltcal.calibration.record import bases_of
 from tiltcal.calibration.wording import NOT_FOLLOWED, level_summary, summary, verdict
@@ -90,9 +91,16 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
     require_suitable(steps, model)
     if steps.determines.mounting:
         return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
+    stated_bench = stated["bench"]
+    known = None if stated_bench is None else known_bench(read_document(stated_bench))
+    if known is not None:
+        known = known.with_stated(jig=jig, lean=stated["table_lean"], heading=None)
+        jig, stated["table_lean"] = known.jig, known.lean
+    bench = BenchUncertainty(jig, stated["thermometer"], stated["table_lean"])
+    bench = uncertainty_with(None if known is None else reference_of(known), bench)
     return predict(
-        steps, model, jig=jig, thermometer=stated["thermometer"], table_lean=stated["table_lean"], noise=noise,
-        samples=samples, base=own,
+        steps, model, jig=bench.jig, thermometer=bench.thermometer, table_lean=bench.table, noise=noise,
+        samples=samples, base=own, instrument=bench.instrument,
     )  # fmt: skip
 
 
@@ -282,12 +290,15 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
             remark(f"{device.serial}: {why}")
     for device in {(sensor.model, sensor.orientation): sensor for sensor in setup.sensors}.values():
         base = setup.bases.get(device.serial)
+        settings = setup.settings
+        bench = uncertainty_with(setup.reference, BenchUncertainty(settings.jig, settings.thermometer, settings.table))
         expected = predict(
             setup.steps,
             device.wired,
-            jig=setup.settings.jig,
-            thermometer=setup.settings.thermometer,
-            table_lean=setup.settings.table,
+            jig=bench.jig,
+            thermometer=bench.thermometer,
+            table_lean=bench.table,
+            instrument=bench.instrument,
             samples=setup.settings.samples,
             settle=setup.settings.settle,
             orientation=device.orientation,

@@ -1,0 +1,113 @@
+"""A reference instrument on the plate: nobody states an angle, and what it cannot say is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from support import FIXTURES
+from support.command import Completed, tiltcal
+
+from tiltcal import measure
+
+FACTS = "zero: 0.0025, scale: 0.0002, repeatability: 0.002, alignment: 0.3"
+
+
+def bench(folder: Path, columns: str = "x,y", facts: str = FACTS, twin: str = "") -> None:
+    """A virtual SCA100T-D02 that is set to within 3°, beside an inclinometer."""
+    sensor = (FIXTURES / "twins" / "sca100t-d02.yaml").read_text()
+    (folder / "sensor.yaml").write_text(re.sub(r"jig: [0-9.]+", "jig: 3.0", sensor))
+    (folder / "reference.yaml").write_text((FIXTURES / "twins" / "reference.yaml").read_text() + twin)
+    (folder / "bench.yaml").write_text(
+        "tiltcal: 1\nkind: bench\nsensors: [{serial: S-1, model: sca100t-d02, address: 'sim:twin=sensor.yaml'}]\n"
+        f"reference: {{model: serial-columns, address: 'sim:columns={columns}&unit=g&twin=reference.yaml', {facts}}}\n"
+    )
+
+
+def compare(folder: Path, *options: str, operator: str = "sim", procedure: str = "comparison") -> Completed:
+    command = ("measure", procedure, "--bench", "bench.yaml", "--samples", "20", "--settle", "0.1", "-o", ".")
+    return tiltcal(*command, "--operator", operator, *options, cwd=folder)
+
+
+def test_no_angle_is_stated_and_the_reference_says_which(tmp_path: Path) -> None:
+    """Set to within 3°, fitted to thousandths: zero and scale of the reference are errors of all positions alike."""
+    bench(tmp_path)
+    done = compare(tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "a reference whose zero is known to 0.0025°" in done.stderr
+    file, truth = (yaml.safe_load((tmp_path / name).read_text()) for name in ("S-1.yaml", "sensor.yaml"))
+    found, u = file["calibration"], file["uncertainty"]
+    for channel in "xy":
+        zero = 819 * 0.0025 * 3.1416 / 180
+        assert zero < u["offset"][channel] < 60 * zero
+        assert found["offset"][channel] == pytest.approx(
+            truth["truth"]["offset"][channel], abs=4 * u["offset"][channel]
+        )
+        own = truth["truth"]["sensitivity"][channel][channel]
+        assert found["sensitivity"][channel][channel] == pytest.approx(own, abs=4 * u["sensitivity"][channel][channel])
+    set_angles = file["procedure"]["set"]
+    assert any(abs(abs(set_angles["x-up"]["tilt"]["x"]) - 20.0) > 0.05 for _ in "1")
+    assert "one error each for the whole session" in done.stderr
+    replayed = tiltcal("replay", "bench.journal.jsonl", "--golden", ".", cwd=tmp_path)
+    assert replayed.returncode == 0, replayed.stderr
+    header = json.loads((tmp_path / "bench.journal.jsonl").read_text().splitlines()[0])
+    assert header["reference"]["zero"] == 0.0025
+    planned = tiltcal("plan", "comparison", "--bench", "bench.yaml", "--sensor", "sca100t-d02", cwd=tmp_path)
+    assert "a reference whose zero is known to 0.0025°" in planned.stdout, planned.stderr
+
+
+def test_a_program_gets_what_the_reference_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench(tmp_path)
+    heard: list[dict[str, Any]] = []
+
+    class Rig:
+        def position(self, ask: dict[str, Any]) -> dict[str, str]:
+            return {"answer": "ready"}
+
+        def accepted(self, event: dict[str, Any]) -> None:
+            heard.append(event)
+
+    monkeypatch.chdir(tmp_path)
+    measure("plane", bench="bench.yaml", operator=Rig(), output=".", samples=20, settle=0.1)
+    assert 0.01 < abs(heard[0]["reference"]["x"] - 30.0) < 12.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "why"),
+    [
+        ("stuck, start: 0.1", "the reference reads to the last digit what it read in level: is it still read?"),
+        ("unplugged, start: 1.0", "reference: the virtual sensor is unplugged"),
+    ],
+)
+def test_a_stale_or_missing_reference_is_refused(tmp_path: Path, fault: str, why: str) -> None:
+    bench(tmp_path, twin=f"  faults: [{{kind: {fault}, end: 1e6}}]\n")
+    refused = compare(tmp_path)
+    assert refused.returncode != 0
+    assert why in refused.stdout + refused.stderr
+
+
+def test_what_a_reference_cannot_say_has_to_be_stated(tmp_path: Path) -> None:
+    bench(tmp_path, columns="x")
+    assert "state --jig for it" in compare(tmp_path).stderr
+    done = compare(tmp_path, "--jig", "3", procedure="plane")
+    assert done.returncode == 0, done.stderr
+    u = yaml.safe_load((tmp_path / "S-1.yaml").read_text())["uncertainty"]
+    assert 20 * u["sensitivity"]["x"]["x"] < u["sensitivity"]["y"]["y"]
+    for facts, expected in (
+        ("repeatability: 0.002", "state 'zero' and 'scale', or the 'uncertainty' of the certificate and the 'range'"),
+        ("repeatability: 0.002, uncertainty: 0.005", "an uncertainty needs the key 'range'"),
+    ):
+        bench(tmp_path, facts=facts)
+        refused = compare(tmp_path)
+        assert refused.returncode == 2
+        assert f"bench.yaml:4: reference: {expected}" in refused.stderr
+    bench(tmp_path, facts="repeatability: 0.002, uncertainty: 0.005, range: 45")
+    assert "zero is known to 0.0025°" in compare(tmp_path).stderr
+    alone = tiltcal("measure", "comparison", "--sensor", "sca100t-d02", "--address", "sim:", "--serial", "A", "-o",
+                    "A.yaml", "--operator", "sim", cwd=tmp_path)  # fmt: skip
+    assert "states no angles: the bench file needs a reference" in alone.stderr
+    assert "sets no angles that a reference could read" in compare(tmp_path, procedure="free").stderr
