@@ -17,7 +17,7 @@ from tiltcal.files.calibration import LimitsSection, SensorIdentity, TiltFile
 from tiltcal.files.coefficients import CoefficientsSection, UncertaintySection
 from tiltcal.files.device import DeviceFile
 from tiltcal.files.pair import PairFile
-from tiltcal.files.procedure_file import ProcedureFile, Rotation
+from tiltcal.files.procedure_file import ProcedureFile, RotationSection
 from tiltcal.files.results import DerivedRecord, FitRecord, PositionRecord, ProcedureRecord, Provenance
 from tiltcal.files.tables import SegmentRow, TabledRow
 from tiltcal.files.twin import DiskSection, TwinFile
@@ -36,7 +36,7 @@ TABLES: dict[str, type[Struct]] = {
     "provenance": Provenance,
     "pair": PairFile,
     "procedure": ProcedureFile,
-    "rotation": Rotation,
+    "rotation": RotationSection,
     "bench": BenchFile,
     "device": DeviceFile,
     "twin": TwinFile,

@@ -32,7 +32,7 @@ from tiltcal.core.samples import ReadingStep, resolution, summarise
 from tiltcal.drivers.model import Model, Reading
 from tiltcal.files.bench import BenchSensor
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.procedure import Position
+from tiltcal.files.procedure import FreePositions, MountingCompletion, Position
 
 TWO_AXES = "does each line have all axes that columns= or the pattern names"
 FEWEST, SEVERAL, IN_TURN = 8, 4.0, 0.8
@@ -267,16 +267,17 @@ class Expectations:
         self._setup = setup
         self._sensors = {sensor.serial: sensor for sensor in sensors}
         self._accepted = accepted
-        self._determines = setup.steps.determines
+        self._free = isinstance(setup.steps, FreePositions)
+        self._mounts = isinstance(setup.steps, MountingCompletion)
         bases = {serial: base.calibration for serial, base in setup.bases.items()}
         self._mounted = any(base.coefficients.mounting is not None for base in bases.values())
         """Whether the positions are those of an application in which a sensor sits in a way of its own."""
-        self._known = not (self._determines.free or self._determines.mounting or self._mounted)
+        self._known = not (self._free or self._mounts or self._mounted)
         self._readings = {sensor.serial: self._learnt(sensor.serial, sensor.wired) for sensor in sensors}
         self._calibrated: dict[str, tuple[Compensation, tuple[str, ...]]] = {}
         """By serial number the compensation of a sensor that has a calibration, and the channels that this takes."""
         for serial, base in (bases | dict(judged or {})).items():
-            if judged or self._determines.mounting:  # in the sensor's own frame
+            if judged or self._mounts:  # in the sensor's own frame
                 base = replace(base, coefficients=replace(base.coefficients, mounting=None))
             self._calibrated[serial] = compensation_of(base), base.coefficients.channels
 
@@ -299,28 +300,27 @@ class Expectations:
             return guidance(sensor.wired, sensor.orientation, values, gravity, expected)
         compensation, channels = self._calibrated[serial]
         readings = [values[sensor.wired.channels.index(channel)] for channel in channels]
-        tolerance = None if self._determines.mounting else max(COARSE, JIGS * (self._setup.settings.jig or 0.0))
+        tolerance = None if self._mounts else max(COARSE, JIGS * (self._setup.settings.jig or 0.0))
         return calibrated_guidance(compensation, sensor.orientation, readings, temperature, gravity, tolerance)
 
     def require(self, result: PositionResult) -> None:
         """Raise Unsettled where the temperature is absurd, a sensor is stuck, or it is another position."""
         require_plausible_temperature(result, self._accepted)
-        determines = self._determines
-        if determines.level or determines.mounting:
+        if self._setup.steps.needs_base:
             from tiltcal.calibration.complete import objection_to_level
 
-            objection = objection_to_level if determines.level else missing_temperature
+            objection = missing_temperature if self._mounts else objection_to_level
             for serial, measurement in result.measurements.items():
                 if refusal := objection(self._setup.bases[serial].calibration, measurement):
                     raise Unsettled(refusal)
         for serial, sensor in self._sensors.items():
             self._require_not_stuck(serial, sensor.wired.unit, result.measurements[serial])
-        if determines.mounting or self._mounted:
+        if self._mounts or self._mounted:
             return
         for serial, sensor in self._sensors.items():
             why = self._objection(sensor, result) if sensor.wired.scaled else None
             if why:
-                alone = determines.free or len(self._setup.sensors) == 1
+                alone = self._free or len(self._setup.sensors) == 1
                 raise Unsettled(why if alone else f"{serial}: {why}")
             if self._known:
                 self._require_change(serial, sensor.wired.unit, result)
@@ -371,7 +371,7 @@ class Expectations:
     def _objection(self, sensor: BenchSensor, result: PositionResult) -> str | None:
         """Return why a sensor sees a position as another one, or an attitude that is there already."""
         readings, serial = self._readings[sensor.serial], sensor.serial
-        if self._determines.free:
+        if self._free:
             before = {one.position.name: one.mean(serial) for one in self._accepted}
             return readings.repeated(before, result.mean(serial)) if len(sensor.wired.channels) == 3 else None
         positions = [*self._setup.steps.positions, *(one.position for one in (*self._accepted, result))]

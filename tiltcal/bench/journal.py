@@ -35,7 +35,7 @@ from tiltcal.files.journal import (
     OperatorAnswer,
 )
 from tiltcal.files.moments import moment_after, stamp
-from tiltcal.files.procedure import Position
+from tiltcal.files.procedure import Position, Ramp, Rotation
 from tiltcal.files.results import (
     VIRTUAL,
     BenchRecord,
@@ -52,11 +52,6 @@ if TYPE_CHECKING:
 
 DIGITS = 1e-9  # part of its size by which a mean may differ from the one that was accepted
 
-RAMP = "a ramp is one continuous record: no leg can be taken again; quit, and begin anew"
-SWEEP = (
-    "the order of a sweep's temperatures shows hysteresis: no position can be taken again out of it; go back, or quit "
-    "and begin anew"
-)
 FIRST = "this is the first position: there is none before it to go back to"
 
 
@@ -79,7 +74,8 @@ class RecordedSession:
         self.leg: list[RecordedSample] = []
         self.turned: AcceptedPosition | None = None
         self.spans = ReadingSpans(self.setup.sensors)
-        self._channels = None if self.setup.steps.rotation is None else self.setup.stage_channels()
+        self._channels = self.setup.stage_channels() if isinstance(self.setup.steps, Rotation) else None
+        self._ramps = isinstance(self.setup.steps, Ramp)
         self._rows = array("d")
         self._breaks = 0
         self._ramp: list[RecordedSample] = []
@@ -124,22 +120,21 @@ class RecordedSession:
     def choosable(self) -> list[Position]:
         """The open positions that may be taken next: those of the first one's temperature, heading and stage."""
         alike = [(one.temperature, one.heading or 0.0, one.stage) for one in self.open]
-        steps = self.setup.steps
-        fixed = steps.ramp is not None or steps.determines.cross_validated
+        fixed = bool(self.setup.steps.once)
         return self.open[:1] if fixed else [p for p, one in zip(self.open, alike, strict=True) if one == alike[0]]
 
     def require_possible(self, answer: OperatorAnswer, question: Message) -> None:
         """Refuse, with an InputError, to go back, to take a position again or to choose one where that cannot be."""
         steps, names = self.setup.steps, [result.position.name for result in self.accepted]
-        if answer.answer in ("again", "back") and steps.ramp is not None:
-            raise InputError(RAMP)
+        if answer.answer in ("again", "back") and self._ramps:
+            raise InputError(steps.once)
         if answer.answer == "back" and not names:
             raise InputError(FIRST)
         chosen = answer.position
         if not chosen or chosen == question.get("position") or chosen in [one.name for one in self.choosable]:
             return
-        if answer.answer == "again" and steps.determines.cross_validated:
-            raise InputError(SWEEP)
+        if answer.answer == "again" and steps.once:
+            raise InputError(steps.once)
         if answer.answer == "again" and chosen in names:
             return
         if chosen in [one.name for one in self.open]:
@@ -156,7 +151,7 @@ class RecordedSession:
             self._again[answer.position] += len(self.accepted) - len(kept)
             self.accepted[:] = kept
         # A session refuses to go back over the leg of a ramp, and before the first position.
-        elif answer.answer == "back" and not self.setup.steps.ramp:
+        elif answer.answer == "back" and not self._ramps:
             del self.accepted[-1:]
 
     @property
@@ -187,7 +182,7 @@ class RecordedSession:
                 self._rows.extend([nan] * len(row))
             self._breaks = self.playback.breaks
             self._rows.extend(row)
-        elif self.setup.steps.ramp is not None:
+        elif self._ramps:
             self.leg.append(sample)
         else:
             self._samples.append(sample)
@@ -208,7 +203,7 @@ class RecordedSession:
         if asked is None or self._answer is None or noted.lines is None:
             raise self._error(f"accepts {noted.position!r}, which the procedure does not ask for here", event)
         position, typed = as_set(asked, self._answer), self._answer.temperature
-        if self.setup.steps.ramp is not None:
+        if self._ramps:
             position, typed = replace(position, temperature=asked.temperature), None
             samples = [one for one in self.leg if one.line >= noted.lines[0]]
             self.leg = []
@@ -229,7 +224,7 @@ class RecordedSession:
             typed=typed,
             left_out=noted.left_out,
             takes=self.takes(asked.name),
-            steps=self.steps if self.setup.steps.ramp is None else None,
+            steps=None if self._ramps else self.steps,
         )
         self._require_same_means(result, values, event)
         self.accept(result)
@@ -265,7 +260,7 @@ class RecordedSession:
 
         A sample with a reading at a rail has no temperature.
         """
-        if self.setup.steps.ramp is None:
+        if not self._ramps:
             return {}
         from tiltcal.core.ramp.record import ramp_record
 
@@ -338,7 +333,7 @@ def calibrations_of(journal: Journal) -> SessionResult:
         "references": setup.references,
     }
     calibrations: dict[str, CalibrationRecord | PairRecord] = {}
-    if setup.steps.rotation is not None:
+    if isinstance(setup.steps, Rotation):
         calibrations[setup.sensors[0].serial] = _pair_calibration(session, provenance, statistics)
     elif not setup.verifies:
         calibrations |= _tilt_calibrations(session, provenance, statistics)
@@ -376,7 +371,7 @@ def fitted(session: RecordedSession) -> list[CalibrationRecord]:
             )
             for sensor in session.at_work
         ],
-        setup.steps,
+        setup.steps.in_positions(),
         uncertainty_with(
             setup.reference, BenchUncertainty(settings.jig, settings.thermometer, settings.table, settings.heading)
         ),

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tiltcal.bench.journal import SWEEP, fitted
+from tiltcal.bench.journal import fitted
 from tiltcal.bench.operators import Operator
 from tiltcal.errors import EstimateError, HardwareError, Stopped, TiltcalError, WrongPositions
 from tiltcal.files.journal import OperatorAnswer
+from tiltcal.files.procedure import Ramp, Rotation, Verification
 
 if TYPE_CHECKING:
     from tiltcal.bench.checks import PositionResult
@@ -36,7 +37,7 @@ class Judgement:
         """
         session = self._session
         steps = session.setup.steps
-        if session.setup.verifies or steps.ramp is not None or steps.rotation is not None:
+        if isinstance(steps, Verification | Ramp | Rotation):
             return
         try:
             fitted(session.recorded)
@@ -46,7 +47,7 @@ class Judgement:
                 if result.position.name in wrong:
                     self._takes.setdefault(result.position.name, []).append(_in_words(result))
             most = max(wrong, key=lambda name: len(self._takes[name]), default="")
-            if not wrong or steps.determines.cross_validated or len(self._takes[most]) >= MOST_TAKES:
+            if not wrong or steps.once or len(self._takes[most]) >= MOST_TAKES:
                 self._stop(error, most)
                 return
             names = self._operator.to_take_again(wrong, [result.position.name for result in session.accepted])
@@ -63,7 +64,7 @@ class Judgement:
         if position:
             *_, before, now = ["", *self._takes[position]]
             jig = "" if self._session.setup.settings.jig else "; no jig is stated"
-            repeated = f"; before, it read {before}" if before else f"; {SWEEP}"
+            repeated = f"; before, it read {before}" if before else f"; {self._session.setup.steps.once}"
             why = f"{position} read {now}{repeated}; {why}{jig}"
             if len(self._takes[position]) > 1:
                 why = f"{len(self._takes[position])} takes without agreement: {why}"

@@ -25,6 +25,7 @@ from tiltcal.errors import (
     UsageError,
 )
 from tiltcal.files.journal import read_journal
+from tiltcal.files.procedure import Rotation
 
 
 @contextmanager
@@ -105,13 +106,13 @@ def _operator(
             raise UsageError(
                 f"there is no operator {chosen!r}: it is {', '.join(NAMED)}, or an object that drives a rig"
             )
-    return PythonObject(chosen, "position" if session.setup.steps.rotation is None else "rotation")
+    return PythonObject(chosen, "position" if session.setup.steps.positions else "rotation")
 
 
 def _with_machines(operator: Operator, session: Session, stack: ExitStack) -> Operator:
     """Return an operator that moves the machines of the bench, where it has any and a position is to be set."""
     setup = session.setup
-    if not setup.machines or setup.steps.rotation is not None or session.finished:
+    if not setup.machines or not setup.steps.positions or session.finished:
         return operator
     from tiltcal.bench.drives import open_drive
     from tiltcal.bench.machines import Machines, Mover
@@ -137,10 +138,10 @@ def run_session(session: Session, operator: Operator) -> SessionResult:
     steps = session.setup.steps
     with ExitStack() as stack:
         session.open(stack, operator)
-        if steps.rotation is not None and session.recorded.turned is None:
+        if isinstance(steps, Rotation) and session.recorded.turned is None:
             from tiltcal.bench.rotation import TurningStage
 
-            TurningStage(session, steps.rotation).turn()
+            TurningStage(session, steps).turn()
         judgement = Judgement(session, operator)
         while not _measured(session, judgement):
             position = session.next

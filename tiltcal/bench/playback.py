@@ -129,7 +129,7 @@ class Playback:
     def _kept_by_drivers(self, event: Event) -> Iterator[RecordedSample]:
         """Yield the samples that need no further transaction, where the session took them before an event."""
         question, most = event.content(OperatorAnswer).to if event.kind == ANSWER else "", 0
-        if self.setup.steps.rotation is not None and (event.kind in (POSITION, RESUMED) or question == "write"):
+        if not self.setup.steps.positions and (event.kind in (POSITION, RESUMED) or question == "write"):
             most = len(self._journal.events)
         elif question == "review":
             coming = self._coming[0] if self._coming else None

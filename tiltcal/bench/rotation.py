@@ -31,7 +31,7 @@ from tiltcal.core.pair.online import TurnStream
 from tiltcal.core.pair.stage import STANDSTILL
 from tiltcal.errors import EstimateError, SensorError
 from tiltcal.files.journal import POSITION
-from tiltcal.files.procedure_file import Rotation
+from tiltcal.files.procedure import Rotation
 
 BLOCK_NS = 200_000_000  # time over which samples are collected before they are judged and the operator is polled
 LARGEST_BLOCK = 16  # samples: fewer than a turn has, so that every turn is reported

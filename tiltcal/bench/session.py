@@ -24,7 +24,7 @@ from tiltcal.bench.checks import (
 )
 from tiltcal.bench.devices import RECOVERY, Recorder, Sample, SensorSet, VirtualBench, connected, probe_devices
 from tiltcal.bench.guidance import SensorGuidance
-from tiltcal.bench.journal import RAMP, RecordedSession, positions_of
+from tiltcal.bench.journal import RecordedSession, positions_of
 from tiltcal.bench.operators import LOOK, UNASKED, WORDS, Operator, as_set, understood
 from tiltcal.bench.playback import RecordedSample
 from tiltcal.bench.reference import guidance_of, require_steady, set_by
@@ -36,8 +36,7 @@ from tiltcal.errors import HardwareError, InputError, SensorError, Stopped, Usag
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.journal import ANSWER, POSITION, RESUMED, Journal, JournalWriter, OperatorAnswer, read_journal
 from tiltcal.files.moments import moment_after, stamp
-from tiltcal.files.procedure import Position
-from tiltcal.files.procedure_file import Ramp
+from tiltcal.files.procedure import Position, Ramp
 from tiltcal.files.record import plain
 
 NUDGED = 0.002  # a change while sampling above this is a sensor that was touched, g (0.1° near level)
@@ -111,7 +110,7 @@ class Session:
         self.tell(
             "begin",
             title=setup.steps.title,
-            length="" if setup.steps.rotation is not None else setup.steps.length,
+            length=setup.steps.length if setup.steps.positions else "",
             positions=[position.name for position in setup.steps.positions],
             attitudes={position.name: position.gravity for position in setup.steps.positions},
             headings=any(position.heading for position in setup.steps.positions),
@@ -150,7 +149,7 @@ class Session:
 
     def attempt(self, position: Position) -> None:
         """Ask for a position, measure it, and have it reviewed."""
-        if (ramp := self.setup.steps.ramp) is not None:
+        if isinstance(ramp := self.setup.steps, Ramp):
             self._take_leg(ramp, position)
             return
         answer = self.ask_for(position)
@@ -215,7 +214,9 @@ class Session:
         self._hold(position)
         names = [result.position.name for result in self.accepted]
         settings, interval = self.setup.settings, self.sensors.interval
-        left = self.setup.steps.least_seconds(settings.samples, interval, settings.settle, done=len(names))
+        left = self.setup.steps.in_positions().least_seconds(
+            settings.samples, interval, settings.settle, done=len(names)
+        )
         self.tell("progress", position=position.name, accepted=names, seconds=left)
         question = {
             "ask": "position",
@@ -258,8 +259,8 @@ class Session:
                 answer = understood(said, WORDS[question["ask"]])
                 self.recorded.require_possible(answer, question)
             except InputError as error:
-                stage = self.setup.steps.rotation is not None
-                self.refuse(question.get("position", "rotation" if stage else question["ask"]), str(error))
+                other = question["ask"] if self.setup.steps.positions else "rotation"
+                self.refuse(question.get("position", other), str(error))
                 continue
             if answer.answer == "quit":
                 raise Stopped("the operator program answered quit")
@@ -367,8 +368,8 @@ class Session:
     def _hold(self, position: Position) -> None:
         """Bring the virtual jig, where there is one, into a position."""
         if self.setup.simulated:
-            ramp = self.setup.steps.ramp
-            self._virtual.fixture.move(position.gravity, position.temperature, 0.0 if ramp is None else ramp.pace)
+            pace = ramp.pace if isinstance(ramp := self.setup.steps, Ramp) else 0.0
+            self._virtual.fixture.move(position.gravity, position.temperature, pace)
 
     def _window(self, position: Position, typed: float | None) -> Window:
         """Return the time over which the readings, and a temperature that is new, must hold still."""
@@ -379,7 +380,7 @@ class Session:
         if position.temperature is None or position.temperature == soaked:
             return Window(self.setup.settings.settle)
         self._soaked = None
-        settings, soak = self.setup.settings, self.setup.steps.soak
+        settings, soak = self.setup.settings, self.setup.steps.in_positions().soak
         late = None if soak.thermometer is None else soak.thermometer * settings.soak / soak.seconds
         # A temperature that the operator types counts, because the thermometer may be far off.
         return Window(settings.soak, soak.drift, position.temperature if typed is None else None, late)
@@ -443,7 +444,7 @@ class Session:
         """
         answer = self.ask_for(position)
         if answer.answer != "ready":
-            raise Unsettled(RAMP)
+            raise Unsettled(ramp.once)
         # A temperature that is typed is that of one moment; the thermometer is read all the time.
         actual = replace(as_set(position, answer), temperature=position.temperature)
         if self.accepted and actual.gravity != self.accepted[0].position.gravity:

@@ -34,8 +34,7 @@ from tiltcal.files.document import Document, document_of
 from tiltcal.files.journal import Journal
 from tiltcal.files.machine import Machine
 from tiltcal.files.moments import moment, stamp
-from tiltcal.files.procedure import Procedure, procedure_in
-from tiltcal.files.procedure_file import Rotation
+from tiltcal.files.procedure import PositionProcedure, Positions, Procedure, Rotation, Verification, procedure_in
 from tiltcal.files.record import AboveZero, FromOne, FromZero, Number, Record, Text, about, plain
 from tiltcal.files.results import Reference, Standard
 from tiltcal.stated_arguments import require_printable
@@ -50,11 +49,11 @@ TYPICAL = Argument("typical_temperature")
 class Settings(Record, kw_only=True):
     """The settings of a session: how it measures."""
 
-    always_written = ("jig", "thermometer", "angle")
+    always_written = ("samples", "settle", "soak", "jig", "thermometer", "angle")
 
-    samples: Annotated[Annotated[int, Meta(ge=2)], about("samples a position")]
-    settle: Annotated[AboveZero, about("seconds over which the reading must hold still")]
-    soak: Annotated[AboveZero, about("seconds of the window at a new temperature")]
+    samples: Annotated[Annotated[int, Meta(ge=2)], about("samples a position")] = 100
+    settle: Annotated[AboveZero, about("seconds over which the reading must hold still")] = 2.0
+    soak: Annotated[AboveZero, about("seconds of the window at a new temperature")] = 20.0
     jig: Annotated[FromZero | None, about("standard uncertainty of a set angle, degrees")] = None
     thermometer: Annotated[FromZero | None, about("standard uncertainty of a temperature, °C")] = None
     table: Annotated[FromZero | None, about("uncertainty of the table's lean, degrees")] = None
@@ -109,7 +108,6 @@ class Setup(Record, kw_only=True, dict=True):
 
         UsageError: an unknown model, a bad address, or an angle that the model cannot read.
         """
-        scale = 1.0 if settle is None else settle / procedure.settle
         for path in filter(None, (journal, *outputs)):
             require_printable(str(path), "the name of a file")
         sensors = tuple(
@@ -140,15 +138,11 @@ class Setup(Record, kw_only=True, dict=True):
             chamber=bench.chamber,
             references=bench.references,
             settings=Settings(
-                samples=samples or procedure.samples,
-                settle=settle or procedure.settle,
-                soak=procedure.soak.seconds * scale,
                 jig=bench.jig,
                 thermometer=None if bench.thermometer is None else bench.thermometer.uncertainty,
                 table=bench.lean,
                 heading=bench.heading,
-                angle=procedure.angle,
-                turns=None if procedure.rotation is None else procedure.rotation.turns,
+                **_sampling(procedure, samples, settle),
             ),
             procedure=dict(procedure.record),
             bases=bases or {},
@@ -172,7 +166,7 @@ class Setup(Record, kw_only=True, dict=True):
             ) from None
         try:
             missing = [sensor.serial for sensor in setup.sensors if sensor.serial not in setup.bases]
-            if setup.steps.determines.completes and missing:
+            if setup.steps.needs_base and missing:
                 raise UsageError(
                     f"{setup.steps.name} completes the calibration that a sensor has, and none of "
                     f"{', '.join(missing)} is in the journal: measure anew"
@@ -186,8 +180,8 @@ class Setup(Record, kw_only=True, dict=True):
     @cached_property
     def steps(self) -> Procedure:
         """The procedure."""
-        procedure = procedure_in(document_of(self.procedure), self.settings.angle)
-        return procedure.with_turns(self.settings.turns)
+        procedure = procedure_in(document_of(self.procedure), self.settings.angle).with_turns(self.settings.turns)
+        return procedure.in_positions().verifying() if self.verifies else procedure
 
     @property
     def began(self) -> datetime:
@@ -233,9 +227,9 @@ class Setup(Record, kw_only=True, dict=True):
 
     def stage_channels(self) -> StageChannels:
         """Return which readings of the sensors are the channels of a turning stage, as :func:`stage_channels`."""
-        if self.steps.rotation is None:
+        if not isinstance(self.steps, Rotation):
             raise UsageError(f"{self.steps.name} lets no stage turn")
-        return stage_channels(self.steps.rotation, [(device.serial, device.wired) for device in self.sensors])
+        return stage_channels(self.steps, [(device.serial, device.wired) for device in self.sensors])
 
     def header(self) -> dict[str, Any]:
         """Return the header of the session's journal as plain data."""
@@ -247,14 +241,13 @@ class Setup(Record, kw_only=True, dict=True):
 
     def _require_suitable(self) -> None:
         """Refuse a procedure that the devices cannot carry out, and curves that have no source or are measured."""
-        steps, determines = self.steps, self.steps.determines
-        if steps.compares and self.reference is None:
+        steps = self.steps
+        sets = isinstance(steps, Positions | Verification)
+        if isinstance(steps, Positions) and steps.compares and self.reference is None:
             raise UsageError(f"{steps.name} states no angles: the bench file needs a reference, which reads them")
-        if self.reference is not None and (
-            determines.completes or determines.free or steps.ramp is not None or steps.rotation is not None
-        ):
+        if self.reference is not None and not sets:
             raise UsageError(f"{steps.name} sets no angles that a reference could read: take it out of the bench file")
-        if steps.rotation is not None:
+        if isinstance(steps, Rotation):
             self.stage_channels()
         else:
             from tiltcal.calibration.measurement import require_suitable
@@ -264,18 +257,30 @@ class Setup(Record, kw_only=True, dict=True):
 
                 require_reachable(self.machines, steps.positions)
             for device in self.sensors:
-                require_suitable(steps, device.wired, device.orientation)
+                require_suitable(steps.in_positions(), device.wired, device.orientation)
         if not self.typical_temperature:
             return
-        if steps.rotation is not None:
+        if isinstance(steps, Rotation):
             raise UsageError((f"{steps.name} needs no ", TYPICAL, ": a pair has no temperature terms"))
-        if determines.drift or determines.gain or determines.completes:
+        if steps.in_positions().thermal or steps.needs_base:
             raise UsageError((f"{steps.name} needs no ", TYPICAL, ": it has no temperature terms, or measures them"))
         for device in self.sensors:
             if device.wired.population is None:
                 raise UsageError(
                     f"no source states how a {device.model} behaves over temperature on average: measure it"
                 )
+
+
+def _sampling(procedure: Procedure, samples: int | None, settle: float | None) -> dict[str, Any]:
+    """Return the settings of a procedure, with samples and seconds that are stated in place of its own."""
+    match procedure:
+        case Rotation():
+            return {"turns": procedure.turns}
+        case PositionProcedure():
+            held = settle or procedure.settle
+            soak = procedure.soak.seconds * (held / procedure.settle)
+            return {"samples": samples or procedure.samples, "settle": held, "soak": soak, "angle": procedure.angle}
+    raise NotImplementedError
 
 
 def column_name(serial: str, channel: str, *, alone: bool) -> str:
@@ -360,7 +365,7 @@ class SessionFiles:
     def __init__(self, setup: Setup, journal: Path, output: Path | None = None) -> None:
         self.journal = journal
         self._identities = [(device.model, device.serial) for device in setup.sensors]
-        self._turning = setup.steps.rotation is not None
+        self._turning = isinstance(setup.steps, Rotation)
         self._named = output
         planned = {
             device.serial: Path(os.path.normpath(journal.parent / device.output))

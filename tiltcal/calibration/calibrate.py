@@ -23,12 +23,19 @@ from tiltcal.core.rounding import round_to
 from tiltcal.drivers.model import ACCELERATION
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure import (
+    FreePositions,
+    LevelCompletion,
+    MountingCompletion,
+    PositionProcedure,
+    Positions,
+    Ramp,
+)
 
 
 def calibrate(
     sensors: Sequence[MeasuredSensor],
-    procedure: Procedure,
+    procedure: PositionProcedure,
     bench: BenchUncertainty,
     *,
     typical_temperature: bool = False,
@@ -37,46 +44,49 @@ def calibrate(
     settings: Mapping[str, Any] | None = None,
 ) -> list[CalibrationRecord]:
     """Calibrate the sensors of one fixture by the positions of a procedure, which they share; a record for each."""
-    determines, own = procedure.determines, settings or {}
+    own: Mapping[str, Any] = settings or {}
     for sensor in sensors:
         require_own_readings(sensor)
-    if bench.thermometer is None and procedure.ramp is None:
-        step = max((sensor.thermometer or 0.0 for sensor in sensors), default=0.0)
-        bench = replace(bench, thermometer=step or None)
-    if determines.completes:
-        from tiltcal.calibration.complete import level, mount
+    step = max((sensor.thermometer or 0.0 for sensor in sensors), default=0.0)
+    known = bench if bench.thermometer is not None else replace(bench, thermometer=step or None)
+    part = ""
+    bases = [(sensor.base, sensor.measurements) for sensor in sensors if sensor.base is not None]
+    if table and isinstance(procedure, Positions):
+        for sensor in sensors:
+            design = design_of(sensor.sensor, procedure, known, nominal=sensor.nominal, base=sensor.base)
+            unknowns = len(set(design.names) - set(design.priors))
+            _require_stated(sensor.measurements, len(sensor.measurements) * len(design.channels) - unknowns)
+    match procedure:
+        case MountingCompletion():
+            from tiltcal.calibration.complete import mount
 
-        bases = [(sensor.base, sensor.measurements) for sensor in sensors if sensor.base is not None]
-        if determines.mounting:
             found = [mount(base, measurements, jig=bench.jig) for base, measurements in bases]
-        else:
-            found = [level(base, measurements, procedure, bench) for base, measurements in bases]
-        part = "mounting" if determines.mounting else "level"
-        own = {part: getattr(found[0].procedure, part).replaced(**own)} if own else {}
-    elif procedure.ramp is not None:
-        from tiltcal.calibration.temperature import calibrate_ramp
+            part = "mounting"
+        case LevelCompletion():
+            from tiltcal.calibration.complete import level
 
-        found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
-    else:
-        if table and not determines.free:
-            for sensor in sensors:
-                design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
-                unknowns = len(set(design.names) - set(design.priors))
-                _require_stated(sensor.measurements, len(sensor.measurements) * len(design.channels) - unknowns)
-        if determines.free:
-            found = [calibrate_free(sensor, procedure, bench) for sensor in sensors]
-        elif determines.cross_validated:
+            found = [level(base, measurements, procedure, known) for base, measurements in bases]
+            part = "level"
+        case Ramp():
+            from tiltcal.calibration.temperature import calibrate_ramp
+
+            found = [calibrate_ramp(sensor, procedure, bench) for sensor in sensors]
+        case FreePositions():
+            found = [calibrate_free(sensor, procedure, known) for sensor in sensors]
+        case Positions(cross_validated=True):
             from tiltcal.calibration.temperature import calibrate_sweep
 
-            found = calibrate_sweep(sensors, procedure, bench)
-        else:
-            found = fit_jointly(sensors, procedure, bench)
-        if typical_temperature:
-            from tiltcal.calibration.temperature import with_typical_temperature
+            found = calibrate_sweep(sensors, procedure, known)
+        case _:
+            found = fit_jointly(sensors, procedure, known)
+    if own and part:
+        own = {part: getattr(found[0].procedure, part).replaced(**own)}
+    if typical_temperature:
+        from tiltcal.calibration.temperature import with_typical_temperature
 
-            found = list(map(with_typical_temperature, found, sensors))
-        if table:
-            found = [_of_table(record, its.measurements) for record, its in zip(found, sensors, strict=True)]
+        found = list(map(with_typical_temperature, found, sensors))
+    if table and not procedure.needs_base:
+        found = [_of_table(record, its.measurements) for record, its in zip(found, sensors, strict=True)]
     found = [replace(record, procedure=record.procedure.replaced(**own)) for record in found]
     return found if gravity is None else [_of_local_gravity(record, gravity) for record in found]
 

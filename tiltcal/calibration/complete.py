@@ -33,7 +33,7 @@ from tiltcal.core.uncertain import COVERAGE, TURN, Uncertain, central_difference
 from tiltcal.errors import EstimateError
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES, TURNS
-from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure import LevelCompletion
 from tiltcal.files.results import NOISE_ALONE, CompletingRun, LevelFit, MountingFit
 
 NEARLY_LEVEL = 5.0  # the most that a position may be off level as it was set, degrees
@@ -48,7 +48,7 @@ STEP = 1e-4  # a lean, radians, and a change of temperature, °C, by which deriv
 
 
 def level(
-    base: CalibrationRecord, measurements: Sequence[Measurement], procedure: Procedure, bench: BenchUncertainty
+    base: CalibrationRecord, measurements: Sequence[Measurement], procedure: LevelCompletion, bench: BenchUncertainty
 ) -> CalibrationRecord:
     """Return a calibration with the offset that level positions at some headings show; the rest is the base's."""
     for why in filter(None, (objection_to_level(base, measurement) for measurement in measurements)):

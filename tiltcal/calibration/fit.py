@@ -32,7 +32,7 @@ from tiltcal.core.samples import SampleSummary, correlated_noise, noise_of_means
 from tiltcal.core.uncertain import NORMAL_FACTOR
 from tiltcal.errors import EstimateError, WrongPositions
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure import PositionProcedure
 from tiltcal.files.results import ProcedureRecord
 
 OF_BASE = "of the base calibration"  # the origin of a sensitivity that the sensor's own calibration lends
@@ -43,7 +43,7 @@ DRIFT_NOT_SHOWN = "along gravity only the noise counts; --closing or --jig shows
 
 
 def fit_jointly(
-    sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
+    sensors: Sequence[MeasuredSensor], procedure: PositionProcedure, bench: BenchUncertainty
 ) -> list[CalibrationRecord]:
     """Calibrate all sensors of a fixture together, by the positions of a procedure with its order of the drift."""
     observed = [observed_sensor(sensor, procedure, bench) for sensor in sensors]
@@ -56,7 +56,9 @@ def fit_jointly(
     return calibrations
 
 
-def record_of(found: Estimate, design: Design, sensor: MeasuredSensor, procedure: Procedure) -> CalibrationRecord:
+def record_of(
+    found: Estimate, design: Design, sensor: MeasuredSensor, procedure: PositionProcedure
+) -> CalibrationRecord:
     """Return the calibration of an estimate from a sensor's measurements, rounded to its uncertainty."""
     measurements, assumed = sensor.measurements, ""
     if design.assumes_sensitivity:
@@ -124,11 +126,13 @@ def along_gravity(channels: Sequence[str], directions: Sequence[Sequence[float]]
     return steep and len({tuple(np.round(up, 6).tolist()) for up in directions}) == len(directions)
 
 
-def observed_sensor(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> SensorObservations:
+def observed_sensor(
+    sensor: MeasuredSensor, procedure: PositionProcedure, bench: BenchUncertainty
+) -> SensorObservations:
     """Return a sensor as the estimator takes it; what :func:`design_of` refuses is refused here."""
     design = design_of(sensor.sensor, procedure, bench, nominal=sensor.nominal, base=sensor.base)
     observations = observations_of(sensor.measurements, design.channels)
-    if not (procedure.determines.nonlinearity or _sense_own_axes(design, observations)):
+    if not (procedure.nonlinearity or _sense_own_axes(design, observations)):
         # It is counted along a channel's own axis, which swapped channels hardly sense.
         kept = {name: prior for name, prior in design.priors.items() if not name.startswith("nonlinearity.")}
         design = replace(design, nonlinearity=0, priors=kept)
@@ -244,7 +248,7 @@ UNDETERMINED = (
 )
 
 
-def calibrate_free(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
+def calibrate_free(sensor: MeasuredSensor, procedure: PositionProcedure, bench: BenchUncertainty) -> CalibrationRecord:
     """Calibrate a sensor of three channels from unit gravity alone; refused where the attitudes do not show it."""
     design = design_of(sensor.sensor, procedure, bench)
     summaries = [[measurement.summaries[axis] for axis in AXES] for measurement in sensor.measurements]

@@ -22,13 +22,13 @@ from tiltcal.core.samples import SampleSummary
 from tiltcal.drivers.model import OF_G, Model
 from tiltcal.errors import Argument, EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
+from tiltcal.files.procedure import FreePositions, PositionProcedure
 from tiltcal.files.results import PositionRecord, PositionSet
 
 if TYPE_CHECKING:  # `check` needs no estimator
     from tiltcal.core.estimation.estimate import Estimate
     from tiltcal.core.estimation.positions import InstrumentErrors
     from tiltcal.core.ramp.record import RampRecord
-    from tiltcal.files.procedure import Procedure
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ CLEARLY = 2.0
 COPIES = ("two copies of one channel? Look at the wiring, and at ", Argument("columns"))
 
 
-def require_tilt(procedure: Procedure, model: Model) -> None:
+def require_tilt(procedure: PositionProcedure, model: Model) -> None:
     """Refuse a device whose readings are no components of gravity, with a UsageError."""
     if not model.senses_tilt:
         others = [channel for channel in model.channels if channel not in AXES]
@@ -142,19 +142,10 @@ def require_tilt(procedure: Procedure, model: Model) -> None:
             f"{procedure.name} takes tilt sensors, which read x, y and z; {model.name} reads {', '.join(others)} "
             "there: in the columns of its address call what senses gravity x, y or z, and skip the rest with -"
         )
-    if procedure.determines.free and tuple(model.channels) != AXES:
+    if isinstance(procedure, FreePositions) and tuple(model.channels) != AXES:
         raise UsageError(
             f"free positions need a sensor of three channels x, y and z, and {model.name} has "
             f"{', '.join(model.channels)}: unit gravity does not determine fewer; name a procedure that sets positions"
-        )
-
-
-def require_no_jig(procedure: Procedure, jig: float | None) -> None:
-    """Refuse a stated jig where no position is set by one, with a UsageError."""
-    if procedure.determines.free and jig is not None:
-        raise UsageError(
-            "free positions use no jig",
-            advice=("leave ", Argument("jig"), " out, or name a procedure whose positions are set"),
         )
 
 
@@ -167,7 +158,7 @@ def unchecked(model: Model) -> str:
     return ""
 
 
-def require_suitable(procedure: Procedure, model: Model, orientation: Orientation = STRAIGHT) -> None:
+def require_suitable(procedure: PositionProcedure, model: Model, orientation: Orientation = STRAIGHT) -> None:
     """Refuse a device that reads no tilt, and positions beyond its rails, with a UsageError."""
     require_tilt(procedure, model)
     for position in procedure.positions:

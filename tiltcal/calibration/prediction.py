@@ -23,7 +23,7 @@ from tiltcal.core.samples import rounding_of_means
 from tiltcal.drivers.model import Model
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.coefficients import ANGLES
-from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure import LevelCompletion, MountingCompletion, PositionProcedure, Ramp
 from tiltcal.printable import in_html, in_minutes
 
 PARTS = 8  # positions that stand for a leg of a ramp
@@ -59,8 +59,8 @@ class Plan:
     _repr_html_ = in_html
 
 
-def predict_mounting(
-    procedure: Procedure, model: Model, *, jig: float | None, noise: float | None, samples: int | None
+def _predict_mounting(
+    procedure: MountingCompletion, model: Model, jig: float | None, noise: float | None, samples: int | None
 ) -> Plan:
     """Predict the uncertainty of a mounting beside that of the calibration, of a sensor that sits straight."""
     scatter = _usual_noise(model) if noise is None else noise
@@ -79,7 +79,7 @@ def predict_mounting(
 
 
 def predict(
-    procedure: Procedure,
+    procedure: PositionProcedure,
     model: Model,
     *,
     jig: float | None = None,
@@ -94,9 +94,11 @@ def predict(
     instrument: InstrumentErrors | None = None,
 ) -> Plan:
     """Predict the standard uncertainty of every coefficient equal sensors reach; no stated jig is a perfect one."""
+    if isinstance(procedure, MountingCompletion):
+        return _predict_mounting(procedure, model, jig, noise, samples)
     samples = samples or procedure.samples
     seconds = procedure.least_seconds(samples, model.interval, settle or procedure.settle)
-    if procedure.ramp is not None:
+    if isinstance(procedure, Ramp):
         procedure = _along_ramp(procedure)
     identity = SensorIdentity(model.name, "", model.unit, model.channels)
     bench = BenchUncertainty(jig, model.thermometer_rounding if thermometer is None else thermometer, table_lean)
@@ -126,7 +128,7 @@ def predict(
         sensitivity=model.sensitivity,
         drift=drift,
         sensors=sensors,
-        level=procedure.determines.level,
+        level=isinstance(procedure, LevelCompletion),
     )
     limits = Limits(covered_tilts(design.channels, [position.gravity.tolist() for position in planned]))
     tilts = half_widths(prediction.coefficients, prediction.uncertain, limits)
@@ -174,7 +176,7 @@ def predict(
     return Plan(data, "\n".join(lines()))
 
 
-def _along_ramp(procedure: Procedure) -> Procedure:
+def _along_ramp(procedure: Ramp) -> Ramp:
     """Return a ramp as positions on the way between its turning points, by which its uncertainty is predicted."""
     turns = [position.temperature or 0.0 for position in procedure.positions]
     ways = pairwise([procedure.reference or turns[-1], *turns])
@@ -183,7 +185,7 @@ def _along_ramp(procedure: Procedure) -> Procedure:
         for leg, (start, end) in enumerate(ways, start=1)
         for part in range(PARTS)
     )
-    return procedure.replaced(positions=positions)
+    return replace(procedure, positions=positions)
 
 
 def _in_words(coefficient: str) -> str:

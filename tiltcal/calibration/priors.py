@@ -14,7 +14,7 @@ from tiltcal.core.model import AXES, values
 from tiltcal.drivers.model import Model, deviation_within
 from tiltcal.errors import Argument, EstimateError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
-from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure import FreePositions, LevelCompletion, PositionProcedure
 
 SENSITIVITY_FROM = (
     "name a ", Argument("sensor"), " model whose nominal one may stand in, state it in the address (sensitivity=..., "
@@ -24,35 +24,34 @@ SENSITIVITY_FROM = (
 
 def design_of(
     sensor: SensorIdentity,
-    procedure: Procedure,
+    procedure: PositionProcedure,
     bench: BenchUncertainty,
     *,
     nominal: Model | None = None,
     base: CalibrationRecord | None = None,
 ) -> Design:
     """Return what a procedure determines of a sensor, and how well the bench sets what it sets."""
-    determines = procedure.determines
-    channels = tuple(c for c in sensor.channels if not determines.axes or c in determines.axes)
+    channels = tuple(c for c in sensor.channels if not procedure.axes or c in procedure.axes)
     if not channels:
-        axes = ", ".join(determines.axes)
+        axes = ", ".join(procedure.axes)
         raise EstimateError(f"{procedure.name} determines the axes {axes}; {sensor.model} has none of them")
     design = Design(
         channels,
-        determines.axes or channels,
-        determines.drift,
-        determines.gain,
+        procedure.axes or channels,
+        procedure.drift,
+        procedure.gain,
         procedure.reference or 0.0,
-        inf if determines.free else bench.jig,
+        inf if isinstance(procedure, FreePositions) else bench.jig,
         table=bench.table,
         heading=bench.heading or 0.0,
         instrument=bench.instrument,
         thermometer=bench.thermometer,
-        nonlinearity=determines.nonlinearity,
+        nonlinearity=procedure.nonlinearity,
     )
-    if determines.axes:
+    if procedure.axes:
         return design if design.free or nominal is None else _with_data_sheet(design, nominal)
     if base is not None:
-        return _with_base(design, base, whole=determines.level)
+        return _with_base(design, base, whole=isinstance(procedure, LevelCompletion))
     if nominal is None or not nominal.scaled:
         raise EstimateError(f"{procedure.name} determines no sensitivity, and none is known", advice=SENSITIVITY_FROM)
     own, cross = Prior(nominal.sensitivity, nominal.sensitivity * nominal.sensitivity_spread), Prior(0.0)

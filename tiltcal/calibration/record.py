@@ -173,12 +173,11 @@ def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[st
     """Read the calibrations that a session builds on (``--base``), by serial number: a file, or a folder of them."""
     if path is not None:
         require_path(Argument("base"), path)
-    determines = procedure.determines
     if path is None:
-        if determines.completes:
+        if procedure.needs_base:
             raise UsageError((f"{procedure.name} needs ", Argument("base"), ", the calibration file of the sensor"))
         return {}
-    if procedure.rotation is not None or determines.axes:
+    if not procedure.takes_base:
         raise UsageError((f"{procedure.name} needs no ", Argument("base"), ": it makes a calibration of its own"))
     path = Path(path)
     if path.is_dir():
@@ -192,6 +191,6 @@ def bases_of(procedure: Procedure, path: str | Path | None, serials: Sequence[st
         base = read_calibration(file)  # an error names the file as it was given
         if base.sensor.serial != serial:
             raise UsageError(f"{file} is of {base.sensor.serial}, and the sensor to measure is {serial}")
-        if base.coefficients.mounting is not None and not determines.completes:
+        if base.coefficients.mounting is not None and not procedure.needs_base:
             raise UsageError(f"{file} has a mounting, which {procedure.name} would drop: name the file from before it")
     return bases

@@ -41,14 +41,14 @@ from tiltcal.core.thermal_lag import LOG_SMOOTHING, ThermalLag
 from tiltcal.core.uncertain import TURN, Uncertain, central_differences, selection
 from tiltcal.errors import Argument, EstimateError
 from tiltcal.files.calibration import CalibrationRecord
-from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure import Positions, Ramp
 from tiltcal.files.results import CrossValidation, Hysteresis, RampFitRecord, RampLeg
 
 ROOM = 25.0  # reference temperature where none was measured, °C
 
 
 def calibrate_sweep(
-    sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
+    sensors: Sequence[MeasuredSensor], procedure: Positions, bench: BenchUncertainty
 ) -> list[CalibrationRecord]:
     """Calibrate sensors by positions at many temperatures, with one order of the drift that the readings warrant."""
     errors = order_errors(sensors, procedure, bench)
@@ -70,7 +70,7 @@ def _validation(order: int, errors: Mapping[int, float]) -> CrossValidation:
 
 
 def order_errors(
-    sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty
+    sensors: Sequence[MeasuredSensor], procedure: Positions, bench: BenchUncertainty
 ) -> dict[int, tuple[float, float]]:
     """Return by order how well it predicts left-out positions: their mean square error over its variance, and deviance.
 
@@ -82,7 +82,7 @@ def order_errors(
     Statistics and Computing 24 (2014) 997.
     """
     errors: dict[int, tuple[float, float]] = {}
-    for order in range(1, procedure.determines.drift + 1):
+    for order in range(1, procedure.drift + 1):
         try:
             error, variance = _left_out(sensors, with_order(procedure, order), bench)
         except EstimateError:
@@ -95,9 +95,9 @@ def order_errors(
     return errors
 
 
-def with_order(procedure: Procedure, order: int) -> Procedure:
+def with_order(procedure: Positions, order: int) -> Positions:
     """Return the procedure with one order of the drift."""
-    return procedure.replaced(determines=procedure.determines.replaced(drift=order, cross_validated=False))
+    return replace(procedure, drift=order, cross_validated=False)
 
 
 def _with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord) -> CalibrationRecord:
@@ -115,7 +115,7 @@ def _with_open_order(calibration: CalibrationRecord, highest: CalibrationRecord)
     )
 
 
-def _left_out(sensors: Sequence[MeasuredSensor], procedure: Procedure, bench: BenchUncertainty) -> tuple[Array, Array]:
+def _left_out(sensors: Sequence[MeasuredSensor], procedure: Positions, bench: BenchUncertainty) -> tuple[Array, Array]:
     """Return the error of predicting each position from the others, and the variance of that error, unit."""
     errors: list[Array] = []
     variances: list[Array] = []
@@ -208,7 +208,7 @@ FAR, DEVIATIONS = 2.0, 5.0  # refuse an attitude that the base reads so far off,
 USUAL_GAIN = 2e-4  # standard uncertainty of the sensitivity's temperature coefficient where nothing states it, 1/°C
 
 
-def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUncertainty) -> CalibrationRecord:
+def calibrate_ramp(sensor: MeasuredSensor, procedure: Ramp, bench: BenchUncertainty) -> CalibrationRecord:
     """Calibrate the drift of a sensor from its ramp; its first measurement states the attitude."""
     if sensor.ramp is None:
         raise EstimateError(f"{procedure.name} takes a continuous record, and there is none of {sensor.sensor.serial}")
@@ -231,7 +231,7 @@ def calibrate_ramp(sensor: MeasuredSensor, procedure: Procedure, bench: BenchUnc
             raise EstimateError(
                 f"{channel} reads {value:g} in all {record.rows} rows: it is stuck, not without drift; is it connected?"
             )
-    fit = fit_ramp(record, reference=reference, highest=procedure.determines.drift)
+    fit = fit_ramp(record, reference=reference, highest=procedure.drift)
     # The turns of the temperature are not reached by an element that follows them. The inverse filter amplifies the
     # thermometer's noise, which the means average.
     element = fit.means.temperature(fit.lag) + reference

@@ -14,6 +14,7 @@ from tiltcal.core.pair.matching import STAGES, SUM, Matching
 from tiltcal.core.rounding import bracketed, plus_minus
 from tiltcal.files.calibration import CalibrationRecord
 from tiltcal.files.coefficients import ANGLES
+from tiltcal.files.procedure import FreePositions, LevelCompletion, MountingCompletion, Procedure
 from tiltcal.files.results import FitRecord, MountingFit
 
 INCREDIBLE = 1e-3  # probability of a chi-square below which it is not credible
@@ -36,6 +37,23 @@ def quiet_note(channel: str, count: int) -> str:
         f"{channel} {NOT_FOLLOWED} any movement: {shown}; tip it while you look at it with tiltcal live, or once in a "
         "new session"
     )
+
+
+def result_in_words(calibration: CalibrationRecord, procedure: Procedure) -> str:
+    """Return what a procedure has determined, in words."""
+    match procedure:
+        case MountingCompletion():
+            return mounting_summary(calibration)
+        case LevelCompletion():
+            return level_summary(calibration)
+        case FreePositions():
+            fit = calibration.fit
+            return (
+                f"{summary(calibration)}\n"
+                f"  misfit of the length of gravity {fit.misfit_rms_mg:g} mg rms over {len(fit.residuals)} positions, "
+                f"{fit.distinct_attitudes} different attitudes"
+            )
+    return summary(calibration)
 
 
 def summary(calibration: CalibrationRecord, *, notes: bool = True) -> str:

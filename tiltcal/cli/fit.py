@@ -15,7 +15,7 @@ from tiltcal.files.calibration_output import require_replaceable
 from tiltcal.logs.options import FitOptions
 
 if TYPE_CHECKING:
-    from tiltcal.files.calibration import CalibrationRecord
+    pass
 
 _EXAMPLES = """\b
 Examples:
@@ -41,7 +41,7 @@ def command(procedure: str, logs: tuple[str, ...], output: Path, topic: str | No
     log of the position NAME. PROCEDURE free needs no known positions: a three-axis sensor is held
     still in twelve or more attitudes, and gravity is 1 g in each. It does not determine the mounting.
     """
-    from tiltcal.calibration.wording import level_summary, mounting_summary, summary
+    from tiltcal.calibration.wording import result_in_words
     from tiltcal.files.procedure import find_procedure
     from tiltcal.library.recorded import fit
 
@@ -58,22 +58,9 @@ def command(procedure: str, logs: tuple[str, ...], output: Path, topic: str | No
         )
     calibration.save(output, remark)
     record = calibration.record
-    determines = find_procedure(procedure, settings["tilt"]).determines
-    in_words = mounting_summary if determines.mounting else level_summary if determines.level else summary
-    click.echo(in_words(record))
-    if determines.free:
-        _print_misfit(record)
+    click.echo(result_in_words(record, find_procedure(procedure, settings["tilt"])))
+    if record.fit.warning:
+        remark(f"warning: {record.fit.warning}")
     remark(f"wrote {output}")
     file = quote(str(output))
     remark(f"next: tiltcal apply {file} LOG.csv -o TILT.csv, or tiltcal export {file} --to c -o tilt.h")
-
-
-def _print_misfit(calibration: CalibrationRecord) -> None:
-    """Print the misfit and the warning of a calibration from unit gravity."""
-    fit = calibration.fit
-    click.echo(
-        f"  misfit of the length of gravity {fit.misfit_rms_mg:g} mg rms over {len(fit.residuals)} positions, "
-        f"{fit.distinct_attitudes} different attitudes"
-    )
-    if fit.warning:
-        remark(f"warning: {fit.warning}")

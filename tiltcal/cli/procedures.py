@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
 from tiltcal.cli import options
-from tiltcal.files.procedure import Procedure, find_procedure, shipped_procedures
-from tiltcal.files.procedure_file import Determines, Rotation
+from tiltcal.files.procedure import (
+    FreePositions,
+    LevelCompletion,
+    MountingCompletion,
+    PositionProcedure,
+    Procedure,
+    Ramp,
+    Rotation,
+    find_procedure,
+    shipped_procedures,
+)
 
 
 @options.command(
@@ -36,44 +46,47 @@ def command(procedure: str | None, source: bool, as_json: bool) -> None:
 
 
 def _show(procedure: Procedure) -> None:
-    determines = procedure.determines
     click.echo(f"{procedure.name}: {procedure.title}")
     if procedure.source:
         click.echo(f"  source      {procedure.source}")
-    if procedure.rotation is not None:
-        _show_rotation(procedure.rotation)
-        return
-    click.echo(f"  determines  {_determined(determines)}")
-    if procedure.ramp is None:
-        click.echo(f"  samples     {procedure.samples} per position, still for {procedure.settle:g} s")
-    else:
-        ramp = procedure.ramp
-        click.echo(
-            f"  samples     one every {ramp.interval:g} s, while the temperature changes by {ramp.pace:g} °C/min"
-        )
+    for line in _sampled(procedure):
+        click.echo(line)
     for number, position in enumerate(procedure.positions, start=1):
         click.echo(f"  {number:>2}. {position.name:<12} {position.prompt}")
 
 
-def _determined(determines: Determines) -> str:
-    """Return what a procedure determines, as text."""
-    if determines.mounting:
-        return "the mounting of a sensor that is calibrated"
-    if determines.level:
-        return "the offset of a sensor that is calibrated; all else stays"
-    axes = f"sensitivity to {', '.join(determines.axes)}" if determines.axes else "no sensitivity"
+def _sampled(procedure: Procedure) -> Iterator[str]:
+    """Yield what a procedure determines, and how it is sampled."""
+    match procedure:
+        case Rotation():
+            for pair in procedure.pairs:
+                yield f"  determines  p and q of {pair.first} and {pair.second}, orthogonal {pair.orthogonal}"
+            known = procedure.converged
+            enough = "" if known is None else f", fewer where p and q are known to {known:g}"
+            yield f"  turns       {procedure.turns} by the stage angle {procedure.phase}{enough}"
+            yield f"  prompt      {procedure.prompt}"
+            return
+        case MountingCompletion():
+            yield "  determines  the mounting of a sensor that is calibrated"
+        case LevelCompletion():
+            yield "  determines  the offset of a sensor that is calibrated; all else stays"
+        case PositionProcedure():
+            without = "; not the mounting" if isinstance(procedure, FreePositions) else ""
+            yield f"  determines  {_determined(procedure)}{without}"
+    if isinstance(procedure, Ramp):
+        pace = f"while the temperature changes by {procedure.pace:g} °C/min"
+        yield f"  samples     one every {procedure.interval:g} s, {pace}"
+    elif isinstance(procedure, PositionProcedure):
+        yield f"  samples     {procedure.samples} per position, still for {procedure.settle:g} s"
+
+
+def _determined(procedure: PositionProcedure) -> str:
+    """Return what set positions determine."""
+    axes = f"sensitivity to {', '.join(procedure.axes)}" if procedure.axes else "no sensitivity"
     orders = "".join(
         f", {name} of order {order} over temperature"
-        for name, order in (("offset", determines.drift), ("sensitivity", determines.gain))
+        for name, order in (("offset", procedure.drift), ("sensitivity", procedure.gain))
         if order
     )
-    bend = ", nonlinearity" if determines.nonlinearity else ""
-    return f"offset, {axes}{bend}{orders}{'; not the mounting' if determines.free else ''}"
-
-
-def _show_rotation(rotation: Rotation) -> None:
-    for pair in rotation.pairs:
-        click.echo(f"  determines  p and q of {pair.first} and {pair.second}, orthogonal {pair.orthogonal}")
-    enough = "" if rotation.converged is None else f", fewer where p and q are known to {rotation.converged:g}"
-    click.echo(f"  turns       {rotation.turns} by the stage angle {rotation.phase}{enough}")
-    click.echo(f"  prompt      {rotation.prompt}")
+    bend = ", nonlinearity" if procedure.nonlinearity else ""
+    return f"offset, {axes}{bend}{orders}"

@@ -18,7 +18,7 @@ from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import NEGATIVE_VERDICT, UsageError
 from tiltcal.files.calibration import CalibrationRecord, read_calibration
-from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.files.procedure import find_procedure
 from tiltcal.library.afterwards import verified
 from tiltcal.library.measure import resumed
 from tiltcal.stated_arguments import require_from_zero
@@ -64,7 +64,8 @@ def command(
         path = Path(stated["journal"]) if stated["journal"] else free_journal(beside, remark)
         sensor, device = judged.sensor, judged.device
         bench = single(sensor.model, sensor.serial, stated["address"], stated["jig"], device)
-        steps, settings = _positions(procedure, stated["tilt"]), {name: stated[name] for name in ("samples", "settle")}
+        steps = find_procedure(procedure, stated["tilt"]).in_positions().verifying()
+        settings = {name: stated[name] for name in ("samples", "settle")}
         session = Session(Setup.begin(steps, bench, [None], path, operator=operator or "terminal", **settings), path)
     _require_sensor(session, judged, calibration)
     again = f"verify {quote(str(calibration))}"
@@ -82,15 +83,6 @@ def command(
     as_json = as_json or operator == "json"
     options.print_judged(options.json_text(verification.as_data()) if as_json else str(verification))
     return 0 if verification.verdict == PASSED else NEGATIVE_VERDICT
-
-
-def _positions(procedure: str, tilt: float | None) -> Procedure:
-    """Return a procedure, which must set positions to verify with."""
-    steps = find_procedure(procedure, tilt)
-    if steps.determines.free or steps.determines.completes or steps.ramp is not None:
-        raise UsageError(f"{steps.name} sets no positions to verify with: name another procedure")
-    steps.require_positions()
-    return steps
 
 
 def _require_sensor(session: Session, judged: CalibrationRecord, calibration: Path) -> None:

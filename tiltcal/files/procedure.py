@@ -1,7 +1,21 @@
-"""A procedure and its file: positions in order, or the pairs that are matched while a stage turns.
+"""The kinds of procedure, which a procedure file gives: what a session, a log or a plan goes through.
 
-Each position has the operator's sentence; together they determine coefficients. The shipped procedures and those of a
-user are read by name or path.
+::
+
+    Procedure
+    ├── Rotation                     a stage turns, and pairs of channels are matched
+    └── PositionProcedure            the sensor is brought to one position after the other
+        ├── Positions                that are set: sensitivity, offset and their drift
+        ├── FreePositions            that nobody sets: unit gravity determines the three axes
+        ├── Ramp                     at which the temperature turns: the drift of the offset in one attitude
+        ├── Verification             that are set, and judged by a calibration
+        └── Completion               of a sensor with a calibration
+            ├── MountingCompletion   how it sits in its application
+            └── LevelCompletion      its offset anew
+
+What depends on the kind stands in one function of each layer: how it is asked for in :mod:`tiltcal.bench.measure`, how
+it is calibrated in :mod:`tiltcal.calibration.calibrate`, what it will give in :mod:`tiltcal.calibration.prediction`.
+Here stand how long it takes, and which options it has.
 """
 
 from __future__ import annotations
@@ -9,14 +23,16 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 from tiltcal.core.attitude import LEVEL, Vector, gravity_from_tilt, normalised
+from tiltcal.core.model import AXES
+from tiltcal.core.pair.model import Pair
 from tiltcal.errors import Argument, UsageError
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.procedure_file import (
@@ -24,8 +40,9 @@ from tiltcal.files.procedure_file import (
     Determines,
     PositionSection,
     ProcedureFile,
-    Rotation,
+    RampSection,
     RotationFile,
+    Soak,
 )
 from tiltcal.files.record import file_data
 from tiltcal.printable import counted
@@ -49,66 +66,132 @@ class Position:
     stage: float | None = None
 
 
-class Procedure(ProcedureFile, kw_only=True):
-    """A procedure with its angle filled in: its positions in order, or the rotation of a stage, which has none.
+@dataclass(frozen=True, kw_only=True)
+class Procedure:
+    """What all kinds have; ``record`` is the file as plain data, before the user's angle and turns were put in."""
 
-    ``record`` is the file as plain data, with its defaults, before the user's angle and turns were put in.
-    """
+    name: str
+    title: str
+    source: str
+    record: Mapping[str, Any]
+    positions: tuple[Position, ...] = ()
 
-    determines: Determines = Determines(())
-    positions: tuple[Position, ...] = ()  # type: ignore[assignment]
-    rotation: Rotation | None = None
-    record: Mapping[str, Any] = {}
+    needs_base: ClassVar[bool] = False
+    """Whether the sensor's own calibration is completed."""
+
+    @property
+    def takes_base(self) -> bool:
+        """Whether the sensor's own calibration is of use."""
+        return False
+
+    @property
+    def once(self) -> str:
+        """Why no position can be taken again; empty where it can."""
+        return ""
 
     @property
     def length(self) -> str:
         """How long it is, in its own terms, such as ``4 positions``."""
-        if self.rotation is not None:
-            return f"up to {self.rotation.turns} turns"
-        return counted(len(self.positions), "position" if self.ramp is None else "leg")
+        raise NotImplementedError
+
+    def in_positions(self) -> PositionProcedure:
+        """Return it where the sensor is brought to positions; a UsageError names what else there is for a stage."""
+        raise NotImplementedError
+
+    def require_usable(self, **stated: object) -> None:
+        """Refuse options that say nothing of this kind, by name, with a UsageError."""
+
+    def with_turns(self, turns: int | None) -> Self:
+        """Return it with another limit of turns; None leaves it. A UsageError where no stage turns."""
+        if turns is None:
+            return self
+        advice = ("leave ", Argument("turns"), " out")
+        raise UsageError(f"the procedure {self.name!r} has positions and no turns", advice=advice)
+
+    def with_alignment(self, alignment: float | None) -> Self:
+        """Return it for a sensor that may sit askew by another angle, degrees; None leaves it."""
+        if alignment is None:
+            return self
+        raise UsageError(f"{self.name} renews no offset", advice=("leave ", Argument("alignment"), " out"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rotation(Procedure):
+    """The pairs that are matched while a stage turns, and when it ends."""
+
+    phase: str  # the channel of the stage angle, degrees
+    pairs: tuple[Pair, ...]
+    prompt: str
+    turns: int
+    converged: float | None
+    patience: float
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels of all pairs, each once."""
+        return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
+
+    @property
+    def length(self) -> str:
+        return f"up to {self.turns} turns"
+
+    def in_positions(self) -> PositionProcedure:
+        raise UsageError(
+            f"{self.name} has no positions, its stage turns: match the pairs of a recorded log with `tiltcal match`, "
+            f"or at the bench with `tiltcal measure {self.name}`"
+        )
+
+    def require_usable(self, **stated: object) -> None:
+        for option, value in stated.items():
+            if value is not None:
+                advice = ("leave ", Argument(option), " out; ", Argument("turns"), " limits its length")
+                raise UsageError("a rotation has no positions", advice=advice)
+
+    def with_turns(self, turns: int | None) -> Self:
+        require_whole("turns", turns, FEWEST_WHOLE_TURNS, "turns")
+        return self if turns is None else replace(self, turns=int(turns))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionProcedure(Procedure):
+    """Positions in order, how they are sampled, and what they determine besides the offset."""
+
+    angle: float | None  # that was free, degrees
+    samples: int
+    settle: float  # seconds over which the reading must hold still
+    soak: Soak
+    axes: tuple[str, ...] = ()  # the columns of the sensitivity
+    drift: int = 0  # order of the temperature polynomial of the offset, or the highest one
+    gain: int = 0  # of the sensitivity
+    nonlinearity: int = 0
+    reference: float | None = None  # °C
+
+    @property
+    def takes_base(self) -> bool:
+        return not self.axes
+
+    @property
+    def thermal(self) -> bool:
+        """Whether it determines temperature terms."""
+        return bool(self.drift or self.gain)
+
+    @property
+    def length(self) -> str:
+        return counted(len(self.positions), "position")
+
+    def in_positions(self) -> PositionProcedure:
+        return self
 
     def least_seconds(self, samples: int, interval: float, settle: float, done: int = 0) -> float:
         """Return how long the positions behind those done must hold still and are sampled, an interval apart, seconds.
 
-        Setting and changing temperatures come on top; of a ramp it is the time at its pace.
+        Setting and changing temperatures come on top.
         """
         temperatures = [position.temperature for position in self.positions]
-        if self.ramp is not None:
-            met = [one or 0.0 for one in (temperatures[0] if self.reference is None else self.reference, *temperatures)]
-            return 60.0 * sum(abs(end - start) for start, end in list(pairwise(met))[done:]) / self.ramp.pace
         soak = max(self.soak.seconds, self.soak.thermometer or 0.0) * settle / self.settle
         changes = list(pairwise([None, *temperatures]))[done:]
         windows = [settle if new is None or new == before else soak for before, new in changes]
         return sum(windows) + len(windows) * samples * interval
-
-    def require_positions(self) -> None:
-        """Refuse a procedure of a stage that turns, with a UsageError that names the commands that are meant for it."""
-        if self.rotation is not None:
-            raise UsageError(
-                f"{self.name} has no positions, its stage turns: match the pairs of a recorded log with `tiltcal "
-                f"match`, or at the bench with `tiltcal measure {self.name}`"
-            )
-
-    def with_turns(self, turns: int | None) -> Procedure:
-        """Return this procedure with another limit of turns; None leaves it. A UsageError where no stage turns."""
-        if turns is None:
-            return self
-        if self.rotation is None:
-            advice = ("leave ", Argument("turns"), " out")
-            raise UsageError(f"the procedure {self.name!r} has positions and no turns", advice=advice)
-        require_whole("turns", turns, FEWEST_WHOLE_TURNS, "turns")
-        return self.replaced(rotation=self.rotation.replaced(turns=int(turns)))
-
-    def with_alignment(self, alignment: float | None) -> Procedure:
-        """Return this procedure for a sensor that may sit askew by another angle, degrees; None leaves it."""
-        if alignment is None:
-            return self
-        if not self.determines.level:
-            raise UsageError(f"{self.name} renews no offset", advice=("leave ", Argument("alignment"), " out"))
-        if not (is_number(alignment, 0.0) and alignment <= MOST_ASKEW):
-            why = f"is between 0 and {MOST_ASKEW:g} degrees, not {shown(alignment)}"
-            raise UsageError(option="alignment", why=why)
-        return self.replaced(alignment=alignment, record={**self.record, "alignment": alignment})
 
     @property
     def closes(self) -> bool:
@@ -116,14 +199,8 @@ class Procedure(ProcedureFile, kw_only=True):
         settings = [(one.gravity, one.heading, one.temperature, one.stage) for one in self.positions]
         return len(settings) > 1 and settings[0] == settings[-1]
 
-    def with_closing(self, closing: bool) -> Procedure:
-        """Return this procedure with its first position once more at the end, unless it ends where it began."""
-        if not closing:
-            return self
-        self.require_positions()
-        if self.determines.free:
-            advice = ("leave ", Argument("closing"), " out")
-            raise UsageError(f"{self.name} sets no position that could be visited again", advice=advice)
+    def with_closing(self) -> Self:
+        """Return it with its first position once more at the end, unless it ends where it began."""
         if self.closes:
             return self
         first = self.positions[0]
@@ -131,33 +208,164 @@ class Procedure(ProcedureFile, kw_only=True):
         entries = list(self.record["positions"])
         entries.append({**entries[0], "name": name, "prompt": f"{again} {entries[0]['prompt']}"})
         last = replace(first, name=name, prompt=f"{again} {first.prompt}")
-        return self.replaced(positions=(*self.positions, last), record={**self.record, "positions": entries})
+        return replace(self, positions=(*self.positions, last), record={**self.record, "positions": entries})
+
+    def verifying(self) -> Verification:
+        """Return its positions, to judge a calibration by; a UsageError where it sets none."""
+        raise UsageError(f"{self.name} sets no positions to verify with: name another procedure")
+
+    def _open(self) -> UsageError:
+        advice = ("leave ", Argument("closing"), " out")
+        return UsageError(f"{self.name} sets no position that could be visited again", advice=advice)
 
 
-def _procedure_of(file: ProcedureFile, document: Document, given: float | None) -> Procedure:
-    """Return the procedure of a file, with an angle that the user gives in place of the file's, degrees."""
-    _check_determines(file.determines, document.at("determines"))
+@dataclass(frozen=True, kw_only=True)
+class Positions(PositionProcedure):
+    """Positions that are set, or that a reference reads where the procedure ``compares``.
+
+    Where ``cross_validated``, the data choose the order of the drift.
+    """
+
+    cross_validated: bool = False
+    compares: bool = False
+
+    @property
+    def once(self) -> str:
+        order = "the order of a sweep's temperatures shows hysteresis: no position can be taken again out of it"
+        return f"{order}; go back, or quit and begin anew" if self.cross_validated else ""
+
+    def verifying(self) -> Verification:
+        sampled = {field.name: getattr(self, field.name) for field in fields(PositionProcedure)}
+        return Verification(**sampled | {"drift": 0, "gain": 0, "nonlinearity": 0})
+
+
+class Verification(PositionProcedure):
+    """Positions that are set, and judged by a calibration."""
+
+    def verifying(self) -> Verification:
+        return self
+
+
+class FreePositions(PositionProcedure):
+    """Positions that nobody sets."""
+
+    def require_usable(self, **stated: object) -> None:
+        if stated.get("jig") is not None:
+            advice = ("leave ", Argument("jig"), " out, or name a procedure whose positions are set")
+            raise UsageError("free positions use no jig", advice=advice)
+
+    def with_closing(self) -> Self:
+        raise self._open()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ramp(PositionProcedure):
+    """Positions at which the temperature turns, in one attitude: all that is read on the way counts."""
+
+    pace: float  # of the temperature, °C/min
+    within: float  # how close to its temperature a leg ends, °C
+    interval: float  # between two samples, seconds
+    patience: float  # without a change that end a leg, seconds
+
+    @property
+    def once(self) -> str:
+        return "a ramp is one continuous record: no leg can be taken again; quit, and begin anew"
+
+    @property
+    def length(self) -> str:
+        return counted(len(self.positions), "leg")
+
+    def least_seconds(self, samples: int, interval: float, settle: float, done: int = 0) -> float:
+        """Return the time of the legs behind those done at the pace, seconds."""
+        temperatures = [position.temperature or 0.0 for position in self.positions]
+        met = [temperatures[0] if self.reference is None else self.reference, *temperatures]
+        return 60.0 * sum(abs(end - start) for start, end in list(pairwise(met))[done:]) / self.pace
+
+    def with_closing(self) -> Self:
+        raise self._open()
+
+
+class Completion(PositionProcedure):
+    """Positions of a sensor that has a calibration, which they complete."""
+
+    needs_base = True
+
+
+class MountingCompletion(Completion):
+    """Positions of the application, which show how the sensor sits in it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelCompletion(Completion):
+    """Level positions, which renew the offset; the sensor may sit askew by ``alignment`` since, degrees."""
+
+    alignment: float
+
+    def with_alignment(self, alignment: float | None) -> Self:
+        if alignment is None:
+            return self
+        if not (is_number(alignment, 0.0) and alignment <= MOST_ASKEW):
+            why = f"is between 0 and {MOST_ASKEW:g} degrees, not {shown(alignment)}"
+            raise UsageError(option="alignment", why=why)
+        return replace(self, alignment=alignment, record={**self.record, "alignment": alignment})
+
+
+def _procedure_of(file: ProcedureFile, document: Document, given: float | None) -> PositionProcedure:
+    """Return the procedure of a file of positions, with an angle that the user gives instead of the file's, degrees."""
+    asked = file.determines
+    _check_determines(asked, document.at("determines"))
     angle = _chosen_angle(file.name, file.angle, given)
+    if (asked.drift or asked.gain) and file.reference is None:
+        why = "temperature terms need the key 'reference', the temperature that they are counted from"
+        raise document.error(why, "determines")
+    if file.ramp is not None and (asked.axes or not asked.drift or asked.gain):
+        raise document.error("a ramp determines the drift of the offset alone: axes: [], drift: 3", "determines")
+    stated: dict[str, Any] = {
+        "name": file.name,
+        "title": file.title,
+        "source": file.source,
+        "record": file_data("procedure", file, whole=True),
+        "positions": _positions_of(file, document, angle),
+        "angle": angle,
+        "samples": file.samples,
+        "settle": file.settle,
+        "soak": file.soak,
+        "reference": file.reference,
+    }
+    if asked.level:
+        return LevelCompletion(**stated, alignment=file.alignment)
+    if asked.mounting:
+        return MountingCompletion(**stated)
+    if asked.free:
+        return FreePositions(**stated, axes=AXES)
+    if file.ramp is not None:
+        ramp = {name: getattr(file.ramp, name) for name in RampSection.__struct_fields__}
+        return Ramp(**stated, drift=asked.drift, **ramp)
+    return Positions(
+        **stated,
+        axes=tuple(sorted(asked.axes)),
+        drift=asked.drift,
+        gain=asked.gain,
+        nonlinearity=asked.nonlinearity,
+        cross_validated=asked.cross_validated,
+        compares=file.compares,
+    )
+
+
+def _positions_of(file: ProcedureFile, document: Document, angle: float | None) -> tuple[Position, ...]:
+    """Return the positions of a file, whose names are unique and whose settings fit what they determine."""
     places = [document.at("positions", number) for number in range(len(file.positions))]
     positions = tuple(_position_of(one, place, angle) for one, place in zip(file.positions, places, strict=True))
     names = [position.name for position in positions]
     for number, name in enumerate(names):
         if name in names[:number]:
             raise places[number].error(f"a position named {name!r} is there already; names are unique")
-    determines = file.determines.replaced(axes=tuple(sorted(file.determines.axes)))
-    if (determines.drift or determines.gain) and file.reference is None:
-        why = "temperature terms need the key 'reference', the temperature that they are counted from"
-        raise document.error(why, "determines")
-    if file.ramp is not None and (determines.axes or not determines.drift or determines.gain):
-        raise document.error("a ramp determines the drift of the offset alone: axes: [], drift: 3", "determines")
     for place, position in zip(places, positions, strict=True):
-        if determines.level and position.gravity != LEVEL:
+        if file.determines.level and position.gravity != LEVEL:
             raise place.error("a position that renews the offset is level: tilt: {x: 0, y: 0}")
         if file.ramp is not None and (position.temperature is None or position.gravity != positions[0].gravity):
             raise place.error("the positions of a ramp have one attitude, and each a temperature at which it turns")
-    keys = {name: getattr(file, name) for name in file.__struct_fields__}
-    keys |= {"determines": determines, "angle": angle, "positions": positions}
-    return Procedure(record=file_data("procedure", file, whole=True), **keys)
+    return positions
 
 
 def _check_determines(asked: Determines, place: Document) -> None:
@@ -242,15 +450,25 @@ def procedure_in(document: Document, angle: float | None = None) -> Procedure:
     """Return the procedure of a document; an InputError names file, line and key."""
     body = document.body("procedure")
     if "rotation" not in body.data:
-        file = body.read(ProcedureFile)
-        return _procedure_of(file, body, angle)
-    turning, place = body.read(RotationFile), body.at("rotation", "pairs")
-    pairs = turning.rotation.pairs
+        return _procedure_of(body.read(ProcedureFile), body, angle)
+    file, place = body.read(RotationFile), body.at("rotation", "pairs")
+    turning = file.rotation
+    pairs = tuple(Pair(*one.pair, one.orthogonal) for one in turning.selected)
     for number, pair in enumerate(pairs):
-        if len({*pair.channels, turning.rotation.phase}) < len(pair.channels) + 1:
+        if len({*pair.channels, turning.phase}) < len(pair.channels) + 1:
             raise place.error("pair, orthogonal and phase are four different channels", number)
     if len({pair.name for pair in pairs}) < len(pairs):
         raise place.error("the same pair is there twice")
-    stated = {name: getattr(turning, name) for name in turning.__struct_fields__}
-    angle = _chosen_angle(turning.name, None, angle)
-    return Procedure(angle=angle, record=file_data("procedure", turning, whole=True), **stated)
+    _chosen_angle(file.name, None, angle)
+    return Rotation(
+        name=file.name,
+        title=file.title,
+        source=file.source,
+        record=file_data("procedure", file, whole=True),
+        phase=turning.phase,
+        pairs=pairs,
+        prompt=turning.prompt,
+        turns=turning.turns,
+        converged=turning.converged,
+        patience=turning.patience,
+    )

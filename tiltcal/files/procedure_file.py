@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from tiltcal.core.pair.model import FEWEST_TURNS, Pair
+from tiltcal.core.pair.model import FEWEST_TURNS
 from tiltcal.files.coefficients import ORDER_LIMIT
 from tiltcal.files.record import AboveZero, Axis, FromZero, Identifier, Number, Record, Text, about, one_of
 from tiltcal.stated_arguments import LEAST, MOST
@@ -39,11 +39,6 @@ class Determines(Record):
     cross_validated: Annotated[bool, about("the order of the drift is cross-validated, up to `drift`")] = False
     free: Annotated[bool, about("nobody sets the positions: unit gravity determines; `axes: [x, y, z]`")] = False
 
-    @property
-    def completes(self) -> bool:
-        """Whether the sensor's own calibration is needed and completed."""
-        return self.mounting or self.level
-
 
 class PositionSection(Record, kw_only=True):
     """One of ``positions`` as it stands in a file."""
@@ -71,7 +66,7 @@ class Soak(Record):
 USUAL_SOAK = "`{seconds: 20, drift: 0.06, thermometer: 360}`"
 
 
-class Ramp(Record, kw_only=True):
+class RampSection(Record, kw_only=True):
     """How the temperature changes between the positions, which are the turning points of a ramp."""
 
     pace: Annotated[AboveZero, about("of the virtual chamber, and a proposal for a real one, °C/min")]
@@ -87,7 +82,7 @@ class PairSelection(Record):
     orthogonal: Annotated[Text, about("a channel a quarter turn away")]
 
 
-class Rotation(Record):
+class RotationSection(Record):
     """The pairs that are matched while a stage turns, and when it ends."""
 
     phase: Annotated[Text, about("the channel of the stage angle, degrees")]
@@ -98,16 +93,6 @@ class Rotation(Record):
     turns: Annotated[Turns, about("the most that are made; `--turns` takes its place")] = 100
     converged: Annotated[AboveZero | None, about("relative uncertainty of p and q that ends it after 5 turns")] = None
     patience: Annotated[AboveZero, about("seconds in which the stage must begin to turn")] = 60.0
-
-    @property
-    def pairs(self) -> tuple[Pair, ...]:
-        """The pairs in order."""
-        return tuple(Pair(*one.pair, one.orthogonal) for one in self.selected)
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """The channels of all pairs, each once."""
-        return tuple(dict.fromkeys(channel for pair in self.pairs for channel in pair.channels))
 
 
 class NamedProcedure(Record, kw_only=True):
@@ -121,7 +106,7 @@ class NamedProcedure(Record, kw_only=True):
 class RotationFile(NamedProcedure, kw_only=True):
     """The procedure file of a stage that turns."""
 
-    rotation: Annotated[Rotation, about("which pairs are matched while the stage turns")]
+    rotation: Annotated[RotationSection, about("which pairs are matched while the stage turns")]
 
 
 class ProcedureFile(NamedProcedure, kw_only=True):
@@ -135,5 +120,5 @@ class ProcedureFile(NamedProcedure, kw_only=True):
     settle: Annotated[AboveZero, about("seconds over which the reading must hold still")] = 2.0
     soak: Annotated[Soak, about("at a new temperature", usual=USUAL_SOAK)] = Soak(20.0, 0.06, 360.0)
     compares: Annotated[bool, about("whether a reference on the plate says the angles, and nobody states any")] = False
-    ramp: Annotated[Ramp | None, about("the temperature goes on from position to position, in one attitude")] = None
+    ramp: Annotated[RampSection | None, about("the temperature goes from position to position, in one attitude")] = None
     positions: Annotated[tuple[PositionSection, ...], Meta(min_length=1), about("in order")]

@@ -105,7 +105,9 @@ class Afterwards:
         file = self._session.files.outputs[sensors[0].serial]
         journal = free_journal(file.with_name(f"{file.stem}.verify.yaml"), self._remark)
         bench, outputs = BenchFile(sensors, thermometer=named, jig=jig), [None] * len(sensors)
-        verifying = Setup.begin(find_procedure("verify"), bench, outputs, journal, operator="web")
+        verifying = Setup.begin(
+            find_procedure("verify").in_positions().verifying(), bench, outputs, journal, operator="web"
+        )
         session = Session(verifying, journal)
         session.probe()
         for serial, verification in verified(session, self._operator, self._of_tilt).items():

@@ -17,8 +17,8 @@ from tiltcal.bench.reference import reference_of, uncertainty_with
 from tiltcal.bench.session import Session
 from tiltcal.bench.setup import Setup, free_journal, known_bench, require_trusted, single, stage_channels
 from tiltcal.calibration.complete import NO_LEVEL
-from tiltcal.calibration.measurement import BenchUncertainty, require_no_jig, require_suitable, unchecked
-from tiltcal.calibration.prediction import Plan, predict, predict_mounting
+from tiltcal.calibration.measurement import BenchUncertainty, require_suitable, unchecked
+from tiltcal.calibration.prediction import Plan, predict
 from tiltcal.calibration.record import bases_of
 from tiltcal.calibration.wording import NOT_FOLLOWED, level_summary, summary, verdict
 from tiltcal.core.rounding import plus_minus
@@ -31,7 +31,7 @@ from tiltcal.files.calibration import CalibrationRecord, read_calibration
 from tiltcal.files.device import model_named
 from tiltcal.files.document import read_document
 from tiltcal.files.journal import read_journal
-from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.files.procedure import LevelCompletion, Procedure, Rotation, find_procedure
 from tiltcal.library.calibration import Calibration, PairCalibration
 from tiltcal.options import complete, flag_of, options_of, takes
 from tiltcal.stated_arguments import of_python, require_name
@@ -78,19 +78,20 @@ def plan(procedure: str | Path, **options: Unpack[PlanOptions]) -> Plan:
     model = model_named(name)
     if (address := stated["address"]) is not None:
         model = model.at(parse_address(address))
-    steps = find_procedure(procedure, stated["tilt"]).with_closing(stated["closing"])
-    require_no_jig(steps, jig)
-    if own is not None or steps.determines.level:
+    steps = find_procedure(procedure, stated["tilt"])
+    if stated["closing"]:
+        steps = steps.in_positions().with_closing()
+    steps.require_usable(jig=jig)
+    if own is not None or isinstance(steps, LevelCompletion):
         bases_of(steps, base, [] if own is None else [own.sensor.serial])
-    if steps.rotation is not None:
-        channels = stage_channels(steps.rotation, [("", model)])
+    if isinstance(steps, Rotation):
+        channels = stage_channels(steps, [("", model)])
         pairs = [{"pair": [pair.first, pair.second], "orthogonal": pair.orthogonal} for pair in channels.pairs]
         lines = [f"{pair.first} and {pair.second}, orthogonal {pair.orthogonal}" for pair in channels.pairs]
-        data = {"pairs": pairs, "turns": steps.rotation.turns, "left_out": list(channels.left_out)}
+        data = {"pairs": pairs, "turns": steps.turns, "left_out": list(channels.left_out)}
         return Plan({**data, "why": _NOT_PREDICTED}, "\n".join([*lines, *channels.left_out, _NOT_PREDICTED]))
+    steps = steps.in_positions()
     require_suitable(steps, model)
-    if steps.determines.mounting:
-        return predict_mounting(steps, model, jig=jig, noise=noise, samples=samples)
     stated_bench = stated["bench"]
     known = None if stated_bench is None else known_bench(read_document(stated_bench))
     if known is not None:
@@ -223,12 +224,10 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
             ("the ", Argument("bench"), " file names the sensors"), advice=("leave ", *listed(one), " out")
         )
     steps = find_procedure(str(procedure), given["tilt"])
-    steps = steps.with_turns(given["turns"]).with_alignment(given["alignment"]).with_closing(given["closing"])
-    require_no_jig(steps, given["jig"])
-    for option in ("samples", "settle", "jig"):
-        if steps.rotation is not None and given[option] is not None:
-            advice = ("leave ", Argument(option), " out; ", Argument("turns"), " limits its length")
-            raise UsageError("a rotation has no positions", advice=advice)
+    steps = steps.with_turns(given["turns"]).with_alignment(given["alignment"])
+    if given["closing"]:
+        steps = steps.in_positions().with_closing()
+    steps.require_usable(samples=given["samples"], settle=given["settle"], jig=given["jig"])
     if named is None:
         require_name(str(serial), "the serial number")
         bench = single(str(sensor), str(serial), str(address))
@@ -277,9 +276,9 @@ def _begun(procedure: str | Path | None, given: Mapping[str, Any]) -> Session:
 
 def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
     """Remark how well the positions will determine the coefficients; refuse those that cannot."""
-    if setup.steps.determines.completes:
+    if setup.steps.needs_base:
         return
-    if setup.steps.rotation is not None:
+    if isinstance(setup.steps, Rotation):
         for why in setup.stage_channels().left_out:
             remark(why)
         if len(setup.sensors) > 1:
@@ -293,7 +292,7 @@ def _predict(setup: Setup, remark: Callable[[str], None]) -> None:
         settings = setup.settings
         bench = uncertainty_with(setup.reference, BenchUncertainty(settings.jig, settings.thermometer, settings.table))
         expected = predict(
-            setup.steps,
+            setup.steps.in_positions(),
             device.wired,
             jig=bench.jig,
             thermometer=bench.thermometer,
@@ -316,7 +315,7 @@ def _outputs(
     A bench's sensors each have a file of their own, named for their serial number, in the folder that -o names; those
     of a stage that turns have one together, which -o names.
     """
-    if procedure.rotation is not None:
+    if isinstance(procedure, Rotation):
         if output is None or os.path.isdir(output):
             advice = ("name it with ", Argument("output", "PAIR.yaml"))
             raise UsageError("the pairs of a stage have one file together", advice=advice)
@@ -353,19 +352,20 @@ def _results(
     for name, statistics in outcome.link_statistics.items():
         remark(f"{name}: {link_in_words(statistics)}")
     setup = session.setup
-    records, determines = list(outcome.calibrations.values()), setup.steps.determines
-    if setup.steps.rotation is not None:
+    records, steps = list(outcome.calibrations.values()), setup.steps
+    if isinstance(steps, Rotation):
         pair = PairCalibration(records[0])
         (result or unheard)(str(pair))
         return pair
     calibrations = [Calibration(record) for record in records if isinstance(record, CalibrationRecord)]
-    _remark_notes(calibrations, remark, renewed=determines.level, judged=result is not None)
+    renewed = isinstance(steps, LevelCompletion)
+    _remark_notes(calibrations, remark, renewed=renewed, judged=result is not None)
     for calibration in calibrations:
-        if determines.level:
+        if renewed:
             (result or remark)(level_summary(calibration.record))
         else:
             (result or unheard)(summary(calibration.record, notes=False))
-        if setup.steps.closes:
+        if steps.in_positions().closes:
             remark(changes_in_words(calibration.record))
     if result is not None:
         file = quote(str(session.files.outputs[calibrations[0].sensor.serial]))

@@ -18,7 +18,6 @@ from tiltcal.calibration.measurement import (
     MeasuredSensor,
     Measurement,
     rails_of,
-    require_no_jig,
     require_tilt,
 )
 from tiltcal.calibration.priors import SENSITIVITY_FROM
@@ -34,7 +33,7 @@ from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.device import model_named
 from tiltcal.files.moments import stamp_of
-from tiltcal.files.procedure import Procedure, find_procedure
+from tiltcal.files.procedure import FreePositions, PositionProcedure, Ramp, find_procedure
 from tiltcal.files.record import Record, keys_of
 from tiltcal.files.results import FileRecord, Provenance, SegmentsRecord
 from tiltcal.files.tables import (
@@ -90,12 +89,11 @@ def fit_recorded(
     progress: Progress | None = None,
 ) -> CalibrationRecord:
     """Calibrate a sensor from recorded data; arguments and errors are those of :func:`tiltcal.fit`."""
-    steps = find_procedure(procedure, options["tilt"]).with_alignment(options["alignment"])
-    steps.require_positions()
+    steps = find_procedure(procedure, options["tilt"]).with_alignment(options["alignment"]).in_positions()
+    steps.require_usable(jig=options["jig"])
     table = _is_table(data, options["segments"]) if options["table"] is None else options["table"]
     if table:
         _require_table_alone(steps, options)
-    require_no_jig(steps, options["jig"])
     bench = BenchUncertainty(options["jig"], options["thermometer"], options["table_lean"], options["heading"])
     model = model_named(options["sensor"]) if options["sensor"] else None
     if model is not None:
@@ -114,8 +112,8 @@ def fit_recorded(
                 options["say"](f"{logs.name} has no names: its columns of numbers are taken for x, y and z")
         unknown = own is None and model is None
         unit = options["unit"] or (header.unit if unknown else None)
-        by_length = unknown and unit is None and steps.ramp is None and not header.units
-        by_length = by_length and (logs is not None or steps.determines.free)
+        by_length = unknown and unit is None and not isinstance(steps, Ramp) and not header.units
+        by_length = by_length and (logs is not None or isinstance(steps, FreePositions))
         identity = _identity(own, model, steps, UNSTATED if by_length else unit, serial)
         if unknown:
             identity = identity.replaced(channels=_channels(data, None if table else header, steps, options))
@@ -124,7 +122,7 @@ def fit_recorded(
         nominal = None if model is None or model.unit != identity.unit else model
         if logs is None:
             positions = _of_table(data, identity, steps, options)
-        elif steps.ramp is not None:
+        elif isinstance(steps, Ramp):
             positions = _of_ramp(logs, identity, steps, options, signs)
         else:
             positions = _of_log(logs, identity, steps, options, rails_of(identity.channels, nominal, own), signs)
@@ -187,20 +185,22 @@ class FitPositions:
     holds: Trimmed | None = None
 
 
-def _require_table_alone(procedure: Procedure, options: FitOptions) -> None:
+def _require_table_alone(procedure: PositionProcedure, options: FitOptions) -> None:
     """Raise UsageError for what contradicts a table of positions."""
     if options["segments"] is not None:
         why = ("a ", Argument("table"), " has its positions already")
         raise UsageError(why, advice=("leave ", Argument("segments"), " out"))
-    if procedure.ramp is not None:
+    if isinstance(procedure, Ramp):
         why = (f"{procedure.name} takes a continuous record, not a ", Argument("table"), " of positions")
         raise UsageError(why)
 
 
-def _channels(data: Any, header: ReadingsHeader | None, procedure: Procedure, options: FitOptions) -> tuple[str, ...]:
+def _channels(
+    data: Any, header: ReadingsHeader | None, procedure: PositionProcedure, options: FitOptions
+) -> tuple[str, ...]:
     """Return the axes of a procedure that a log or a table has a reading of: a sensor of two axes has no column z."""
-    axes = procedure.determines.axes
-    if procedure.determines.free or not axes:
+    axes = procedure.axes
+    if isinstance(procedure, FreePositions) or not axes:
         return axes or AXES
     if header is None:
         named = named_columns(options["columns"], AXES)
@@ -213,7 +213,7 @@ def _channels(data: Any, header: ReadingsHeader | None, procedure: Procedure, op
     return found or axes
 
 
-def _of_table(data: Any, sensor: SensorIdentity, procedure: Procedure, options: FitOptions) -> FitPositions:
+def _of_table(data: Any, sensor: SensorIdentity, procedure: PositionProcedure, options: FitOptions) -> FitPositions:
     """Return the positions that a table states, with their means."""
     if hasattr(data, "data_vars"):  # an xarray Dataset states units
         table = FrameReader(data, name="the table")
@@ -221,7 +221,7 @@ def _of_table(data: Any, sensor: SensorIdentity, procedure: Procedure, options: 
         means = {name: sensor.unit for axis in AXES for name in (axis, f"u{axis}")}
         require_units(table, where, means, ("the ", Argument("unit")))
     file = str(data) if isinstance(data, str | Path) else "the table"
-    free = procedure.determines.free
+    free = isinstance(procedure, FreePositions)
     rows = _path_or_rows(data, "the table", TabledRow)
     positions = read_positions(rows, sensor.channels, named_columns(options["columns"], AXES), unnamed=free)
     provenance = _provenance("table of positions", table=_origin(data, FileRecord))
@@ -236,7 +236,7 @@ def _of_table(data: Any, sensor: SensorIdentity, procedure: Procedure, options: 
 def _of_log(
     logs: Recordings,
     sensor: SensorIdentity,
-    procedure: Procedure,
+    procedure: PositionProcedure,
     options: FitOptions,
     rails: Rails,
     signs: Mapping[str, float],
@@ -245,17 +245,16 @@ def _of_log(
 
     Names are checked before the log is read, which may be long.
     """
-    determines, given = procedure.determines, options["segments"]
+    given = options["segments"]
     file, judge, stated, say = logs.name, None, list[Segment](), options["say"]
     named = [Segment(name, 0, 0, None, None) for name in logs.positions if name is not None]
     if given is not None:
         if named:
             raise UsageError(option="segments", why="names positions, and the logs do (NAME=FILE): leave one out")
         file, stated = _segments(given)
-    elif not named and (determines.free or len(procedure.positions) > 1):
+    elif not named and (isinstance(procedure, FreePositions) or len(procedure.positions) > 1):
         judge = _judge(procedure, sensor.channels)
-    if not determines.free:
-        require_positions([*stated, *named], procedure, file=file)
+    require_positions([*stated, *named], procedure, file=file)
     record, found = logs.read(sensor.channels, options["columns"], sensor.unit)
     record = with_signs(record, signs)
     origin, fewest, holds = _origin(given, SegmentsRecord), WINDOWS[-1], None
@@ -279,11 +278,9 @@ def _of_log(
                 holds=count, trimmed=holds.trimmed, left_out=holds.left_out
             )
         stated = [*holds.segments]
-        if not determines.free:
-            _require_held(procedure, holds, file)
+        _require_held(procedure, holds, file)
     segments = stated or [Segment(procedure.positions[0].name, 0, len(record), None, None)]
-    thermal = determines.drift or determines.gain
-    soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if thermal else 0.0
+    soak = (procedure.soak.thermometer or SOAKS * procedure.soak.seconds) if procedure.thermal else 0.0
     intervals = intervals_of(record, sensor.channels, segments, rails, file=file, soak=soak)
     measurements = [one.measurement for one in intervals]
     for one in measurements:
@@ -292,8 +289,7 @@ def _of_log(
             say(f"{one.position}: {which} far off the others or missing, and left out")
     times = [interval.times for interval in intervals if interval.times is not None]
     provenance = _provenance("recorded log", times, **logs.provenance(record), segments=origin)
-    if not determines.free:
-        measurements = placed(intervals, procedure, file=file)
+    measurements = placed(intervals, procedure, file=file)
     step = even_step(record.by_role["temperature"]) if "temperature" in record.by_role else 0.0
     means = np.array([[one.summaries[channel].mean for channel in sensor.channels] for one in measurements])
     return FitPositions(
@@ -315,8 +311,10 @@ def _holds_of(segments: Sequence[Segment]) -> Iterator[tuple[str, int]]:
         yield segment.name, number
 
 
-def _require_held(procedure: Procedure, holds: Trimmed, file: str) -> None:
+def _require_held(procedure: PositionProcedure, holds: Trimmed, file: str) -> None:
     """Refuse a procedure of set positions of which one has no hold left."""
+    if isinstance(procedure, FreePositions):
+        return
     there = {segment.name for segment in holds.segments}
     gone = [position.name for position in procedure.positions if position.name not in there]
     reasons = [f"{name} ({why})" for name, why in holds.left_out.items() if name.partition(" (")[0] in gone]
@@ -325,7 +323,7 @@ def _require_held(procedure: Procedure, holds: Trimmed, file: str) -> None:
 
 
 def _of_ramp(
-    logs: Recordings, sensor: SensorIdentity, procedure: Procedure, options: FitOptions, signs: Mapping[str, float]
+    logs: Recordings, sensor: SensorIdentity, procedure: Ramp, options: FitOptions, signs: Mapping[str, float]
 ) -> FitPositions:
     """Return the continuous record of a ramp: the whole log, or the rows of its one segment."""
     given, segment = options["segments"], None
@@ -380,12 +378,12 @@ def _segments(given: Any) -> tuple[str, list[Segment]]:
     return file, read_segments(_path_or_rows(given, "the segments", SegmentRow))
 
 
-def _judge(procedure: Procedure, channels: Sequence[str]) -> Judge:
+def _judge(procedure: PositionProcedure, channels: Sequence[str]) -> Judge:
     """Return what judges static intervals; a UsageError where readings do not tell the positions apart."""
-    if procedure.determines.free:
+    if isinstance(procedure, FreePositions):
         return fit_free
     gravity = {position.name: position.gravity for position in procedure.positions}
-    judge = judge_of(gravity, channels) if procedure.determines.axes else None
+    judge = judge_of(gravity, channels) if procedure.axes else None
     if judge is None:
         raise UsageError(
             (
@@ -430,7 +428,7 @@ def _origin(source: Any, record: type[R]) -> R | None:
 
 
 def _identity(
-    base: CalibrationRecord | None, model: Model | None, steps: Procedure, unit: str | None, serial: str
+    base: CalibrationRecord | None, model: Model | None, steps: PositionProcedure, unit: str | None, serial: str
 ) -> SensorIdentity:
     """Return the identity of the sensor, and the unit of its readings."""
     if base is not None:
@@ -446,15 +444,15 @@ def _identity(
         raise UsageError(
             ("state the ", Argument("unit"), " of the readings (such as m/s2), or the ", Argument("sensor"), " model")
         )
-    if model is not None and unit not in (None, model.unit) and not steps.determines.axes:
+    if model is not None and unit not in (None, model.unit) and not steps.axes:
         raise UsageError(
             f"{steps.name} takes the nominal sensitivity of {model.name}, which is per g in {model.unit} and not in "
             f"{unit}",
             advice=(f"name the model that reads {unit}, or leave ", Argument("unit"), " out"),
         )
-    if model is None and not (steps.determines.axes or steps.determines.free):
+    if model is None and not steps.axes:
         raise EstimateError(f"{steps.name} determines no sensitivity, and none is known", advice=SENSITIVITY_FROM)
-    channels = tuple(model.channels) if model else steps.determines.axes or ("x", "y", "z")
+    channels = tuple(model.channels) if model else steps.axes or AXES
     unit = str(model and model.unit) if unit is None else unit
     for what, text in (("the serial number", serial), ("the unit", unit)):
         require_name(text, what)

@@ -28,7 +28,7 @@ from tiltcal.core.samples import SampleSummary, resolution, summarise
 from tiltcal.dialect import TEMPERATURE, TIME
 from tiltcal.errors import InputError
 from tiltcal.files.moments import stamp_of
-from tiltcal.files.procedure import Procedure
+from tiltcal.files.procedure import FreePositions, PositionProcedure
 from tiltcal.files.tables import Segment, TabledPosition
 from tiltcal.logs.columns import RecordedColumns
 
@@ -228,14 +228,16 @@ def intervals_of_table(positions: Sequence[TabledPosition]) -> list[StaticInterv
     return intervals
 
 
-def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: str) -> list[Measurement]:
-    """Return measurements in known directions.
+def placed(intervals: Sequence[StaticInterval], procedure: PositionProcedure, *, file: str) -> list[Measurement]:
+    """Return measurements in known directions; free ones have none.
 
     The procedure says the direction of a position that is only named, and its temperature where none was recorded.
     Refused is a temperature that did not stand still where it counts, or is missing in some.
     """
+    if isinstance(procedure, FreePositions):
+        return [interval.measurement for interval in intervals]
     known = {position.name: position for position in procedure.positions}
-    if procedure.determines.drift or procedure.determines.gain:
+    if procedure.thermal:
         for interval in intervals:
             _require_steady(interval, procedure, file)
         _require_temperatures(intervals, file)
@@ -255,10 +257,12 @@ def placed(intervals: Sequence[StaticInterval], procedure: Procedure, *, file: s
     return measurements
 
 
-def require_positions(named: Iterable[Segment] | Iterable[TabledPosition], procedure: Procedure, *, file: str) -> None:
+def require_positions(
+    named: Iterable[Segment] | Iterable[TabledPosition], procedure: PositionProcedure, *, file: str
+) -> None:
     """Refuse segments or tabled positions without a direction whose names the procedure does not have."""
     known = [position.name for position in procedure.positions]
-    for segment in named:
+    for segment in () if isinstance(procedure, FreePositions) else named:
         if segment.gravity is None and segment.name not in known:
             near = get_close_matches(segment.name, known, n=1)
             meant = f" (did you mean {near[0]!r}?)" if near else f"; it has {', '.join(known)}"
@@ -381,7 +385,7 @@ class _LogInterval:
         return InputError(f"segment {part.name}: {why}", file=self.file, line=part.line)
 
 
-def _require_steady(interval: StaticInterval, procedure: Procedure, file: str) -> None:
+def _require_steady(interval: StaticInterval, procedure: PositionProcedure, file: str) -> None:
     """Refuse a temperature point at which thermometer and sensor were still on their way, each at its own pace."""
     allowed, seconds = procedure.soak.drift, procedure.soak.thermometer or SOAKS * procedure.soak.seconds
     if abs(interval.warming) > allowed:

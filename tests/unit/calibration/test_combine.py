@@ -22,7 +22,6 @@ from tiltcal.drivers.model import Model
 from tiltcal.errors import EstimateError, UsageError
 from tiltcal.files.calibration import CalibrationRecord, SensorIdentity
 from tiltcal.files.procedure import Position, Procedure, find_procedure
-from tiltcal.files.procedure_file import Determines
 from tiltcal.files.results import FileRecord, Provenance
 from tiltcal.library.calibration import Calibration, combine
 
@@ -80,11 +79,7 @@ def test_two_sessions_give_what_one_joint_session_gives(with_base: bool, model: 
     """Whether the overnight run took the part's own sensitivity or the nominal one: it is no information."""
     scale = calibrated(ZERO_45, session(ZERO_45, 1, 24.0), model=model)
     drift = calibrated(TWO, session(TWO, 2), scale.record if with_base else None, model=model)
-    both = ZERO_45.replaced(
-        positions=(*ZERO_45.positions, *TWO.positions),
-        determines=Determines(("x", "y"), drift=1),
-        reference=24.0,
-    )
+    both = replace(ZERO_45, positions=(*ZERO_45.positions, *TWO.positions), drift=1, reference=24.0)
     # Joined they are one session but for the levels, each of which was set by itself: the second has a heading of 360°.
     night = [replace(one, heading=360.0) for one in session(TWO, 2)]
     joint = calibrated(both, [*session(ZERO_45, 1, 24.0), *night], model=model)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from tiltcal.core.pair.model import Pair
 from tiltcal.errors import InputError, UsageError
 from tiltcal.files.document import document_of
-from tiltcal.files.procedure import find_procedure, procedure_in, read_procedure
-from tiltcal.files.procedure_file import PairSelection, Rotation
+from tiltcal.files.procedure import Rotation, find_procedure, procedure_in, read_procedure
 
 OWN = """\
 tiltcal: 1
@@ -76,9 +76,9 @@ def test_angle_is_refused_out_of_range_and_where_none_is_free() -> None:
 
 
 def test_own_procedure_is_run_by_path(own: Path) -> None:
-    procedure = find_procedure(str(own))
+    procedure = find_procedure(str(own)).in_positions()
     level, up, side = procedure.positions
-    assert procedure.determines.axes == ("x", "y")
+    assert procedure.axes == ("x", "y")
     assert (procedure.samples, procedure.settle) == (100, 2.0)  # the defaults of the reference
     assert level.gravity == (0.0, 0.0, 1.0)
     assert (up.tilt, up.prompt, up.heading) == ({"x": 20.0, "y": -20.0}, "Up 20° at 5.5 °C", 90.0)
@@ -130,23 +130,25 @@ def test_what_is_wrong_with_positions_is_told_with_line_and_key(own: Path) -> No
 
 def test_a_users_own_is_read_and_comes_again_from_its_record(turning: Path) -> None:
     procedure = read_procedure(turning)
-    pair = PairSelection(("left", "right"), "up")
-    assert procedure.rotation == Rotation("angle", (pair,), "Start the motor.", 12, 1e-6, 30.0)
+    assert isinstance(procedure, Rotation)
+    assert (procedure.phase, procedure.pairs) == ("angle", (Pair("left", "right", "up"),))
+    assert (procedure.prompt, procedure.turns, procedure.converged) == ("Start the motor.", 12, 1e-6)
+    assert procedure.patience == 30.0
     assert procedure_in(document_of(json.loads(json.dumps(procedure.record)))) == procedure
 
 
 def test_the_turns_of_the_command_line_take_the_place_of_the_files(turning: Path) -> None:
     procedure = read_procedure(turning)
     assert procedure.with_turns(None) is procedure
-    longer = procedure.with_turns(40).rotation
-    assert longer is not None
+    longer = procedure.with_turns(40)
+    assert isinstance(longer, Rotation)
     assert longer.turns == 40
     with pytest.raises(UsageError, match="turns takes a number of turns from 2"):
         procedure.with_turns(1)
     with pytest.raises(UsageError, match="leave turns out"):
         find_procedure("plane").with_turns(4)
     with pytest.raises(UsageError, match="tiltcal match"):
-        procedure.require_positions()
+        procedure.in_positions()
 
 
 def test_what_is_wrong_with_a_rotation_is_told_with_line_and_key(turning: Path) -> None:
