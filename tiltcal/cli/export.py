@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
+from tiltcal.calibration.record import limits_of
 from tiltcal.cli import options
 from tiltcal.cli.talk import remark
 from tiltcal.errors import UsageError
 from tiltcal.export.targets import Source, exported
 from tiltcal.files.atomic import check_writable, write_whole
 from tiltcal.files.calibration import read_calibration
-from tiltcal.library.calibration import Calibration
 
 TARGETS = ("c", "fusion", "ros", "px4", "ardupilot", "iio", "python", "json")
 
@@ -57,7 +57,7 @@ def command(calibration: Path, to: str, output: Path | None, name: str, fixed: b
     if output is not None:
         check_writable(output, calibration)
     record = read_calibration(calibration)
-    found = exported(Source(record, Calibration(record).limits, name), "c-fixed" if fixed else to)
+    found = exported(Source(record, limits_of(record), name), "c-fixed" if fixed else to)
     if found.left_out:
         remark(f"{to} does not hold {', '.join(found.left_out)}")
     error = f"angles differ from those of apply by at most {found.bound:.2g}° in the calibrated range"

@@ -148,8 +148,20 @@ class Document:
         return replace(self, data={name: self.data[name] for name in self.data if name not in ("tiltcal", "kind")})
 
 
+_JOURNAL = b'{"tiltcal-journal"'
+_LOGS = (".csv", ".tsv", ".parquet", ".nc", ".nc4", ".mcap", ".bag", ".db3")
+
+
 def read_document(path: str | Path) -> Document:
     """Read one YAML document from a file; an InputError where it cannot be read, or uses what is refused here."""
+    why = ""
+    with suppress(OSError), open(path, "rb") as stream:
+        if stream.read(len(_JOURNAL)) == _JOURNAL:
+            why = "this is the journal of a session: tiltcal replay makes its calibration, measure --resume goes on"
+        elif Path(path).suffix.lower() in _LOGS:
+            why = "this is a log: tiltcal apply converts it, tiltcal fit calibrates from it"
+    if why:
+        raise InputError(why, file=str(path))
     return parse_document(read_text(path), file=str(path))
 
 

@@ -4,12 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from hashlib import sha256
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 
 from tiltcal.files.device import DeviceFile
-from tiltcal.files.record import AboveZero, ByAxis, Count, Finite, FromOne, Range, Record, Size, Text, about, one_of
+from tiltcal.files.record import (
+    AboveZero,
+    ByAxis,
+    Count,
+    Finite,
+    FromOne,
+    Range,
+    Record,
+    Size,
+    Text,
+    about,
+    one_of,
+    plain,
+)
+from tiltcal.printable import in_html
 
 if TYPE_CHECKING:
     from tiltcal.core.attitude import Vector
@@ -198,6 +212,10 @@ class FitRecord(Record, kw_only=True):
     mounting: Annotated[MountingFit | None, about("after the mounting procedure: how well its positions agree")] = None
     level: Annotated[LevelFit | None, about("after `level`: by how much the offset has changed")] = None
 
+    def _repr_html_(self) -> str:
+        """Return what is stated as a notebook shows it, a row each."""
+        return in_html("\n".join(f"  {name}  {one}" for name, value in plain(self).items() for one in _rows(value)))
+
 
 class DerivedCoverage(Record, kw_only=True):
     """Coverage factors of derived quantities, for intervals of 95 %; or other numbers of theirs."""
@@ -352,3 +370,12 @@ class PairProvenance(Provenance, kw_only=True):
     samples: Annotated[SamplesRecord | None, about("`used` and `left_out`")] = None
     stopped: Annotated[Text | None, about("why the rotation ended")] = None
     not_matched: Annotated[Names, about("pairs that could not be matched, and why")] = ()
+
+
+def _rows(value: Any) -> list[str]:
+    """Return a value of a record as the cells of its rows: of a mapping of mappings one each."""
+    if not isinstance(value, Mapping):
+        return [str(value)]
+    flat = {name: one for name, one in value.items() if not isinstance(one, Mapping)}
+    rows = ["  ".join(f"{name} {one}" for name, one in flat.items())] if flat else []
+    return [*rows, *(f"{name}  {row}" for name, one in value.items() if name not in flat for row in _rows(one))]

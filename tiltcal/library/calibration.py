@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import degrees
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, TypeVar, Unpack, overload
@@ -13,7 +14,7 @@ from tiltcal.calibration.comparison import Comparison, compare_records
 from tiltcal.calibration.record import compensation_of, limits_of, record_in, stated_mounting, with_mounting
 from tiltcal.calibration.wording import pair_summary, summary
 from tiltcal.core.compensation import Compensation
-from tiltcal.core.model import Coefficients, Limits
+from tiltcal.core.model import Coefficients
 from tiltcal.core.pair.compensation import PairCompensation
 from tiltcal.core.pair.matching import Matching
 from tiltcal.errors import UsageError
@@ -137,6 +138,40 @@ class Applicable:
         return apply_frame(self._applied, frame, complete(ApplyOptions, options))
 
 
+class Sensitivities(dict[tuple[str, str], float]):
+    """Sensitivities by channel and axis, unit/g."""
+
+    def __missing__(self, key: object) -> float:
+        raise KeyError(f"{key!r}: a sensitivity has two indices, channel and axis, such as ['x', 'y']")
+
+
+@dataclass(frozen=True)
+class CalibratedRange:
+    """Where a calibration holds.
+
+    Attributes
+    ----------
+    tilt : dict of str to tuple of float
+        Lowest and highest tilt by axis, degrees.
+    temperature : tuple of float or None
+        Lowest and highest temperature, °C.
+    reading : dict of str to tuple of float
+        The rails by channel, unit.
+    """
+
+    tilt: dict[str, tuple[float, float]]
+    temperature: tuple[float, float] | None
+    reading: dict[str, tuple[float, float]]
+
+    def __str__(self) -> str:
+        ranges = [(f"tilt {axis}", range, "°") for axis, range in self.tilt.items()]
+        ranges += [] if self.temperature is None else [("temperature", self.temperature, " °C")]
+        ranges += [(f"reading {channel}", range, "") for channel, range in self.reading.items()]
+        return "\n".join(f"  {name}  {low:g}{unit}  to  {high:g}{unit}" for name, (low, high), unit in ranges)
+
+    _repr_html_ = in_html
+
+
 class Calibration(SavedCalibration, Applicable):
     """The calibration of one tilt sensor.
 
@@ -198,19 +233,20 @@ class Calibration(SavedCalibration, Applicable):
         return dict(zip(self.coefficients.channels, self.coefficients.offset.tolist(), strict=True))
 
     @property
-    def sensitivity(self) -> dict[tuple[str, str], float]:
+    def sensitivity(self) -> Sensitivities:
         """Sensitivity by channel and axis, unit/g."""
         rows = zip(self.coefficients.channels, self.coefficients.sensitivity.tolist(), strict=True)
-        return {
-            (channel, axis): value
-            for channel, row in rows
-            for axis, value in zip(self.coefficients.axes, row, strict=True)
-        }
+        axes = self.coefficients.axes
+        return Sensitivities(
+            {(channel, axis): one for channel, row in rows for axis, one in zip(axes, row, strict=True)}
+        )
 
     @cached_property
-    def limits(self) -> Limits:
-        """Where the calibration holds, angles in radians; the rails are the model's where the file names none."""
-        return limits_of(self.record)
+    def limits(self) -> CalibratedRange:
+        """Where the calibration holds, angles in degrees; the rails are the model's where the file names none."""
+        limits = limits_of(self.record)
+        tilt = {axis: (degrees(low), degrees(high)) for axis, (low, high) in limits.tilt.items()}
+        return CalibratedRange(tilt, limits.temperature, limits.reading)
 
     def compensation(self, *, first_order: bool = False) -> Compensation:
         """Return the compensation of readings in arrays, with these coefficients and limits.
@@ -331,21 +367,22 @@ class PairCalibration(SavedCalibration):
         return "\n\n".join(pair_summary(matching) for matching in self.matchings)
 
 
-def read(path: str | Path) -> Calibration | Any:
+def read(path: str | Path) -> Calibration:
     """Read and check a calibration file of either kind.
 
     Returns
     -------
-    Calibration or PairCalibration
-        By the ``kind`` of the file, which no type checker can infer: where it matters, check it with `isinstance`.
+    Calibration
+        Of the file of pairs a PairCalibration, which no type checker can infer: where it matters, use `isinstance`.
 
     Raises
     ------
     InputError
-        Anything in it is wrong; the message names file, line and key.
+        Anything in it is wrong; the message names file, line and key. Of a journal or a log, what takes it.
     """
-    record = record_in(read_document(path))
-    return PairCalibration(record) if isinstance(record, PairRecord) else Calibration(record)
+    record: Any = record_in(read_document(path))
+    made: Any = PairCalibration(record) if isinstance(record, PairRecord) else Calibration(record)
+    return made  # type: ignore[no-any-return]
 
 
 def compare(old: Calibration, new: Calibration) -> Comparison:

@@ -59,6 +59,7 @@ def tilt_figure(calibration: CalibrationRecord, curves: Mapping[str, TiltUncerta
         f"{largest:.2g}° over the range that is shown.",
         caption=f"{sides} the 95 % interval of the calibrated tilt at the reference temperature: thick from the "
         "coefficients alone, thin of one single reading with its noise. Each axis is tilted by itself."
+        + ("" if known else f" There is no error before: no data sheet of a model {calibration.sensor.model} is known.")
         + ("" if calibration.limits.tilt else f" No range of tilts was covered: ±{USUAL:g}° is shown."),
     )
 

@@ -6,7 +6,7 @@ import pickle
 import re
 from collections.abc import Callable
 from copy import copy, deepcopy
-from math import radians
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +39,7 @@ limits:
 def calibration(tmp_path: Path) -> Calibration:
     path = tmp_path / "S-0042.yaml"
     path.write_text(FILE, encoding="utf-8")
-    return read(path)  # type: ignore[no-any-return]
+    return read(path)
 
 
 def test_coefficients_are_named(calibration: Calibration) -> None:
@@ -73,7 +73,7 @@ def test_a_copy_is_equal_and_cannot_be_changed(copied: Callable[[Calibration], C
 
 
 def test_limits_have_the_rails_of_the_model_where_the_file_names_none(calibration: Calibration) -> None:
-    assert calibration.limits.tilt["x"] == pytest.approx((radians(-30), radians(30)))
+    assert calibration.limits.tilt["x"] == pytest.approx((-30.0, 30.0))
     assert calibration.limits.reading == dict.fromkeys(("x", "y"), find_model("sca100t-d02").rails)
     result = calibration.compensation()(np.array([[0.0, 1021.9]]))
     assert (int(result.flag[0]), int(result.reason[0]) & 4) == (4, 4)
@@ -85,9 +85,23 @@ def test_a_notebook_shows_calibration_plan_comparison_and_figure() -> None:
         head = re.split(r"\s{2,}", str(shown).splitlines()[1][2:])
         assert "".join(f">{cell}</td>" for cell in head) in re.sub(r"<td [^>]*", "", shown._repr_html_())
         assert isinstance(shown, tiltcal.Calibration) or repr(shown) == str(shown)
+    assert ">chi_square</td>" in cal.fit._repr_html_() or ">degrees_of_freedom</td>" in cal.fit._repr_html_()
+    assert ">tilt x</td>" in cal.limits._repr_html_()
     shown = cal.plot()._repr_html_()
     assert "error, data sheet [°]" in shown
     assert "95 % interval, calibrated" in shown
+    recorded = Calibration(replace(cal.record, sensor=cal.sensor.replaced(model="recorded")))
+    assert "no data sheet of a model recorded is known" in recorded.plot()._repr_html_()
+
+
+def test_what_is_no_calibration_is_called_what_it_is(calibration: Calibration, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("x,y\n1,2\n", encoding="utf-8")
+    for path, why in ((FIXTURES / "mavs.journal.jsonl", "journal of a session: tiltcal replay"),
+                      (tmp_path / "log.csv", "a log: tiltcal apply")):  # fmt: skip
+        with pytest.raises(InputError, match=why):
+            read(path)
+    with pytest.raises(KeyError, match="two indices, channel and axis"):
+        calibration.sensitivity["x"]  # type: ignore[index]
 
 
 def test_saved_file_reads_back_equal(calibration: Calibration, tmp_path: Path) -> None:
