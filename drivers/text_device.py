@@ -9,7 +9,7 @@ The group ``checksum`` holds the check sum of the group ``checked``, in hexadeci
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial, reduce
@@ -23,7 +23,7 @@ from tiltcal.drivers.bus import Link
 from tiltcal.drivers.bus.clock import Clock
 from tiltcal.drivers.columns import CHUNK, LONGEST, TEMPERATURE, UNUSABLE, Scale, channels_of, model_of_numbers
 from tiltcal.drivers.model import Model, Reading, Sensor, as_tilt
-from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth, VirtualPart
+from tiltcal.drivers.virtual import HeldPose, StreamingPart, Truth
 from tiltcal.errors import BusError
 
 ENCODING = "latin-1"
@@ -32,15 +32,16 @@ ENCODING = "latin-1"
 LINE_ENDS = {"lf": "\n", "cr": "\r", "crlf": "\r\n"}
 CHECKED, CHECKSUM = "checked", "checksum"
 CHECKSUMS: Mapping[str, Callable[[bytes], int]] = {"xor": partial(reduce, xor), "sum": sum}
-DECIMALS = ("point", "comma")
+_MARKS = {"point": ".", "comma": ","}
+DECIMALS = tuple(_MARKS)
 DEGREES = ("deg", "°")
 
 _ANY_END = r"[\r\n]+"
 _NUMBER = re.compile(r"([+-]?) *([0-9]+(?:\.([0-9]*))?|\.([0-9]+))(?:[eE]([+-]?[0-9]{1,3}))?")
 _LEFT_OVER = re.compile(r"(?<![\w.])[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?![\w.])")
 _TOUCHES = re.compile(r"[\w.,+-]")
-_EXAMPLES = ("+00.000", "+0.000", "00.000", "000.00", "000,00", "+00,000", "0.000", "0,000", "0.0", "+0.0", "0,0", "0")
-"""Numbers as manuals show them, of which the answer of a virtual part is made where its file shows none."""
+_FORMS = ("{:+07.3f}", "{:.3f}", "{:.2f}", "{:.1f}", "{:.0f}", "{:+.2f}", "{:+.1f}", "{:+.0f}")
+_CATEGORIES = {"CATEGORY_SPACE": " ", "CATEGORY_DIGIT": "0", "CATEGORY_WORD": "a", "CATEGORY_NOT_SPACE": "a"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,10 +51,9 @@ class TextDevice:
     ask: what is sent before each reading; empty where it speaks by itself.
     answer: the pattern of its answer.
     ends: what ends a message, as its characters or a word of :data:`LINE_ENDS`; empty is any line end.
-    decimal: a word of :data:`DECIMALS`; checksum: one of :data:`CHECKSUMS`, or empty.
+    decimal: ``point`` or ``comma``; checksum: one of :data:`CHECKSUMS`, or empty.
     timeout: seconds in which an answer comes; line: options of its serial line.
     interval: shortest time between two new readings, s.
-    example: an answer; where it is empty, the virtual part makes one of the pattern.
     """
 
     name: str
@@ -67,12 +67,16 @@ class TextDevice:
     timeout: float = 2.0
     line: Mapping[str, str]
     interval: float = 0.0
-    example: str = ""
 
     @cached_property
     def pattern(self) -> re.Pattern[str]:
         """The pattern of an answer."""
         return re.compile(self.answer)
+
+    @cached_property
+    def tree(self) -> Any:
+        """The pattern as Python parses it."""
+        return import_module("re._parser").parse(self.answer)
 
     @cached_property
     def end(self) -> re.Pattern[str]:
@@ -258,11 +262,6 @@ class TextSensor(Sensor):
                 continue
             self.why, self._text = "", self._text[stop:]
             return Reading(tuple(numbers[name] for name in self.channels), numbers.get(TEMPERATURE), step)
-        lines = end.split(self._text)
-        kept = 1 + device.answer.count(r"\n") + device.answer.count(r"\s")
-        self._damaged += max(0, len(lines) - 1 - kept)
-        if len(lines) - 1 > kept:
-            self._text = self._text[[found.end() for found in end.finditer(self._text)][-1 - kept] :]
         return None
 
     def _require_sound(self, match: re.Match[str], left: tuple[str, str]) -> None:
@@ -278,41 +277,29 @@ class TextSensor(Sensor):
 # --- The virtual part ---
 
 
-def example_of(device: TextDevice) -> str:
-    """Return an answer that the pattern matches: the one of the file, or one that is made of the pattern.
+def answer_with(device: TextDevice, numbers: Mapping[str, float]) -> str:
+    """Return an answer with these numbers, in the first form that the pattern takes; without a sign they count to 360.
 
-    ValueError: the pattern does not match it, its check sum is wrong, or the pattern is too intricate to make one.
+    ValueError: the pattern is too intricate for an answer to be made of it.
     """
-    texts: Iterable[str] = [device.example]
-    if not device.example:
-        tree = import_module("re._parser").parse(device.answer)
-        groups = {number: name for name, number in device.pattern.groupindex.items()}
-        wanted = product(_EXAMPLES, repeat=len(device.names))
-        texts = (_written(tree, groups, dict(zip(device.names, numbers, strict=True))) for numbers in wanted)
-    why = "the answer does not match it" if device.example else "state an example: none can be made of this pattern"
-    for text in texts:
-        if (match := device.pattern.search(text)) is None:
+    groups = {number: name for name, number in device.pattern.groupindex.items()}
+    for turned, forms in product((0.0, 360.0), product(_FORMS, repeat=len(device.names))):
+        written = {
+            name: form.format(numbers[name] + turned * (numbers[name] < 0.0)).replace(".", _MARKS[device.decimal])
+            for name, form in zip(device.names, forms, strict=True)
+        }
+        text = _of_pattern(device.tree, groups, written)
+        if (match := device.pattern.search(text)) is None or any(match[name] != one for name, one in written.items()):
             continue
+        if device.checksum:
+            first, last = match.span(CHECKSUM)
+            text = text[:first] + device.summed(match[CHECKED], match[CHECKSUM]) + text[last:]
         ends = LINE_ENDS.get(device.ends, device.ends) or "\r\n"
-        whole = text if device.end.search(text, max(match.end() - 1, 0)) else text + ends
-        whole = whole if device.example else _summed_up(device, whole)
-        try:
-            device.numbers(_match(device, whole))
-        except ValueError as error:
-            why = str(error)
-        else:
-            return whole
-    raise ValueError(why)
+        return text if device.end.search(text, match.end() - 1) else text + ends
+    raise ValueError("the virtual part can make no answer of this pattern: write it simpler")
 
 
-def _match(device: TextDevice, text: str) -> re.Match[str]:
-    match = device.pattern.search(text)
-    if match is None:
-        raise ValueError(f"{device.answer!r} does not match {text!r}")
-    return match
-
-
-def _written(tree: Any, groups: Mapping[int, str], numbers: Mapping[str, str]) -> str:
+def _of_pattern(tree: Any, groups: Mapping[int, str], numbers: Mapping[str, str]) -> str:
     """Return the shortest text of a parsed pattern, with a number in each group that has one."""
     text = ""
     for operation, value in tree:
@@ -320,93 +307,26 @@ def _written(tree: Any, groups: Mapping[int, str], numbers: Mapping[str, str]) -
             case "LITERAL", code:
                 text += chr(code)
             case "IN", [(kind, of), *_]:
-                text += _OF_CATEGORY.get(str(of), "") or chr(of[0] if str(kind) == "RANGE" else of or ord(" "))
+                text += _CATEGORIES.get(str(of), "") or chr(of[0] if str(kind) == "RANGE" else of or ord(" "))
             case "ANY" | "NOT_LITERAL", _:
                 text += " "
             case "MAX_REPEAT" | "MIN_REPEAT" | "POSSESSIVE_REPEAT", (least, _, item):
-                text += _written(item, groups, numbers) * least
+                text += _of_pattern(item, groups, numbers) * least
             case "SUBPATTERN", (number, _, _, item):
-                text += numbers.get(groups.get(number, ""), "") or _written(item, groups, numbers)
+                text += numbers.get(groups.get(number, ""), "") or _of_pattern(item, groups, numbers)
             case "BRANCH", (_, [first, *_]):
-                text += _written(first, groups, numbers)
+                text += _of_pattern(first, groups, numbers)
     return text
 
 
-_OF_CATEGORY = {"CATEGORY_SPACE": " ", "CATEGORY_DIGIT": "0", "CATEGORY_WORD": "a", "CATEGORY_NOT_SPACE": "a"}
-
-
-def answer_with(device: TextDevice, example: str, numbers: Mapping[str, float]) -> bytes:
-    """Return an example with other numbers, each written as the one before; degrees without a sign count to 360."""
-    match = _match(device, example)
-    for turned, signed in product((False, True), repeat=2):
-        shown = {name: number % 360.0 if turned else number for name, number in numbers.items()}
-        text = _with_numbers(match, shown, signed=signed)
-        found = device.pattern.search(text)
-        if found is not None and all("-" in found[name] for name, number in shown.items() if number < 0.0):
-            break
-    return _summed_up(device, text).encode(ENCODING)
-
-
-def _with_numbers(match: re.Match[str], numbers: Mapping[str, float], *, signed: bool) -> str:
-    """Return the text of a match with other numbers; ``signed`` writes a plus where the one before has a minus."""
-    text = match.string
-    for name in sorted(numbers, key=match.start, reverse=True):
-        shown = match[name].strip()
-        whole, mark, part = re.fullmatch(r"[+-]? *(\d*)([.,]?)(\d*).*", shown).groups()  # type: ignore[union-attr]
-        width = len(shown) if whole.startswith("0") and len(whole) > 1 else 0
-        plus = "+" if shown[0] == "+" or (signed and shown[0] == "-") else ""
-        written = f"{numbers[name]:{plus}0{width}.{len(part)}f}".replace(".", mark or ".")
-        text = text[: match.start(name)] + written + text[match.end(name) :]
-    return text
-
-
-def _summed_up(device: TextDevice, text: str) -> str:
-    """Return an answer with its right check sum."""
-    if not device.checksum or (match := device.pattern.search(text)) is None:
-        return text
-    first, last = match.span(CHECKSUM)
-    return text[:first] + device.summed(match[CHECKED], match[CHECKSUM]) + text[last:]
-
-
-class VirtualAnswers(VirtualPart):
-    """A device that answers a question with the message of the moment, and is silent otherwise."""
-
-    letter = "r"
-
-    def __init__(
-        self, device: TextDevice, message: Callable[[int], bytes], truth: Truth, fixture: HeldPose, clock: Clock
-    ) -> None:
-        super().__init__(truth, fixture, clock)
-        self._device, self._message, self._waiting, self._asked = device, message, b"", 0
-        self.silence = device.timeout
-        self._byte_seconds = 10.0 / float(device.line.get("baudrate", 9600))
-
-    def _answered(self, out: bytes, count: int) -> bytes:
-        if out == self._device.ask.encode(ENCODING):
-            self._asked += 1
-            self._waiting = self._message(self._asked)
-        if not count:
-            self._waiting = self._waiting if out else b""
-            return b""
-        if not self._waiting:
-            self._clock.sleep(self.silence)
-            raise BusError("the virtual sensor is silent: it was asked nothing that it knows")
-        arrived, self._waiting = self._waiting[:count], self._waiting[count:]
-        self._clock.sleep((len(out) + len(arrived)) * self._byte_seconds)
-        return arrived
-
-
-def virtual_text_device(device: TextDevice, truth: Truth, fixture: HeldPose, clock: Clock) -> VirtualPart:
-    """Return a device that answers, or prints ten times a second."""
-    example = example_of(device)
+def virtual_text_device(device: TextDevice, truth: Truth, fixture: HeldPose, clock: Clock) -> StreamingPart:
+    """Return a device that answers, or prints, at most ten times a second; it takes any question for its own."""
 
     def message(number: int) -> bytes:
         numbers = {TEMPERATURE: fixture.temperature() + truth.thermometer_error}
         for name in channels_of(device.names):
             numbers[name] = as_tilt(truth.sample(name, fixture, clock, number), device.scale.unit)
-        return answer_with(device, example, {name: numbers[name] for name in device.names})
+        return answer_with(device, numbers).encode(ENCODING)
 
-    if device.ask:
-        return VirtualAnswers(device, message, truth, fixture, clock)
     baudrate = int(device.line.get("baudrate", 9600))
     return StreamingPart(truth, fixture, clock, message, period=max(device.interval, 0.1), baudrate=baudrate)

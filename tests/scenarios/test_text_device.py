@@ -223,10 +223,10 @@ def test_two_axes_in_one_column_are_no_position(tmp_path: Path, spread: float) -
     [
         ("(?P<x>", "(?P<tilt>", "the group 'tilt' is no reading"),
         ("X=(", "X=((", "this is no regular expression"),
-        ('ask: "R\\r"', "ask: 'R\\q'", r"'\\\\q' is no escape"),
+        ('ask: "R\\r"', "ask: 'R\\r'", "write it in double quotes"),
         ("timeout: 0.3", "checksum: xor", "nothing reads checked"),
         ("timeout: 0.3", "low: 2\nhigh: 1", "low=2 is not below high=1"),
-        ("timeout: 0.3", 'example: "X=+1"', "the answer does not match it"),
+        ("X=(", r"(.)\1X=(", "the virtual part can make no answer"),
         ("unit: deg", "units: deg", r"did you mean 'unit'\?"),
     ],
 )

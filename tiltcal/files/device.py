@@ -15,16 +15,10 @@ from msgspec import Meta
 from tiltcal.drivers import find_model
 from tiltcal.drivers.columns import AXES, RAIL, TEMPERATURE, Scale
 from tiltcal.drivers.model import Model
-from tiltcal.drivers.text_device import CHECKED, CHECKSUM, DECIMALS, TextDevice, example_of
+from tiltcal.drivers.text_device import CHECKED, CHECKSUM, DECIMALS, TextDevice, answer_with
 from tiltcal.errors import UsageError
 from tiltcal.files.document import Document, read_document
 from tiltcal.files.record import FromZero, Identifier, Number, Record, Text, about, one_of
-
-LINE_TEXTS = ("ask", "answer", "ends", "example")
-"""The keys with what goes over the line, in which control characters are written as escapes."""
-
-_ESCAPES = {"r": "\r", "n": "\n", "t": "\t", "\\": "\\"}
-_ESCAPE = re.compile(r"\\(?:x([0-9a-fA-F]{2})|(.))")
 
 Sent = Annotated[str, Meta(min_length=1)]
 
@@ -64,7 +58,6 @@ class DeviceFile(Record, kw_only=True, frozen=True):
     sensitivity: Annotated[Number | None, about("nominal, unit/g; the units g, mg and m/s2 imply it")] = None
     low: Annotated[Number | None, about("a reading at or below it is none")] = None
     high: Annotated[Number | None, about("a reading at or above it is none")] = None
-    example: Annotated[Sent | None, about("an answer of the manual, as which the virtual part answers")] = None
 
     @property
     def model(self) -> Model:
@@ -75,39 +68,15 @@ class DeviceFile(Record, kw_only=True, frozen=True):
     def device(self) -> TextDevice:
         """What its driver and its virtual part are made of."""
         low, high = -RAIL if self.low is None else self.low, RAIL if self.high is None else self.high
+        same = ("name", "title", "answer", "decimal", "timeout", "interval")
         return TextDevice(
-            name=self.name,
-            title=self.title,
+            **{key: getattr(self, key) for key in same},
             scale=Scale(self.unit, self.offset, self.sensitivity, low, high),
-            answer=self.answer,
-            ask=_characters(self.ask),
-            ends=_characters(self.ends),
-            decimal=self.decimal,
+            ask=self.ask or "",
+            ends=self.ends or "",
             checksum=self.checksum.removeprefix("none"),
-            timeout=self.timeout,
             line={key: str(getattr(self, key)) for key in ("baudrate", "parity", "bits", "timeout")},
-            interval=self.interval,
-            example=_characters(self.example),
         )
-
-
-def _characters(text: str | None) -> str:
-    """Return a text with the characters that its escapes stand for; a ValueError names an escape that is none."""
-
-    def character(escape: re.Match[str]) -> str:
-        if not escape[1] and escape[2] not in _ESCAPES:
-            raise ValueError(f"{escape[0]!r} is no escape: write \\r, \\n, \\t, \\x02 and its like, or \\\\ for itself")
-        return chr(int(escape[1], 16)) if escape[1] else _ESCAPES[escape[2]]
-
-    return _ESCAPE.sub(character, text or "")
-
-
-def _escaped(text: str) -> str:
-    """Return a text whose control characters, and those that are one byte and no ASCII, are escapes."""
-    short = {written: f"\\{letter}" for letter, written in _ESCAPES.items() if letter != "\\"}
-    return "".join(
-        short.get(one) or (one if " " <= one <= "~" or one > "\xff" else f"\\x{ord(one):02x}") for one in text
-    )
 
 
 @lru_cache(maxsize=64)
@@ -132,14 +101,6 @@ def device_of(document: Document) -> DeviceFile:
     """Return the content of a device file, checked; an InputError names file, line and key."""
     body = document.body("device")
     file = body.read(DeviceFile)
-    file = file.replaced(**{key: _escaped(text) for key in LINE_TEXTS if (text := getattr(file, key))})
-    for key in LINE_TEXTS:
-        if any(one > "\xff" for one in getattr(file, key) or ""):
-            raise body.error("a character beyond \\xff is no byte", key)
-        try:
-            _characters("" if key == "answer" else getattr(file, key))
-        except ValueError as error:
-            raise body.error(str(error), key) from None
     require_pattern(body, "answer", file.answer, () if file.checksum == "none" else (CHECKED, CHECKSUM))
     device = file.device
     if unknown := [name for name in device.names if name not in (*AXES, TEMPERATURE)]:
@@ -148,10 +109,14 @@ def device_of(document: Document) -> DeviceFile:
         raise body.error("nothing reads x, y or z: the pattern needs a group such as (?P<x>...)", "answer")
     if why := device.scale.objection():
         raise body.error(why, why.partition("=")[0])
+    for key in ("ask", "ends"):
+        text = getattr(file, key) or ""
+        if "\\" in text or max(text, default="") > "\xff":
+            raise body.error(f'{text!r} is no bytes: write it in double quotes, such as "\\x02R\\r"', key)
     try:
-        example_of(device)
+        answer_with(device, dict.fromkeys(device.names, 1.0))
     except ValueError as error:
-        raise body.error(str(error), "example" if file.example else "answer") from None
+        raise body.error(str(error), "answer") from None
     return file
 
 

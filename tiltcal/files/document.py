@@ -22,7 +22,7 @@ import msgspec
 from tiltcal.errors import InputError, TiltcalError
 from tiltcal.files.moments import moment
 from tiltcal.files.record import FORMAT_VERSION, KINDS
-from tiltcal.files.yaml_text import DEPTH_LIMIT, Place, dotted, parse, read_text
+from tiltcal.files.yaml_text import DEPTH_LIMIT, Place, dotted, is_sent, parse, read_text
 from tiltcal.printable import did_you_mean
 from tiltcal.stated_arguments import LEAST, require_printable
 
@@ -187,7 +187,8 @@ def _taken(data: Any, part: Document) -> Any:
     if isinstance(data, list | tuple):
         return [_taken(value, part.at(number)) for number, value in enumerate(data)]
     if isinstance(data, str):
-        require_printable(data, dotted(part.place), part.file, part.line)
+        if not is_sent(part.place):
+            require_printable(data, dotted(part.place), part.file, part.line)
     elif data is not None and not isinstance(data, bool | int | float):
         raise part.error(f"a number or a text is needed, not a {type(data).__name__}")
     return data

@@ -29,7 +29,7 @@ Place = tuple[str | int, ...]  # the keys and numbers of items that lead to a va
 SIZE_LIMIT = 4_000_000  # bytes; the largest calibration file seen is a hundredth of it
 NODE_LIMIT = 200_000
 DEPTH_LIMIT = 32
-MAY_CONTROL = [("ask",), ("answer",), ("ends",), ("example",)]  # what goes over a line; a device file escapes it
+SENT = ("ask", "answer", "ends")  # the keys of a device file with what goes over a line, control characters and all
 
 _NULL = re.compile(r"null|Null|NULL|~|")
 
@@ -46,6 +46,11 @@ def dotted(place: Place) -> str | None:
     """Return a place as messages name it, such as ``positions[0].mean``; None of the whole document."""
     steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in place)
     return "".join(steps).removeprefix(".") or None
+
+
+def is_sent(place: Place) -> bool:
+    """Return whether a text of a device file goes over a line, in a file of its own or as the key ``device``."""
+    return place[-1] in SENT and place[-2:-1] in ((), ("device",)) if place else False
 
 
 def read_text(path: str | Path) -> str:
@@ -111,7 +116,7 @@ class _Composer:
         line = self._checked(event)
         self.lines.setdefault(place, line)
         if isinstance(event, yaml.ScalarEvent):
-            if place not in MAY_CONTROL:
+            if not is_sent(place):
                 require_printable(event.value, dotted(place), self._file, line)
             return None if not event.style and _NULL.fullmatch(event.value) else str(event.value)
         if len(place) >= DEPTH_LIMIT:
