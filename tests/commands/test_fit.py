@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.command import tiltcal
 from support.recordings import recording
@@ -80,3 +81,21 @@ def test_with_a_stated_placement_error_imucals_offsets_are_inside_our_intervals(
     for axis, published in {"x": 0.5371, "y": -0.6162, "z": 0.3989}.items():
         offset = found.coefficients.offset["xyz".index(axis)]
         assert abs(offset - published) < 1.96 * found.uncertainty[f"offset.{axis}"]
+
+
+def test_numbers_of_few_digits_and_a_log_without_gravity_are_called_so(tmp_path: Path) -> None:
+    """Whole numbers of g say nothing better than some ten degrees; a phone may take gravity out."""
+    faces = "position,x,y,z\nx-up,1,0,0\nx-down,-1,0,0\ny-up,0,1,0\ny-down,0,-1,0\nz-up,0,0,1\nz-down,0,0,-1\n"
+    (tmp_path / "faces.csv").write_text(faces, encoding="utf-8")
+    for unit, code in (("g", 0), ("count", 2)):
+        options = ("--table", "--unit", unit, "--serial", "S-1", "-o", f"{unit}.yaml")
+        done = tiltcal("fit", "six-face", "faces.csv", *options, cwd=tmp_path)
+        assert (done.returncode, "wired" in done.stderr) == (code, False), done.stderr
+        assert f"the numbers of x have a step of 1 {unit}" in done.stdout + done.stderr
+    rows = np.random.default_rng(1).normal(0.1, 0.05, (400, 3))
+    np.savetxt(tmp_path / "phone.csv", rows, delimiter=",", header="x,y,z", comments="", fmt="%.4f")
+    options = ("--unit", "m/s2", "--serial", "P-1", "-o", "p.yaml")
+    done = tiltcal("fit", "free", "phone.csv", *options, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "m/s2 long at rest" in done.stderr
+    assert "gravity has been taken out" in done.stderr

@@ -121,6 +121,7 @@ def at_rail(channel: str, reading: str, rails: tuple[float, float]) -> str:
     )
 
 
+STEP = 0.05  # numbers whose step is more than this, g (3° near level), have too few digits
 LEAST_ANGLE = 15.0
 """Channels whose directions are closer together are one channel twice, degrees; ours: no part is so skew."""
 
@@ -192,6 +193,7 @@ def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
     """Return remarks on the wiring that the sensitivities show; refused where one is zero or two are alike."""
     u, factors, coefficients = found.uncertainty(), found.uncertain.by_name(found.uncertain.factors), found.coefficients
     rows = dict(zip(coefficients.channels, coefficients.sensitivity, strict=True))
+    remarks: list[str] = []
     for channel, row in rows.items():
         sensitivity, axis = max((abs(float(value)), axis) for axis, value in zip(coefficients.axes, row, strict=True))
         name = f"sensitivity.{channel}.{axis}"
@@ -199,18 +201,27 @@ def judge_channels(sensor: MeasuredSensor, found: Estimate) -> tuple[str, ...]:
         expanded = factors.get(name, 2.0) * u[name]
         usual = sensor.nominal.sensitivity if sensor.nominal is not None and sensor.nominal.scaled else 0.0
         usual = abs(usual) or OF_G.get(sensor.sensor.unit, 0.0)
+        step = max(measurement.summaries[channel].resolution for measurement in sensor.measurements)
+        coarse = f"the numbers of {channel} have a step of {step:g} {sensor.sensor.unit}"
         reacts = usual and sensitivity > usual / CLEARLY  # as much as it should, however uncertain
         if not reacts and sensitivity <= max(REACTION * expanded, ROUNDING * largest):
             raise EstimateError(
                 f"{channel} of {sensor.sensor.serial} does not react to gravity: its sensitivity is "
                 f"{significant(sensitivity, 3):g} ± {significant(expanded, 2):g} "
-                f"{sensor.sensor.unit}/g; see that the channel is wired, and that its sensor converts"
+                f"{sensor.sensor.unit}/g; "
+                + (
+                    f"{coarse}: give them with more digits"
+                    if step > STEP * sensitivity
+                    else "see that the channel is wired, and that its sensor converts"
+                )
             )
+        if step > STEP * sensitivity:
+            remarks.append(f"{coarse}, {degrees(step / sensitivity):.2g}° near level: give them with more digits")
     for (first, a), (second, b) in combinations(rows.items(), 2):
         angle = degrees(acos(min(abs(float(a @ b)) / float(np.linalg.norm(a) * np.linalg.norm(b)), 1.0)))
         if angle < LEAST_ANGLE:
             raise EstimateError(f"{first} and {second} answer to gravity alike, {angle:.1f}° apart", advice=COPIES)
-    return tuple(remarks_on_wiring(coefficients, sensor.sensor.unit))
+    return (*remarks, *remarks_on_wiring(coefficients, sensor.sensor.unit))
 
 
 def remarks_on_wiring(coefficients: Coefficients, unit: str) -> Iterator[str]:

@@ -28,7 +28,7 @@ from tiltcal.core.ramp.record import RampRecord, ramp_record
 from tiltcal.core.rounding import significant
 from tiltcal.core.samples import SampleSummary, even_step
 from tiltcal.dialect import TEMPERATURE, TIME
-from tiltcal.drivers.model import Model
+from tiltcal.drivers.model import OF_G, Model
 from tiltcal.errors import Argument, EstimateError, InputError, UsageError
 from tiltcal.files.calibration import UNKNOWN_MODEL, CalibrationRecord, SensorIdentity, read_calibration
 from tiltcal.files.device import model_named
@@ -79,6 +79,7 @@ from tiltcal.stated_arguments import require_name
 
 R = TypeVar("R", FileRecord, SegmentsRecord)
 
+WEIGHTLESS = 0.5  # readings whose length is below this most of the time are without gravity, g
 UNSTATED = "1"  # stands for a unit that nothing states yet; it fits all
 
 
@@ -233,6 +234,19 @@ def _of_table(data: Any, sensor: SensorIdentity, procedure: PositionProcedure, o
     return FitPositions(placed(intervals_of_table(positions), procedure, file=file), provenance)
 
 
+def _require_gravity(columns: Sequence[Array], unit: str) -> None:
+    """Refuse three axes that are mostly far shorter than gravity, where their unit says how long that is."""
+    usual = OF_G.get(unit)
+    if usual is None or len(columns) < len(AXES):
+        return
+    length = float(np.nanmedian(np.linalg.norm(np.stack(columns), axis=0)))
+    if length < WEIGHTLESS * usual:
+        raise EstimateError(
+            f"the readings are {length:.2g} {unit} long at rest, and gravity is {usual:.3g} {unit}: gravity has been "
+            "taken out of them. Record the acceleration with gravity, or state the unit that they are in"
+        )
+
+
 def _of_log(
     logs: Recordings,
     sensor: SensorIdentity,
@@ -259,6 +273,7 @@ def _of_log(
     record = with_signs(record, signs)
     origin, fewest, holds = _origin(given, SegmentsRecord), WINDOWS[-1], None
     if judge is not None:
+        _require_gravity(record.of(sensor.channels), sensor.unit)
         chosen = find_still(record.of(sensor.channels), judge)
         found, fewest = chosen.segments, chosen.window
         say(chosen.in_words("" if sensor.unit == UNSTATED else f" {sensor.unit}"))
